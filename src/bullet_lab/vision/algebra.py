@@ -6,10 +6,9 @@ itself when the cores are busy. OpenCV does not, so its solvers are used here.
 
 from __future__ import annotations
 
-from typing import Tuple
-
 import cv2
 import numpy as np
+from numpy import ndarray
 
 NEXT = [1, 2, 3, 0]
 """Index of the corner, or of the side, after each of a quadrilateral's four."""
@@ -20,7 +19,7 @@ PREVIOUS = [3, 0, 1, 2]
 UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
-def solve_symmetric(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve_symmetric(matrix: ndarray, right: ndarray) -> ndarray:
     """Return x (n,) of matrix · x = right for a positive definite (n, n) matrix; NaN if not.
 
     >>> solve_symmetric(np.diag([2.0, 4.0]), np.array([2.0, 2.0]))
@@ -30,13 +29,13 @@ def solve_symmetric(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return x.ravel() if solved else np.full(len(right), np.nan)
 
 
-def invert_symmetric(matrix: np.ndarray) -> np.ndarray:
+def invert_symmetric(matrix: ndarray) -> ndarray:
     """Return the inverse of a positive definite (n, n) matrix; NaN if it is not."""
     solved, inverse = cv2.invert(matrix, flags=cv2.DECOMP_CHOLESKY)
     return 0.5 * (inverse + inverse.T) if solved else np.full(matrix.shape, np.nan)
 
 
-def largest_singular_value(matrix: np.ndarray) -> float:
+def largest_singular_value(matrix: ndarray) -> float:
     """Return the largest singular value of a (2, 2) matrix.
 
     >>> largest_singular_value(np.diag([-3.0, 2.0]))
@@ -48,7 +47,7 @@ def largest_singular_value(matrix: np.ndarray) -> float:
     return float(np.sqrt(0.5 * (square + np.sqrt(rest))))
 
 
-def mean_side(quad: np.ndarray) -> float:
+def mean_side(quad: ndarray) -> float:
     """Return the mean length of the sides of (4, 2) corners.
 
     >>> mean_side(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]]))
@@ -58,7 +57,7 @@ def mean_side(quad: np.ndarray) -> float:
     return float(np.hypot(sides[:, 0], sides[:, 1]).mean())
 
 
-def homography(corners: np.ndarray) -> np.ndarray:
+def homography(corners: ndarray) -> ndarray:
     """Return the (..., 3, 3) map from the unit square, clockwise from (0, 0), to (..., 4, 2).
 
     >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
@@ -76,13 +75,13 @@ def homography(corners: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(rows.T).reshape(*np.shape(g), 3, 3)
 
 
-def mapped(places: np.ndarray, to_image: np.ndarray) -> np.ndarray:
+def mapped(places: ndarray, to_image: ndarray) -> ndarray:
     """Return the points (n, 2) to which a homography (3, 3) maps (n, 2) places."""
     there = places @ to_image[:, :2].T + to_image[:, 2]
     return there[:, :2] / there[:, 2:]
 
 
-def unmapped(points: np.ndarray, to_image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def unmapped(points: ndarray, to_image: ndarray) -> tuple[ndarray, ndarray]:
     """Return the places (2, n) that a homography maps to points (2, n), and derivatives (2, 2, n).
 
     >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
@@ -95,7 +94,7 @@ def unmapped(points: np.ndarray, to_image: np.ndarray) -> Tuple[np.ndarray, np.n
     return places, (back[:2, :2, None] - places[:, None] * back[2, :2, None]) * one
 
 
-def intersections(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def intersections(points: ndarray, normals: ndarray) -> ndarray:
     """Return (..., 4, 2) corners: the k-th is where line k - 1 meets line k.
 
     Args:

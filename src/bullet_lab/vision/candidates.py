@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, NamedTuple, Sequence
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.vision.algebra import NEXT, intersections
 from bullet_lab.vision.dark_pieces import (
@@ -111,40 +112,40 @@ class CandidateSearch:
         min_side: least mean length of the sides, px.
     """
 
-    def __init__(self, grey: np.ndarray, min_side: float):
+    def __init__(self, grey: ndarray, min_side: float):
         self._grey, self._min_side = grey, min_side
         size = (grey.shape[1] // 2, grey.shape[0] // 2)
         self._half = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         self._contours = 0
         self._is_clear = False
         # The third pass uses masks of the second one again.
-        self._pieces: Dict[_Mask, DarkPieces] = {}
+        self._pieces: dict[_Mask, DarkPieces] = {}
 
-    def first_pass(self, contrast: float) -> np.ndarray:
+    def first_pass(self, contrast: float) -> ndarray:
         """Return the outlines with four corners that the usual masks show."""
         return self._outlines(_FIRST_PASS, contrast, _FIRST_TRIM)
 
-    def second_pass(self, contrast: float) -> np.ndarray:
+    def second_pass(self, contrast: float) -> ndarray:
         """Return those of other masks, of more of them in an image with few pieces."""
         self._is_clear = self._contours < _FEW_PIECES
         masks = _SECOND_PASS + _MORE_MASKS if self._is_clear else _SECOND_PASS
         return self._outlines(masks, contrast, _SECOND_TRIM)
 
-    def open_pass(self, contrast: float) -> np.ndarray:
+    def open_pass(self, contrast: float) -> ndarray:
         """Return borders with a gap or a hidden corner, in an image with few pieces.
 
         Something before a corner that is as dark as the wall behind joins the two: no threshold
         shows four corners then. The hull of the border still has four long sides.
         """
-        sides: List[_OpenSides] = []
+        sides: list[_OpenSides] = []
         for mask in _OPEN_PASS if self._is_clear else ():
             least = max(0.5 * _LEAST_OPEN, self._least_side(mask)) + 1.0
             contours = contours_of(self._dark(mask, contrast), least, is_open=True)
             sides += _open_sides(list(contours), mask.coarse)
         return sound_quads(self._full_size(*_open_quads(sides)))
 
-    def _outlines(self, masks: Sequence[_Mask], contrast: float, trim: float) -> np.ndarray:
-        outlines: List[_Outline] = []
+    def _outlines(self, masks: Sequence[_Mask], contrast: float, trim: float) -> ndarray:
+        outlines: list[_Outline] = []
         for mask in masks:
             least = self._least_side(mask)
             contours = list(contours_of(self._dark(mask, contrast), least))
@@ -167,7 +168,7 @@ class CandidateSearch:
         """Return the least side to look for in a mask, px of the mask."""
         return 0.5 * max(self._min_side, _COARSE_SIDE) if mask.coarse else self._min_side
 
-    def _full_size(self, quads: np.ndarray, coarse: np.ndarray) -> np.ndarray:
+    def _full_size(self, quads: ndarray, coarse: ndarray) -> ndarray:
         """Return quadrilaterals in px of the image; `coarse` (n,) are those of half the size."""
         scale = np.array(self._grey.shape[::-1]) / np.array(self._half.shape[::-1])
         # The centre of a pixel is a whole number.
@@ -175,7 +176,7 @@ class CandidateSearch:
         return quads
 
 
-def outlines_within(dark: np.ndarray, min_side: float) -> np.ndarray:
+def outlines_within(dark: ndarray, min_side: float) -> ndarray:
     """Return (n, 4, 2) outlines with four corners of dark pieces in a small mask (h, w)."""
     contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
@@ -184,7 +185,7 @@ def outlines_within(dark: np.ndarray, min_side: float) -> np.ndarray:
     return sound_quads(_fit_sides(outlines, _FIRST_TRIM))
 
 
-def sound_quads(quads: np.ndarray) -> np.ndarray:
+def sound_quads(quads: ndarray) -> ndarray:
     """Return those of (n, 4, 2) quadrilaterals that have four corners, all finite, px.
 
     >>> side = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
@@ -199,7 +200,7 @@ def sound_quads(quads: np.ndarray) -> np.ndarray:
     return quads[(np.abs(corners) > _LEAST_CORNER).all(axis=1)]
 
 
-def same_quads(quads: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def same_quads(quads: ndarray, sides: ndarray) -> ndarray:
     """Return which (n, n) of (n, 4, 2) quadrilaterals are the same to a fraction of a cell.
 
     Their middles and the mean lengths of their sides, `sides` (n,), agree.
@@ -211,17 +212,17 @@ def same_quads(quads: np.ndarray, sides: np.ndarray) -> np.ndarray:
     return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
 
 
-def mean_sides(quads: np.ndarray) -> np.ndarray:
+def mean_sides(quads: ndarray) -> ndarray:
     """Return the mean length (n,) of the sides of each of (n, 4, 2) corners, px."""
     return np.linalg.norm(quads[:, NEXT] - quads, axis=2).mean(axis=1)
 
 
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _cross(first: ndarray, second: ndarray) -> ndarray:
     """Return the cross products (...) of vectors (..., 2)."""
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
-def _line_angle(x, y, xx, xy, yy) -> np.ndarray:
+def _line_angle(x, y, xx, xy, yy) -> ndarray:
     """Return the direction, rad, of lines by the means of points' x, y, x², x y and y²."""
     xx, xy, yy = xx - x * x, xy - x * y, yy - y * y
     return 0.5 * np.arctan2(2.0 * xy, xx - yy)
@@ -231,14 +232,14 @@ def _line_angle(x, y, xx, xy, yy) -> np.ndarray:
 class _Outline:
     """A contour (n, 2) with four corners, and the indices of these, clockwise."""
 
-    contour: np.ndarray
-    places: List[int]
+    contour: ndarray
+    places: list[int]
     coarse: bool
 
 
 def _outlines_of(
     contours: Iterable[Placed], min_side: float, coarse: bool = False
-) -> List[_Outline]:
+) -> list[_Outline]:
     outlines = []
     for contour, offset in contours:
         corners = _corners_of(contour, min_side)
@@ -251,7 +252,7 @@ def _outlines_of(
     return outlines
 
 
-def _corners_of(contour: np.ndarray, min_side: float) -> Optional[np.ndarray]:
+def _corners_of(contour: ndarray, min_side: float) -> ndarray | None:
     """Return the (4, 2) points of a contour that are its corners, or None if it has not four."""
     # A diagonal step counts as one pixel; the contour runs through the centres of pixels.
     count = len(contour)
@@ -274,7 +275,7 @@ def _corners_of(contour: np.ndarray, min_side: float) -> Optional[np.ndarray]:
     return corners
 
 
-def _fit_sides(outlines: Sequence[_Outline], trim: float) -> np.ndarray:
+def _fit_sides(outlines: Sequence[_Outline], trim: float) -> ndarray:
     """Return the corners (n, 4, 2) at which the lines fitted to the outlines' sides meet.
 
     The fit is of least squares, without the share `trim` of each side at either end.
@@ -304,7 +305,7 @@ def _fit_sides(outlines: Sequence[_Outline], trim: float) -> np.ndarray:
     return intersections(points, normals)
 
 
-def _running_sums(points: np.ndarray) -> np.ndarray:
+def _running_sums(points: ndarray) -> ndarray:
     """Return the sums (5, n + 1) of x, y, x², x y and y² of the points (n, 2) before each."""
     x, y = points.T
     sums = np.zeros((5, len(x) + 1))
@@ -324,14 +325,14 @@ class _OpenSides(NamedTuple):
         coarse: of the image of half the size.
     """
 
-    contour: np.ndarray
-    first: np.ndarray
-    along: np.ndarray
+    contour: ndarray
+    first: ndarray
+    along: ndarray
     area: float
     coarse: bool
 
 
-def _open_sides(contours: List[Placed], coarse: bool) -> List[_OpenSides]:
+def _open_sides(contours: list[Placed], coarse: bool) -> list[_OpenSides]:
     """Return the sides of the largest contours whose hull may be square but for a corner."""
     contours.sort(key=lambda placed: -float(np.ptp(placed[0][:, 0], axis=0).sum()))
     sides = (_sides_of_hull(contour, offset, coarse) for contour, offset in contours[:_MOST_OPEN])
@@ -339,8 +340,8 @@ def _open_sides(contours: List[Placed], coarse: bool) -> List[_OpenSides]:
 
 
 def _sides_of_hull(
-    contour: np.ndarray, offset: Tuple[int, int], coarse: bool
-) -> Optional[_OpenSides]:
+    contour: ndarray, offset: tuple[int, int], coarse: bool
+) -> _OpenSides | None:
     hull = cv2.convexHull(contour)
     area, length = cv2.contourArea(hull), cv2.arcLength(hull, True)
     if area < LEAST_AREA * length * length:
@@ -354,7 +355,7 @@ def _sides_of_hull(
     return _OpenSides(some + offset, simple[longest] + offset, edges[longest], area, coarse)
 
 
-def _open_quads(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
+def _open_quads(sides: Sequence[_OpenSides]) -> tuple[ndarray, ndarray]:
     """Return (n, 4, 2) where the lines along four sides meet, and which (n,) of it are coarse."""
     if not sides:
         return np.empty((0, 4, 2)), np.empty(0, dtype=bool)
@@ -368,7 +369,7 @@ def _open_quads(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
     return quads[own], coarse[own]
 
 
-def _lines_along(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
+def _lines_along(sides: Sequence[_OpenSides]) -> tuple[ndarray, ndarray]:
     """Return points and normals (n, 4, 2) of the lines through the contours' points beside sides.
 
     A bulge at one end of a side turns its line, so points are chosen anew in narrower strips.
@@ -396,8 +397,8 @@ def _lines_along(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
 
 
 def _lines_through(
-    points: np.ndarray, line: np.ndarray, count: int, rounds: int
-) -> Tuple[np.ndarray, np.ndarray]:
+    points: ndarray, line: ndarray, count: int, rounds: int
+) -> tuple[ndarray, ndarray]:
     """Return a point and the unit vector (count, 2) of each line fitted to points (n, 2).
 
     The first round is least squares. Each further one weights points by the inverse of their

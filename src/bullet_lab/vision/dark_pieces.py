@@ -8,6 +8,7 @@ from typing import Iterator, NamedTuple, Tuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 # Least area of a quadrilateral, by the square of its outline's length: 1/16 of a square, a third
 # of that of one that is seen at 80 degrees.
@@ -19,10 +20,10 @@ _OPEN_RAGGED = 8.0
 # Most labels of 16 bits: OpenCV writes out of bounds with one more.
 _MOST_LABELS = 65534
 # A contour (n, 1, 2), and the offset of its u and v.
-Placed = Tuple[np.ndarray, Tuple[int, int]]
+Placed = Tuple[ndarray, Tuple[int, int]]
 
 
-def darker_part(grey: np.ndarray, window: int, part: float, contrast: int) -> np.ndarray:
+def darker_part(grey: ndarray, window: int, part: float, contrast: int) -> ndarray:
     """Return a mask (h, w) of the pixels that are dark in their neighbourhood, as 255.
 
     Args:
@@ -38,7 +39,7 @@ def darker_part(grey: np.ndarray, window: int, part: float, contrast: int) -> np
 
 
 @lru_cache(maxsize=None)
-def _square(window: int) -> np.ndarray:
+def _square(window: int) -> ndarray:
     return np.ones((window, window), np.uint8)
 
 
@@ -48,11 +49,11 @@ class DarkPieces(NamedTuple):
     Label 0 is the background; its area is 0.
     """
 
-    labels: np.ndarray
-    stats: np.ndarray
+    labels: ndarray
+    stats: ndarray
 
 
-def dark_pieces(dark: np.ndarray, joined: bool) -> DarkPieces:
+def dark_pieces(dark: ndarray, joined: bool) -> DarkPieces:
     """Return the pieces of a mask.
 
     Pixels of one piece touch at their edges or, if `joined`, at their corners.

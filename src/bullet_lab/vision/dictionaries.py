@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import List, Optional, Tuple
+from typing import Tuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.vision.algebra import homography
 from bullet_lab.vision.images import Picture, VisionError
@@ -47,11 +48,11 @@ class MarkerDictionary:
 
     name: str  #: OpenCV's, such as DICT_APRILTAG_36h10
     cells: int  #: data cells along an edge; the black border is one cell more each way
-    codes: np.ndarray
-    packed: np.ndarray  #: (bytes, number of ids · 4): the codes as bits, eight in a byte
+    codes: ndarray
+    packed: ndarray  #: (bytes, number of ids · 4): the codes as bits, eight in a byte
     distance: int  #: least number of different bits of two markers, or of one and itself turned
 
-    def nearest(self, bits: np.ndarray) -> Tuple[int, int, int]:
+    def nearest(self, bits: ndarray) -> tuple[int, int, int]:
         """Return the marker nearest to (cells²,) bits, its turns and the number of wrong bits."""
         # On bytes: a product of matrices would start threads.
         different = _ONES[self.packed ^ np.packbits(bits > 0)[:, None]].sum(axis=0, dtype=np.uint8)
@@ -63,7 +64,7 @@ class MarkerDictionary:
         """Number of wrong bits that can be corrected unambiguously."""
         return max(0, (self.distance - 1) // 2)
 
-    def pattern(self, marker: int) -> np.ndarray:
+    def pattern(self, marker: int) -> ndarray:
         """Return the (cells + 2, cells + 2) cells of a marker and its border, 1 for white.
 
         Raises:
@@ -75,7 +76,7 @@ class MarkerDictionary:
 
 
 @lru_cache(maxsize=256)
-def _pattern(dictionary: MarkerDictionary, marker: int) -> np.ndarray:
+def _pattern(dictionary: MarkerDictionary, marker: int) -> ndarray:
     bits = dictionary.codes[marker, 0].reshape(dictionary.cells, dictionary.cells)
     pattern = np.pad((bits > 0).astype(np.uint8), 1)
     pattern.flags.writeable = False
@@ -135,9 +136,9 @@ def _load(name: str) -> MarkerDictionary:
 class Reading:
     """The cells of a quadrilateral, read as those of a marker."""
 
-    bits: np.ndarray  #: (cells²,) ±1, white +1, row by row from the first corner
+    bits: ndarray  #: (cells²,) ±1, white +1, row by row from the first corner
     border_errors: int  #: cells of the border that are not black
-    levels: np.ndarray  #: (cells + 2, cells + 2) grey levels, border included
+    levels: ndarray  #: (cells + 2, cells + 2) grey levels, border included
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ class Match:
     likeness: float  #: correlation of the grey levels with its pattern, at most 1
 
 
-def may_be_markers(picture: Picture, quads: np.ndarray, cells: int) -> np.ndarray:
+def may_be_markers(picture: Picture, quads: ndarray, cells: int) -> ndarray:
     """Return which (n,) of (n, 4, 2) rough corners, px of the image, may be of a marker.
 
     Those are dark just inside, bright just outside and not empty in the data `cells`.
@@ -181,7 +182,7 @@ def may_be_markers(picture: Picture, quads: np.ndarray, cells: int) -> np.ndarra
 
 
 @lru_cache(maxsize=None)
-def _glance(cells: int) -> np.ndarray:
+def _glance(cells: int) -> ndarray:
     """Return (p, 3) places of the unit square: outside the border, in it, in the data cells."""
     cell = 1.0 / (cells + 2)
     along = np.linspace(cell, 1.0 - cell, _GLANCES)
@@ -195,17 +196,17 @@ def _glance(cells: int) -> np.ndarray:
     return _homogeneous(np.vstack(places))
 
 
-def _grid(line: np.ndarray) -> np.ndarray:
+def _grid(line: ndarray) -> ndarray:
     """Return the (n², 2) points whose x and y are each of (n,) values, row by row."""
     return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
 
 
-def _homogeneous(points: np.ndarray) -> np.ndarray:
+def _homogeneous(points: ndarray) -> ndarray:
     return np.column_stack((points, np.ones(len(points))))
 
 
 @lru_cache(maxsize=None)
-def _half_planes(cells: int) -> np.ndarray:
+def _half_planes(cells: int) -> ndarray:
     """Return (p, k): from levels outside and in the border to the grey half way between them.
 
     The grey is the mean of two planes (least squares) at all p places of the quick test.
@@ -215,7 +216,7 @@ def _half_planes(cells: int) -> np.ndarray:
     return 0.5 * np.concatenate([places @ np.linalg.pinv(ring) for ring in rings], axis=1)
 
 
-def read_cells(picture: Picture, corners: np.ndarray, cells: int) -> np.ndarray:
+def read_cells(picture: Picture, corners: ndarray, cells: int) -> ndarray:
     """Return (n, cells + 4, cells + 4) mean grey levels: data cells, border and one ring around.
 
     Args:
@@ -230,13 +231,13 @@ def read_cells(picture: Picture, corners: np.ndarray, cells: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=None)
-def _cell_places(cells: int) -> np.ndarray:
+def _cell_places(cells: int) -> ndarray:
     """Return (p, 3) places of the unit square: some in each cell, the border and a ring around."""
     middles = np.arange(cells + 4) - 0.5
     return _homogeneous(_grid((middles[:, None] + _OFFSETS).ravel() / (cells + 2)))
 
 
-def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
+def interpret(levels: ndarray) -> list[Reading | None]:
     """Return the readings of the grey levels of `read_cells`; None where they are uniform.
 
     Light may change evenly across a marker: black and white levels are planes. That of black goes
@@ -257,7 +258,7 @@ def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
     sharp = _sharpened(soft)
     bits = np.where(sharp[:, 1:-1, 1:-1] > 0.0, 1.0, -1.0).astype(np.float32)
     border_errors = (sharp > 0.0)[:, border[1:-1, 1:-1]].sum(axis=1)
-    readings: List[Optional[Reading]] = []
+    readings: list[Reading | None] = []
     for k in range(count):
         is_uniform = not white[k] - black[k] >= 1.0
         reading = Reading(bits[k].ravel(), int(border_errors[k]), inner[k])
@@ -265,14 +266,14 @@ def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
     return readings
 
 
-def _sharpened(soft: np.ndarray) -> np.ndarray:
+def _sharpened(soft: ndarray) -> ndarray:
     """Return cells (n, k, k) without the outer ring, less a part of their neighbours."""
     own = soft[:, 1:-1, 1:-1]
     neighbours = soft[:, :-2, 1:-1] + soft[:, 2:, 1:-1] + soft[:, 1:-1, :-2] + soft[:, 1:-1, 2:]
     return own + _SHARPENING * (4.0 * own - neighbours)
 
 
-def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Optional[Match]:
+def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Match | None:
     """Return the marker that differs from a reading in at most `correction` bits, or None."""
     marker, turns, errors = dictionary.nearest(reading.bits)
     if errors > correction:
@@ -285,7 +286,7 @@ def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Op
 
 
 @lru_cache(maxsize=None)
-def _border(side: int) -> np.ndarray:
+def _border(side: int) -> ndarray:
     """Return which of (side, side) cells are the border: the second ring."""
     border = np.ones((side, side), dtype=bool)
     border[[0, -1]] = border[:, [0, -1]] = False
@@ -293,7 +294,7 @@ def _border(side: int) -> np.ndarray:
     return border
 
 
-def _planes(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
     """Return the plane (n, k, k) fitted to the chosen levels of each; their mean if few."""
     count, side = levels.shape[:2]
     terms, products = _plane_terms(side)
@@ -316,7 +317,7 @@ def _planes(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=None)
-def _plane_terms(side: int) -> Tuple[np.ndarray, np.ndarray]:
+def _plane_terms(side: int) -> tuple[ndarray, ndarray]:
     """Return 1, row, column (3, side²), from the middle, and their products (6, side²)."""
     row, column = np.indices((side, side), dtype=float).reshape(2, -1) - (side - 1) / 2.0
     one = np.ones_like(row)

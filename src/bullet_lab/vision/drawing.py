@@ -6,6 +6,7 @@ from typing import Sequence
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.algebra import mean_side
@@ -26,25 +27,25 @@ _SHIFT = 4
 _LARGE = 60.0
 
 
-def draw_points(image: np.ndarray, points: np.ndarray, radius: int = 3) -> None:
+def draw_points(image: ndarray, points: ndarray, radius: int = 3) -> None:
     """Draw (n, 2 or more) points u, v as blue discs, as in figure 7c."""
     for u, v in np.asarray(points)[:, :2]:
         cv2.circle(image, (int(round(u)), int(round(v))), radius, BLUE, -1)
 
 
-def draw_area(image: np.ndarray, area: np.ndarray) -> None:
+def draw_area(image: ndarray, area: ndarray) -> None:
     """Colour an area (h, w) of an image blue, as in figure 7d."""
     image[area] = BLUE
 
 
-def draw_marker(image: np.ndarray, marker: DetectedMarker, label: str) -> None:
+def draw_marker(image: ndarray, marker: DetectedMarker, label: str) -> None:
     """Draw a marker's outline, its first corner and a label beside it."""
     draw_outline(image, marker.corners)
     left, bottom = marker.corners[:, 0].min(), marker.corners[:, 1].min() - 8
     draw_text(image, label, (int(left), int(bottom)))
 
 
-def draw_outline(image: np.ndarray, corners: np.ndarray) -> None:
+def draw_outline(image: ndarray, corners: ndarray) -> None:
     """Draw (4, 2) corners as a quadrilateral, the first of them marked."""
     side = mean_side(corners)
     # A broad line would hide a small marker.
@@ -56,7 +57,7 @@ def draw_outline(image: np.ndarray, corners: np.ndarray) -> None:
     cv2.rectangle(image, (u - half, v - half), (u + half, v + half), FIRST_CORNER, -1)
 
 
-def enlarged(image: np.ndarray, corners: np.ndarray, size: int) -> np.ndarray:
+def enlarged(image: ndarray, corners: ndarray, size: int) -> ndarray:
     """Return the part (size, size, 3) of a BGR image around a marker (4, 2), with its outline."""
     half = int(np.ceil(0.8 * mean_side(corners)))
     u, v = (int(round(value)) for value in corners.mean(axis=0))
@@ -69,7 +70,7 @@ def enlarged(image: np.ndarray, corners: np.ndarray, size: int) -> np.ndarray:
     return large
 
 
-def draw_axes(image: np.ndarray, pose: MarkerPose, size: float, camera: PinholeCamera) -> None:
+def draw_axes(image: ndarray, pose: MarkerPose, size: float, camera: PinholeCamera) -> None:
     """Draw a marker's axes, half its size long: x red, y green, z blue."""
     ends = 0.5 * size * np.vstack((np.zeros(3), np.eye(3)))
     pixels = camera.project(ends @ pose.rotation.T + pose.translation)
@@ -81,7 +82,7 @@ def draw_axes(image: np.ndarray, pose: MarkerPose, size: float, camera: PinholeC
         cv2.line(image, points[0], end, colour, width, cv2.LINE_AA, _SHIFT)
 
 
-def draw_text(image: np.ndarray, text: str, place: Sequence[int], scale: float = 0.5) -> None:
+def draw_text(image: ndarray, text: str, place: Sequence[int], scale: float = 0.5) -> None:
     """Write white text on black inside the image; `place` is the left end of the base line."""
     (width, height), base = cv2.getTextSize(text, _FONT, scale, 1)
     u = int(np.clip(place[0], 2, max(2, image.shape[1] - width - 2)))

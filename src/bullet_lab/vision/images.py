@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Optional
-
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.errors import LabError
@@ -24,7 +23,7 @@ _TO_GREY = {
 }
 
 
-def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
+def grey(pixels: ndarray, encoding: str = "") -> ndarray:
     """Return an image as (h, w) uint8 grey levels.
 
     Args:
@@ -55,7 +54,7 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
     return cv2.cvtColor(pixels, _TO_GREY[encoding])
 
 
-def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
+def sample(image: ndarray, points: ndarray) -> ndarray:
     """Return the bilinear values of a (h, w) image at points (..., 2) of u, v in px.
 
     Points outside get the value at the border; at NaN it is 0. (OpenCV's `remap` rounds
@@ -88,15 +87,15 @@ class Picture:
         camera: the camera; None, or one without distortion: ideal pixels are those of the image.
     """
 
-    def __init__(self, levels: np.ndarray, camera: Optional[PinholeCamera] = None):
+    def __init__(self, levels: ndarray, camera: PinholeCamera | None = None):
         self.levels = levels
         self._camera = camera if camera is not None and any(camera.distortion) else None
 
-    def at(self, points: np.ndarray) -> np.ndarray:
+    def at(self, points: ndarray) -> ndarray:
         """Return the bilinear grey levels at ideal pixels (..., 2)."""
         return sample(self.levels, self.seen(points))
 
-    def ideal(self, points: np.ndarray) -> np.ndarray:
+    def ideal(self, points: ndarray) -> ndarray:
         """Return the ideal pixels (..., 2) of pixels of the image."""
         if self._camera is None:
             return points
@@ -107,7 +106,7 @@ class Picture:
         undistorted = cv2.undistortPointsIter(flat, matrix, distortion, None, matrix, criteria)
         return undistorted.reshape(np.shape(points))
 
-    def seen(self, points: np.ndarray) -> np.ndarray:
+    def seen(self, points: ndarray) -> ndarray:
         """Return the pixels (..., 2) of the image at ideal ones."""
         camera = self._camera
         if camera is None:
@@ -116,7 +115,7 @@ class Picture:
         rays = (flat - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         return camera.project(np.column_stack((rays, np.ones(len(rays))))).reshape(points.shape)
 
-    def derivatives(self, points: np.ndarray) -> np.ndarray:
+    def derivatives(self, points: ndarray) -> ndarray:
         """Return the derivatives (2 n, 2 n) of `seen` at (n, 2) ideal pixels."""
         count = len(points)
         moves = np.eye(2 * count)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Iterable, List, Optional, Sequence, Tuple
+from typing import Iterable, Sequence, Tuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
@@ -61,7 +62,7 @@ _ALLOWED = {
     "max_quads": (1, 10000),
 }
 # A marker and its corners, (4, 2) ideal px from its top left on.
-Decoded = Tuple[Match, np.ndarray]
+Decoded = Tuple[Match, ndarray]
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class DetectorSettings:
     """Settings of a detector."""
 
     dictionary: str = "apriltag_36h10"  #: as `dictionary_named` takes it
-    ids: Tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
+    ids: tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
     border: float = 3.0  #: px; markers with a corner nearer to the edge of the image are dropped
     min_side: float = 8.0  #: px; mean side of the smallest marker
     contrast: float = 7.0  #: grey levels by which black is darker than white
@@ -102,13 +103,13 @@ class DetectedMarker:
     """
 
     id: int  #: its number in the dictionary
-    corners: np.ndarray
+    corners: ndarray
     bit_errors: int  #: bits that were corrected
     likeness: float  #: correlation of the grey levels with its pattern
-    covariance: np.ndarray  #: (8, 8) of the corners' u0, v0, u1 ... by this image, px²
+    covariance: ndarray  #: (8, 8) of the corners' u0, v0, u1 ... by this image, px²
 
     @property
-    def deviations(self) -> np.ndarray:
+    def deviations(self) -> ndarray:
         """Standard deviations (4, 2) of the corners' u and v, px."""
         return np.sqrt(np.diag(self.covariance)).reshape(4, 2)
 
@@ -124,8 +125,8 @@ class DetectionReport:
 
     quads: int = 0  #: dark quadrilaterals that were tried
     undecoded: int = 0  #: number of them that are no marker
-    cropped: List[int] = field(default_factory=list)  #: ids dropped at the edge of the image
-    other_ids: List[int] = field(default_factory=list)  #: ids seen and not asked for
+    cropped: list[int] = field(default_factory=list)  #: ids dropped at the edge of the image
+    other_ids: list[int] = field(default_factory=list)  #: ids seen and not asked for
     mean: float = 0.0  #: of the grey levels
     contrast: float = 0.0  #: grey levels between its darkest and its brightest pixel
     noise: float = 0.0  #: standard deviation of the grey levels' noise
@@ -143,13 +144,13 @@ class Detections:
 class MarkerDetector:
     """Finds markers."""
 
-    def __init__(self, settings: Optional[DetectorSettings] = None):
+    def __init__(self, settings: DetectorSettings | None = None):
         self.settings = settings or DetectorSettings()
         self.dictionary = dictionary_named(self.settings.dictionary)
         self._correction = int(self.settings.correction * self.dictionary.max_correction + 1e-9)
         self._border_errors = int(self.settings.border_rate * 4 * (self.dictionary.cells + 1))
 
-    def detect(self, image: np.ndarray, camera: Optional[PinholeCamera] = None) -> Detections:
+    def detect(self, image: ndarray, camera: PinholeCamera | None = None) -> Detections:
         """Return the markers in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
 
         Of the camera only the distortion is used, to have straight edges straight. Raises
@@ -183,11 +184,11 @@ class MarkerDetector:
         return Detections(markers, report)
 
     def _markers(
-        self, picture: Picture, quads: np.ndarray, report: DetectionReport
-    ) -> List[DetectedMarker]:
+        self, picture: Picture, quads: ndarray, report: DetectionReport
+    ) -> list[DetectedMarker]:
         """Return the markers among quadrilaterals (n, 4, 2), and fill in the report."""
         quads, versions = self._likely(picture, quads, report)
-        found: List[Decoded] = []
+        found: list[Decoded] = []
         report.cropped, report.other_ids = [], []
         for one in self._first_decoded(picture, quads, versions):
             if one is None:
@@ -206,8 +207,8 @@ class MarkerDetector:
         return self._choose(found, picture, report)
 
     def _likely(
-        self, picture: Picture, quads: np.ndarray, report: DetectionReport
-    ) -> Tuple[np.ndarray, List[range]]:
+        self, picture: Picture, quads: ndarray, report: DetectionReport
+    ) -> tuple[ndarray, list[range]]:
         """Return those (n, 4, 2) that may be markers, and the index ranges of versions of one.
 
         The largest come first. The others are counted in the report.
@@ -221,7 +222,7 @@ class MarkerDetector:
         likely = may_be_markers(picture, quads, self.dictionary.cells)
         same = same_quads(quads, sides)
         versions, done = [], np.zeros(len(quads), dtype=bool)
-        chosen: List[int] = []
+        chosen: list[int] = []
         for index in range(len(quads)):
             if done[index]:
                 continue
@@ -239,10 +240,10 @@ class MarkerDetector:
         return quads[chosen], versions
 
     def _first_decoded(
-        self, picture: Picture, quads: np.ndarray, versions: Sequence[range]
-    ) -> List[Optional[Decoded]]:
+        self, picture: Picture, quads: ndarray, versions: Sequence[range]
+    ) -> list[Decoded | None]:
         """Return the marker of the first version of each one that is a marker, or None."""
-        found: List[Optional[Decoded]] = [None] * len(versions)
+        found: list[Decoded | None] = [None] * len(versions)
         for attempt in range(_TRIES):
             left = [k for k, same in enumerate(versions) if not found[k] and attempt < len(same)]
             tried = quads[[versions[k][attempt] for k in left]] if left else quads[:0]
@@ -250,14 +251,14 @@ class MarkerDetector:
                 found[k] = one
         return found
 
-    def _decode(self, picture: Picture, quads: np.ndarray) -> List[Optional[Decoded]]:
+    def _decode(self, picture: Picture, quads: ndarray) -> list[Decoded | None]:
         """Return the marker at each of (n, 4, 2) quadrilaterals, px of the image, or None."""
         cells = self.dictionary.cells
         if not len(quads):
             return []
         corners = refine_corners(picture, quads, cells + 2)
         sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
-        decoded: List[Optional[Decoded]] = [None] * len(quads)
+        decoded: list[Decoded | None] = [None] * len(quads)
         readings = interpret(read_cells(picture, corners[sound], cells))
         for index, reading in zip(sound.tolist(), readings):
             if reading is None or reading.border_errors > self._border_errors:
@@ -268,8 +269,8 @@ class MarkerDetector:
         return decoded
 
     def _choose(
-        self, found: List[Decoded], picture: Picture, report: DetectionReport
-    ) -> List[DetectedMarker]:
+        self, found: list[Decoded], picture: Picture, report: DetectionReport
+    ) -> list[DetectedMarker]:
         """Return the markers that were asked for and are whole, with their corners fitted."""
         border, chosen = self.settings.border, []
         largest = np.array(picture.levels.shape[::-1]) - 1 - border
@@ -283,7 +284,7 @@ class MarkerDetector:
                 chosen.append(self._measured(read, ideal, picture))
         return chosen
 
-    def _measured(self, read: Match, corners: np.ndarray, picture: Picture) -> DetectedMarker:
+    def _measured(self, read: Match, corners: ndarray, picture: Picture) -> DetectedMarker:
         pattern = self.dictionary.pattern(read.marker)
         corners = without_hidden_side(picture, corners, pattern)
         fit = fit_pattern(picture, corners, pattern)
@@ -297,7 +298,7 @@ class MarkerDetector:
         return DetectedMarker(read.marker, seen, read.errors, read.likeness, covariance)
 
 
-def add_decoded(decoded: Decoded, found: List[Decoded]) -> None:
+def add_decoded(decoded: Decoded, found: list[Decoded]) -> None:
     """Add a marker; of two outlines of one marker, keep the one that looks more like it.
 
     A panel before a bright sky has an outline too, about as large as its marker's.
@@ -318,7 +319,7 @@ def _same_marker(first: Decoded, second: Decoded) -> bool:
     return max(sides) < _ONE_MARKER * min(sides) and bool(away < _BESIDE * min(sides))
 
 
-def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[np.ndarray, float]:
+def _prepare(grey: ndarray, low: float, high: float, noise: float) -> tuple[ndarray, float]:
     """Return the image with more contrast and less noise, and the least contrast to look for."""
     gain = float(np.clip(_RANGE / max(1.0, high - low), 1.0, _LARGEST_GAIN))
     if gain > 1.0:
@@ -330,7 +331,7 @@ def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[n
     return grey, max(_LEAST_CONTRAST, _CONFIDENCE * gain * noise)
 
 
-def noise_level(grey: np.ndarray) -> float:
+def noise_level(grey: ndarray) -> float:
     """Return the standard deviation of an image's noise, in grey levels.
 
     It follows from the median of second differences both ways, which are zero in uniform areas and

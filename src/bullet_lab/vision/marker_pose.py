@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Mapping, Optional, Sequence, Tuple
+from typing import Mapping, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.images import VisionError
@@ -42,12 +43,12 @@ class PoseEstimate:
     alternative: MarkerPose  #: the other one; the same as `best` where there is but one
     ambiguous: bool  #: the corners do not show which is right
 
-    def nearest_to(self, rotation: np.ndarray) -> MarkerPose:
+    def nearest_to(self, rotation: ndarray) -> MarkerPose:
         """Return the pose that is turned least from a (3, 3) rotation, such as the last."""
         both = self.best, self.alternative
         return max(both, key=lambda pose: float(np.sum(pose.rotation * rotation)))
 
-    def upright(self, up: np.ndarray, least: float = 0.0) -> MarkerPose:
+    def upright(self, up: ndarray, least: float = 0.0) -> MarkerPose:
         """Return the pose whose y axis is nearer to a direction (3,) of the optical frame.
 
         A marker on an upright wall has its y axis up: (0, -1, 0) for a level camera. The one that
@@ -58,11 +59,11 @@ class PoseEstimate:
 
 
 def estimate_pose(
-    corners: np.ndarray,
+    corners: ndarray,
     size: float,
     camera: PinholeCamera,
     pixel_sigma: float = 0.1,
-    covariance: Optional[np.ndarray] = None,
+    covariance: ndarray | None = None,
 ) -> PoseEstimate:
     """Return the poses of a marker from its corners.
 
@@ -129,9 +130,9 @@ class MarkerObserver:
 
     def __init__(
         self,
-        settings: Optional[DetectorSettings] = None,
+        settings: DetectorSettings | None = None,
         size: float = 0.2,
-        sizes: Optional[Mapping[int, float]] = None,
+        sizes: Mapping[int, float] | None = None,
         pixel_sigma: float = 0.02,
     ):
         self.detector = MarkerDetector(settings)
@@ -144,7 +145,7 @@ class MarkerObserver:
         if not math.isfinite(pixel_sigma) or pixel_sigma < 0.0:
             raise VisionError(f"pixel_sigma is {pixel_sigma} px; it must be 0 or more")
 
-    def observe(self, image: np.ndarray, camera: PinholeCamera) -> Detections:
+    def observe(self, image: ndarray, camera: PinholeCamera) -> Detections:
         """Return the `ObservedMarker`s in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
 
         Raises:
@@ -173,14 +174,14 @@ class PoseMemory:
 
     def __init__(self, upright: bool = True):
         self._upright = upright
-        self._last: List[Tuple[int, MarkerPose]] = []
+        self._last: list[tuple[int, MarkerPose]] = []
         self._stamp = -np.inf
 
     def forget(self) -> None:
         """Forget the last poses."""
         self._last = []
 
-    def choose(self, markers: Sequence[ObservedMarker], stamp: float) -> List[MarkerPose]:
+    def choose(self, markers: Sequence[ObservedMarker], stamp: float) -> list[MarkerPose]:
         """Return a pose for each marker of an image of a stamp in s."""
         if not 0.0 <= stamp - self._stamp <= _PATIENCE:
             self._last = []

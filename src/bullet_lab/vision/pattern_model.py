@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional, Tuple, Union
+from typing import Union
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from scipy.special import ndtr
 
 from bullet_lab.vision.algebra import UNIT_SQUARE, homography, unmapped
@@ -44,7 +45,7 @@ class PatternModel:
     """
 
     def __init__(
-        self, points: np.ndarray, corners: np.ndarray, spread: np.ndarray, pattern: np.ndarray
+        self, points: ndarray, corners: ndarray, spread: ndarray, pattern: ndarray
     ):
         self._cells = cells = len(pattern)
         self.to_image = homography(corners)
@@ -64,8 +65,8 @@ class PatternModel:
         self._slopes = cells * slopes
 
     def _moved(
-        self, places: np.ndarray, spread: np.ndarray, motion: _Motion, pattern: np.ndarray
-    ) -> Tuple[np.ndarray, np.ndarray]:
+        self, places: ndarray, spread: ndarray, motion: _Motion, pattern: ndarray
+    ) -> tuple[ndarray, ndarray]:
         """Return value (n,) and slopes (2, n) as means over a motion, and set the derivatives."""
         positions, rest = motion.positions, motion.rest
         count = (len(positions), places.shape[1])
@@ -97,8 +98,8 @@ class PatternModel:
         self,
         evenly: bool = False,
         bowed: bool = True,
-        blooming: Union[bool, np.ndarray] = False,
-    ) -> np.ndarray:
+        blooming: Union[bool, ndarray] = False,
+    ) -> ndarray:
         """Return the columns (k, n) of the light's coefficients; the last 3 are the contrast's.
 
         Args:
@@ -114,60 +115,60 @@ class PatternModel:
             columns += [self._away**2, (self._away[0] * self._away[1])[None]]
         return np.concatenate((*columns, self._planes * self.value))
 
-    def _tails(self) -> np.ndarray:
+    def _tails(self) -> ndarray:
         """Return the share of light from beyond the quiet zone on each side, (4, n)."""
         away = self._cells * np.concatenate((self._away, -self._away))
         within = (0.5 * self._cells + 1.0) - away
         tails, _ = _normal_at(within / (-self._deviation * np.tile(self._finest, (2, 1))))
         return tails
 
-    def contrast(self, light: np.ndarray) -> np.ndarray:
+    def contrast(self, light: ndarray) -> ndarray:
         """Return white less black (n,) by the light's coefficients."""
         return light[-3:] @ self._planes
 
-    def outside(self) -> np.ndarray:
+    def outside(self) -> ndarray:
         """Return the distance of pixels outside of the outline, (n,) in cells; negative within."""
         return self._cells * (np.abs(self._away).max(axis=0) - 0.5)
 
-    def sides(self) -> np.ndarray:
+    def sides(self) -> ndarray:
         """Return which pixels are at each side, (4, n): the upper one, then clockwise."""
         right, below = self._away
         inner = 0.5 - 0.75 / self._cells
         return np.stack((below < -inner, right > inner, below > inner, right < -inner))
 
-    def margin(self) -> np.ndarray:
+    def margin(self) -> ndarray:
         """Return how far pixels are within the quiet zone's outer edge, (n,) px."""
         within = self._cells * (0.5 - np.abs(self._away)) + 1.0
         return (within / self._finest).min(axis=0)
 
-    def beyond(self, contrast: np.ndarray) -> np.ndarray:
+    def beyond(self, contrast: ndarray) -> ndarray:
         """Return the grey levels (n,) that blur may add from beyond the quiet zone."""
         tail, _ = _normal_at(self.margin() / -self._deviation)
         return np.abs(contrast) * tail
 
-    def steepness(self, contrast: np.ndarray) -> np.ndarray:
+    def steepness(self, contrast: ndarray) -> ndarray:
         """Return the change of the grey levels (n,) when the image moves by 1 px."""
         return np.abs(contrast) * self._steep()
 
-    def _steep(self) -> np.ndarray:
+    def _steep(self) -> ndarray:
         """Return the change of the pattern (n,) for 1 px across its edges."""
         x, y = self._slopes / self._cells
         slopes = x * self._by_pixel[0] + y * self._by_pixel[1]
         return np.hypot(slopes[0], slopes[1])
 
-    def shape(self, contrast: np.ndarray) -> np.ndarray:
+    def shape(self, contrast: ndarray) -> ndarray:
         """Return the derivatives (8, n) of the grey levels by the coefficients of `moves_of`."""
         steep = -contrast * self._slopes
         outward = (steep * self._away).sum(axis=0)
         by_affine = steep[0] * self._planes, steep[1] * self._planes
         return np.concatenate((*by_affine, outward * self._away))
 
-    def blur(self, contrast: np.ndarray) -> np.ndarray:
+    def blur(self, contrast: ndarray) -> ndarray:
         """Return derivatives (3, n) of the grey levels by the blur's variances and covariance."""
         return contrast * self._by_blur
 
 
-def moves_of(corners: np.ndarray, to_image: np.ndarray) -> np.ndarray:
+def moves_of(corners: ndarray, to_image: ndarray) -> ndarray:
     """Return the derivatives (8, 8) of the corners u0, v0, u1 ... by the coefficients of a map.
 
     The map moves places of the unit square, with x and y from its middle, by
@@ -179,7 +180,7 @@ def moves_of(corners: np.ndarray, to_image: np.ndarray) -> np.ndarray:
     return (by_place @ _CORNER_MOVES).reshape(8, 8)
 
 
-def _corner_moves() -> np.ndarray:
+def _corner_moves() -> ndarray:
     moves = np.zeros((4, 2, 8))
     for move, (x, y) in zip(moves, UNIT_SQUARE - 0.5):
         move[0, :3] = move[1, 3:6] = 1.0, x, y
@@ -202,14 +203,14 @@ class _Motion:
         rest: variance of the Gaussian blur beside it, px².
     """
 
-    along: np.ndarray
-    across: np.ndarray
-    positions: np.ndarray
-    weights: np.ndarray
+    along: ndarray
+    across: ndarray
+    positions: ndarray
+    weights: ndarray
     rest: float
 
 
-def _motion_of(spread: np.ndarray) -> Optional[_Motion]:
+def _motion_of(spread: ndarray) -> _Motion | None:
     """Return the motion that makes a blur longer than wide; None if it is short."""
     mean, half = 0.5 * (spread[0] + spread[1]), 0.5 * (spread[0] - spread[1])
     longer = math.hypot(half, spread[2])
@@ -225,8 +226,8 @@ def _motion_of(spread: np.ndarray) -> Optional[_Motion]:
 
 
 def _blurred(
-    places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, pattern: np.ndarray
-) -> np.ndarray:
+    places: ndarray, by_pixel: ndarray, spread: ndarray, pattern: ndarray
+) -> ndarray:
     """Return the blurred pattern and its derivatives by x, y, variances and covariance, (6, n).
 
     Places (2, n) are in cells; `by_pixel` (2, 2, n) are their derivatives by pixels.
@@ -246,7 +247,7 @@ def _blurred(
     return np.stack((value + covariance * twist, slope_x, slope_y, bend_x, bend_y, twist))
 
 
-def _by_blur(bends: np.ndarray, by_pixel: np.ndarray) -> np.ndarray:
+def _by_blur(bends: ndarray, by_pixel: ndarray) -> ndarray:
     """Return derivatives (3, n) by the blur's variances and covariance along u and v.
 
     `bends` (3, n) are those by the variances and covariance along x and y.
@@ -263,8 +264,8 @@ def _by_blur(bends: np.ndarray, by_pixel: np.ndarray) -> np.ndarray:
 
 
 def _edge_profiles(
-    places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, cells: int
-) -> Tuple[np.ndarray, np.ndarray]:
+    places: ndarray, by_pixel: ndarray, spread: ndarray, cells: int
+) -> tuple[ndarray, ndarray]:
     """Return the share of each blurred pixel that is beyond the edges of the cells around it.
 
     Across an edge, a pixel is a box of its own extent, blurred by a Gaussian.
@@ -304,7 +305,7 @@ def _edge_profiles(
     return first.astype(np.intp) - reach, edges
 
 
-def _cells_around(pattern: np.ndarray, first: np.ndarray, count: int) -> np.ndarray:
+def _cells_around(pattern: ndarray, first: ndarray, count: int) -> ndarray:
     """Return `count` rows and columns of cells from the first (2, n) on: (count, count, n)."""
     pad = count // 2 + 1
     white = cv2.copyMakeBorder(pattern, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=1)
@@ -315,7 +316,7 @@ def _cells_around(pattern: np.ndarray, first: np.ndarray, count: int) -> np.ndar
     return white.astype(float).ravel().take(index)
 
 
-def _normal_at(places: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def _normal_at(places: ndarray) -> tuple[ndarray, ndarray]:
     """Return the normal distribution function and density at places."""
     index = np.clip(_FINE * places + (_FAR * _FINE + 0.5), 0.0, 2.0 * _FAR * _FINE).astype(np.intp)
     return _BELOW.take(index), _DENSITY.take(index)

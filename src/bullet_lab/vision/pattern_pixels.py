@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Optional, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.vision.algebra import UNIT_SQUARE, homography, mapped, mean_side, unmapped
 from bullet_lab.vision.images import Picture
@@ -71,16 +71,16 @@ class Pixels:
         chosen: which of the grid without its outer rows and columns the n are.
     """
 
-    points: np.ndarray
-    levels: np.ndarray
-    valid: np.ndarray
+    points: ndarray
+    levels: ndarray
+    valid: ndarray
     group: int = 1
     over_exposed: bool = False
     cut_off: bool = False
     sunlit: bool = False
-    flooded: Optional[np.ndarray] = None
-    grid: Optional[Tuple[int, int]] = None
-    chosen: Optional[np.ndarray] = None
+    flooded: ndarray | None = None
+    grid: tuple[int, int] | None = None
+    chosen: ndarray | None = None
 
     @property
     def grouped(self) -> bool:
@@ -92,7 +92,7 @@ class Pixels:
         """Whether the marker is partly in the sun, with white that was cut off."""
         return self.sunlit and bool(self.flooded.any())
 
-    def without(self, these: np.ndarray) -> Pixels:
+    def without(self, these: ndarray) -> Pixels:
         """Return the pixels without these (n,), and without the others of their groups."""
         left = ~np.tile(these.reshape(self.group, -1).any(axis=0), self.group)
         fewer = replace(self, levels=self.levels[left], valid=self.valid[left])
@@ -103,13 +103,13 @@ class Pixels:
         flooded = None if self.flooded is None else self.flooded[left]
         return replace(fewer, points=np.ascontiguousarray(self.points[:, left]), flooded=flooded)
 
-    def own(self, values: np.ndarray) -> np.ndarray:
+    def own(self, values: ndarray) -> ndarray:
         """Return the values (n,) of the pixels from those (m,) of the points."""
         if self.grid is None:
             return values
         return values.reshape(self.grid)[1:-1, 1:-1][self.chosen]
 
-    def seen(self, columns: np.ndarray, shared: float, value: np.ndarray) -> np.ndarray:
+    def seen(self, columns: ndarray, shared: float, value: ndarray) -> ndarray:
         """Return columns (k, m) of the model as the pixels see them, (k, n).
 
         A pixel of a grid has the part `shared` of each neighbour. In groups the mean is left out,
@@ -123,11 +123,11 @@ class Pixels:
         columns = _less_mean(columns, self.valid, self.group)
         return self._less_pattern(columns, value) if self.sunlit else columns
 
-    def seen_levels(self, value: np.ndarray) -> np.ndarray:
+    def seen_levels(self, value: ndarray) -> ndarray:
         """Return the grey levels (n,) treated as `seen` treats the columns."""
         return self._less_pattern(self.levels[None], value)[0] if self.sunlit else self.levels
 
-    def own_contrast(self, value: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    def own_contrast(self, value: ndarray) -> tuple[ndarray, ndarray]:
         """Return white less black (n,) of each group, by its levels and the pattern's value.
 
         And the pattern's sum of squares in the group: a level's variance divided by it is that of
@@ -139,10 +139,10 @@ class Pixels:
         contrast = np.maximum(seen / squares, 0.0)
         return np.tile(contrast, self.group), np.tile(squares, self.group)
 
-    def _grouped_pattern(self, value: np.ndarray) -> np.ndarray:
+    def _grouped_pattern(self, value: ndarray) -> ndarray:
         return _less_mean(value[None], self.valid, self.group).reshape(self.group, -1)
 
-    def _less_pattern(self, columns: np.ndarray, value: np.ndarray) -> np.ndarray:
+    def _less_pattern(self, columns: ndarray, value: ndarray) -> ndarray:
         """Return columns (k, n) less their projection on the pattern in each group."""
         pattern = self._grouped_pattern(value)
         pattern = pattern / np.sqrt(np.maximum(np.square(pattern).sum(axis=0), _FLAT))
@@ -150,7 +150,7 @@ class Pixels:
         shares = (grouped * pattern).sum(axis=1, keepdims=True)
         return (grouped - shares * pattern).reshape(columns.shape)
 
-    def by_shared(self, values: np.ndarray, shared: float) -> np.ndarray:
+    def by_shared(self, values: ndarray, shared: float) -> ndarray:
         """Return the derivatives (1, n) of the pixels by `shared`; values are (m,)."""
         if self.grid is None:
             return np.zeros((1, len(values)))
@@ -159,20 +159,20 @@ class Pixels:
         return (across + down)[:, self.chosen]
 
 
-def _mixed(grids: np.ndarray, shared: float, axis: int) -> np.ndarray:
+def _mixed(grids: ndarray, shared: float, axis: int) -> ndarray:
     """Return grids (k, rows, columns), each pixel with a part of both neighbours along an axis."""
     inner = grids[:, 1:-1] if axis == 1 else grids[:, :, 1:-1]
     return inner + shared * _less_own(grids, axis)
 
 
-def _less_own(grids: np.ndarray, axis: int) -> np.ndarray:
+def _less_own(grids: ndarray, axis: int) -> ndarray:
     """Return both neighbours of each pixel along an axis, less twice its own value."""
     if axis == 1:
         return grids[:, :-2] + grids[:, 2:] - 2.0 * grids[:, 1:-1]
     return grids[:, :, :-2] + grids[:, :, 2:] - 2.0 * grids[:, :, 1:-1]
 
 
-def _less_mean(columns: np.ndarray, valid: np.ndarray, group: int) -> np.ndarray:
+def _less_mean(columns: ndarray, valid: ndarray, group: int) -> ndarray:
     """Return columns (m, n) less the mean of the valid pixels of each group; 0 for the others."""
     valid = valid.reshape(group, -1).astype(float)
     grouped = valid * columns.reshape(len(columns), group, -1)
@@ -181,7 +181,7 @@ def _less_mean(columns: np.ndarray, valid: np.ndarray, group: int) -> np.ndarray
 
 
 def pixels_of(
-    picture: Picture, corners: np.ndarray, pattern: np.ndarray, cut_off: bool = False
+    picture: Picture, corners: ndarray, pattern: ndarray, cut_off: bool = False
 ) -> Pixels:
     """Return the pixels to fit: all of a small marker, those at the edges of a large one.
 
@@ -196,7 +196,7 @@ def pixels_of(
     return _edge_pixels(picture, corners, pattern, cut_off)
 
 
-def all_pixels(picture: Picture, corners: np.ndarray, cells: int, cut_off: bool) -> Pixels:
+def all_pixels(picture: Picture, corners: ndarray, cells: int, cut_off: bool) -> Pixels:
     """Return the pixels of a marker with `cells` along a side, and of its quiet zone."""
     side = mean_side(corners)
     around = float(np.clip(1.0 - _BEYOND / (side / cells), LEAST_AROUND, _AROUND)) / cells
@@ -222,7 +222,7 @@ def all_pixels(picture: Picture, corners: np.ndarray, cells: int, cut_off: bool)
     return Pixels(points, levels, valid, 1, over_exposed, cut_off, grid=grid, chosen=chosen)
 
 
-def _box(image: np.ndarray, outline: np.ndarray, step: int) -> Tuple[np.ndarray, np.ndarray]:
+def _box(image: ndarray, outline: ndarray, step: int) -> tuple[ndarray, ndarray]:
     """Return the columns and rows of the image around an outline (4, 2), every `step`-th."""
     limits = np.array(image.shape[::-1]) - 1.0
     low = np.clip(outline.min(axis=0), 0.0, limits)
@@ -233,13 +233,13 @@ def _box(image: np.ndarray, outline: np.ndarray, step: int) -> Tuple[np.ndarray,
     return columns, rows
 
 
-def _ideal_grid(picture: Picture, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def _ideal_grid(picture: Picture, columns: ndarray, rows: ndarray) -> ndarray:
     """Return the ideal px (2, m) of the pixels in columns and rows, row by row."""
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(float)
     return np.ascontiguousarray(picture.ideal(grid).T)
 
 
-def _over_exposed(levels: np.ndarray) -> float:
+def _over_exposed(levels: ndarray) -> float:
     """Return the grey level from which on pixels may be over-exposed.
 
     Noise that is added after the cut-off leaves half of the pixels there and puts the rest below.
@@ -251,7 +251,7 @@ def _over_exposed(levels: np.ndarray) -> float:
 
 
 def _edge_pixels(
-    picture: Picture, corners: np.ndarray, pattern: np.ndarray, cut_off: bool
+    picture: Picture, corners: ndarray, pattern: ndarray, cut_off: bool
 ) -> Pixels:
     """Return the pixels on either side of places along all edges in a pattern."""
     _, points, across = edges_of(pattern, homography(corners))
@@ -276,7 +276,7 @@ def _edge_pixels(
     return Pixels(points, levels, valid, _GROUP, over_exposed, cut_off)
 
 
-def _is_sunlit(levels: np.ndarray) -> bool:
+def _is_sunlit(levels: ndarray) -> bool:
     """Return whether a part of the marker has much more light, by groups' levels (group, n)."""
     white = np.maximum(levels[:_REACH].mean(axis=0), levels[-_REACH:].mean(axis=0))
     black = np.percentile(levels.min(axis=0), _SUN_PERCENTILES[0])
@@ -285,7 +285,7 @@ def _is_sunlit(levels: np.ndarray) -> bool:
     return bool(high > _SUN * low and high - low > _SUN_DEVIATIONS * noise)
 
 
-def _valid_in_groups(levels: np.ndarray) -> np.ndarray:
+def _valid_in_groups(levels: ndarray) -> ndarray:
     """Return which levels (n,) count: those of groups without over-exposed pixels.
 
     Where there are few such groups, all pixels that are not over-exposed count.
@@ -297,7 +297,7 @@ def _valid_in_groups(levels: np.ndarray) -> np.ndarray:
     return whole if whole.mean() >= LEAST_SHARE else valid
 
 
-def _is_uneven(levels: np.ndarray) -> bool:
+def _is_uneven(levels: ndarray) -> bool:
     """Return whether the dark sides of groups (group, n) differ, as under a highlight or by blur.
 
     The slope of light in half a group looks like a misplaced edge. Whole groups have large
@@ -308,8 +308,8 @@ def _is_uneven(levels: np.ndarray) -> bool:
 
 
 def edges_of(
-    pattern: np.ndarray, to_image: np.ndarray
-) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    pattern: ndarray, to_image: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """Return places where black meets white, in the unit square and in px, and normals in px.
 
     All are (n, 2). A normal is 1 px long and points to white.
@@ -321,7 +321,7 @@ def edges_of(
 
 
 @lru_cache(maxsize=64)
-def _edges(pattern: bytes, cells: int) -> Tuple[np.ndarray, np.ndarray]:
+def _edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
     """Return places (n, 2) of the unit square where black meets white, and normals to white."""
     white = np.frombuffer(pattern, np.uint8).reshape(cells, cells) > 0
     white = np.pad(white, 1, constant_values=True)

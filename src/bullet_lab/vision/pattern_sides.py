@@ -7,9 +7,10 @@ between the marker's cells are not where such an outline puts them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Optional, Tuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.vision.algebra import homography, mean_side, solve_symmetric
 from bullet_lab.vision.images import Picture
@@ -46,11 +47,11 @@ class _Edges(NamedTuple):
         moves: (n, 8) derivatives of `off`, px, by the coefficients of `moves_of`.
     """
 
-    places: np.ndarray
-    off: np.ndarray
-    moves: np.ndarray
+    places: ndarray
+    off: ndarray
+    moves: ndarray
 
-    def fit(self, used: np.ndarray) -> np.ndarray:
+    def fit(self, used: ndarray) -> ndarray:
         """Return the coefficients (8,) of least distances to the edges that are used, (n,)."""
         columns, off = self.moves[used], self.off[used]
         left, coefficients = off, np.zeros(8)
@@ -60,12 +61,12 @@ class _Edges(NamedTuple):
             left = off - columns @ coefficients
         return coefficients
 
-    def not_at(self, side: Tuple[int, float]) -> np.ndarray:
+    def not_at(self, side: tuple[int, float]) -> ndarray:
         """Return which edges (n,) are not at a side of `_SIDES`."""
         return self.places[:, side[0]] != side[1]
 
 
-def without_hidden_side(picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+def without_hidden_side(picture: Picture, corners: ndarray, pattern: ndarray) -> ndarray:
     """Return the corners (4, 2) of a large marker in ideal px, corrected for a hidden side.
 
     They are those given, unless many edges are misplaced and fewer are if one side is left out.
@@ -98,14 +99,14 @@ def without_hidden_side(picture: Picture, corners: np.ndarray, pattern: np.ndarr
     return moved if is_near else corners
 
 
-def _share_beyond(near: float, off: np.ndarray) -> float:
+def _share_beyond(near: float, off: ndarray) -> float:
     """Return the share of distances (n,) that are not within `near` px; NaN is not."""
     return 1.0 - float((np.abs(off) <= near).mean())
 
 
 def _without(
-    side: Tuple[int, float], picture: Picture, corners: np.ndarray, pattern: np.ndarray
-) -> np.ndarray:
+    side: tuple[int, float], picture: Picture, corners: ndarray, pattern: ndarray
+) -> ndarray:
     """Return the corners by the edges at all sides but one."""
     for _ in range(2):
         seen = _edges_seen(picture, corners, pattern)
@@ -116,7 +117,7 @@ def _without(
     return corners
 
 
-def _edges_seen(picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> Optional[_Edges]:
+def _edges_seen(picture: Picture, corners: ndarray, pattern: ndarray) -> _Edges | None:
     """Return the edges that are seen near to where they should be; None if they are few."""
     cell = mean_side(corners) / len(pattern)
     reach = max(1, math.floor(min(_FARTHEST, _REACH * cell)))
@@ -135,8 +136,8 @@ def _edges_seen(picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> O
 
 
 def _moves(
-    places: np.ndarray, points: np.ndarray, across: np.ndarray, to_image: np.ndarray
-) -> np.ndarray:
+    places: ndarray, points: ndarray, across: ndarray, to_image: ndarray
+) -> ndarray:
     """Return the moves (n, 8) of edges along their normals, by the coefficients of `moves_of`."""
     third = (places @ to_image[2, :2] + to_image[2, 2])[:, None]
     along = across @ to_image[:2, :2] - (across * points).sum(axis=1)[:, None] * to_image[2, :2]

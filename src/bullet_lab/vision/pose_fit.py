@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import List, Optional, Tuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.algebra import (
@@ -38,13 +38,13 @@ class MarkerPose:
     in geometry_msgs/PoseWithCovariance; m² and rad².
     """
 
-    rotation: np.ndarray  #: (3, 3), from the marker's frame to the optical frame
-    translation: np.ndarray  #: (3,) m, the marker's middle
+    rotation: ndarray  #: (3, 3), from the marker's frame to the optical frame
+    translation: ndarray  #: (3,) m, the marker's middle
     error: float  #: root mean square of the corners' distances from where the pose puts them, px
-    covariance: np.ndarray
+    covariance: ndarray
 
     @property
-    def quaternion(self) -> Tuple[float, float, float, float]:
+    def quaternion(self) -> tuple[float, float, float, float]:
         """The rotation as x, y, z, w."""
         vector = cv2.Rodrigues(self.rotation)[0].ravel()
         angle = float(np.linalg.norm(vector))
@@ -69,7 +69,7 @@ class SquareFit:
     """
 
     def __init__(
-        self, corners: np.ndarray, size: float, camera: PinholeCamera, covariance: np.ndarray
+        self, corners: ndarray, size: float, camera: PinholeCamera, covariance: ndarray
     ):
         self._corners, self._camera = corners, camera
         self._points = 0.5 * size * _SQUARE
@@ -77,7 +77,7 @@ class SquareFit:
         _, values, vectors = cv2.eigen(covariance)
         self._whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
 
-    def starts(self) -> List[Tuple[np.ndarray, np.ndarray]]:
+    def starts(self) -> list[tuple[ndarray, ndarray]]:
         """Return both poses, rotation and translation, by Collins and Bartoli (2014, IPPE).
 
         (OpenCV's IPPE_SQUARE uses rotation vectors and fails at half turns, which is how a level
@@ -111,8 +111,8 @@ class SquareFit:
         return poses
 
     def refined(
-        self, rotation: np.ndarray, translation: np.ndarray
-    ) -> Optional[Tuple[float, MarkerPose]]:
+        self, rotation: ndarray, translation: ndarray
+    ) -> tuple[float, MarkerPose] | None:
         """Return the pose of least squares from a start, and its sum of squares; None if none.
 
         By Levenberg and Marquardt.
@@ -174,7 +174,7 @@ class SquareFit:
         squares = beside + (moves.T * (likely / likely.sum())) @ moves
         return replace(pose, covariance=squares) if np.isfinite(squares).all() else pose
 
-    def _followed(self, pose: MarkerPose, moves: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    def _followed(self, pose: MarkerPose, moves: ndarray) -> tuple[ndarray, ndarray]:
         """Return moves (n, 6) with the best place and roll for their tilts, and squares (n,)."""
         residuals = self._moved_residuals(pose, moves) @ self._whitening.T
         _, jacobian = self._linearised(pose.rotation, pose.translation)
@@ -186,7 +186,7 @@ class SquareFit:
         squares = np.square(residuals).sum(axis=1) - np.square(in_basis).sum(axis=1)
         return moves - in_basis @ np.linalg.inv(upper).T @ free.T, squares
 
-    def _moved_residuals(self, pose: MarkerPose, moves: np.ndarray) -> np.ndarray:
+    def _moved_residuals(self, pose: MarkerPose, moves: ndarray) -> ndarray:
         """Return the residuals (n, 8), px, of a pose that is moved by (n, 6)."""
         turned = self._points @ pose.rotation.T
         angles = np.linalg.norm(moves[:, 3:], axis=1)
@@ -201,15 +201,15 @@ class SquareFit:
         return pixels.reshape(len(moves), 8) - self._corners.ravel()
 
     def _whitened(
-        self, rotation: np.ndarray, translation: np.ndarray
-    ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self, rotation: ndarray, translation: ndarray
+    ) -> tuple[ndarray, ndarray, ndarray]:
         """Return the residuals (8,) in px, and them and their derivatives in deviations."""
         residuals, jacobian = self._linearised(rotation, translation)
         return residuals, self._whitening @ residuals, self._whitening @ jacobian
 
     def _linearised(
-        self, rotation: np.ndarray, translation: np.ndarray
-    ) -> Tuple[np.ndarray, np.ndarray]:
+        self, rotation: ndarray, translation: ndarray
+    ) -> tuple[ndarray, ndarray]:
         """Return the residuals (8,), px, and their derivatives (8, 6) by x, y, z and rotations."""
         turned = self._points @ rotation.T
         pixels, by_point = _projected(turned + translation, self._camera)
@@ -220,7 +220,7 @@ class SquareFit:
         jacobian = np.concatenate((by_point, by_point @ crosses), axis=2).reshape(8, 6)
         return (pixels - self._corners).ravel(), jacobian
 
-    def _rays(self) -> np.ndarray:
+    def _rays(self) -> ndarray:
         """Return the (4, 2) corners on the plane one ahead of an ideal camera."""
         corners, camera = self._corners, self._camera
         if not any(camera.distortion):
@@ -233,7 +233,7 @@ class SquareFit:
         return rays[:, 0]
 
 
-def _rotation_to(direction: np.ndarray) -> np.ndarray:
+def _rotation_to(direction: ndarray) -> ndarray:
     """Return the least rotation that turns the z axis to a direction with z > 0."""
     x, y, z = direction / np.linalg.norm(direction)
     return np.array(
@@ -245,7 +245,7 @@ def _rotation_to(direction: np.ndarray) -> np.ndarray:
     )
 
 
-def _translation(turned: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def _translation(turned: ndarray, rays: ndarray) -> ndarray:
     """Return the translation (least squares) that puts turned points on their rays."""
     a = np.zeros((8, 3))
     a[0::2, 0] = a[1::2, 1] = 1.0
@@ -253,7 +253,7 @@ def _translation(turned: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return solve_symmetric(a.T @ a, a.T @ (rays * turned[:, 2:] - turned[:, :2]).ravel())
 
 
-def _projected(seen: np.ndarray, camera: PinholeCamera) -> Tuple[np.ndarray, np.ndarray]:
+def _projected(seen: ndarray, camera: PinholeCamera) -> tuple[ndarray, ndarray]:
     """Return the pixels (n, 2) of points of the optical frame and their (n, 2, 3) derivatives."""
     if not any(camera.distortion):
         x, y = seen[:, 0], seen[:, 1]

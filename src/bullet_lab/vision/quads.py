@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Sequence, Tuple
+from typing import Sequence
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.vision.algebra import (
     NEXT,
@@ -38,7 +39,7 @@ _LEAST_RISE = 4.0
 _LEAST_OF_MEAN = 0.25
 
 
-def refine_corners(picture: Picture, quads: np.ndarray, cells: int) -> np.ndarray:
+def refine_corners(picture: Picture, quads: ndarray, cells: int) -> ndarray:
     """Return the corners of dark quadrilaterals where the lines along their sides meet.
 
     Each side is crossed at many places; the edge is where the grey level rises, on average. The
@@ -60,8 +61,8 @@ def refine_corners(picture: Picture, quads: np.ndarray, cells: int) -> np.ndarra
 
 
 def _refine_once(
-    picture: Picture, corners: np.ndarray, cells: int, reach: float, step: float
-) -> np.ndarray:
+    picture: Picture, corners: ndarray, cells: int, reach: float, step: float
+) -> ndarray:
     refined = np.full(corners.shape, np.nan)
     edges = corners[:, NEXT] - corners
     lengths = np.hypot(edges[..., 0], edges[..., 1])
@@ -90,7 +91,7 @@ def _refine_once(
     return refined
 
 
-def _edge_heights(values: np.ndarray, offsets: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def _edge_heights(values: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
     """Return the mean offset of the rises at each crossing, and its weight; 0 without an edge.
 
     Values are (n, 4, places, offsets) grey levels, offsets (n, 4, offsets) px.
@@ -105,7 +106,7 @@ def _edge_heights(values: np.ndarray, offsets: np.ndarray) -> Tuple[np.ndarray, 
     return np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
 
 
-def _robust_lines(places: np.ndarray, heights: np.ndarray, weights: np.ndarray):
+def _robust_lines(places: ndarray, heights: ndarray, weights: ndarray):
     """Fit height = level + slope · place along the last axis, without outliers."""
     for _ in range(2):
         total = weights.sum(axis=-1)
@@ -144,11 +145,11 @@ _NONE = np.empty((0, 4, 2))
 
 def quads_in_cells(
     picture: Picture,
-    corners: np.ndarray,
-    pattern: np.ndarray,
+    corners: ndarray,
+    pattern: ndarray,
     min_side: float,
-    known: Sequence[np.ndarray] = (),
-) -> np.ndarray:
+    known: Sequence[ndarray] = (),
+) -> ndarray:
     """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
 
     Where it is small or the light is poor, thresholds of the whole image miss it. The marker around
@@ -191,14 +192,14 @@ def quads_in_cells(
     return np.concatenate(found)
 
 
-def _quantile(levels: np.ndarray, part: float) -> float:
+def _quantile(levels: ndarray, part: float) -> float:
     index = int(part * levels.size)
     return float(np.partition(levels, index, axis=None)[index])
 
 
 def _quads_within(
-    image: np.ndarray, outline: np.ndarray, black: float, contrast: float, min_side: float
-) -> np.ndarray:
+    image: ndarray, outline: ndarray, black: float, contrast: float, min_side: float
+) -> ndarray:
     """Return the dark quadrilaterals within an outline (4, 2)."""
     height, width = image.shape
     left, top = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
@@ -225,7 +226,7 @@ def _quads_within(
 
 
 @lru_cache(maxsize=None)
-def _cell_samples(cells: int) -> np.ndarray:
+def _cell_samples(cells: int) -> ndarray:
     """Return (n, 2) points of the unit square, cell by cell, row by row."""
     within = 0.5 + _COVERED * (np.arange(_SAMPLES) / (_SAMPLES - 1.0) - 0.5)
     row, column, v, u = np.meshgrid(
