@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Iterable, NamedTuple, Sequence
+from typing import Iterable, Iterator, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.algebra import NEXT, intersections
-from bullet_lab.vision.dark_pieces import (
-    LEAST_AREA,
-    DarkPieces,
-    Placed,
-    contours_of,
-    dark_pieces,
-    darker_part,
-)
+from bullet_lab.vision.images import NEXT, cross, intersections
 
+# Least area of a quadrilateral, by the square of its outline's length: 1/16 of a square, a third
+# of that of one that is seen at 80 degrees.
+_LEAST_AREA = 0.018
 # Most difference of a quadrilateral from its contour, as a share of the contour's length.
 _OUTLINE_TOLERANCE = 0.035
 # Shortest side, as a share of the contour's length.
 _MIN_EDGE = 0.05
 # Share of a side at either end that is left out of the line fit. The second pass leaves out more:
 # something dark before a corner is a part of the contour.
-_FIRST_TRIM = 0.15
+FIRST_TRIM = 0.15
 _SECOND_TRIM = 0.32
 # Product of two sides, px², below which they make no corner.
 _LEAST_CORNER = 1.0
@@ -34,9 +29,15 @@ _LEAST_CORNER = 1.0
 _FEW_PIECES = 12
 # Least side that is looked for in the image of half the size, px of the full size.
 _COARSE_SIDE = 20.0
+# Most points of a contour, by the width and height of the box around it. A convex one has 2.
+_RAGGED = 2.2
+# Most labels of 16 bits: OpenCV writes out of bounds with one more.
+_MOST_LABELS = 65534
 
 # Borders with a gap: least width and height together, px.
 _LEAST_OPEN = 40
+# A border with a gap has an inner side as well, and the cells beside it may hang on it.
+_OPEN_RAGGED = 8.0
 # At most so many contours of a mask are tried, the largest first.
 _MOST_OPEN = 12
 # A hull is simplified by up to this share of its length and then has so many corners.
@@ -54,6 +55,10 @@ _ON_LINE = 0.05
 # Least points of a line, and most of a contour.
 _LEAST_POINTS = 8
 _MOST_POINTS = 256
+
+NO_QUADS = np.empty((0, 4, 2))
+# A contour (n, 1, 2), and the offset of its u and v.
+Placed = Tuple[ndarray, Tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -119,11 +124,11 @@ class CandidateSearch:
         self._contours = 0
         self._is_clear = False
         # The third pass uses masks of the second one again.
-        self._pieces: dict[_Mask, DarkPieces] = {}
+        self._pieces: dict[_Mask, _DarkPieces] = {}
 
     def first_pass(self, contrast: float) -> ndarray:
         """Return the outlines with four corners that the usual masks show."""
-        return self._outlines(_FIRST_PASS, contrast, _FIRST_TRIM)
+        return self._outlines(_FIRST_PASS, contrast, FIRST_TRIM)
 
     def second_pass(self, contrast: float) -> ndarray:
         """Return those of other masks, of more of them in an image with few pieces."""
@@ -137,52 +142,95 @@ class CandidateSearch:
         Something before a corner that is as dark as the wall behind joins the two: no threshold
         shows four corners then. The hull of the border still has four long sides.
         """
-        sides: list[_OpenSides] = []
+        found = [NO_QUADS]
         for mask in _OPEN_PASS if self._is_clear else ():
             least = max(0.5 * _LEAST_OPEN, self._least_side(mask)) + 1.0
-            contours = contours_of(self._dark(mask, contrast), least, is_open=True)
-            sides += _open_sides(list(contours), mask.coarse)
-        return sound_quads(self._full_size(*_open_quads(sides)))
+            contours = self._dark(mask, contrast).contours(least, is_open=True)
+            found.append(self._full_size(_open_quads(contours), mask))
+        return sound_quads(np.concatenate(found))
 
     def _outlines(self, masks: Sequence[_Mask], contrast: float, trim: float) -> ndarray:
-        outlines: list[_Outline] = []
+        found = [NO_QUADS]
         for mask in masks:
             least = self._least_side(mask)
-            contours = list(contours_of(self._dark(mask, contrast), least))
+            contours = list(self._dark(mask, contrast).contours(least))
             self._contours += len(contours)
-            outlines += _outlines_of(contours, least, mask.coarse)
-        coarse = np.array([outline.coarse for outline in outlines], dtype=bool)
-        return sound_quads(self._full_size(_fit_sides(outlines, trim), coarse))
+            found.append(self._full_size(outlined_quads(contours, least, trim), mask))
+        return sound_quads(np.concatenate(found))
 
-    def _dark(self, mask: _Mask, contrast: float) -> DarkPieces:
+    def _dark(self, mask: _Mask, contrast: float) -> _DarkPieces:
         """Return the pieces that are dark by a mask."""
         if mask not in self._pieces:
             grey = self._half if mask.coarse else self._grey
-            if mask.ceiling < 255:
-                grey = cv2.min(grey, mask.ceiling)
-            dark = darker_part(grey, mask.window, mask.part, math.ceil(contrast))
-            self._pieces[mask] = dark_pieces(dark, mask.joined)
+            self._pieces[mask] = _dark_pieces(cv2.min(grey, mask.ceiling), mask, contrast)
         return self._pieces[mask]
 
     def _least_side(self, mask: _Mask) -> float:
         """Return the least side to look for in a mask, px of the mask."""
         return 0.5 * max(self._min_side, _COARSE_SIDE) if mask.coarse else self._min_side
 
-    def _full_size(self, quads: ndarray, coarse: ndarray) -> ndarray:
-        """Return quadrilaterals in px of the image; `coarse` (n,) are those of half the size."""
+    def _full_size(self, quads: ndarray, mask: _Mask) -> ndarray:
+        """Return quadrilaterals of a mask in px of the image."""
+        if not mask.coarse:
+            return quads
         scale = np.array(self._grey.shape[::-1]) / np.array(self._half.shape[::-1])
         # The centre of a pixel is a whole number.
-        quads[coarse] = (quads[coarse] + 0.5) * scale - 0.5
-        return quads
+        return (quads + 0.5) * scale - 0.5
 
 
-def outlines_within(dark: ndarray, min_side: float) -> ndarray:
-    """Return (n, 4, 2) outlines with four corners of dark pieces in a small mask (h, w)."""
-    contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
-    outer = (contour for contour in contours if cv2.contourArea(contour, oriented=True) < 0.0)
-    outlines = _outlines_of(((contour, (0, 0)) for contour in outer), min_side)
-    return sound_quads(_fit_sides(outlines, _FIRST_TRIM))
+class _DarkPieces(NamedTuple):
+    """The dark pieces of an image.
+
+    Attributes:
+        labels: (h, w) number of each pixel's piece; 0 is the background.
+        boxes: (n, 5) u, v, width, height, area by that number.
+    """
+
+    labels: ndarray
+    boxes: ndarray
+
+    def contours(self, min_side: float, is_open: bool = False) -> Iterator[Placed]:
+        """Yield the outer contours of the pieces that are large and broad enough.
+
+        If `is_open`, a piece may be a line, of which the contour has two sides.
+        """
+        # Most pieces are too small.
+        large = self.boxes[:, 2] + self.boxes[:, 3] >= math.ceil(2.0 * min_side)
+        # The background is no piece.
+        large[0] = False
+        numbers = large.nonzero()[0]
+        u, v, width, height, area = self.boxes[numbers].T
+        extent = width + height
+        # A convex outline is no longer than that of the box around it; a border is some pixels
+        # wide.
+        fits = area >= extent * (1.5 if is_open else np.clip(extent / 20.0, 1.5, 3.0))
+        fits &= 8 * np.minimum(width, height) >= np.maximum(width, height)
+        # A piece that reaches the edge of the image is cut off by it.
+        fits &= np.minimum(u, v) > 0
+        fits &= (u + width < self.labels.shape[1]) & (v + height < self.labels.shape[0])
+        for number in numbers[fits].tolist():
+            u, v, width, height, _ = self.boxes[number].tolist()
+            piece = (self.labels[v : v + height, u : u + width] == number).view(np.uint8)
+            contours, _ = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            if len(contours[0]) <= (_OPEN_RAGGED if is_open else _RAGGED) * (width + height):
+                yield contours[0], (u, v)
+
+
+def _dark_pieces(grey: ndarray, mask: _Mask, contrast: float) -> _DarkPieces:
+    """Return the pieces of (h, w) grey levels that are dark by a mask."""
+    square = np.ones((mask.window, mask.window), np.uint8)
+    darkest, brightest = cv2.erode(grey, square), cv2.dilate(grey, square)
+    limit = cv2.addWeighted(darkest, 1.0 - mask.part, brightest, mask.part, 0.0)
+    rise = cv2.subtract(brightest, darkest)
+    enough = cv2.compare(rise, float(math.ceil(contrast)), cv2.CMP_GE)
+    dark = cv2.bitwise_and(cv2.compare(grey, limit, cv2.CMP_LE), enough)
+    # Labels of 16 bits are quicker. There are no more labels than dark pixels.
+    kind = cv2.CV_16U if cv2.countNonZero(dark) <= _MOST_LABELS else cv2.CV_32S
+    neighbours = 8 if mask.joined else 4
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        dark, connectivity=neighbours, ltype=kind
+    )
+    return _DarkPieces(labels, boxes)
 
 
 def sound_quads(quads: ndarray) -> ndarray:
@@ -195,202 +243,150 @@ def sound_quads(quads: ndarray) -> ndarray:
     """
     with np.errstate(invalid="ignore"):
         sides = quads[:, NEXT] - quads
-        corners = _cross(sides, sides[:, NEXT])
+        corners = cross(sides, sides[:, NEXT])
     # The cross product of sides that are not finite is NaN, which is no greater.
     return quads[(np.abs(corners) > _LEAST_CORNER).all(axis=1)]
 
 
-def same_quads(quads: ndarray, sides: ndarray) -> ndarray:
-    """Return which (n, n) of (n, 4, 2) quadrilaterals are the same to a fraction of a cell.
-
-    Their middles and the mean lengths of their sides, `sides` (n,), agree.
-    """
-    middles = quads.mean(axis=1)
-    away = np.abs(middles[:, None] - middles).max(axis=2)
-    larger = np.abs(sides[:, None] - sides)
-    # A marker's white surroundings on a bright ground are a dark square one cell larger.
-    return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
-
-
-def mean_sides(quads: ndarray) -> ndarray:
-    """Return the mean length (n,) of the sides of each of (n, 4, 2) corners, px."""
-    return np.linalg.norm(quads[:, NEXT] - quads, axis=2).mean(axis=1)
-
-
-def _cross(first: ndarray, second: ndarray) -> ndarray:
-    """Return the cross products (...) of vectors (..., 2)."""
-    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-
-
-def _line_angle(x, y, xx, xy, yy) -> ndarray:
-    """Return the direction, rad, of lines by the means of points' x, y, x², x y and y²."""
-    xx, xy, yy = xx - x * x, xy - x * y, yy - y * y
-    return 0.5 * np.arctan2(2.0 * xy, xx - yy)
-
-
 @dataclass(frozen=True, eq=False)
 class _Outline:
-    """A contour (n, 2) with four corners, and the indices of these, clockwise."""
+    """A contour with four corners.
 
-    contour: ndarray
-    places: list[int]
-    coarse: bool
+    Attributes:
+        first: (2,) px, one of its points.
+        points: (2 n, 2) px from there, twice around: a side may run across the contour's end.
+        corners: (4,) indices of the corners, clockwise.
+    """
 
-
-def _outlines_of(
-    contours: Iterable[Placed], min_side: float, coarse: bool = False
-) -> list[_Outline]:
-    outlines = []
-    for contour, offset in contours:
-        corners = _corners_of(contour, min_side)
-        if corners is not None:
-            # OpenCV runs around a dark piece counter-clockwise.
-            points = contour[::-1, 0].astype(float)
-            # A complex number is compared at once, both coordinates.
-            places = (points.view(complex) == corners.view(complex).T).argmax(axis=0)
-            outlines.append(_Outline(points + offset, places.tolist(), coarse))
-    return outlines
+    first: ndarray
+    points: ndarray
+    corners: ndarray
 
 
-def _corners_of(contour: ndarray, min_side: float) -> ndarray | None:
-    """Return the (4, 2) points of a contour that are its corners, or None if it has not four."""
-    # A diagonal step counts as one pixel; the contour runs through the centres of pixels.
-    count = len(contour)
-    if count < 2.8 * (min_side - 1.0):
+def outlined_quads(contours: Iterable[Placed], min_side: float, trim: float) -> ndarray:
+    """Return the corners (n, 4, 2) at which the lines along the contours' four sides meet.
+
+    A contour without four corners is left out. Lines are of least squares, without the share
+    `trim` of each side at either end.
+    """
+    found = (_outline(contour, offset, min_side) for contour, offset in contours)
+    outlines = [outline for outline in found if outline is not None]
+    if not outlines:
+        return NO_QUADS
+    lengths = np.array([len(outline.points) for outline in outlines])
+    x, y = points = np.concatenate([outline.points for outline in outlines]).T
+    sums = np.zeros((5, len(x) + 1))
+    np.cumsum((x, y, x * x, x * y, y * y), axis=1, out=sums[:, 1:])
+    places = np.stack([outline.corners for outline in outlines])
+    steps = (places[:, NEXT] - places) % (lengths[:, None] // 2)
+    places += (np.cumsum(lengths) - lengths)[:, None]
+    trims = (trim * steps).astype(int)
+    starts, counts = places + trims, steps - 2 * trims + 1
+    means = (sums[:, starts + counts] - sums[:, starts]) / counts
+    angle = _line_angle(*means)
+    normals = np.stack((np.sin(angle), -np.cos(angle)), axis=-1)
+    corners = points.T[places]
+    normals[cross(corners[:, NEXT] - corners, normals) > 0.0] *= -1.0
+    # The contour runs through the centres of the outermost dark pixels.
+    middles = np.stack([outline.first for outline in outlines])
+    on_sides = np.stack(means[:2], axis=-1) + middles[:, None] + 0.5 * normals
+    return intersections(on_sides, normals)
+
+
+def _outline(contour: ndarray, offset: tuple[int, int], min_side: float) -> _Outline | None:
+    """Return the outline of a contour, or None if it has not four corners."""
+    area, length = cv2.contourArea(contour), cv2.arcLength(contour, True)
+    # The contour runs through the centres of pixels.
+    if length < 4.0 * (min_side - 1.0) or area < _LEAST_AREA * length * length:
         return None
-    # The length of a contour is at least the number of its points, which is quicker to compare.
-    area = cv2.contourArea(contour)
-    if area < LEAST_AREA * count * count:
+    simple = cv2.approxPolyDP(contour, max(1.0, _OUTLINE_TOLERANCE * length), True)
+    if len(simple) != 4 or not cv2.isContourConvex(simple):
         return None
-    length = cv2.arcLength(contour, True)
-    if length < 4.0 * (min_side - 1.0) or area < LEAST_AREA * length * length:
-        return None
-    outline = cv2.approxPolyDP(contour, max(1.0, _OUTLINE_TOLERANCE * length), True)
-    if len(outline) != 4 or not cv2.isContourConvex(outline):
-        return None
-    corners = outline[::-1, 0].astype(float)
+    # OpenCV runs around a dark piece counter-clockwise.
+    corners, points = simple[::-1, 0].astype(float), contour[::-1, 0].astype(float)
     edges = corners[NEXT] - corners
     if np.hypot(edges[:, 0], edges[:, 1]).min() < _MIN_EDGE * length:
         return None
-    return corners
+    # A complex number is compared at once, both coordinates.
+    places = (points.view(complex) == corners.view(complex).T).argmax(axis=0)
+    return _Outline(points[0] + offset, np.tile(points - points[0], (2, 1)), places)
 
 
-def _fit_sides(outlines: Sequence[_Outline], trim: float) -> ndarray:
-    """Return the corners (n, 4, 2) at which the lines fitted to the outlines' sides meet.
-
-    The fit is of least squares, without the share `trim` of each side at either end.
-    """
-    if not outlines:
-        return np.empty((0, 4, 2))
-    contours = [outline.contour for outline in outlines]
-    places = np.array([outline.places for outline in outlines])
-    counts = np.array([len(contour) for contour in contours])
-    middles = np.array([contour[0] for contour in contours])
-    # A side may run across a contour's end, so each contour is there twice.
-    doubled = [part for contour, first in zip(contours, middles) for part in [contour - first] * 2]
-    sums = _running_sums(np.concatenate(doubled))
-    steps = (places[:, NEXT] - places) % counts[:, None]
-    trims = (trim * steps).astype(int)
-    starts = places + np.concatenate(([0], np.cumsum(2 * counts)[:-1]))[:, None]
-    number = steps - 2 * trims + 1
-    of_sides = sums[:, starts + steps - trims + 1] - sums[:, starts + trims]
-    x, y, xx, xy, yy = of_sides / number
-    angle = _line_angle(x, y, xx, xy, yy)
-    normals = np.stack((np.sin(angle), -np.cos(angle)), axis=-1)
-    corners = np.stack([contour[at] for contour, at in zip(contours, places)])
-    inward = _cross(corners[:, NEXT] - corners, normals) > 0.0
-    normals[inward] *= -1.0
-    # The contour runs through the centres of the outermost dark pixels.
-    points = np.stack((x, y), axis=-1) + middles[:, None] + 0.5 * normals
-    return intersections(points, normals)
+def _line_angle(
+    x: ndarray, y: ndarray, x_squares: ndarray, products: ndarray, y_squares: ndarray
+) -> ndarray:
+    """Return the direction, rad, of lines by the means of points' x, y, x², x y and y²."""
+    x_variance, y_variance = x_squares - x * x, y_squares - y * y
+    return 0.5 * np.arctan2(2.0 * (products - x * y), x_variance - y_variance)
 
 
-def _running_sums(points: ndarray) -> ndarray:
-    """Return the sums (5, n + 1) of x, y, x², x y and y² of the points (n, 2) before each."""
-    x, y = points.T
-    sums = np.zeros((5, len(x) + 1))
-    for row, part in zip(sums, (x, y, x * x, x * y, y * y)):
-        part.cumsum(out=row[1:])
-    return sums
-
-
-class _OpenSides(NamedTuple):
+class _HullSides(NamedTuple):
     """The four longest sides of a contour's hull.
 
     Attributes:
-        contour: (n, 2) some of its points.
+        points: (n, 2) some of the contour's points.
         first: (4, 2) where the sides begin.
         along: (4, 2) from there to where they end.
         area: of the hull.
-        coarse: of the image of half the size.
     """
 
-    contour: ndarray
+    points: ndarray
     first: ndarray
     along: ndarray
     area: float
-    coarse: bool
 
 
-def _open_sides(contours: list[Placed], coarse: bool) -> list[_OpenSides]:
-    """Return the sides of the largest contours whose hull may be square but for a corner."""
-    contours.sort(key=lambda placed: -float(np.ptp(placed[0][:, 0], axis=0).sum()))
-    sides = (_sides_of_hull(contour, offset, coarse) for contour, offset in contours[:_MOST_OPEN])
-    return [of_one for of_one in sides if of_one is not None]
-
-
-def _sides_of_hull(
-    contour: ndarray, offset: tuple[int, int], coarse: bool
-) -> _OpenSides | None:
-    hull = cv2.convexHull(contour)
-    area, length = cv2.contourArea(hull), cv2.arcLength(hull, True)
-    if area < LEAST_AREA * length * length:
-        return None
-    simple = cv2.approxPolyDP(hull, _HULL_TOLERANCE * length, True)[:, 0].astype(float)
-    if len(simple) not in _HULL_CORNERS:
-        return None
-    edges = np.roll(simple, -1, axis=0) - simple
-    longest = np.sort(np.argsort(-np.hypot(edges[:, 0], edges[:, 1]), kind="stable")[:4])
-    some = contour[:: 1 + len(contour) // _MOST_POINTS, 0].astype(float)
-    return _OpenSides(some + offset, simple[longest] + offset, edges[longest], area, coarse)
-
-
-def _open_quads(sides: Sequence[_OpenSides]) -> tuple[ndarray, ndarray]:
-    """Return (n, 4, 2) where the lines along four sides meet, and which (n,) of it are coarse."""
+def _open_quads(contours: Iterable[Placed]) -> ndarray:
+    """Return (n, 4, 2) corners of the largest contours that may be square but for a corner."""
+    by_size = sorted(contours, key=lambda placed: -float(np.ptp(placed[0][:, 0], axis=0).sum()))
+    hulls = (_hull_sides(contour, offset) for contour, offset in by_size[:_MOST_OPEN])
+    sides = [hull for hull in hulls if hull is not None]
     if not sides:
-        return np.empty((0, 4, 2)), np.empty(0, dtype=bool)
+        return NO_QUADS
     quads = intersections(*_lines_along(sides))
     own = np.isfinite(quads).all(axis=(1, 2))
     for k in np.flatnonzero(own):
         quad = quads[k].astype(np.float32)
         own[k] = cv2.isContourConvex(quad)
         own[k] &= cv2.contourArea(quad) <= _WITH_CORNER * sides[k].area
-    coarse = np.array([of_one.coarse for of_one in sides])
-    return quads[own], coarse[own]
+    return quads[own]
 
 
-def _lines_along(sides: Sequence[_OpenSides]) -> tuple[ndarray, ndarray]:
+def _hull_sides(contour: ndarray, offset: tuple[int, int]) -> _HullSides | None:
+    hull = cv2.convexHull(contour)
+    area, length = cv2.contourArea(hull), cv2.arcLength(hull, True)
+    if area < _LEAST_AREA * length * length:
+        return None
+    corners = cv2.approxPolyDP(hull, _HULL_TOLERANCE * length, True)[:, 0].astype(float)
+    if len(corners) not in _HULL_CORNERS:
+        return None
+    edges = np.roll(corners, -1, axis=0) - corners
+    longest = np.sort(np.argsort(-np.hypot(edges[:, 0], edges[:, 1]), kind="stable")[:4])
+    some = contour[:: 1 + len(contour) // _MOST_POINTS, 0].astype(float)
+    return _HullSides(some + offset, corners[longest] + offset, edges[longest], area)
+
+
+def _lines_along(sides: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
     """Return points and normals (n, 4, 2) of the lines through the contours' points beside sides.
 
     A bulge at one end of a side turns its line, so points are chosen anew in narrower strips.
     """
-    contours = np.concatenate([of_one.contour for of_one in sides])
-    owners = np.repeat(np.arange(len(sides)), [len(of_one.contour) for of_one in sides])
-    along = np.stack([of_one.along for of_one in sides])
-    points = np.stack([of_one.first for of_one in sides]) + 0.5 * along
+    contours = np.concatenate([hull.points for hull in sides])
+    owners = np.repeat(np.arange(len(sides)), [len(hull.points) for hull in sides])
+    along = np.stack([hull.along for hull in sides])
+    points = np.stack([hull.first for hull in sides]) + 0.5 * along
     lengths = np.hypot(along[..., 0], along[..., 1])
     along /= lengths[..., None]
     for half_width, rounds in _STRIPS:
-        away = contours[:, None] - points[owners]
-        own = along[owners]
+        away, own = contours[:, None] - points[owners], along[owners]
         ahead = away[..., 0] * own[..., 0] + away[..., 1] * own[..., 1]
-        across = _cross(away, own)
-        near = np.abs(across) < np.maximum(1.0, half_width * lengths)[owners]
+        near = np.abs(cross(away, own)) < np.maximum(1.0, half_width * lengths)[owners]
         near &= np.abs(ahead) < ((0.5 - _OPEN_TRIM) * lengths)[owners]
         of_point, side = near.nonzero()
         side += 4 * owners[of_point]
-        moved, turned = _lines_through(away[near], side, 4 * len(sides), rounds)
-        enough = (np.bincount(side, minlength=4 * len(sides)) >= _LEAST_POINTS).reshape(-1, 4, 1)
+        moved, turned = _lines_through(away[near], side, lengths.size, rounds)
+        enough = np.bincount(side, minlength=lengths.size) >= _LEAST_POINTS
+        enough = enough.reshape(-1, 4, 1)
         points = points + np.where(enough, moved.reshape(-1, 4, 2), 0.0)
         along = np.where(enough, turned.reshape(-1, 4, 2), along)
     return points, np.stack((along[..., 1], -along[..., 0]), axis=-1)
@@ -414,13 +410,13 @@ def _lines_through(
     weights = np.ones(len(points))
     with np.errstate(invalid="ignore", divide="ignore"):
         for _ in range(rounds):
-            parts = (weights, weights * x, weights * y)
-            parts += (parts[1] * x, parts[1] * y, parts[2] * y)
+            by_x, by_y = weights * x, weights * y
+            parts = (weights, by_x, by_y, by_x * x, by_x * y, by_y * y)
             total, *sums = (np.bincount(line, part, count) for part in parts)
             means = [part / total for part in sums]
             angle = _line_angle(*means)
             middle = np.stack(means[:2], axis=-1)
             along = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-            across = _cross(points - middle[line], along[line])
+            across = cross(points - middle[line], along[line])
             weights = 1.0 / np.maximum(np.abs(across), _ON_LINE)
     return middle, along

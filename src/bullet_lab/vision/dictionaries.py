@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.algebra import homography
-from bullet_lab.vision.images import Picture, VisionError
+from bullet_lab.vision.images import Picture, VisionError, homography
 
 _PREFIX = "DICT_"
 # Number of ones in a byte.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.vision.algebra import mean_side
+from bullet_lab.vision.images import mean_side
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import MarkerPose
 

@@ -12,8 +12,7 @@ from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
-from bullet_lab.vision.algebra import mean_side
-from bullet_lab.vision.candidates import CandidateSearch, mean_sides, same_quads
+from bullet_lab.vision.candidates import CandidateSearch
 from bullet_lab.vision.dictionaries import (
     Match,
     dictionary_named,
@@ -22,7 +21,7 @@ from bullet_lab.vision.dictionaries import (
     may_be_markers,
     read_cells,
 )
-from bullet_lab.vision.images import Picture, VisionError
+from bullet_lab.vision.images import Picture, VisionError, mean_side
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
 from bullet_lab.vision.pattern_sides import without_hidden_side
 from bullet_lab.vision.quads import quads_in_cells, refine_corners
@@ -116,7 +115,7 @@ class DetectedMarker:
     @property
     def side(self) -> float:
         """Mean length of its sides in px."""
-        return mean_side(self.corners)
+        return float(mean_side(self.corners))
 
 
 @dataclass
@@ -216,11 +215,11 @@ class MarkerDetector:
         report.quads = report.undecoded = 0
         if not len(quads):
             return quads, []
-        sides = mean_sides(quads)
+        sides = mean_side(quads)
         order = np.argsort(-sides, kind="stable")
         quads, sides = quads[order], sides[order]
         likely = may_be_markers(picture, quads, self.dictionary.cells)
-        same = same_quads(quads, sides)
+        same = _same_quads(quads, sides)
         versions, done = [], np.zeros(len(quads), dtype=bool)
         chosen: list[int] = []
         for index in range(len(quads)):
@@ -296,6 +295,18 @@ class MarkerDetector:
         covariance = by_ideal @ fit.covariance @ by_ideal.T
         seen = picture.seen(fit.corners)
         return DetectedMarker(read.marker, seen, read.errors, read.likeness, covariance)
+
+
+def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
+    """Return which (n, n) of (n, 4, 2) quadrilaterals are the same to a fraction of a cell.
+
+    Their middles and the mean lengths of their sides, `sides` (n,), agree.
+    """
+    middles = quads.mean(axis=1)
+    away = np.abs(middles[:, None] - middles).max(axis=2)
+    larger = np.abs(sides[:, None] - sides)
+    # A marker's white surroundings on a bright ground are a dark square one cell larger.
+    return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
 
 
 def add_decoded(decoded: Decoded, found: list[Decoded]) -> None:

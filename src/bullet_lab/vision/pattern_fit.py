@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.algebra import NEXT, mean_side
-from bullet_lab.vision.images import Picture
+from bullet_lab.vision.images import NEXT, Picture, mean_side
 from bullet_lab.vision.pattern_model import PatternModel, moves_of
 from bullet_lab.vision.pattern_pixels import (
     LEAST_AROUND,

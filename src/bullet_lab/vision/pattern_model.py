@@ -11,7 +11,7 @@ import numpy as np
 from numpy import ndarray
 from scipy.special import ndtr
 
-from bullet_lab.vision.algebra import UNIT_SQUARE, homography, unmapped
+from bullet_lab.vision.images import UNIT_SQUARE, homography, unmapped
 
 # A shorter motion is modelled as a Gaussian, px.
 _LEAST_MOTION = 1.5

@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.algebra import UNIT_SQUARE, homography, mapped, mean_side, unmapped
-from bullet_lab.vision.images import Picture
+from bullet_lab.vision.images import UNIT_SQUARE, Picture, homography, mapped, mean_side, unmapped
 
 # Width around the outline that is used, in cells, at most and at least; the quiet zone is one cell,
 # and blur carries what lies beyond it so many px into it.

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.algebra import homography, mean_side, solve_symmetric
-from bullet_lab.vision.images import Picture
+from bullet_lab.vision.images import Picture, homography, mean_side, solve_symmetric
 from bullet_lab.vision.pattern_model import moves_of
 from bullet_lab.vision.pattern_pixels import SMALL, edges_of
 

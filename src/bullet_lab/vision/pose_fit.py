@@ -10,10 +10,8 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.vision.algebra import (
+from bullet_lab.vision.images import (
     homography,
-    invert_symmetric,
-    largest_singular_value,
     solve_symmetric,
 )
 
@@ -95,7 +93,7 @@ class SquareFit:
         by_space = np.column_stack((np.eye(2), -middle)) @ to_middle
         (a, b), (c, d) = by_space[:, :2]
         scaled = np.array([[d, -b], [-c, a]]) @ by_plane / (a * d - b * c)
-        upper = scaled / largest_singular_value(scaled)
+        upper = scaled / _largest_singular_value(scaled)
         rest = np.eye(2) - upper.T @ upper
         lower = np.sqrt(np.maximum(0.0, np.diag(rest)))
         if rest[0, 1] < 0.0:
@@ -138,7 +136,7 @@ class SquareFit:
             damping *= 0.1
             if gain < _CONVERGED:
                 break
-        covariance = invert_symmetric(jacobian.T @ jacobian)
+        covariance = _inverse(jacobian.T @ jacobian)
         distance = float(np.sqrt(seen @ seen / 4.0))
         return error, MarkerPose(rotation, translation, distance, covariance)
 
@@ -231,6 +229,20 @@ class SquareFit:
             corners[:, None], camera.matrix, distortion, None, None, criteria
         )
         return rays[:, 0]
+
+
+def _inverse(matrix: ndarray) -> ndarray:
+    """Return the inverse of a positive definite (n, n) matrix; NaN if it is not."""
+    solved, inverse = cv2.invert(matrix, flags=cv2.DECOMP_CHOLESKY)
+    return 0.5 * (inverse + inverse.T) if solved else np.full(matrix.shape, np.nan)
+
+
+def _largest_singular_value(matrix: ndarray) -> float:
+    """Return the largest singular value of a (2, 2) matrix."""
+    (a, b), (c, d) = matrix
+    square, determinant = float(a * a + b * b + c * c + d * d), float(a * d - b * c)
+    rest = max(0.0, square * square - 4.0 * determinant * determinant)
+    return float(np.sqrt(0.5 * (square + np.sqrt(rest))))
 
 
 def _rotation_to(direction: ndarray) -> ndarray:

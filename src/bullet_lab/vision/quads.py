@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.algebra import (
+from bullet_lab.vision.candidates import FIRST_TRIM, NO_QUADS, outlined_quads, sound_quads
+from bullet_lab.vision.images import (
     NEXT,
     PREVIOUS,
     UNIT_SQUARE,
+    Picture,
     homography,
     intersections,
     mapped,
 )
-from bullet_lab.vision.candidates import outlines_within
-from bullet_lab.vision.images import Picture
 
 # Reach to either side of a line within which its edge is looked for, and sampling step, px: first
 # coarsely, then centred on the line found.
@@ -37,6 +37,9 @@ _LEAST_SEEN = 0.5
 # Grey levels by which an edge must rise, and the same as a share of the mean rise.
 _LEAST_RISE = 4.0
 _LEAST_OF_MEAN = 0.25
+# An edge is no outlier within so many mean distances from the line, and px more.
+_OUTLYING = 3.0
+_LEAST_OUTLYING = 0.02
 
 
 def refine_corners(picture: Picture, quads: ndarray, cells: int) -> ndarray:
@@ -68,8 +71,7 @@ def _refine_once(
     lengths = np.hypot(edges[..., 0], edges[..., 1])
     usable = np.isfinite(lengths).all(axis=1) & (lengths.min(axis=1) >= _LEAST_SIDE)
     corners, edges, lengths = corners[usable], edges[usable], lengths[usable]
-    along = edges / lengths[..., None]
-    outward = np.stack((along[..., 1], -along[..., 0]), axis=-1)
+    outward = np.stack((edges[..., 1], -edges[..., 0]), axis=-1) / lengths[..., None]
     cell = 0.5 * (lengths[:, PREVIOUS] + lengths[:, NEXT]) / cells
     reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * cell))
     steps = int(np.ceil(reach / step))
@@ -77,26 +79,24 @@ def _refine_once(
     base = corners[:, :, None] + edges[:, :, None] * _PLACES[:, None]
     points = base[:, :, :, None] + outward[:, :, None, None] * offsets[:, :, None, :, None]
     heights, weights = _edge_heights(picture.at(points), offsets)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        level, slope = _robust_lines(_PLACES, heights, weights)
+    level, slope = _robust_lines(heights, weights)
     # Two points of each line: beside the old corners.
     first = corners + outward * level[..., None]
     second = corners + edges + outward * (level + slope)[..., None]
-    direction = second - first
-    normals = np.stack((direction[..., 1], -direction[..., 0]), axis=-1)
-    met = intersections(first, normals)
+    along = second - first
+    met = intersections(first, np.stack((along[..., 1], -along[..., 0]), axis=-1))
     seen = (weights > 0.0).sum(axis=-1)
     met[seen.min(axis=1) < _LEAST_SEEN * _CROSSINGS] = np.nan
     refined[usable] = met
     return refined
 
 
-def _edge_heights(values: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
+def _edge_heights(levels: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
     """Return the mean offset of the rises at each crossing, and its weight; 0 without an edge.
 
-    Values are (n, 4, places, offsets) grey levels, offsets (n, 4, offsets) px.
+    Grey levels are (n, 4, places, offsets), offsets (n, 4, offsets) px.
     """
-    rises = np.maximum(values[..., 1:] - values[..., :-1], 0.0)
+    rises = np.maximum(levels[..., 1:] - levels[..., :-1], 0.0)
     weights = rises.sum(axis=-1)
     middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -106,19 +106,25 @@ def _edge_heights(values: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
     return np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
 
 
-def _robust_lines(places: ndarray, heights: ndarray, weights: ndarray):
-    """Fit height = level + slope · place along the last axis, without outliers."""
-    for _ in range(2):
-        total = weights.sum(axis=-1)
-        mean_place = (weights * places).sum(axis=-1) / total
-        mean_height = (weights * heights).sum(axis=-1) / total
-        centred = places - mean_place[..., None]
-        spread = (weights * centred**2).sum(axis=-1)
-        slope = (weights * centred * (heights - mean_height[..., None])).sum(axis=-1) / spread
-        level = mean_height - slope * mean_place
-        residuals = np.abs(heights - level[..., None] - slope[..., None] * places)
-        typical = (weights * residuals).sum(axis=-1) / total
-        weights = np.where(residuals <= 3.0 * typical[..., None] + 0.02, weights, 0.0)
+def _robust_lines(heights: ndarray, weights: ndarray) -> tuple[ndarray, ndarray]:
+    """Fit height = level + slope · place along the last axis, the second time without outliers.
+
+    Without an edge both are NaN.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for _ in range(2):
+            total = weights.sum(axis=-1)
+            mean_place = (weights * _PLACES).sum(axis=-1) / total
+            mean_height = (weights * heights).sum(axis=-1) / total
+            centred = _PLACES - mean_place[..., None]
+            spread = (weights * centred**2).sum(axis=-1)
+            product = weights * centred * (heights - mean_height[..., None])
+            slope = product.sum(axis=-1) / spread
+            level = mean_height - slope * mean_place
+            residuals = np.abs(heights - level[..., None] - slope[..., None] * _PLACES)
+            typical = (weights * residuals).sum(axis=-1, keepdims=True) / total[..., None]
+            own = residuals <= _OUTLYING * typical + _LEAST_OUTLYING
+            weights = np.where(own, weights, 0.0)
     return level, slope
 
 
@@ -129,6 +135,9 @@ _COVERED = 0.8
 # contrast.
 _DARK_SHARE = 0.2
 _DARKER = 0.25
+# Shares of the black and of the white samples that are darker than the levels of black and white.
+_BLACK_SHARE = 0.5
+_WHITE_SHARE = 0.75
 # At most so many cells are searched, the darkest first.
 _MOST_CELLS = 3
 # A cell is enlarged to about so many px, at most by this factor.
@@ -140,7 +149,6 @@ _BLACK_LEVEL = 25.0
 _CONTRAST = 200.0
 # Standard deviation of the smoothing before, px.
 _SMOOTHING = 0.8
-_NONE = np.empty((0, 4, 2))
 
 
 def quads_in_cells(
@@ -168,27 +176,28 @@ def quads_in_cells(
     cells = len(pattern)
     sides = corners[NEXT] - corners
     if float(np.hypot(sides[:, 0], sides[:, 1]).min()) < cells * min_side:
-        return _NONE
+        return NO_QUADS
     to_image = homography(corners)
     levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
-    white = (pattern > 0).ravel()
-    black_level, white_level = _quantile(levels[~white], 0.5), _quantile(levels[white], 0.75)
-    contrast = white_level - black_level
+    is_white = (pattern > 0).ravel()
+    black = _quantile(levels[~is_white], _BLACK_SHARE)
+    white = _quantile(levels[is_white], _WHITE_SHARE)
+    contrast = white - black
     if contrast < 1.0:
-        return _NONE
+        return NO_QUADS
     dark = int(_DARK_SHARE * levels.shape[1])
-    darkness = (white_level - np.partition(levels, dark, axis=1)[:, dark]) / contrast
-    darkness[~white] = 0.0
+    darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
+    darkness[~is_white] = 0.0
     for other in known:
         column, row = (cells * mapped(other.mean(axis=0)[None], cv2.invert(to_image)[1]))[0]
         if 0.0 <= column < cells and 0.0 <= row < cells:
             darkness[cells * int(row) + int(column)] = 0.0
     darkest = np.argsort(-darkness, kind="stable")[:_MOST_CELLS]
-    found = [_NONE]
+    found = [NO_QUADS]
     for index in darkest[darkness[darkest] > _DARKER].tolist():
         row, column = divmod(index, cells)
         outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
-        found.append(_quads_within(picture.levels, outline, black_level, contrast, min_side))
+        found.append(_quads_within(picture.levels, outline, black, contrast, min_side))
     return np.concatenate(found)
 
 
@@ -204,24 +213,26 @@ def _quads_within(
     height, width = image.shape
     left, top = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
     right, bottom = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, (width, height))
-    if right - left < min_side or bottom - top < min_side:
-        return _NONE
-    part = image[top:bottom, left:right]
-    scale = int(np.clip(_ENLARGED / max(part.shape), 1, _LARGEST_SCALE))
-    size = (scale * part.shape[1], scale * part.shape[0])
-    part = cv2.GaussianBlur(part.astype(np.float32), (0, 0), _SMOOTHING)
-    part = cv2.resize(part, size, interpolation=cv2.INTER_CUBIC)
+    if min(right - left, bottom - top) < min_side:
+        return NO_QUADS
+    cell = image[top:bottom, left:right].astype(np.float32)
+    scale = int(np.clip(_ENLARGED / max(cell.shape), 1, _LARGEST_SCALE))
+    cell = cv2.GaussianBlur(cell, (0, 0), _SMOOTHING)
+    cell = cv2.resize(cell, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     # Beyond the cell all is white, so that black neighbours do not join what is in it.
-    inside = np.zeros(part.shape, dtype=np.uint8)
+    inside = np.zeros(cell.shape, dtype=np.uint8)
     polygon = scale * (outline - (left, top) + 0.5) - 0.5
     cv2.fillConvexPoly(inside, np.rint(polygon).astype(np.int32), 255)
-    spread = np.clip((part - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
+    spread = np.clip((cell - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
     grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
     found = []
     for threshold in _THRESHOLDS:
         limit = _BLACK_LEVEL + _CONTRAST * threshold
         _, dark = cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)
-        found.append(outlines_within(dark, scale * min_side))
+        contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
+        outer = [(one, (0, 0)) for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
+        found.append(sound_quads(outlined_quads(outer, scale * min_side, FIRST_TRIM)))
     return (np.concatenate(found) + 0.5) / scale - 0.5 + (left, top)
 
 
@@ -229,7 +240,6 @@ def _quads_within(
 def _cell_samples(cells: int) -> ndarray:
     """Return (n, 2) points of the unit square, cell by cell, row by row."""
     within = 0.5 + _COVERED * (np.arange(_SAMPLES) / (_SAMPLES - 1.0) - 0.5)
-    row, column, v, u = np.meshgrid(
-        np.arange(cells), np.arange(cells), within, within, indexing="ij"
-    )
-    return np.column_stack(((column + u).ravel(), (row + v).ravel())) / cells
+    each = np.arange(cells)
+    row, column, down, right = np.meshgrid(each, each, within, within, indexing="ij")
+    return np.column_stack(((column + right).ravel(), (row + down).ravel())) / cells
