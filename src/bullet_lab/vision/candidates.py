@@ -56,7 +56,6 @@ _ON_LINE = 0.05
 _LEAST_POINTS = 8
 _MOST_POINTS = 256
 
-NO_QUADS = np.empty((0, 4, 2))
 # A contour (n, 1, 2), and the offset of its u and v.
 Placed = Tuple[ndarray, Tuple[int, int]]
 
@@ -142,40 +141,43 @@ class CandidateSearch:
         Something before a corner that is as dark as the wall behind joins the two: no threshold
         shows four corners then. The hull of the border still has four long sides.
         """
-        found = [NO_QUADS]
+        hulls, coarse = [], []
         for mask in _OPEN_PASS if self._is_clear else ():
             least = max(0.5 * _LEAST_OPEN, self._least_side(mask)) + 1.0
-            contours = self._dark(mask, contrast).contours(least, is_open=True)
-            found.append(self._full_size(_open_quads(contours), mask))
-        return sound_quads(np.concatenate(found))
+            hulls += _hulls(self._dark(mask, contrast).contours(least, is_open=True))
+            coarse += [mask.coarse] * (len(hulls) - len(coarse))
+        return self._full_size(_open_quads(hulls), coarse)
 
     def _outlines(self, masks: Sequence[_Mask], contrast: float, trim: float) -> ndarray:
-        found = [NO_QUADS]
+        outlines, coarse = [], []
         for mask in masks:
             least = self._least_side(mask)
             contours = list(self._dark(mask, contrast).contours(least))
             self._contours += len(contours)
-            found.append(self._full_size(outlined_quads(contours, least, trim), mask))
-        return sound_quads(np.concatenate(found))
+            outlines += outlines_of(contours, least)
+            coarse += [mask.coarse] * (len(outlines) - len(coarse))
+        return self._full_size(outlined_quads(outlines, trim), coarse)
 
     def _dark(self, mask: _Mask, contrast: float) -> _DarkPieces:
         """Return the pieces that are dark by a mask."""
         if mask not in self._pieces:
             grey = self._half if mask.coarse else self._grey
-            self._pieces[mask] = _dark_pieces(cv2.min(grey, mask.ceiling), mask, contrast)
+            if mask.ceiling < 255:
+                grey = cv2.min(grey, mask.ceiling)
+            self._pieces[mask] = _dark_pieces(grey, mask, contrast)
         return self._pieces[mask]
 
     def _least_side(self, mask: _Mask) -> float:
         """Return the least side to look for in a mask, px of the mask."""
         return 0.5 * max(self._min_side, _COARSE_SIDE) if mask.coarse else self._min_side
 
-    def _full_size(self, quads: ndarray, mask: _Mask) -> ndarray:
-        """Return quadrilaterals of a mask in px of the image."""
-        if not mask.coarse:
-            return quads
+    def _full_size(self, quads: ndarray, coarse: Sequence[bool]) -> ndarray:
+        """Return the sound ones of quadrilaterals, px; `coarse` ones are of half the size."""
         scale = np.array(self._grey.shape[::-1]) / np.array(self._half.shape[::-1])
         # The centre of a pixel is a whole number.
-        return (quads + 0.5) * scale - 0.5
+        is_coarse = np.array(coarse, dtype=bool)
+        quads[is_coarse] = (quads[is_coarse] + 0.5) * scale - 0.5
+        return sound_quads(quads)
 
 
 class _DarkPieces(NamedTuple):
@@ -224,8 +226,9 @@ def _dark_pieces(grey: ndarray, mask: _Mask, contrast: float) -> _DarkPieces:
     rise = cv2.subtract(brightest, darkest)
     enough = cv2.compare(rise, float(math.ceil(contrast)), cv2.CMP_GE)
     dark = cv2.bitwise_and(cv2.compare(grey, limit, cv2.CMP_LE), enough)
-    # Labels of 16 bits are quicker. There are no more labels than dark pixels.
-    kind = cv2.CV_16U if cv2.countNonZero(dark) <= _MOST_LABELS else cv2.CV_32S
+    # Labels of 16 bits are quicker. There are no more labels than runs of dark pixels in rows.
+    runs = len(dark) + cv2.countNonZero(cv2.subtract(dark[:, 1:], dark[:, :-1]))
+    kind = cv2.CV_16U if runs <= _MOST_LABELS else cv2.CV_32S
     neighbours = 8 if mask.joined else 4
     _, labels, boxes, _ = cv2.connectedComponentsWithStats(
         dark, connectivity=neighbours, ltype=kind
@@ -263,16 +266,19 @@ class _Outline:
     corners: ndarray
 
 
-def outlined_quads(contours: Iterable[Placed], min_side: float, trim: float) -> ndarray:
-    """Return the corners (n, 4, 2) at which the lines along the contours' four sides meet.
+def outlines_of(contours: Iterable[Placed], min_side: float) -> list[_Outline]:
+    """Return the outlines of the contours with four corners."""
+    outlines = (_outline(contour, offset, min_side) for contour, offset in contours)
+    return [outline for outline in outlines if outline is not None]
 
-    A contour without four corners is left out. Lines are of least squares, without the share
-    `trim` of each side at either end.
+
+def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
+    """Return the corners (n, 4, 2) at which the lines along the outlines' sides meet.
+
+    Lines are of least squares, without the share `trim` of each side at either end.
     """
-    found = (_outline(contour, offset, min_side) for contour, offset in contours)
-    outlines = [outline for outline in found if outline is not None]
     if not outlines:
-        return NO_QUADS
+        return np.empty((0, 4, 2))
     lengths = np.array([len(outline.points) for outline in outlines])
     x, y = points = np.concatenate([outline.points for outline in outlines]).T
     sums = np.zeros((5, len(x) + 1))
@@ -336,20 +342,24 @@ class _HullSides(NamedTuple):
     area: float
 
 
-def _open_quads(contours: Iterable[Placed]) -> ndarray:
-    """Return (n, 4, 2) corners of the largest contours that may be square but for a corner."""
+def _hulls(contours: Iterable[Placed]) -> list[_HullSides]:
+    """Return the sides of the largest contours whose hull may be square but for a corner."""
     by_size = sorted(contours, key=lambda placed: -float(np.ptp(placed[0][:, 0], axis=0).sum()))
     hulls = (_hull_sides(contour, offset) for contour, offset in by_size[:_MOST_OPEN])
-    sides = [hull for hull in hulls if hull is not None]
-    if not sides:
-        return NO_QUADS
-    quads = intersections(*_lines_along(sides))
-    own = np.isfinite(quads).all(axis=(1, 2))
-    for k in np.flatnonzero(own):
-        quad = quads[k].astype(np.float32)
-        own[k] = cv2.isContourConvex(quad)
-        own[k] &= cv2.contourArea(quad) <= _WITH_CORNER * sides[k].area
-    return quads[own]
+    return [hull for hull in hulls if hull is not None]
+
+
+def _open_quads(hulls: Sequence[_HullSides]) -> ndarray:
+    """Return (n, 4, 2) where the lines along four sides meet; NaN where that is no marker."""
+    if not hulls:
+        return np.empty((0, 4, 2))
+    quads = intersections(*_lines_along(hulls))
+    for quad, hull in zip(quads, hulls):
+        corners = quad.astype(np.float32)
+        is_convex = np.isfinite(quad).all() and cv2.isContourConvex(corners)
+        if not is_convex or cv2.contourArea(corners) > _WITH_CORNER * hull.area:
+            quad[:] = np.nan
+    return quads
 
 
 def _hull_sides(contour: ndarray, offset: tuple[int, int]) -> _HullSides | None:
@@ -366,15 +376,15 @@ def _hull_sides(contour: ndarray, offset: tuple[int, int]) -> _HullSides | None:
     return _HullSides(some + offset, corners[longest] + offset, edges[longest], area)
 
 
-def _lines_along(sides: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
+def _lines_along(hulls: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
     """Return points and normals (n, 4, 2) of the lines through the contours' points beside sides.
 
     A bulge at one end of a side turns its line, so points are chosen anew in narrower strips.
     """
-    contours = np.concatenate([hull.points for hull in sides])
-    owners = np.repeat(np.arange(len(sides)), [len(hull.points) for hull in sides])
-    along = np.stack([hull.along for hull in sides])
-    points = np.stack([hull.first for hull in sides]) + 0.5 * along
+    contours = np.concatenate([hull.points for hull in hulls])
+    owners = np.repeat(np.arange(len(hulls)), [len(hull.points) for hull in hulls])
+    along = np.stack([hull.along for hull in hulls])
+    points = np.stack([hull.first for hull in hulls]) + 0.5 * along
     lengths = np.hypot(along[..., 0], along[..., 1])
     along /= lengths[..., None]
     for half_width, rounds in _STRIPS:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Tuple
 
 import cv2
 import numpy as np
@@ -25,7 +24,6 @@ _GLANCES = 7
 _RING = 4 * _GLANCES
 _OUTSIDE = slice(0, _RING)
 _BORDER = slice(_RING, 2 * _RING)
-_INSIDE = slice(2 * _RING, None)
 # Least shares of the places that must pass: a hand or a highlight may be on the marker.
 _FRAMED = 0.8  # the border is darker than the place outside of it
 _DARK = 0.6  # the border is nearer to black
@@ -39,20 +37,19 @@ _LEAST_OF_PLANE = 8
 
 @dataclass(frozen=True, eq=False)
 class MarkerDictionary:
-    """A set of markers.
-
-    `codes` are (number of ids, 4, cells²) of ±1, white +1, row by row. The second axis is the
-    corner from which the pattern is read, clockwise from the top left.
-    """
+    """A set of markers."""
 
     name: str  #: OpenCV's, such as DICT_APRILTAG_36h10
     cells: int  #: data cells along an edge; the black border is one cell more each way
-    codes: ndarray
-    packed: ndarray  #: (bytes, number of ids · 4): the codes as bits, eight in a byte
+    codes: ndarray  #: (number of ids, cells + 2, cells + 2) of uint8 with the border, 1 for white
+    packed: ndarray  #: (bytes, number of ids · 4): data cells from each corner on, as bits
     distance: int  #: least number of different bits of two markers, or of one and itself turned
 
     def nearest(self, bits: ndarray) -> tuple[int, int, int]:
-        """Return the marker nearest to (cells²,) bits, its turns and the number of wrong bits."""
+        """Return the marker nearest to (cells²,) bits, its turns and the number of wrong bits.
+
+        Turns are the number of the corner that the bits begin with, clockwise from the top left.
+        """
         # On bytes: a product of matrices would start threads.
         different = _ONES[self.packed ^ np.packbits(bits > 0)[:, None]].sum(axis=0, dtype=np.uint8)
         best = int(different.argmin())
@@ -71,15 +68,7 @@ class MarkerDictionary:
         """
         if not 0 <= marker < len(self.codes):
             raise VisionError(f"{self.name} has markers 0 to {len(self.codes) - 1}, not {marker}")
-        return _pattern(self, marker)
-
-
-@lru_cache(maxsize=256)
-def _pattern(dictionary: MarkerDictionary, marker: int) -> ndarray:
-    bits = dictionary.codes[marker, 0].reshape(dictionary.cells, dictionary.cells)
-    pattern = np.pad((bits > 0).astype(np.uint8), 1)
-    pattern.flags.writeable = False
-    return pattern
+        return self.codes[marker]
 
 
 def simple_name(name: str) -> str:
@@ -94,7 +83,7 @@ def simple_name(name: str) -> str:
 
 # OpenCV from 4.7 on has each AprilTag dictionary twice, as 36H11 and 36h11; the latter is used.
 _NAMES = {simple_name(name): name for name in sorted(dir(cv2.aruco)) if name.startswith(_PREFIX)}
-DICTIONARY_NAMES: Tuple[str, ...] = tuple(sorted(_NAMES.values()))
+DICTIONARY_NAMES = tuple(sorted(_NAMES.values()))
 
 
 def dictionary_named(name: str) -> MarkerDictionary:
@@ -115,37 +104,29 @@ def dictionary_named(name: str) -> MarkerDictionary:
 def _load(name: str) -> MarkerDictionary:
     source = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     cells = source.markerSize
-    codes = np.empty((len(source.bytesList), 4, cells * cells), dtype=np.float32)
-    for marker, entry in enumerate(source.bytesList):
-        bits = cv2.aruco.Dictionary.getBitsFromByteList(entry[None], cells)
-        signs = 2.0 * bits.astype(np.float32) - 1.0
-        for turns in range(4):
-            codes[marker, turns] = np.rot90(signs, turns).ravel()
-    packed = np.ascontiguousarray(np.packbits(codes.reshape(-1, cells * cells) > 0, axis=1).T)
+    bits_of = cv2.aruco.Dictionary.getBitsFromByteList
+    data = np.stack([bits_of(entry[None], cells) for entry in source.bytesList])
+    turned = np.stack([np.rot90(data, turns, axes=(1, 2)) for turns in range(4)], axis=1)
+    bits = turned.reshape(-1, cells * cells)
     # A product of ±1 is the number of equal bits less that of different ones. Leave out the
     # product of each marker with itself.
-    bits, each = cells * cells, np.arange(len(codes))
-    products = codes[:, 0] @ codes.reshape(-1, bits).T
-    products[each, 4 * each] = -bits
-    distance = int(round((bits - float(products.max())) / 2.0))
+    signs = 2.0 * bits.astype(np.float32) - 1.0
+    products = signs[::4] @ signs.T
+    each = np.arange(len(data))
+    products[each, 4 * each] = -bits.shape[1]
+    distance = int(round((bits.shape[1] - float(products.max())) / 2.0))
+    codes = np.pad(data, ((0, 0), (1, 1), (1, 1)))
+    codes.flags.writeable = False
+    packed = np.ascontiguousarray(np.packbits(bits, axis=1).T)
     return MarkerDictionary(name, cells, codes, packed, distance)
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """The cells of a quadrilateral, read as those of a marker."""
-
-    bits: ndarray  #: (cells²,) ±1, white +1, row by row from the first corner
-    border_errors: int  #: cells of the border that are not black
-    levels: ndarray  #: (cells + 2, cells + 2) grey levels, border included
 
 
 @dataclass(frozen=True)
 class Match:
-    """The marker that a reading shows."""
+    """The marker that a quadrilateral shows."""
 
     marker: int  #: its id
-    turns: int  #: index of the marker's corner that the reading begins with, clockwise
+    turns: int  #: index of the marker's corner that the quadrilateral begins with, clockwise
     errors: int  #: bits that were read wrongly
     likeness: float  #: correlation of the grey levels with its pattern, at most 1
 
@@ -155,29 +136,33 @@ def may_be_markers(picture: Picture, quads: ndarray, cells: int) -> ndarray:
 
     Those are dark just inside, bright just outside and not empty in the data `cells`.
     """
-    # Sums of products, as a product of matrices would start threads.
-    places = np.einsum("pk,nik->npi", _glance(cells), homography(picture.ideal(quads)))
     # Places on the horizon of a quadrilateral are infinite, so it is no marker.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = picture.at(places[..., :2] / places[..., 2:])
-    parts = (_OUTSIDE, _BORDER, _INSIDE)
-    outside, border, inside = (values[:, part] for part in parts)
+        levels = _levels(picture, picture.ideal(quads), _glance(cells))
     # Light may change evenly across a marker.
-    grey = np.einsum("pk,nk->np", _half_planes(cells), values[:, : 2 * _RING])
-    around, along, within = (grey[:, part] for part in parts)
+    grey = np.einsum("pk,nk->np", _half_planes(cells), levels[:, : 2 * _RING])
+    is_bright = levels > grey
+    outside, border = levels[:, _OUTSIDE], levels[:, _BORDER]
     # The median, which is slower to call, of an even number of levels.
     half = _RING // 2
-    ordered = np.sort(values[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
+    ordered = np.sort(levels[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
     typical = 0.5 * (ordered[..., half - 1] + ordered[..., half])
     likely = typical[:, 0] - typical[:, 1] > _LEAST_RISE
     for is_right, share in (
         (outside > border, _FRAMED),
-        (border < along, _DARK),
-        (outside > around, _BRIGHT),
-        (inside > within, _FILLED),
+        (border < grey[:, _BORDER], _DARK),
+        (is_bright[:, _OUTSIDE], _BRIGHT),
+        (is_bright[:, 2 * _RING :], _FILLED),
     ):
         likely &= is_right.sum(axis=1) >= share * is_right.shape[1]
     return likely
+
+
+def _levels(picture: Picture, corners: ndarray, places: ndarray) -> ndarray:
+    """Return the grey levels (n, p) at homogeneous places (p, 3) of (n, 4, 2) unit squares."""
+    # Sums of products, as a product of matrices would start threads.
+    there = np.einsum("pk,nik->npi", places, homography(corners))
+    return picture.at(there[..., :2] / there[..., 2:])
 
 
 @lru_cache(maxsize=None)
@@ -190,8 +175,7 @@ def _glance(cells: int) -> ndarray:
         low, high = np.full(_GLANCES, ring), np.full(_GLANCES, 1.0 - ring)
         for pair in ((along, low), (along, high), (low, along), (high, along)):
             places.append(np.column_stack(pair))
-    middles = (np.arange(cells) + 1.5) * cell
-    places.append(_grid(middles))
+    places.append(_grid((np.arange(cells) + 1.5) * cell))
     return _homogeneous(np.vstack(places))
 
 
@@ -215,18 +199,47 @@ def _half_planes(cells: int) -> ndarray:
     return 0.5 * np.concatenate([places @ np.linalg.pinv(ring) for ring in rings], axis=1)
 
 
-def read_cells(picture: Picture, corners: ndarray, cells: int) -> ndarray:
-    """Return (n, cells + 4, cells + 4) mean grey levels: data cells, border and one ring around.
+def decode(
+    picture: Picture,
+    corners: ndarray,
+    dictionary: MarkerDictionary,
+    correction: int,
+    border_errors: int,
+) -> list[Match | None]:
+    """Return the marker that each of some black squares is; None if it is none.
 
     Args:
         picture: the image.
-        corners: (n, 4, 2) of the black squares, ideal px.
-        cells: data cells along an edge.
+        corners: (n, 4, 2) of the squares, ideal px.
+        dictionary: of the markers.
+        correction: most bits that are corrected.
+        border_errors: most cells of the border that are not black.
     """
-    side, each = cells + 4, len(_OFFSETS)
-    places = np.einsum("pk,nik->npi", _cell_places(cells), homography(corners))
-    values = picture.at(places[..., :2] / places[..., 2:])
-    return values.reshape(-1, side, each, side, each).mean(axis=(2, 4))
+    side, each = dictionary.cells + 4, len(_OFFSETS)
+    samples = _levels(picture, corners, _cell_places(dictionary.cells))
+    # Data cells, border and one ring around.
+    levels = samples.reshape(-1, side, each, side, each).mean(axis=(2, 4))
+    sharp = _sharpened_cells(levels)
+    on_border = _second_ring(side)[1:-1, 1:-1]
+    found: list[Match | None] = []
+    for cells, inner in zip(sharp, levels[:, 1:-1, 1:-1]):
+        # The cells of a uniform square are NaN.
+        if np.isnan(cells[0, 0]) or (cells[on_border] > 0.0).sum() > border_errors:
+            found.append(None)
+            continue
+        marker, turns, errors = dictionary.nearest(cells[1:-1, 1:-1].ravel())
+        if errors > correction:
+            found.append(None)
+            continue
+        likeness = _likeness(np.rot90(dictionary.pattern(marker), turns), inner)
+        found.append(Match(marker, turns, errors, likeness))
+    return found
+
+
+def _likeness(pattern: ndarray, levels: ndarray) -> float:
+    """Return the correlation of a pattern and the grey levels of its cells."""
+    pattern, levels = pattern.ravel() - pattern.mean(), levels.ravel() - levels.mean()
+    return float(pattern @ levels / np.sqrt((pattern @ pattern) * (levels @ levels)))
 
 
 @lru_cache(maxsize=None)
@@ -236,56 +249,33 @@ def _cell_places(cells: int) -> ndarray:
     return _homogeneous(_grid((middles[:, None] + _OFFSETS).ravel() / (cells + 2)))
 
 
-def interpret(levels: ndarray) -> list[Reading | None]:
-    """Return the readings of the grey levels of `read_cells`; None where they are uniform.
+def _sharpened_cells(levels: ndarray) -> ndarray:
+    """Return the cells (n, k, k) of grey levels with a ring around, above 0 if white.
 
     Light may change evenly across a marker: black and white levels are planes. That of black goes
-    through the border, that of white through all that is brighter than the middle.
+    through the border, that of white through all that is brighter than the middle. Uniform levels
+    give NaN.
     """
     count, side = levels.shape[:2]
-    inner = levels[:, 1:-1, 1:-1]
-    border = _border(side)
+    border = _second_ring(side)
     black = np.median(levels[:, border], axis=1)
-    order = np.sort(inner.reshape(count, (side - 2) ** 2), axis=1)
+    order = np.sort(levels[:, 1:-1, 1:-1].reshape(count, (side - 2) ** 2), axis=1)
     white = order[:, int(0.95 * order.shape[1])]
+    contrast = white - black
     bright = levels > (0.5 * (black + white))[:, None, None]
     planes = _planes(np.concatenate((levels, levels)), np.concatenate((border & ~bright, bright)))
     dark_plane, bright_plane = planes[:count], planes[count:]
     half = 0.5 * (bright_plane - dark_plane)
-    half = np.maximum(half, np.maximum(0.1 * (white - black), 1e-3)[:, None, None])
+    half = np.maximum(half, np.maximum(0.1 * contrast, 1e-3)[:, None, None])
     soft = np.clip((levels - 0.5 * (bright_plane + dark_plane)) / half, -1.5, 1.5)
-    sharp = _sharpened(soft)
-    bits = np.where(sharp[:, 1:-1, 1:-1] > 0.0, 1.0, -1.0).astype(np.float32)
-    border_errors = (sharp > 0.0)[:, border[1:-1, 1:-1]].sum(axis=1)
-    readings: list[Reading | None] = []
-    for k in range(count):
-        is_uniform = not white[k] - black[k] >= 1.0
-        reading = Reading(bits[k].ravel(), int(border_errors[k]), inner[k])
-        readings.append(None if is_uniform else reading)
-    return readings
-
-
-def _sharpened(soft: ndarray) -> ndarray:
-    """Return cells (n, k, k) without the outer ring, less a part of their neighbours."""
+    soft[~(contrast >= 1.0)] = np.nan
     own = soft[:, 1:-1, 1:-1]
     neighbours = soft[:, :-2, 1:-1] + soft[:, 2:, 1:-1] + soft[:, 1:-1, :-2] + soft[:, 1:-1, 2:]
     return own + _SHARPENING * (4.0 * own - neighbours)
 
 
-def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Match | None:
-    """Return the marker that differs from a reading in at most `correction` bits, or None."""
-    marker, turns, errors = dictionary.nearest(reading.bits)
-    if errors > correction:
-        return None
-    cells = dictionary.pattern(marker)
-    pattern = np.rot90(cells, turns).ravel() - cells.mean()
-    levels = reading.levels.ravel() - reading.levels.mean()
-    likeness = float(pattern @ levels / np.sqrt((pattern @ pattern) * (levels @ levels)))
-    return Match(marker, turns, errors, likeness)
-
-
 @lru_cache(maxsize=None)
-def _border(side: int) -> ndarray:
+def _second_ring(side: int) -> ndarray:
     """Return which of (side, side) cells are the border: the second ring."""
     border = np.ones((side, side), dtype=bool)
     border[[0, -1]] = border[:, [0, -1]] = False
@@ -299,26 +289,26 @@ def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
     terms, products = _plane_terms(side)
     flat = levels.reshape(count, side * side)
     weights = chosen.reshape(flat.shape).astype(float)
-    # By Cramer's rule: the equations' matrix is ((a, b, c), (b, d, e), (c, e, f)).
-    a, b, c, d, e, f = np.einsum("np,qp->qn", weights, products)
-    a, d, f = a + 1e-6, d + 1e-6, f + 1e-6
-    x, y, z = right = np.einsum("np,qp->qn", weights * flat, terms)
-    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
-    s, t, u = a * f - c * c, b * c - a * e, a * d - b * b
-    numbers = np.stack((p * x + q * y + r * z, q * x + s * y + t * z, r * x + t * y + u * z))
-    numbers /= a * p + b * q + c * r
-    plane = np.einsum("qn,qp->np", numbers, terms)
-    few = np.rint(a) < _LEAST_OF_PLANE
+    matrix = np.einsum("np,qp->nq", weights, products).reshape(-1, 3, 3) + 1e-6 * np.eye(3)
+    right = np.einsum("np,qp->nq", weights * flat, terms)
+    # By Cramer's rule, as a solver would start threads.
+    after, before = matrix[:, [1, 2, 0]], matrix[:, [2, 0, 1]]
+    cofactors = after[..., [1, 2, 0]] * before[..., [2, 0, 1]]
+    cofactors -= after[..., [2, 0, 1]] * before[..., [1, 2, 0]]
+    determinants = (matrix[:, :1] * cofactors[:, :1]).sum(axis=2)
+    numbers = (cofactors * right[:, None]).sum(axis=2) / determinants
+    plane = np.einsum("nq,qp->np", numbers, terms)
+    total = matrix[:, 0, 0]
+    few = np.rint(total) < _LEAST_OF_PLANE
     if few.any():
-        mean = np.where(a > 0.5, right[0] / np.maximum(a, 1.0), flat.mean(axis=1))
+        mean = np.where(total > 0.5, right[:, 0] / np.maximum(total, 1.0), flat.mean(axis=1))
         plane[few] = mean[few, None]
     return plane.reshape(levels.shape)
 
 
 @lru_cache(maxsize=None)
 def _plane_terms(side: int) -> tuple[ndarray, ndarray]:
-    """Return 1, row, column (3, side²), from the middle, and their products (6, side²)."""
+    """Return 1, row, column (3, side²), from the middle, and their products (9, side²)."""
     row, column = np.indices((side, side), dtype=float).reshape(2, -1) - (side - 1) / 2.0
-    one = np.ones_like(row)
-    products = one, row, column, row * row, row * column, column * column
-    return np.stack((one, row, column)), np.stack(products)
+    terms = np.stack((np.ones_like(row), row, column))
+    return terms, (terms[:, None] * terms).reshape(9, -1)

@@ -13,14 +13,7 @@ from numpy import ndarray
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
 from bullet_lab.vision.candidates import CandidateSearch
-from bullet_lab.vision.dictionaries import (
-    Match,
-    dictionary_named,
-    interpret,
-    match,
-    may_be_markers,
-    read_cells,
-)
+from bullet_lab.vision.dictionaries import Match, decode, dictionary_named, may_be_markers
 from bullet_lab.vision.images import Picture, VisionError, mean_side
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
 from bullet_lab.vision.pattern_sides import without_hidden_side
@@ -258,13 +251,12 @@ class MarkerDetector:
         corners = refine_corners(picture, quads, cells + 2)
         sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
         decoded: list[Decoded | None] = [None] * len(quads)
-        readings = interpret(read_cells(picture, corners[sound], cells))
-        for index, reading in zip(sound.tolist(), readings):
-            if reading is None or reading.border_errors > self._border_errors:
-                continue
-            found = match(reading, self.dictionary, self._correction)
-            if found is not None and found.likeness >= self.settings.likeness:
-                decoded[index] = found, np.roll(corners[index], found.turns, axis=0)
+        matches = decode(
+            picture, corners[sound], self.dictionary, self._correction, self._border_errors
+        )
+        for index, match in zip(sound.tolist(), matches):
+            if match is not None and match.likeness >= self.settings.likeness:
+                decoded[index] = match, np.roll(corners[index], match.turns, axis=0)
         return decoded
 
     def _choose(

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.candidates import FIRST_TRIM, NO_QUADS, outlined_quads, sound_quads
+from bullet_lab.vision.candidates import FIRST_TRIM, outlined_quads, outlines_of, sound_quads
 from bullet_lab.vision.images import (
     NEXT,
     PREVIOUS,
@@ -149,6 +149,7 @@ _BLACK_LEVEL = 25.0
 _CONTRAST = 200.0
 # Standard deviation of the smoothing before, px.
 _SMOOTHING = 0.8
+_NONE = np.empty((0, 4, 2))
 
 
 def quads_in_cells(
@@ -176,7 +177,7 @@ def quads_in_cells(
     cells = len(pattern)
     sides = corners[NEXT] - corners
     if float(np.hypot(sides[:, 0], sides[:, 1]).min()) < cells * min_side:
-        return NO_QUADS
+        return _NONE
     to_image = homography(corners)
     levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
     is_white = (pattern > 0).ravel()
@@ -184,7 +185,7 @@ def quads_in_cells(
     white = _quantile(levels[is_white], _WHITE_SHARE)
     contrast = white - black
     if contrast < 1.0:
-        return NO_QUADS
+        return _NONE
     dark = int(_DARK_SHARE * levels.shape[1])
     darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
     darkness[~is_white] = 0.0
@@ -193,7 +194,7 @@ def quads_in_cells(
         if 0.0 <= column < cells and 0.0 <= row < cells:
             darkness[cells * int(row) + int(column)] = 0.0
     darkest = np.argsort(-darkness, kind="stable")[:_MOST_CELLS]
-    found = [NO_QUADS]
+    found = [_NONE]
     for index in darkest[darkness[darkest] > _DARKER].tolist():
         row, column = divmod(index, cells)
         outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
@@ -214,7 +215,7 @@ def _quads_within(
     left, top = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
     right, bottom = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, (width, height))
     if min(right - left, bottom - top) < min_side:
-        return NO_QUADS
+        return _NONE
     cell = image[top:bottom, left:right].astype(np.float32)
     scale = int(np.clip(_ENLARGED / max(cell.shape), 1, _LARGEST_SCALE))
     cell = cv2.GaussianBlur(cell, (0, 0), _SMOOTHING)
@@ -232,7 +233,8 @@ def _quads_within(
         contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
         outer = [(one, (0, 0)) for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
-        found.append(sound_quads(outlined_quads(outer, scale * min_side, FIRST_TRIM)))
+        outlines = outlines_of(outer, scale * min_side)
+        found.append(sound_quads(outlined_quads(outlines, FIRST_TRIM)))
     return (np.concatenate(found) + 0.5) / scale - 0.5 + (left, top)
 
 
