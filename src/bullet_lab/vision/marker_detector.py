@@ -16,7 +16,7 @@ from bullet_lab.vision.candidates import CandidateSearch
 from bullet_lab.vision.dictionaries import Match, decode, dictionary_named, may_be_markers
 from bullet_lab.vision.images import Picture, VisionError, mean_side
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
-from bullet_lab.vision.pattern_sides import without_hidden_side
+from bullet_lab.vision.pattern_pixels import without_hidden_side
 from bullet_lab.vision.quads import quads_in_cells, refine_corners
 
 # Of a quadrilateral that was found several times, at most so many versions are tried.

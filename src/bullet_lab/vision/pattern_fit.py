@@ -185,13 +185,13 @@ def _fit(pixels: Pixels, picture: Picture, corners: ndarray, pattern: ndarray) -
         moved = linear.to_corners @ step[_SHAPE]
         corners = corners + moved.reshape(4, 2)
         is_late = left < _MOST_ROUNDS - _FULL_STEPS
-        before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.grouped, is_late)
+        before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.group > 1, is_late)
         blur = float(spread[:2].max())
         if not np.abs(corners - start).max() <= most_moved:
             return _Fitted(None, blur)
         if np.abs(moved).max() < _STILL and _is_same_blur(before, spread):
             break
-        if left and pixels.grouped and spread.max() > _SOFT:
+        if left and pixels.group > 1 and spread.max() > _SOFT:
             # In so much blur the few pixels across each edge see little of it.
             pixels, light = all_pixels(picture, corners, len(pattern), pixels.cut_off), None
     judged = _Judged(linear, step, corners)
@@ -259,7 +259,7 @@ class _Linearised:
             light = _Equations(columns, levels, np.ones(columns.shape[1])).solution()
         self.light = light
         self.residuals = levels - light @ columns
-        if pixels.sunlit:
+        if pixels.flooded is not None:
             contrast, _ = pixels.own_contrast(value)
         else:
             contrast = model.contrast(light)
@@ -271,11 +271,11 @@ class _Linearised:
 
     def _columns_of_light(self) -> ndarray:
         pixels, model = self.pixels, self.model
-        if pixels.sunlit:
+        if pixels.flooded is not None:
             # Each group has a contrast of its own.
             return model.light(True, False, pixels.flooded)[:-_OF_CONTRAST]
-        bowed = not (pixels.grouped and pixels.valid.all())
-        return model.light(pixels.grouped, bowed, pixels.cut_off)
+        bowed = not (pixels.group > 1 and pixels.valid.all())
+        return model.light(pixels.group > 1, bowed, pixels.cut_off)
 
     def _weigh(self, contrast: ndarray, spread: ndarray) -> None:
         """Find the pixels that are the marker's, and the residuals' weights."""
@@ -319,11 +319,11 @@ def _shown(
     Where something hides an edge there is none. In a noisy image no pixel shows that by itself. If
     each place has a contrast of its own, all that can be tested is whether there is any.
     """
-    if not pixels.grouped:
+    if not pixels.group > 1:
         return np.ones(len(noise))
     own, squares = pixels.own_contrast(value)
     deviation = noise / np.sqrt(squares)
-    if pixels.sunlit:
+    if pixels.flooded is not None:
         return np.where(own > _SHOWN * deviation, 1.0, 0.0)
     deviation = np.maximum(deviation, contrast / _TUKEY)
     return _tukey((own - contrast) / np.maximum(deviation, 1e-9))
@@ -351,7 +351,7 @@ class _Judged:
         if count < max(_LEAST_PIXELS, LEAST_SHARE * valid):
             return None
         inverse = self._equations(self._own).inverse()
-        if pixels.grouped:
+        if pixels.group > 1:
             self._square = self._square_of_groups(inverse)
         else:
             squares = float(np.square(self._residuals[self._own]).sum())

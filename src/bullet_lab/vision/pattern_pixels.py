@@ -1,4 +1,9 @@
-"""The pixels that a marker's pattern is fitted to: all of them, or those across its edges."""
+"""Which pixels a marker's pattern is fitted to, and where its edges are seen.
+
+These are all pixels of a small marker and those across the edges of a large one. An object before a
+large marker has an edge that looks like the marker's own side. But then the edges between the
+marker's cells are not where such an outline puts them, and the corners are corrected.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,16 @@ from functools import lru_cache
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.images import UNIT_SQUARE, Picture, homography, mapped, mean_side, unmapped
+from bullet_lab.vision.images import (
+    UNIT_SQUARE,
+    Picture,
+    homography,
+    mapped,
+    mean_side,
+    solve_symmetric,
+    unmapped,
+)
+from bullet_lab.vision.pattern_model import by_shape, moves_of
 
 # Width around the outline that is used, in cells, at most and at least; the quiet zone is one cell,
 # and blur carries what lies beyond it so many px into it.
@@ -18,7 +32,7 @@ LEAST_AROUND = 0.1
 _BEYOND = 1.3
 # Mean side, px, up to which all pixels of a marker are used. Of a larger one, some hundreds beside
 # its edges are.
-SMALL = 30.0
+_SMALL = 30.0
 _MOST_PIXELS = 600
 # At most so many places along each cell's edge, and so many px to either side.
 _PLACES = 5
@@ -55,47 +69,43 @@ class Pixels:
     """Pixels of a marker.
 
     Of a small marker, they are a part of a grid, and may share light with their neighbours. Of a
-    large one, they are groups of pixels across each place of an edge, with a mean of their own.
+    large one, they are groups of pixels across each place of an edge, with a mean of their own. The
+    first of each group come first.
 
     Attributes:
         points: (2, m) ideal px at which the model is evaluated: the n pixels, or the whole grid.
         levels: (n,) grey levels; in groups, less their group's mean.
         valid: (n,) which of them count; over-exposed ones in groups do not.
-        group: number of pixels in a group; 1: no groups. The first of each group come first.
         over_exposed: white is cut off at so many pixels that some edges have none left.
         cut_off: over-exposed pixels count.
-        sunlit: the marker is partly in the sun, and each group has a contrast of its own.
-        flooded: (n,) which pixels are in groups with white that was cut off; of sunlit ones.
-        grid: (rows, columns) of the grid.
-        chosen: which of the grid without its outer rows and columns the n are.
+        group: number of pixels in a group; 1: no groups.
+        chosen: which of the grid without its outer rows and columns the n are; None: no grid.
+        flooded: (n,) which pixels are in groups with white that was cut off; None: the marker is
+            not partly in the sun. In the sun, each group has a contrast of its own.
     """
 
     points: ndarray
     levels: ndarray
     valid: ndarray
+    over_exposed: bool
+    cut_off: bool
     group: int = 1
-    over_exposed: bool = False
-    cut_off: bool = False
-    sunlit: bool = False
-    flooded: ndarray | None = None
-    grid: tuple[int, int] | None = None
     chosen: ndarray | None = None
-
-    @property
-    def grouped(self) -> bool:
-        """Whether there are groups."""
-        return self.group > 1
+    flooded: ndarray | None = None
 
     @property
     def any_flooded(self) -> bool:
         """Whether the marker is partly in the sun, with white that was cut off."""
-        return self.sunlit and bool(self.flooded.any())
+        return self.flooded is not None and bool(self.flooded.any())
 
     def without(self, these: ndarray) -> Pixels:
-        """Return the pixels without these (n,), and without the others of their groups."""
+        """Return the pixels without these (n,), and without the others of their groups.
+
+        It is for a marker that is not flooded.
+        """
         left = ~np.tile(these.reshape(self.group, -1).any(axis=0), self.group)
         fewer = replace(self, levels=self.levels[left], valid=self.valid[left])
-        if self.grid is not None:
+        if self.chosen is not None:
             chosen = self.chosen.copy()
             chosen[chosen] = left
             return replace(fewer, chosen=chosen)
@@ -104,27 +114,31 @@ class Pixels:
 
     def own(self, values: ndarray) -> ndarray:
         """Return the values (n,) of the pixels from those (m,) of the points."""
-        if self.grid is None:
+        if self.chosen is None:
             return values
-        return values.reshape(self.grid)[1:-1, 1:-1][self.chosen]
+        return self._grids(values)[0, 1:-1, 1:-1][self.chosen]
+
+    def _grids(self, columns: ndarray) -> ndarray:
+        rows, width = self.chosen.shape
+        return columns.reshape(-1, rows + 2, width + 2)
 
     def seen(self, columns: ndarray, shared: float, value: ndarray) -> ndarray:
         """Return columns (k, m) of the model as the pixels see them, (k, n).
 
         A pixel of a grid has the part `shared` of each neighbour. In groups the mean is left out,
-        and of sunlit ones the pattern's value (m,) too.
+        and in the sun the pattern's value (m,) too.
         """
-        if self.grid is not None:
-            columns = columns.reshape(-1, *self.grid)
-            return _mixed(_mixed(columns, shared, 2), shared, 1)[:, self.chosen]
-        if not self.grouped:
-            return columns
-        columns = _less_mean(columns, self.valid, self.group)
-        return self._less_pattern(columns, value) if self.sunlit else columns
+        if self.chosen is not None:
+            return _mixed(_mixed(self._grids(columns), shared, 2), shared, 1)[:, self.chosen]
+        if self.group > 1:
+            columns = _less_mean(columns, self.valid)
+        return columns if self.flooded is None else self._less_pattern(columns, value)
 
     def seen_levels(self, value: ndarray) -> ndarray:
         """Return the grey levels (n,) treated as `seen` treats the columns."""
-        return self._less_pattern(self.levels[None], value)[0] if self.sunlit else self.levels
+        if self.flooded is None:
+            return self.levels
+        return self._less_pattern(self.levels[None], value)[0]
 
     def own_contrast(self, value: ndarray) -> tuple[ndarray, ndarray]:
         """Return white less black (n,) of each group, by its levels and the pattern's value.
@@ -132,29 +146,30 @@ class Pixels:
         And the pattern's sum of squares in the group: a level's variance divided by it is that of
         the contrast.
         """
-        pattern = self._grouped_pattern(value)
+        pattern, squares = self._grouped_pattern(value)
         seen = (pattern * self.levels.reshape(pattern.shape)).sum(axis=0)
-        squares = np.maximum(np.square(pattern).sum(axis=0), _FLAT)
         contrast = np.maximum(seen / squares, 0.0)
         return np.tile(contrast, self.group), np.tile(squares, self.group)
 
-    def _grouped_pattern(self, value: ndarray) -> ndarray:
-        return _less_mean(value[None], self.valid, self.group).reshape(self.group, -1)
+    def _grouped_pattern(self, value: ndarray) -> tuple[ndarray, ndarray]:
+        """Return the pattern less its mean in each group, and the sums of its squares."""
+        pattern = _less_mean(value[None], self.valid).reshape(self.group, -1)
+        return pattern, np.maximum(np.square(pattern).sum(axis=0), _FLAT)
 
     def _less_pattern(self, columns: ndarray, value: ndarray) -> ndarray:
         """Return columns (k, n) less their projection on the pattern in each group."""
-        pattern = self._grouped_pattern(value)
-        pattern = pattern / np.sqrt(np.maximum(np.square(pattern).sum(axis=0), _FLAT))
+        pattern, squares = self._grouped_pattern(value)
+        pattern = pattern / np.sqrt(squares)
         grouped = columns.reshape(len(columns), *pattern.shape)
         shares = (grouped * pattern).sum(axis=1, keepdims=True)
         return (grouped - shares * pattern).reshape(columns.shape)
 
     def by_shared(self, values: ndarray, shared: float) -> ndarray:
         """Return the derivatives (1, n) of the pixels by `shared`; values are (m,)."""
-        if self.grid is None:
+        if self.chosen is None:
             return np.zeros((1, len(values)))
-        values = values.reshape(1, *self.grid)
-        across, down = (_mixed(_less_own(values, 3 - axis), shared, axis) for axis in (1, 2))
+        grids = self._grids(values)
+        across, down = (_mixed(_less_own(grids, 3 - axis), shared, axis) for axis in (1, 2))
         return (across + down)[:, self.chosen]
 
 
@@ -171,10 +186,10 @@ def _less_own(grids: ndarray, axis: int) -> ndarray:
     return grids[:, :, :-2] + grids[:, :, 2:] - 2.0 * grids[:, :, 1:-1]
 
 
-def _less_mean(columns: ndarray, valid: ndarray, group: int) -> ndarray:
+def _less_mean(columns: ndarray, valid: ndarray) -> ndarray:
     """Return columns (m, n) less the mean of the valid pixels of each group; 0 for the others."""
-    valid = valid.reshape(group, -1).astype(float)
-    grouped = valid * columns.reshape(len(columns), group, -1)
+    valid = valid.reshape(_GROUP, -1).astype(float)
+    grouped = valid * columns.reshape(len(columns), _GROUP, -1)
     means = grouped.sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=0), 1.0)
     return (grouped - valid * means).reshape(len(columns), -1)
 
@@ -190,7 +205,7 @@ def pixels_of(
         pattern: (n, n) cells with the border, 1 for white.
         cut_off: over-exposed pixels count.
     """
-    if mean_side(corners) <= SMALL:
+    if mean_side(corners) <= _SMALL:
         return all_pixels(picture, corners, len(pattern), cut_off)
     return _edge_pixels(picture, corners, pattern, cut_off)
 
@@ -212,23 +227,18 @@ def all_pixels(picture: Picture, corners: ndarray, cells: int, cut_off: bool) ->
     cut_off = over_exposed and (cut_off or bool(share < LEAST_SHARE))
     chosen = chosen if cut_off else valid
     levels = levels[chosen]
-    valid = np.ones(len(levels), dtype=bool)
-    if side > SMALL:
-        points = np.ascontiguousarray(inner[:, chosen.ravel()])
-        return Pixels(points, levels, valid, 1, over_exposed, cut_off)
+    common = levels, np.ones(len(levels), dtype=bool), over_exposed, cut_off
+    if side > _SMALL:
+        return Pixels(np.ascontiguousarray(inner[:, chosen.ravel()]), *common)
     columns, rows = (np.arange(ends[0] - 1, ends[-1] + 2) for ends in (columns, rows))
-    points, grid = _ideal_grid(picture, columns, rows), (len(rows), len(columns))
-    return Pixels(points, levels, valid, 1, over_exposed, cut_off, grid=grid, chosen=chosen)
+    return Pixels(_ideal_grid(picture, columns, rows), *common, chosen=chosen)
 
 
 def _box(image: ndarray, outline: ndarray, step: int) -> tuple[ndarray, ndarray]:
     """Return the columns and rows of the image around an outline (4, 2), every `step`-th."""
-    limits = np.array(image.shape[::-1]) - 1.0
-    low = np.clip(outline.min(axis=0), 0.0, limits)
-    high = np.clip(outline.max(axis=0), 0.0, limits)
-    columns, rows = (
-        np.arange(int(low[axis]), int(np.ceil(high[axis])) + 1, step) for axis in (0, 1)
-    )
+    ends = np.floor(outline.min(axis=0)), np.ceil(outline.max(axis=0))
+    ends = np.clip(ends, 0, np.array(image.shape[::-1]) - 1).astype(int)
+    columns, rows = (np.arange(low, high + 1, step) for low, high in ends.T)
     return columns, rows
 
 
@@ -253,7 +263,7 @@ def _edge_pixels(
     picture: Picture, corners: ndarray, pattern: ndarray, cut_off: bool
 ) -> Pixels:
     """Return the pixels on either side of places along all edges in a pattern."""
-    _, points, across = edges_of(pattern, homography(corners))
+    _, points, across = _edges_of(pattern, homography(corners))
     offsets = np.arange(-_REACH, _REACH + 1.0)[:, None, None]
     seen = np.rint(picture.seen(points + offsets * across)).astype(int)
     inside = ((seen >= 0) & (seen < picture.levels.shape[::-1])).all(axis=(0, 2))
@@ -264,15 +274,15 @@ def _edge_pixels(
     if _is_sunlit(by_group):
         valid = np.ones(len(levels), dtype=bool)
         flooded = np.tile((by_group >= _BRIGHTEST).any(axis=0), _GROUP)
-        levels = _less_mean(levels[None], valid, _GROUP)[0]
-        return Pixels(points, levels, valid, _GROUP, sunlit=True, flooded=flooded)
+        levels = _less_mean(levels[None], valid)[0]
+        return Pixels(points, levels, valid, False, False, _GROUP, flooded=flooded)
     valid = _valid_in_groups(levels)
     of_groups = valid.reshape(_GROUP, -1)
     over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
     cut_off = over_exposed and (cut_off or _is_uneven(by_group))
     valid |= cut_off
-    levels = _less_mean(levels[None], valid, _GROUP)[0]
-    return Pixels(points, levels, valid, _GROUP, over_exposed, cut_off)
+    levels = _less_mean(levels[None], valid)[0]
+    return Pixels(points, levels, valid, over_exposed, cut_off, _GROUP)
 
 
 def _is_sunlit(levels: ndarray) -> bool:
@@ -306,21 +316,21 @@ def _is_uneven(levels: ndarray) -> bool:
     return bool(high - low > _UNEVEN * (_BRIGHTEST - low))
 
 
-def edges_of(
+def _edges_of(
     pattern: ndarray, to_image: ndarray
 ) -> tuple[ndarray, ndarray, ndarray]:
     """Return places where black meets white, in the unit square and in px, and normals in px.
 
     All are (n, 2). A normal is 1 px long and points to white.
     """
-    places, normals = _edges(pattern.tobytes(), len(pattern))
+    places, normals = _unit_edges(pattern.tobytes(), len(pattern))
     points, beside = mapped(places, to_image), mapped(places + 1e-3 * normals, to_image)
     across = beside - points
     return places, points, across / np.hypot(across[:, 0], across[:, 1])[:, None]
 
 
 @lru_cache(maxsize=64)
-def _edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
+def _unit_edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
     """Return places (n, 2) of the unit square where black meets white, and normals to white."""
     white = np.frombuffer(pattern, np.uint8).reshape(cells, cells) > 0
     white = np.pad(white, 1, constant_values=True)
@@ -337,3 +347,112 @@ def _edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
         to_white = np.where(cells_of[1:-1, 1:][row, column], 1.0, -1.0)
         normals.append(np.outer(np.repeat(to_white, each), np.array([1.0, 0.0])[::order]))
     return np.concatenate(points) / cells, np.concatenate(normals)
+
+
+# Reach to either side within which an edge is searched: in cells, and at most in px.
+_SEARCHED = 0.45
+_FARTHEST = 16.0
+# Least rise of an edge, as a share of the median rise.
+_LEAST_EDGE_RISE = 0.35
+# An edge is in its place within so many px, or cells, whichever is more.
+_NEAR = 1.2
+_NEAR_CELLS = 0.06
+# Share of misplaced edges above which a side is suspected, and by which the share must fall
+# without that side.
+_MISPLACED = 0.1
+_FEWER = 0.05
+# Rounds of the fit; each weights edges by the inverse of the distance that is left, px at least.
+_ROUNDS = 4
+_LEAST_LEFT = 0.3
+# Least places that determine eight coefficients well.
+_LEAST_PLACES = 24
+# Sides of the unit square: axis and coordinate.
+_SIDES = (0, 0.0), (0, 1.0), (1, 0.0), (1, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Edges that are seen.
+
+    Attributes:
+        places: (n, 2) of the unit square.
+        off: (n,) px towards white from where they should be.
+        moves: (n, 8) derivatives of `off`, px, by the coefficients of `moves_of`.
+    """
+
+    places: ndarray
+    off: ndarray
+    moves: ndarray
+
+    def fit_without(self, side: tuple[int, float]) -> ndarray:
+        """Return the coefficients (8,) of least distances to the edges that are not at a side."""
+        used = self.places[:, side[0]] != side[1]
+        columns, off = self.moves[used], self.off[used]
+        left, coefficients = off, np.zeros(8)
+        for _ in range(_ROUNDS):
+            weighted = columns / np.maximum(np.abs(left), _LEAST_LEFT)[:, None]
+            coefficients = solve_symmetric(weighted.T @ columns, weighted.T @ off)
+            left = off - columns @ coefficients
+        return coefficients
+
+
+def without_hidden_side(picture: Picture, corners: ndarray, pattern: ndarray) -> ndarray:
+    """Return the corners (4, 2) of a large marker in ideal px, corrected for a hidden side.
+
+    They are those given, unless many edges are misplaced and fewer are if one side is left out.
+
+    Args:
+        picture: the image.
+        corners: (4, 2) ideal px, clockwise from the marker's top left, to half a cell.
+        pattern: (n, n) cells with the border, 1 for white.
+    """
+    seen = _edges_seen(picture, corners, pattern) if mean_side(corners) > _SMALL else None
+    if seen is None:
+        return corners
+    cell = mean_side(corners) / len(pattern)
+    near = max(_NEAR, _NEAR_CELLS * cell)
+    misplaced = _share_beyond(near, seen.off)
+    if misplaced <= _MISPLACED:
+        return corners
+    fits = [seen.fit_without(side) for side in _SIDES]
+    shares = [_share_beyond(near, seen.off - seen.moves @ fit) for fit in fits]
+    hidden = int(np.argmin(shares))
+    if not shares[hidden] < misplaced - _FEWER:
+        return corners
+    moved = _moved(corners, fits[hidden])
+    again = _edges_seen(picture, moved, pattern)
+    if again is not None:
+        moved = _moved(moved, again.fit_without(_SIDES[hidden]))
+    is_near = np.abs(moved - corners).max() <= cell
+    return moved if is_near else corners
+
+
+def _share_beyond(near: float, off: ndarray) -> float:
+    """Return the share of distances (n,) that are not within `near` px; NaN is not."""
+    return 1.0 - float((np.abs(off) <= near).mean())
+
+
+def _moved(corners: ndarray, coefficients: ndarray) -> ndarray:
+    """Return corners (4, 2) moved by coefficients (8,) of `moves_of`."""
+    return corners + (moves_of(corners, homography(corners)) @ coefficients).reshape(4, 2)
+
+
+def _edges_seen(picture: Picture, corners: ndarray, pattern: ndarray) -> _Edges | None:
+    """Return the edges that are seen near to where they should be; None if they are few."""
+    reach = max(1, math.floor(min(_FARTHEST, _SEARCHED * (mean_side(corners) / len(pattern)))))
+    to_image = homography(corners)
+    places, points, across = _edges_of(pattern, to_image)
+    offsets = np.arange(-reach - 2.0, reach + 3.0)[:, None, None]
+    levels = picture.at(points + offsets * across)
+    rises = levels[3:-1] + levels[4:] - levels[:-4] - levels[1:-3]
+    most = rises.max(axis=0)
+    shown = most > _LEAST_EDGE_RISE * np.median(most)
+    if np.count_nonzero(shown) < _LEAST_PLACES:
+        return None
+    off = rises.argmax(axis=0)[shown] - float(reach)
+    places, points, across = places[shown], points[shown], across[shown]
+    # How far an edge moves along its normal with its place.
+    third = (places @ to_image[2, :2] + to_image[2, 2])[:, None]
+    along = across @ to_image[:2, :2] - (across * points).sum(axis=1)[:, None] * to_image[2, :2]
+    moves = by_shape((along / third).T, (places - 0.5).T)
+    return _Edges(places, off, np.ascontiguousarray(moves.T))
