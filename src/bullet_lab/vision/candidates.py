@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.images import NEXT, cross, intersections
+from bullet_lab.vision.images import NEXT, cross, intersections, lengths_of, right_of
 
 # Least area of a quadrilateral, by the square of its outline's length: 1/16 of a square, a third
 # of that of one that is seen at 80 degrees.
@@ -289,8 +289,7 @@ def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
     trims = (trim * steps).astype(int)
     starts, counts = places + trims, steps - 2 * trims + 1
     means = (sums[:, starts + counts] - sums[:, starts]) / counts
-    angle = _line_angle(*means)
-    normals = np.stack((np.sin(angle), -np.cos(angle)), axis=-1)
+    normals = right_of(_directions(*means))
     corners = points.T[places]
     normals[cross(corners[:, NEXT] - corners, normals) > 0.0] *= -1.0
     # The contour runs through the centres of the outermost dark pixels.
@@ -311,19 +310,20 @@ def _outline(contour: ndarray, offset: tuple[int, int], min_side: float) -> _Out
     # OpenCV runs around a dark piece counter-clockwise.
     corners, points = simple[::-1, 0].astype(float), contour[::-1, 0].astype(float)
     edges = corners[NEXT] - corners
-    if np.hypot(edges[:, 0], edges[:, 1]).min() < _MIN_EDGE * length:
+    if lengths_of(edges).min() < _MIN_EDGE * length:
         return None
     # A complex number is compared at once, both coordinates.
     places = (points.view(complex) == corners.view(complex).T).argmax(axis=0)
     return _Outline(points[0] + offset, np.tile(points - points[0], (2, 1)), places)
 
 
-def _line_angle(
+def _directions(
     x: ndarray, y: ndarray, x_squares: ndarray, products: ndarray, y_squares: ndarray
 ) -> ndarray:
-    """Return the direction, rad, of lines by the means of points' x, y, x², x y and y²."""
+    """Return the unit vectors (..., 2) of lines by the means of points' x, y, x², x y and y²."""
     x_variance, y_variance = x_squares - x * x, y_squares - y * y
-    return 0.5 * np.arctan2(2.0 * (products - x * y), x_variance - y_variance)
+    angle = 0.5 * np.arctan2(2.0 * (products - x * y), x_variance - y_variance)
+    return np.stack((np.cos(angle), np.sin(angle)), axis=-1)
 
 
 class _HullSides(NamedTuple):
@@ -371,7 +371,7 @@ def _hull_sides(contour: ndarray, offset: tuple[int, int]) -> _HullSides | None:
     if len(corners) not in _HULL_CORNERS:
         return None
     edges = np.roll(corners, -1, axis=0) - corners
-    longest = np.sort(np.argsort(-np.hypot(edges[:, 0], edges[:, 1]), kind="stable")[:4])
+    longest = np.sort(np.argsort(-lengths_of(edges), kind="stable")[:4])
     some = contour[:: 1 + len(contour) // _MOST_POINTS, 0].astype(float)
     return _HullSides(some + offset, corners[longest] + offset, edges[longest], area)
 
@@ -385,7 +385,7 @@ def _lines_along(hulls: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
     owners = np.repeat(np.arange(len(hulls)), [len(hull.points) for hull in hulls])
     along = np.stack([hull.along for hull in hulls])
     points = np.stack([hull.first for hull in hulls]) + 0.5 * along
-    lengths = np.hypot(along[..., 0], along[..., 1])
+    lengths = lengths_of(along)
     along /= lengths[..., None]
     for half_width, rounds in _STRIPS:
         away, own = contours[:, None] - points[owners], along[owners]
@@ -399,7 +399,7 @@ def _lines_along(hulls: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
         enough = enough.reshape(-1, 4, 1)
         points = points + np.where(enough, moved.reshape(-1, 4, 2), 0.0)
         along = np.where(enough, turned.reshape(-1, 4, 2), along)
-    return points, np.stack((along[..., 1], -along[..., 0]), axis=-1)
+    return points, right_of(along)
 
 
 def _lines_through(
@@ -424,9 +424,7 @@ def _lines_through(
             parts = (weights, by_x, by_y, by_x * x, by_x * y, by_y * y)
             total, *sums = (np.bincount(line, part, count) for part in parts)
             means = [part / total for part in sums]
-            angle = _line_angle(*means)
-            middle = np.stack(means[:2], axis=-1)
-            along = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+            middle, along = np.stack(means[:2], axis=-1), _directions(*means)
             across = cross(points - middle[line], along[line])
             weights = 1.0 / np.maximum(np.abs(across), _ON_LINE)
     return middle, along

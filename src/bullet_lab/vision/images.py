@@ -169,14 +169,23 @@ def cross(first: ndarray, second: ndarray) -> ndarray:
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
+def lengths_of(vectors: ndarray) -> ndarray:
+    """Return the lengths (...) of vectors (..., 2)."""
+    return np.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def right_of(vectors: ndarray) -> ndarray:
+    """Return vectors (..., 2) turned by a quarter: on a clockwise outline, they point outward."""
+    return np.stack((vectors[..., 1], -vectors[..., 0]), axis=-1)
+
+
 def mean_side(quads: ndarray) -> ndarray:
     """Return the mean length (...) of the sides of (..., 4, 2) corners.
 
     >>> float(mean_side(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]])))
     2.0
     """
-    sides = quads[..., NEXT, :] - quads
-    return np.hypot(sides[..., 0], sides[..., 1]).mean(axis=-1)
+    return lengths_of(quads[..., NEXT, :] - quads).mean(axis=-1)
 
 
 def homography(corners: ndarray) -> ndarray:

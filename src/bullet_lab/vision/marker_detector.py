@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Iterable, Sequence, Tuple
+from dataclasses import dataclass, replace
+from typing import Iterable, Iterator, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -115,13 +115,13 @@ class DetectedMarker:
 class DetectionReport:
     """Statistics of a detection, to explain why nothing was found."""
 
+    mean: float  #: of the grey levels
+    contrast: float  #: grey levels between its darkest and its brightest pixel
+    noise: float  #: standard deviation of the grey levels' noise
     quads: int = 0  #: dark quadrilaterals that were tried
     undecoded: int = 0  #: number of them that are no marker
-    cropped: list[int] = field(default_factory=list)  #: ids dropped at the edge of the image
-    other_ids: list[int] = field(default_factory=list)  #: ids seen and not asked for
-    mean: float = 0.0  #: of the grey levels
-    contrast: float = 0.0  #: grey levels between its darkest and its brightest pixel
-    noise: float = 0.0  #: standard deviation of the grey levels' noise
+    cropped: Sequence[int] = ()  #: ids dropped at the edge of the image
+    other_ids: Sequence[int] = ()  #: ids seen and not asked for
     second_pass: bool = False  #: whether the image was searched twice
 
 
@@ -157,10 +157,9 @@ class MarkerDetector:
         return Detections(both, (detections if detections.markers else negative).report)
 
     def _detect(self, picture: Picture) -> Detections:
-        grey, report = picture.levels, DetectionReport()
+        grey = picture.levels
         low, high = float(grey.min()), float(grey.max())
-        report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low
-        report.noise = noise_level(grey)
+        report = DetectionReport(float(cv2.mean(grey)[0]), high - low, noise_level(grey))
         smooth, least = _prepare(grey, low, high, report.noise)
         search = CandidateSearch(smooth, self.settings.min_side)
         quads = search.first_pass(max(least, self.settings.contrast))
@@ -179,94 +178,71 @@ class MarkerDetector:
         self, picture: Picture, quads: ndarray, report: DetectionReport
     ) -> list[DetectedMarker]:
         """Return the markers among quadrilaterals (n, 4, 2), and fill in the report."""
-        quads, versions = self._likely(picture, quads, report)
         found: list[Decoded] = []
-        report.cropped, report.other_ids = [], []
-        for one in self._first_decoded(picture, quads, versions):
-            if one is None:
-                report.undecoded += 1
-            else:
-                add_decoded(one, found)
+        outlines = self._outlines(picture, quads)
+        decoded = self._first_decoded(picture, outlines)
+        report.quads, report.undecoded = len(outlines), len(outlines) - len(decoded)
+        for one in decoded:
+            add_decoded(one, found)
         # There may be other markers in their white cells.
         for read, corners in found[:]:
-            pattern = self.dictionary.pattern(read.marker)
-            size = mean_side(corners)
+            pattern, size = self.dictionary.pattern(read.marker), mean_side(corners)
             smaller = [other for _, other in found if mean_side(other) < size]
             inner = quads_in_cells(picture, corners, pattern, self.settings.min_side, smaller)
-            for one in self._decode(picture, inner):
-                if one is not None:
-                    add_decoded(one, found)
+            for _, one in self._decoded(picture, inner):
+                add_decoded(one, found)
         return self._choose(found, picture, report)
 
-    def _likely(
-        self, picture: Picture, quads: ndarray, report: DetectionReport
-    ) -> tuple[ndarray, list[range]]:
-        """Return those (n, 4, 2) that may be markers, and the index ranges of versions of one.
+    def _outlines(self, picture: Picture, quads: ndarray) -> list[ndarray]:
+        """Return up to `_TRIES` versions (k, 4, 2) of each outline among (n, 4, 2), largest first.
 
-        The largest come first. The others are counted in the report.
+        Versions that cannot be a marker are left out.
         """
-        report.quads = report.undecoded = 0
         if not len(quads):
-            return quads, []
+            return []
         sides = mean_side(quads)
         order = np.argsort(-sides, kind="stable")
         quads, sides = quads[order], sides[order]
         likely = may_be_markers(picture, quads, self.dictionary.cells)
         same = _same_quads(quads, sides)
-        versions, done = [], np.zeros(len(quads), dtype=bool)
-        chosen: list[int] = []
-        for index in range(len(quads)):
-            if done[index]:
-                continue
-            if report.quads == self.settings.max_quads:
-                break
-            alike = same[index] & ~done
-            done |= alike
-            report.quads += 1
-            tried = np.flatnonzero(alike & likely)[:_TRIES].tolist()
-            if tried:
-                versions.append(range(len(chosen), len(chosen) + len(tried)))
-                chosen += tried
-            else:
-                report.undecoded += 1
-        return quads[chosen], versions
+        outlines: list[ndarray] = []
+        left = np.ones(len(quads), dtype=bool)
+        while left.any() and len(outlines) < self.settings.max_quads:
+            versions = same[left.argmax()] & left
+            left &= ~versions
+            outlines.append(quads[versions & likely][:_TRIES])
+        return outlines
 
-    def _first_decoded(
-        self, picture: Picture, quads: ndarray, versions: Sequence[range]
-    ) -> list[Decoded | None]:
-        """Return the marker of the first version of each one that is a marker, or None."""
-        found: list[Decoded | None] = [None] * len(versions)
+    def _first_decoded(self, picture: Picture, outlines: Sequence[ndarray]) -> list[Decoded]:
+        """Return the marker of the first version of each outline that is a marker."""
+        found: dict[int, Decoded] = {}
         for attempt in range(_TRIES):
-            left = [k for k, same in enumerate(versions) if not found[k] and attempt < len(same)]
-            tried = quads[[versions[k][attempt] for k in left]] if left else quads[:0]
-            for k, one in zip(left, self._decode(picture, tried)):
-                found[k] = one
-        return found
+            left = [k for k, one in enumerate(outlines) if k not in found and attempt < len(one)]
+            tried = np.array([outlines[k][attempt] for k in left])
+            found.update((left[index], one) for index, one in self._decoded(picture, tried))
+        return [found[k] for k in sorted(found)]
 
-    def _decode(self, picture: Picture, quads: ndarray) -> list[Decoded | None]:
-        """Return the marker at each of (n, 4, 2) quadrilaterals, px of the image, or None."""
-        cells = self.dictionary.cells
+    def _decoded(self, picture: Picture, quads: ndarray) -> Iterator[tuple[int, Decoded]]:
+        """Yield the indices of (n, 4, 2) quadrilaterals, px, that are markers, and the markers."""
         if not len(quads):
-            return []
-        corners = refine_corners(picture, quads, cells + 2)
-        sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
-        decoded: list[Decoded | None] = [None] * len(quads)
-        matches = decode(
-            picture, corners[sound], self.dictionary, self._correction, self._border_errors
-        )
-        for index, match in zip(sound.tolist(), matches):
+            return
+        dictionary = self.dictionary
+        corners = refine_corners(picture, quads, dictionary.cells + 2)
+        sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2))).tolist()
+        limits = self._correction, self._border_errors
+        for index, match in zip(sound, decode(picture, corners[sound], dictionary, *limits)):
             if match is not None and match.likeness >= self.settings.likeness:
-                decoded[index] = match, np.roll(corners[index], match.turns, axis=0)
-        return decoded
+                yield index, (match, np.roll(corners[index], match.turns, axis=0))
 
     def _choose(
-        self, found: list[Decoded], picture: Picture, report: DetectionReport
+        self, found: Sequence[Decoded], picture: Picture, report: DetectionReport
     ) -> list[DetectedMarker]:
         """Return the markers that were asked for and are whole, with their corners fitted."""
-        border, chosen = self.settings.border, []
-        largest = np.array(picture.levels.shape[::-1]) - 1 - border
+        report.cropped, report.other_ids, chosen = [], [], []
+        border, (height, width) = self.settings.border, picture.levels.shape
         for read, ideal in found:
             corners = picture.seen(ideal)
+            largest = np.array((width, height)) - 1 - border
             if self.settings.ids and read.marker not in self.settings.ids:
                 report.other_ids.append(read.marker)
             elif not ((corners >= border) & (corners <= largest)).all():
@@ -315,11 +291,10 @@ def add_decoded(decoded: Decoded, found: list[Decoded]) -> None:
 
 
 def _same_marker(first: Decoded, second: Decoded) -> bool:
-    if first[0].marker != second[0].marker:
-        return False
-    sides = mean_side(first[1]), mean_side(second[1])
+    small, large = sorted((mean_side(first[1]), mean_side(second[1])))
     away = np.linalg.norm(first[1].mean(axis=0) - second[1].mean(axis=0))
-    return max(sides) < _ONE_MARKER * min(sides) and bool(away < _BESIDE * min(sides))
+    is_one = first[0].marker == second[0].marker and large < _ONE_MARKER * small
+    return is_one and bool(away < _BESIDE * small)
 
 
 def _prepare(grey: ndarray, low: float, high: float, noise: float) -> tuple[ndarray, float]:

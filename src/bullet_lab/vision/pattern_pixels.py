@@ -18,6 +18,7 @@ from bullet_lab.vision.images import (
     UNIT_SQUARE,
     Picture,
     homography,
+    lengths_of,
     mapped,
     mean_side,
     solve_symmetric,
@@ -326,7 +327,7 @@ def _edges_of(
     places, normals = _unit_edges(pattern.tobytes(), len(pattern))
     points, beside = mapped(places, to_image), mapped(places + 1e-3 * normals, to_image)
     across = beside - points
-    return places, points, across / np.hypot(across[:, 0], across[:, 1])[:, None]
+    return places, points, across / lengths_of(across)[:, None]
 
 
 @lru_cache(maxsize=64)

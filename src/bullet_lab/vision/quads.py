@@ -17,7 +17,9 @@ from bullet_lab.vision.images import (
     Picture,
     homography,
     intersections,
+    lengths_of,
     mapped,
+    right_of,
 )
 
 # Reach to either side of a line within which its edge is looked for, and sampling step, px: first
@@ -68,10 +70,10 @@ def _refine_once(
 ) -> ndarray:
     refined = np.full(corners.shape, np.nan)
     edges = corners[:, NEXT] - corners
-    lengths = np.hypot(edges[..., 0], edges[..., 1])
+    lengths = lengths_of(edges)
     usable = np.isfinite(lengths).all(axis=1) & (lengths.min(axis=1) >= _LEAST_SIDE)
     corners, edges, lengths = corners[usable], edges[usable], lengths[usable]
-    outward = np.stack((edges[..., 1], -edges[..., 0]), axis=-1) / lengths[..., None]
+    outward = right_of(edges) / lengths[..., None]
     cell = 0.5 * (lengths[:, PREVIOUS] + lengths[:, NEXT]) / cells
     reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * cell))
     steps = int(np.ceil(reach / step))
@@ -83,8 +85,7 @@ def _refine_once(
     # Two points of each line: beside the old corners.
     first = corners + outward * level[..., None]
     second = corners + edges + outward * (level + slope)[..., None]
-    along = second - first
-    met = intersections(first, np.stack((along[..., 1], -along[..., 0]), axis=-1))
+    met = intersections(first, right_of(second - first))
     seen = (weights > 0.0).sum(axis=-1)
     met[seen.min(axis=1) < _LEAST_SEEN * _CROSSINGS] = np.nan
     refined[usable] = met
@@ -175,8 +176,7 @@ def quads_in_cells(
         (m, 4, 2) corners u, v in px of the image, clockwise.
     """
     cells = len(pattern)
-    sides = corners[NEXT] - corners
-    if float(np.hypot(sides[:, 0], sides[:, 1]).min()) < cells * min_side:
+    if lengths_of(corners[NEXT] - corners).min() < cells * min_side:
         return _NONE
     to_image = homography(corners)
     levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
