@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.images import NEXT, Picture, mean_side
+from bullet_lab.vision.images import NEXT, Picture, lengths_of, mean_side, right_of
 from bullet_lab.vision.pattern_model import PatternModel, moves_of
 from bullet_lab.vision.pattern_pixels import (
     LEAST_AROUND,
@@ -175,8 +175,7 @@ class _Fitted(NamedTuple):
 
 def _fit(pixels: Pixels, picture: Picture, corners: ndarray, pattern: ndarray) -> _Fitted:
     """Return the fit to a set of pixels, starting at corners."""
-    start = corners
-    most_moved = _MOST_MOVED * (mean_side(corners) / len(pattern))
+    start, most_moved = corners, _MOST_MOVED * mean_side(corners) / len(pattern)
     spread, light = np.array(_FIRST_SPREAD), None
     for left in reversed(range(_MOST_ROUNDS)):
         linear = _Linearised(pixels, corners, spread, light, pattern)
@@ -259,10 +258,10 @@ class _Linearised:
             light = _Equations(columns, levels, np.ones(columns.shape[1])).solution()
         self.light = light
         self.residuals = levels - light @ columns
-        if pixels.flooded is not None:
-            contrast, _ = pixels.own_contrast(value)
-        else:
+        if pixels.flooded is None:
             contrast = model.contrast(light)
+        else:
+            contrast, _ = pixels.own_contrast(value)
         self._weigh(contrast, spread)
         shape = np.concatenate((model.shape(contrast), model.blur(contrast)))
         shape = pixels.seen(shape, shared, value)
@@ -270,12 +269,12 @@ class _Linearised:
         self.columns = np.concatenate((columns, shape, by_shared))
 
     def _columns_of_light(self) -> ndarray:
-        pixels, model = self.pixels, self.model
-        if pixels.flooded is not None:
-            # Each group has a contrast of its own.
-            return model.light(True, False, pixels.flooded)[:-_OF_CONTRAST]
-        bowed = not (pixels.group > 1 and pixels.valid.all())
-        return model.light(pixels.group > 1, bowed, pixels.cut_off)
+        pixels, light = self.pixels, self.model.light
+        grouped = pixels.group > 1
+        if pixels.flooded is None:
+            return light(grouped, not (grouped and pixels.valid.all()), pixels.cut_off)
+        # Each group has a contrast of its own.
+        return light(True, False, pixels.flooded)[:-_OF_CONTRAST]
 
     def _weigh(self, contrast: ndarray, spread: ndarray) -> None:
         """Find the pixels that are the marker's, and the residuals' weights."""
@@ -311,15 +310,13 @@ class _Linearised:
         return _Equations(self.columns, self.residuals, self.weights, _BLUR_PRIOR).solution()
 
 
-def _shown(
-    pixels: Pixels, value: ndarray, contrast: ndarray, noise: ndarray
-) -> ndarray:
+def _shown(pixels: Pixels, value: ndarray, contrast: ndarray, noise: ndarray) -> ndarray:
     """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
 
     Where something hides an edge there is none. In a noisy image no pixel shows that by itself. If
     each place has a contrast of its own, all that can be tested is whether there is any.
     """
-    if not pixels.group > 1:
+    if pixels.group == 1:
         return np.ones(len(noise))
     own, squares = pixels.own_contrast(value)
     deviation = noise / np.sqrt(squares)
@@ -367,7 +364,7 @@ class _Judged:
         for side, points in enumerate(self._linear.model.sides()):
             at_side = self._linear.pixels.own(points)
             others = self._equations(self._own & ~at_side)
-            across = np.array([-along[side, 1], along[side, 0]]) / np.hypot(*along[side])
+            across = right_of(along[side]) / lengths_of(along[side])
             to_ends = np.einsum("k,ekm->em", across, to_corners[[side, NEXT[side]]])
             off = np.abs(to_ends @ others.solution()[_SHAPE])
             by_shape = others.inverse()[_SHAPE, _SHAPE]
