@@ -14,7 +14,7 @@ from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 from bullet_lab.vision.marker_pose import estimate_pose
 from bullet_lab.vision.pattern_fit import fit_pattern
 from bullet_lab.vision.pattern_model import PatternModel, moves_of
-from bullet_lab.vision.pattern_sides import without_hidden_side
+from bullet_lab.vision.pattern_pixels import without_hidden_side
 
 PATTERN = dictionary_named(TAGS).pattern(0)
 VIEW = View(2.0, yaw=25.0, pitch=4.0, roll=10.0, shift=(0.1, 0.05))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Tuple
 
 import cv2
 import cv_bridge
@@ -17,6 +16,7 @@ from geometry_msgs.msg import (
     Vector3,
 )
 from geometry_msgs.msg import Pose as PoseMessage
+from numpy import ndarray
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
@@ -25,7 +25,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.msg import ImagePoints, MarkerDetection
 from bullet_lab.vision.images import LEAST_EDGE
 from bullet_lab.vision.marker_detector import DetectedMarker
-from bullet_lab.vision.marker_pose import MarkerPose, ObservedMarker
+from bullet_lab.vision.marker_pose import MarkerPose
 
 # px
 _LARGEST_EDGE = 16384
@@ -39,7 +39,7 @@ class ImageError(LabError):
     """An image message has an invalid size or encoding."""
 
 
-def pixels_of(message: Image, encoding: str) -> np.ndarray:
+def pixels_of(message: Image, encoding: str) -> ndarray:
     """Return the image of a message as (h, w) for mono8 or (h, w, 3) for bgr8, uint8.
 
     Raises:
@@ -53,7 +53,7 @@ def pixels_of(message: Image, encoding: str) -> np.ndarray:
         raise ImageError(f"an image of encoding '{message.encoding}': {reason}") from error
 
 
-def image_message(header: Header, pixels: np.ndarray, encoding: str) -> Image:
+def image_message(header: Header, pixels: ndarray, encoding: str) -> Image:
     """Return an image (h, w) or (h, w, channels) uint8 as a message with a given header."""
     height, width = pixels.shape[:2]
     data = np.ascontiguousarray(pixels)
@@ -76,7 +76,7 @@ def _check_sizes(message: Image) -> None:
         raise ImageError(f"{len(message.data)} bytes for {height} rows of {message.step}")
 
 
-def points_message(header: Header, shape: Tuple[int, int], points: np.ndarray) -> ImagePoints:
+def points_message(header: Header, shape: tuple[int, int], points: ndarray) -> ImagePoints:
     """Return (n, 3) points u, v, strength of an image of a shape (h, w) as a message."""
     height, width = shape
     return ImagePoints(header, width, height, [Point32(u, v, s) for u, v, s in points])
@@ -113,7 +113,7 @@ def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False
         raise CameraGeometryError(f"camera_info: {error}") from error
 
 
-def _region(info: CameraInfo, width: int, height: int) -> Tuple[int, int]:
+def _region(info: CameraInfo, width: int, height: int) -> tuple[int, int]:
     """Return the offset (px) of the image in the full image that K describes."""
     if info.binning_x > 1 or info.binning_y > 1:
         binning = f"{info.binning_x} x {info.binning_y}"
@@ -126,7 +126,7 @@ def _region(info: CameraInfo, width: int, height: int) -> Tuple[int, int]:
     return region.x_offset, region.y_offset
 
 
-def _distortion(info: CameraInfo) -> Tuple[float, ...]:
+def _distortion(info: CameraInfo) -> tuple[float, ...]:
     values = tuple(info.D)
     if not any(values):
         return _NO_DISTORTION
@@ -146,18 +146,22 @@ def covariance_message(pose: MarkerPose) -> PoseWithCovariance:
     return PoseWithCovariance(marker_pose_message(pose), pose.covariance.ravel().tolist())
 
 
-def detection_message(marker: DetectedMarker, dictionary: str) -> MarkerDetection:
-    """Return a marker without a pose as a message, when there is no camera_info."""
+def detection_message(
+    marker: DetectedMarker, pose: MarkerPose | None, dictionary: str
+) -> MarkerDetection:
+    """Return a marker as a message.
+
+    Args:
+        marker: an `ObservedMarker` if it has a pose.
+        pose: the chosen one of its two poses; None: there is no camera_info.
+        dictionary: its name.
+    """
     message = MarkerDetection(id=marker.id, dictionary=dictionary, bit_errors=marker.bit_errors)
     message.corners = np.asarray(marker.corners, dtype=float).ravel().tolist()
     message.deviations = marker.deviations.ravel().tolist()
-    message.pose.pose.orientation.w = message.alternative_pose.orientation.w = 1.0
-    return message
-
-
-def located_message(marker: ObservedMarker, dictionary: str, pose: MarkerPose) -> MarkerDetection:
-    """Return a marker with the chosen one of its two poses as a message."""
-    message = detection_message(marker, dictionary)
+    if pose is None:
+        message.pose.pose.orientation.w = message.alternative_pose.orientation.w = 1.0
+        return message
     estimate = marker.pose
     other = estimate.alternative if pose is estimate.best else estimate.best
     message.size = marker.size
