@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, Mapping, Optional, Sequence, Tuple
+from typing import Any, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon, Wedge
+from matplotlib.patches import Circle, Polygon, Rectangle, Wedge
+from numpy import ndarray
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.studies.detection_range.trial import Snapshot
@@ -64,8 +65,9 @@ def _draw_map(
     axes.set_yticks(range(len(bearings)), [f"{value:g}" for value in bearings], fontsize=8)
     for row in rows:
         x, y = distances.index(row["distance_m"]), bearings.index(row["bearing_deg"])
-        square = [(x - 0.5, y - 0.5), (x + 0.5, y - 0.5), (x + 0.5, y + 0.5), (x - 0.5, y + 0.5)]
-        axes.add_patch(Polygon(square, facecolor=_colour(row), edgecolor="white", linewidth=0.5))
+        square = Rectangle((x - 0.5, y - 0.5), 1.0, 1.0)
+        square.set(facecolor=_colour(row), edgecolor="white", linewidth=0.5)
+        axes.add_patch(square)
         if row["visible"] or row["found"]:
             shade = "white" if row["rate"] < 0.25 or row["rate"] > 0.9999 else BLACK
             text = f"{math.floor(100.0 * row['rate']):d}"
@@ -81,7 +83,7 @@ def _colour(row: Record) -> str:
 def range_figure(
     rows: Sequence[Record],
     summary: Mapping[str, Any],
-    pictures: Mapping[Tuple[str, float], Snapshot],
+    pictures: Mapping[tuple[str, float], Snapshot],
 ) -> Figure:
     """Draw the answer to the report's question: how close, how far.
 
@@ -166,7 +168,7 @@ def _draw_robot(axes: Axes, distance: float, colour: str) -> None:
     )  # fmt: skip
 
 
-def _edges(values: Sequence[float]) -> Dict[float, Tuple[float, float]]:
+def _edges(values: Sequence[float]) -> dict[float, tuple[float, float]]:
     """Return, for each of the sorted values, the midpoints to its neighbours."""
     middles = [0.5 * (a + b) for a, b in zip(values, values[1:])]
     first = max(0.0, values[0] - (middles[0] - values[0] if middles else 0.1))
@@ -235,7 +237,7 @@ def _show_picture(axes: Axes, snapshot: Snapshot) -> None:
     _zoom(axes, snapshot.corners[0], picture.shape)
 
 
-def _zoom(axes: Axes, corners: np.ndarray, shape: Tuple[int, ...]) -> None:
+def _zoom(axes: Axes, corners: ndarray, shape: tuple[int, ...]) -> None:
     """Limit the axes to a marker and its surroundings, within the image."""
     side = float(np.linalg.norm(corners[0] - corners[1]))
     middle = corners.mean(axis=0)

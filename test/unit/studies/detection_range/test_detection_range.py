@@ -14,13 +14,6 @@ from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import COLOURS, HIDDEN, heat_map, range_figure
-from bullet_lab.studies.detection_range.scenes import (
-    WORLDS,
-    Cell,
-    PrintedMarker,
-    camera_pose,
-    in_optical_frame,
-)
 from bullet_lab.studies.detection_range.study import (
     RangeSettings,
     describe,
@@ -30,7 +23,17 @@ from bullet_lab.studies.detection_range.study import (
     run_detection_range,
     tasks,
 )
-from bullet_lab.studies.detection_range.trial import CellResult, Frame, Snapshot, judge
+from bullet_lab.studies.detection_range.trial import (
+    WORLDS,
+    Cell,
+    CellResult,
+    Frame,
+    PrintedMarker,
+    Snapshot,
+    camera_pose,
+    in_optical_frame,
+    judge,
+)
 from bullet_lab.studies.workers import TaskLostError
 from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose

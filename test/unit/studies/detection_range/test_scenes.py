@@ -9,7 +9,7 @@ import pytest
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.studies.detection_range.scenes import (
+from bullet_lab.studies.detection_range.trial import (
     MARKER,
     WORLDS,
     Cell,
