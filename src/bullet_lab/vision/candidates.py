@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Iterable, Iterator, NamedTuple, Sequence, Tuple
+from typing import Iterable, Iterator, NamedTuple, Sequence
 
 import cv2
 import numpy as np
@@ -55,9 +55,6 @@ _ON_LINE = 0.05
 # Least points of a line, and most of a contour.
 _LEAST_POINTS = 8
 _MOST_POINTS = 256
-
-# A contour (n, 1, 2), and the offset of its u and v.
-Placed = Tuple[ndarray, Tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -191,8 +188,8 @@ class _DarkPieces(NamedTuple):
     labels: ndarray
     boxes: ndarray
 
-    def contours(self, min_side: float, is_open: bool = False) -> Iterator[Placed]:
-        """Yield the outer contours of the pieces that are large and broad enough.
+    def contours(self, min_side: float, is_open: bool = False) -> Iterator[ndarray]:
+        """Yield the outer contours (n, 1, 2) of the pieces that are large and broad enough.
 
         If `is_open`, a piece may be a line, of which the contour has two sides.
         """
@@ -213,9 +210,11 @@ class _DarkPieces(NamedTuple):
         for number in numbers[fits].tolist():
             u, v, width, height, _ = self.boxes[number].tolist()
             piece = (self.labels[v : v + height, u : u + width] == number).view(np.uint8)
-            contours, _ = cv2.findContours(piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            if len(contours[0]) <= (_OPEN_RAGGED if is_open else _RAGGED) * (width + height):
-                yield contours[0], (u, v)
+            (contour, *_), _ = cv2.findContours(
+                piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(u, v)
+            )
+            if len(contour) <= (_OPEN_RAGGED if is_open else _RAGGED) * (width + height):
+                yield contour
 
 
 def _dark_pieces(grey: ndarray, mask: _Mask, contrast: float) -> _DarkPieces:
@@ -266,9 +265,9 @@ class _Outline:
     corners: ndarray
 
 
-def outlines_of(contours: Iterable[Placed], min_side: float) -> list[_Outline]:
+def outlines_of(contours: Iterable[ndarray], min_side: float) -> list[_Outline]:
     """Return the outlines of the contours with four corners."""
-    outlines = (_outline(contour, offset, min_side) for contour, offset in contours)
+    outlines = (_outline(contour, min_side) for contour in contours)
     return [outline for outline in outlines if outline is not None]
 
 
@@ -298,7 +297,7 @@ def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
     return intersections(on_sides, normals)
 
 
-def _outline(contour: ndarray, offset: tuple[int, int], min_side: float) -> _Outline | None:
+def _outline(contour: ndarray, min_side: float) -> _Outline | None:
     """Return the outline of a contour, or None if it has not four corners."""
     area, length = cv2.contourArea(contour), cv2.arcLength(contour, True)
     # The contour runs through the centres of pixels.
@@ -314,7 +313,7 @@ def _outline(contour: ndarray, offset: tuple[int, int], min_side: float) -> _Out
         return None
     # A complex number is compared at once, both coordinates.
     places = (points.view(complex) == corners.view(complex).T).argmax(axis=0)
-    return _Outline(points[0] + offset, np.tile(points - points[0], (2, 1)), places)
+    return _Outline(points[0], np.tile(points - points[0], (2, 1)), places)
 
 
 def _directions(
@@ -342,10 +341,10 @@ class _HullSides(NamedTuple):
     area: float
 
 
-def _hulls(contours: Iterable[Placed]) -> list[_HullSides]:
+def _hulls(contours: Iterable[ndarray]) -> list[_HullSides]:
     """Return the sides of the largest contours whose hull may be square but for a corner."""
-    by_size = sorted(contours, key=lambda placed: -float(np.ptp(placed[0][:, 0], axis=0).sum()))
-    hulls = (_hull_sides(contour, offset) for contour, offset in by_size[:_MOST_OPEN])
+    by_size = sorted(contours, key=lambda contour: -np.ptp(contour[:, 0], axis=0).sum())
+    hulls = map(_hull_sides, by_size[:_MOST_OPEN])
     return [hull for hull in hulls if hull is not None]
 
 
@@ -362,7 +361,7 @@ def _open_quads(hulls: Sequence[_HullSides]) -> ndarray:
     return quads
 
 
-def _hull_sides(contour: ndarray, offset: tuple[int, int]) -> _HullSides | None:
+def _hull_sides(contour: ndarray) -> _HullSides | None:
     hull = cv2.convexHull(contour)
     area, length = cv2.contourArea(hull), cv2.arcLength(hull, True)
     if area < _LEAST_AREA * length * length:
@@ -373,7 +372,7 @@ def _hull_sides(contour: ndarray, offset: tuple[int, int]) -> _HullSides | None:
     edges = np.roll(corners, -1, axis=0) - corners
     longest = np.sort(np.argsort(-lengths_of(edges), kind="stable")[:4])
     some = contour[:: 1 + len(contour) // _MOST_POINTS, 0].astype(float)
-    return _HullSides(some + offset, corners[longest] + offset, edges[longest], area)
+    return _HullSides(some, corners[longest], edges[longest], area)
 
 
 def _lines_along(hulls: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:

@@ -232,7 +232,7 @@ def _quads_within(
         _, dark = cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)
         contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
-        outer = [(one, (0, 0)) for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
+        outer = [one for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
         outlines = outlines_of(outer, scale * min_side)
         found.append(sound_quads(outlined_quads(outlines, FIRST_TRIM)))
     return (np.concatenate(found) + 0.5) / scale - 0.5 + (left, top)
