@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Iterable, Iterator, NamedTuple, Sequence
 
 import cv2
@@ -57,8 +56,7 @@ _LEAST_POINTS = 8
 _MOST_POINTS = 256
 
 
-@dataclass(frozen=True)
-class _Mask:
+class _Mask(NamedTuple):
     """A threshold between dark and bright.
 
     Attributes:
@@ -250,8 +248,7 @@ def sound_quads(quads: ndarray) -> ndarray:
     return quads[(np.abs(corners) > _LEAST_CORNER).all(axis=1)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Outline:
+class _Outline(NamedTuple):
     """A contour with four corners.
 
     Attributes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Iterator
 
 import cv2
 import numpy as np
@@ -121,12 +122,12 @@ def _load(name: str) -> MarkerDictionary:
     return MarkerDictionary(name, cells, codes, packed, distance)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Match:
     """The marker that a quadrilateral shows."""
 
     marker: int  #: its id
-    turns: int  #: index of the marker's corner that the quadrilateral begins with, clockwise
+    corners: ndarray  #: (4, 2) ideal px, clockwise from its top left
     errors: int  #: bits that were read wrongly
     likeness: float  #: correlation of the grey levels with its pattern, at most 1
 
@@ -205,12 +206,12 @@ def decode(
     dictionary: MarkerDictionary,
     correction: int,
     border_errors: int,
-) -> list[Match | None]:
-    """Return the marker that each of some black squares is; None if it is none.
+) -> Iterator[tuple[int, Match]]:
+    """Yield the markers among some black squares, each after the square's index.
 
     Args:
         picture: the image.
-        corners: (n, 4, 2) of the squares, ideal px.
+        corners: (n, 4, 2) of the squares, ideal px; NaN is no marker.
         dictionary: of the markers.
         correction: most bits that are corrected.
         border_errors: most cells of the border that are not black.
@@ -219,21 +220,16 @@ def decode(
     samples = _levels(picture, corners, _cell_places(dictionary.cells))
     # Data cells, border and one ring around.
     levels = samples.reshape(-1, side, each, side, each).mean(axis=(2, 4))
-    sharp = _sharpened_cells(levels)
     on_border = _second_ring(side)[1:-1, 1:-1]
-    found: list[Match | None] = []
-    for cells, inner in zip(sharp, levels[:, 1:-1, 1:-1]):
+    for index, cells in enumerate(_sharpened_cells(levels)):
         # The cells of a uniform square are NaN.
         if np.isnan(cells[0, 0]) or (cells[on_border] > 0.0).sum() > border_errors:
-            found.append(None)
             continue
         marker, turns, errors = dictionary.nearest(cells[1:-1, 1:-1].ravel())
-        if errors > correction:
-            found.append(None)
-            continue
-        likeness = _likeness(np.rot90(dictionary.pattern(marker), turns), inner)
-        found.append(Match(marker, turns, errors, likeness))
-    return found
+        if errors <= correction:
+            pattern = np.rot90(dictionary.pattern(marker), turns)
+            likeness = _likeness(pattern, levels[index, 1:-1, 1:-1])
+            yield index, Match(marker, np.roll(corners[index], turns, axis=0), errors, likeness)
 
 
 def _likeness(pattern: ndarray, levels: ndarray) -> float:

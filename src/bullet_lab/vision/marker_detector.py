@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Iterable, Iterator, Sequence, Tuple
+from typing import Iterable, Sequence
 
 import cv2
 import numpy as np
@@ -53,9 +53,6 @@ _ALLOWED = {
     "likeness": (0.0, 1.0),
     "max_quads": (1, 10000),
 }
-# A marker and its corners, (4, 2) ideal px from its top left on.
-Decoded = Tuple[Match, ndarray]
-
 
 @dataclass(frozen=True)
 class DetectorSettings:
@@ -178,19 +175,20 @@ class MarkerDetector:
         self, picture: Picture, quads: ndarray, report: DetectionReport
     ) -> list[DetectedMarker]:
         """Return the markers among quadrilaterals (n, 4, 2), and fill in the report."""
-        found: list[Decoded] = []
         outlines = self._outlines(picture, quads)
         decoded = self._first_decoded(picture, outlines)
         report.quads, report.undecoded = len(outlines), len(outlines) - len(decoded)
-        for one in decoded:
-            add_decoded(one, found)
+        found: list[Match] = []
+        for match in decoded:
+            add_match(match, found)
         # There may be other markers in their white cells.
-        for read, corners in found[:]:
-            pattern, size = self.dictionary.pattern(read.marker), mean_side(corners)
-            smaller = [other for _, other in found if mean_side(other) < size]
-            inner = quads_in_cells(picture, corners, pattern, self.settings.min_side, smaller)
-            for _, one in self._decoded(picture, inner):
-                add_decoded(one, found)
+        for outer in found[:]:
+            pattern, size = self.dictionary.pattern(outer.marker), mean_side(outer.corners)
+            smaller = [one.corners for one in found if mean_side(one.corners) < size]
+            least = self.settings.min_side
+            inner = quads_in_cells(picture, outer.corners, pattern, least, smaller)
+            for match in self._decoded(picture, inner).values():
+                add_match(match, found)
         return self._choose(found, picture, report)
 
     def _outlines(self, picture: Picture, quads: ndarray) -> list[ndarray]:
@@ -213,47 +211,44 @@ class MarkerDetector:
             outlines.append(quads[versions & likely][:_TRIES])
         return outlines
 
-    def _first_decoded(self, picture: Picture, outlines: Sequence[ndarray]) -> list[Decoded]:
+    def _first_decoded(self, picture: Picture, outlines: Sequence[ndarray]) -> list[Match]:
         """Return the marker of the first version of each outline that is a marker."""
-        found: dict[int, Decoded] = {}
+        found: dict[int, Match] = {}
         for attempt in range(_TRIES):
             left = [k for k, one in enumerate(outlines) if k not in found and attempt < len(one)]
-            tried = np.array([outlines[k][attempt] for k in left])
-            found.update((left[index], one) for index, one in self._decoded(picture, tried))
+            decoded = self._decoded(picture, np.array([outlines[k][attempt] for k in left]))
+            found.update((left[index], match) for index, match in decoded.items())
         return [found[k] for k in sorted(found)]
 
-    def _decoded(self, picture: Picture, quads: ndarray) -> Iterator[tuple[int, Decoded]]:
-        """Yield the indices of (n, 4, 2) quadrilaterals, px, that are markers, and the markers."""
+    def _decoded(self, picture: Picture, quads: ndarray) -> dict[int, Match]:
+        """Return the markers among (n, 4, 2) quadrilaterals, px, by their indices."""
         if not len(quads):
-            return
-        dictionary = self.dictionary
-        corners = refine_corners(picture, quads, dictionary.cells + 2)
-        sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2))).tolist()
-        limits = self._correction, self._border_errors
-        for index, match in zip(sound, decode(picture, corners[sound], dictionary, *limits)):
-            if match is not None and match.likeness >= self.settings.likeness:
-                yield index, (match, np.roll(corners[index], match.turns, axis=0))
+            return {}
+        corners = refine_corners(picture, quads, self.dictionary.cells + 2)
+        found = decode(picture, corners, self.dictionary, self._correction, self._border_errors)
+        least = self.settings.likeness
+        return {index: match for index, match in found if match.likeness >= least}
 
     def _choose(
-        self, found: Sequence[Decoded], picture: Picture, report: DetectionReport
+        self, found: Sequence[Match], picture: Picture, report: DetectionReport
     ) -> list[DetectedMarker]:
         """Return the markers that were asked for and are whole, with their corners fitted."""
         report.cropped, report.other_ids, chosen = [], [], []
         border, (height, width) = self.settings.border, picture.levels.shape
-        for read, ideal in found:
-            corners = picture.seen(ideal)
-            largest = np.array((width, height)) - 1 - border
-            if self.settings.ids and read.marker not in self.settings.ids:
-                report.other_ids.append(read.marker)
+        largest = np.array((width, height)) - 1 - border
+        for match in found:
+            corners = picture.seen(match.corners)
+            if self.settings.ids and match.marker not in self.settings.ids:
+                report.other_ids.append(match.marker)
             elif not ((corners >= border) & (corners <= largest)).all():
-                report.cropped.append(read.marker)
+                report.cropped.append(match.marker)
             else:
-                chosen.append(self._measured(read, ideal, picture))
+                chosen.append(self._measured(match, picture))
         return chosen
 
-    def _measured(self, read: Match, corners: ndarray, picture: Picture) -> DetectedMarker:
-        pattern = self.dictionary.pattern(read.marker)
-        corners = without_hidden_side(picture, corners, pattern)
+    def _measured(self, match: Match, picture: Picture) -> DetectedMarker:
+        pattern = self.dictionary.pattern(match.marker)
+        corners = without_hidden_side(picture, match.corners, pattern)
         fit = fit_pattern(picture, corners, pattern)
         if fit is None:
             # The pattern does not explain the image, so the outline is not reliable either.
@@ -262,7 +257,7 @@ class MarkerDetector:
         by_ideal = picture.derivatives(fit.corners)
         covariance = by_ideal @ fit.covariance @ by_ideal.T
         seen = picture.seen(fit.corners)
-        return DetectedMarker(read.marker, seen, read.errors, read.likeness, covariance)
+        return DetectedMarker(match.marker, seen, match.errors, match.likeness, covariance)
 
 
 def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
@@ -277,24 +272,24 @@ def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
     return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
 
 
-def add_decoded(decoded: Decoded, found: list[Decoded]) -> None:
+def add_match(match: Match, found: list[Match]) -> None:
     """Add a marker; of two outlines of one marker, keep the one that looks more like it.
 
     A panel before a bright sky has an outline too, about as large as its marker's.
     """
     for index, other in enumerate(found):
-        if _same_marker(decoded, other):
-            if decoded[0].likeness > other[0].likeness:
-                found[index] = decoded
+        if _is_same_marker(match, other):
+            if match.likeness > other.likeness:
+                found[index] = match
             return
-    found.append(decoded)
+    found.append(match)
 
 
-def _same_marker(first: Decoded, second: Decoded) -> bool:
-    small, large = sorted((mean_side(first[1]), mean_side(second[1])))
-    away = np.linalg.norm(first[1].mean(axis=0) - second[1].mean(axis=0))
-    is_one = first[0].marker == second[0].marker and large < _ONE_MARKER * small
-    return is_one and bool(away < _BESIDE * small)
+def _is_same_marker(first: Match, second: Match) -> bool:
+    small, large = sorted((mean_side(first.corners), mean_side(second.corners)))
+    away = np.linalg.norm(first.corners.mean(axis=0) - second.corners.mean(axis=0))
+    is_near = large < _ONE_MARKER * small and away < _BESIDE * small
+    return first.marker == second.marker and bool(is_near)
 
 
 def _prepare(grey: ndarray, low: float, high: float, noise: float) -> tuple[ndarray, float]:

@@ -25,7 +25,7 @@ _CLEAR_RATIO = 2.0
 _CLEAR_SIGMAS = 3.0
 # Least area of a marker in the image, px².
 _LEAST_AREA = 1.0
-# Seconds after which a pose is no hint for the next one.
+# Seconds after which a pose no longer helps to choose the next one.
 _PATIENCE = 1.0
 # A marker moves by less than this part of its distance from one image to the next.
 _NEAR = 0.2

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -371,8 +372,7 @@ _LEAST_PLACES = 24
 _SIDES = (0, 0.0), (0, 1.0), (1, 0.0), (1, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Edges:
+class _Edges(NamedTuple):
     """Edges that are seen.
 
     Attributes:

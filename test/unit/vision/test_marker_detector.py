@@ -22,7 +22,7 @@ from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import (
     DetectorSettings,
     MarkerDetector,
-    add_decoded,
+    add_match,
     noise_level,
     why_nothing,
 )
@@ -119,14 +119,14 @@ def test_one_id_twice_is_reported_twice():
 def test_of_two_outlines_of_one_marker_the_likelier_stays():
     """As of a panel before a bright sky: its own outline, and that of its marker."""
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    panel = (Match(0, 0, 2, 0.7), 100.0 + 27.0 * square)
-    marker_itself = (Match(0, 0, 0, 0.95), 100.5 + 25.0 * square)
-    inner = (Match(0, 0, 0, 0.9), 101.0 + 2.5 * square)
-    other_id = (Match(3, 0, 0, 0.8), 100.0 + 25.0 * square)
-    beside = (Match(0, 0, 0, 0.8), 100.0 + 25.0 * square + (60.0, 0.0))
+    panel = Match(0, 100.0 + 27.0 * square, 2, 0.7)
+    marker_itself = Match(0, 100.5 + 25.0 * square, 0, 0.95)
+    inner = Match(0, 101.0 + 2.5 * square, 0, 0.9)
+    other_id = Match(3, 100.0 + 25.0 * square, 0, 0.8)
+    beside = Match(0, 100.0 + 25.0 * square + (60.0, 0.0), 0, 0.8)
     found = []
-    for decoded in (panel, marker_itself, panel, inner, other_id, beside):
-        add_decoded(decoded, found)
+    for match in (panel, marker_itself, panel, inner, other_id, beside):
+        add_match(match, found)
     assert found == [marker_itself, inner, other_id, beside]
 
 
