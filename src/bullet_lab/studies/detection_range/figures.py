@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterator, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -100,12 +100,13 @@ def range_figure(
         2, 12, height_ratios=(1.6, 1.0), hspace=0.3, wspace=0.4,
         left=0.05, right=0.985, top=0.9, bottom=0.05,
     )  # fmt: skip
-    world = next(iter(summary["worlds"]))
-    own = [row for row in rows if row["world"] == world and row["light"] == rows[0]["light"]]
-    ends = _ends(summary["worlds"][world], rows[0]["light"])
+    world, light = rows[0]["world"], rows[0]["light"]
+    own = [row for row in rows if (row["world"], row["light"]) == (world, light)]
+    (entry,) = (entry for *of, entry in ranges_of(summary) if of == [world, light])
+    ends = entry["closest_m"], entry["farthest_frontal_m"]
     floor = figure.add_subplot(grid[0, :8])
     _draw_floor(floor, own, ends)
-    floor.set_title(f"{world}, {rows[0]['light']} light: where the marker is found")
+    floor.set_title(f"{world}, {light} light: where the marker is found")
     _add_scale(figure, floor)
     _draw_bars(figure.add_subplot(grid[0, 9:12]), summary)
     of_world = {distance: pictures[name, distance] for name, distance in pictures if name == world}
@@ -117,9 +118,12 @@ def range_figure(
     return figure
 
 
-def _ends(entry: Mapping[str, Any], light: str) -> Ends:
-    figures = entry if light == DEFAULT_LIGHT else entry["lights"][light]
-    return figures["closest_m"], figures["farthest_frontal_m"]
+def ranges_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    """Yield each world and light of a `detection_summary` with its ranges."""
+    for world, figures in summary["worlds"].items():
+        for light, entry in {DEFAULT_LIGHT: figures, **figures.get("lights", {})}.items():
+            if "closest_m" in entry:
+                yield world, light, entry
 
 
 def _headline(world: str, ends: Ends, rows: Sequence[Record]) -> str:
@@ -188,12 +192,8 @@ def _add_scale(figure: Figure, axes: Axes) -> None:
 
 
 def _draw_bars(axes: Axes, summary: Mapping[str, Any]) -> None:
-    bars = []
-    for world, figures in summary["worlds"].items():
-        if "closest_m" in figures:
-            bars.append((world, figures))
-        bars += [(f"{world}\n{k} light", entry) for k, entry in figures.get("lights", {}).items()]
-    for index, (_, entry) in enumerate(bars):
+    bars = list(ranges_of(summary))
+    for index, (_, _, entry) in enumerate(bars):
         first, last, aside = (
             entry[k] for k in ("closest_m", "farthest_frontal_m", "farthest_30deg_m")
         )
@@ -205,9 +205,10 @@ def _draw_bars(axes: Axes, summary: Mapping[str, Any]) -> None:
         axes.text(last + 0.1, index, text, va="center", fontsize=8)
         if aside is not None:
             axes.plot([aside], [index], marker="D", color=ORANGE, markersize=5, linestyle="")
-    axes.set_yticks(range(len(bars)), [name for name, _ in bars], fontsize=8)
+    names = [f"{w}\n{k} light" if k != DEFAULT_LIGHT else w for w, k, _ in bars]
+    axes.set_yticks(range(len(bars)), names, fontsize=8)
     axes.set_ylim(max(len(bars) - 0.4, 4.6), -0.6)
-    axes.set_xlim(0.0, 1.3 * max([e["farthest_frontal_m"] or 1.0 for _, e in bars]))
+    axes.set_xlim(0.0, 1.3 * max(entry["farthest_frontal_m"] or 1.0 for _, _, entry in bars))
     axes.set_xlabel("distance with ≥ 95 % found (m)")
     axes.set_title("frontal; ◆ farthest at 30°", fontsize=10)
     axes.grid(axis="x", alpha=0.3)

@@ -17,7 +17,7 @@ from typing import Any, Iterator, Mapping, Sequence
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import boolean, choices, integer, numbers
 from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.detection_range.figures import heat_map, range_figure
+from bullet_lab.studies.detection_range.figures import heat_map, range_figure, ranges_of
 from bullet_lab.studies.detection_range.trial import (
     WORLDS,
     Cell,
@@ -191,12 +191,8 @@ def _targets(rows: Sequence[Record]) -> list[dict[str, Any]]:
 
 def describe(summary: Mapping[str, Any]) -> list[str]:
     """Return the main figures as lines for the user."""
-    lines = []
-    for world, figures in summary["worlds"].items():
-        entries = {DEFAULT_LIGHT: figures, **figures.get("lights", {})}
-        for light, entry in entries.items():
-            if "closest_m" in entry:
-                lines.append(f"{world}, {light} light: {_sentence(entry)}")
+    ranges = ranges_of(summary)
+    lines = [f"{world}, {light} light: {_sentence(entry)}" for world, light, entry in ranges]
     for target in summary["targets"]:
         if "frames" in target:
             count = f"{target['found']} of {target['frames']} frames"
