@@ -1,4 +1,4 @@
-"""OpenCV's dictionaries of markers by name, and decoding a quadrilateral with them."""
+"""OpenCV's dictionaries of markers by name, and decoding quadrilaterals with them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.images import Picture, VisionError, homography
+from bullet_lab.vision.images import (
+    NEXT,
+    PREVIOUS,
+    Picture,
+    VisionError,
+    homography,
+    intersections,
+    lengths_of,
+    right_of,
+)
 
 _PREFIX = "DICT_"
 # Number of ones in a byte.
@@ -31,9 +40,29 @@ _DARK = 0.6  # the border is nearer to black
 _BRIGHT = 0.75  # the surroundings are nearer to white
 _FILLED = 0.1  # the data cells are nearer to white
 # Least difference of white and black, grey levels.
-_LEAST_RISE = 4.0
+_LEAST_TYPICAL_RISE = 4.0
 # A plane is fitted to at least as many levels; fewer are replaced by their mean.
 _LEAST_OF_PLANE = 8
+# Reach to either side of a line within which its edge is looked for, and sampling step, px: first
+# coarsely, then centred on the line found.
+_ROUNDS = ((2.5, 0.5), (1.5, 0.25))
+_LEAST_REACH = 1.25
+# Most reach, as a share of a cell: the border is black one cell deep, and white outside as deep.
+_BORDER_PART = 0.9
+# Shortest side that is refined, px.
+_LEAST_SIDE = 3.0
+# Places at which a side is crossed, and share of the side at either end that is left out.
+_CROSSINGS = 16
+_TRIM = 0.08
+_PLACES = np.linspace(_TRIM, 1.0 - _TRIM, _CROSSINGS)
+# Least share of the places at which an edge must be seen.
+_LEAST_SEEN = 0.5
+# Grey levels by which an edge must rise, and the same as a share of the mean rise.
+_LEAST_RISE = 4.0
+_LEAST_OF_MEAN = 0.25
+# An edge is no outlier within so many mean distances from the line, and px more.
+_OUTLYING = 3.0
+_LEAST_OUTLYING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +177,7 @@ def may_be_markers(picture: Picture, quads: ndarray, cells: int) -> ndarray:
     half = _RING // 2
     ordered = np.sort(levels[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
     typical = 0.5 * (ordered[..., half - 1] + ordered[..., half])
-    likely = typical[:, 0] - typical[:, 1] > _LEAST_RISE
+    likely = typical[:, 0] - typical[:, 1] > _LEAST_TYPICAL_RISE
     for is_right, share in (
         (outside > border, _FRAMED),
         (border < grey[:, _BORDER], _DARK),
@@ -200,22 +229,108 @@ def _half_planes(cells: int) -> ndarray:
     return 0.5 * np.concatenate([places @ np.linalg.pinv(ring) for ring in rings], axis=1)
 
 
+def _refined(picture: Picture, quads: ndarray, cells: int) -> ndarray:
+    """Return the corners of dark quadrilaterals where the lines along their sides meet.
+
+    Each side is crossed at many places; the edge is where the grey level rises, on average. The
+    second round is centred on the line found in the first, so that what lies on either side of the
+    line does not bias it.
+
+    Args:
+        picture: the image.
+        quads: (n, 4, 2) corners in px of the image, clockwise, to about two pixels.
+        cells: number of cells of the marker along an edge, with its border.
+
+    Returns:
+        (n, 4, 2) corners u, v in ideal px; NaN where there are no four edges.
+    """
+    corners = picture.ideal(quads)
+    for reach, step in _ROUNDS:
+        corners = _refine_once(picture, corners, cells, reach, step)
+    return corners
+
+
+def _refine_once(
+    picture: Picture, corners: ndarray, cells: int, reach: float, step: float
+) -> ndarray:
+    refined = np.full(corners.shape, np.nan)
+    edges = corners[:, NEXT] - corners
+    lengths = lengths_of(edges)
+    usable = np.isfinite(lengths).all(axis=1) & (lengths.min(axis=1) >= _LEAST_SIDE)
+    corners, edges, lengths = corners[usable], edges[usable], lengths[usable]
+    outward = right_of(edges) / lengths[..., None]
+    cell = 0.5 * (lengths[:, PREVIOUS] + lengths[:, NEXT]) / cells
+    reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * cell))
+    steps = int(np.ceil(reach / step))
+    offsets = np.arange(-steps, steps + 1) / steps * reaches[..., None]
+    base = corners[:, :, None] + edges[:, :, None] * _PLACES[:, None]
+    points = base[:, :, :, None] + outward[:, :, None, None] * offsets[:, :, None, :, None]
+    heights, weights = _edge_heights(picture.at(points), offsets)
+    level, slope = _robust_lines(heights, weights)
+    # Two points of each line: beside the old corners.
+    first = corners + outward * level[..., None]
+    second = corners + edges + outward * (level + slope)[..., None]
+    met = intersections(first, right_of(second - first))
+    seen = (weights > 0.0).sum(axis=-1)
+    met[seen.min(axis=1) < _LEAST_SEEN * _CROSSINGS] = np.nan
+    refined[usable] = met
+    return refined
+
+
+def _edge_heights(levels: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
+    """Return the mean offset of the rises at each crossing, and its weight; 0 without an edge.
+
+    Grey levels are (n, 4, places, offsets), offsets (n, 4, offsets) px.
+    """
+    rises = np.maximum(levels[..., 1:] - levels[..., :-1], 0.0)
+    weights = rises.sum(axis=-1)
+    middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        heights = (rises * middles[:, :, None]).sum(axis=-1) / weights
+    mean = weights.mean(axis=-1, keepdims=True)
+    seen = weights > np.maximum(_LEAST_RISE, _LEAST_OF_MEAN * mean)
+    return np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
+
+
+def _robust_lines(heights: ndarray, weights: ndarray) -> tuple[ndarray, ndarray]:
+    """Fit height = level + slope · place along the last axis, the second time without outliers.
+
+    Without an edge both are NaN.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for _ in range(2):
+            total = weights.sum(axis=-1)
+            mean_place = (weights * _PLACES).sum(axis=-1) / total
+            mean_height = (weights * heights).sum(axis=-1) / total
+            centred = _PLACES - mean_place[..., None]
+            spread = (weights * centred**2).sum(axis=-1)
+            product = weights * centred * (heights - mean_height[..., None])
+            slope = product.sum(axis=-1) / spread
+            level = mean_height - slope * mean_place
+            residuals = np.abs(heights - level[..., None] - slope[..., None] * _PLACES)
+            typical = (weights * residuals).sum(axis=-1, keepdims=True) / total[..., None]
+            own = residuals <= _OUTLYING * typical + _LEAST_OUTLYING
+            weights = np.where(own, weights, 0.0)
+    return level, slope
+
+
 def decode(
     picture: Picture,
-    corners: ndarray,
+    quads: ndarray,
     dictionary: MarkerDictionary,
     correction: int,
     border_errors: int,
 ) -> Iterator[tuple[int, Match]]:
-    """Yield the markers among some black squares, each after the square's index.
+    """Yield the markers among dark quadrilaterals, each after the quadrilateral's index.
 
     Args:
         picture: the image.
-        corners: (n, 4, 2) of the squares, ideal px; NaN is no marker.
+        quads: (n, 4, 2) corners in px of the image, clockwise, to about two pixels.
         dictionary: of the markers.
         correction: most bits that are corrected.
         border_errors: most cells of the border that are not black.
     """
+    corners = _refined(picture, quads, dictionary.cells + 2)
     side, each = dictionary.cells + 4, len(_OFFSETS)
     samples = _levels(picture, corners, _cell_places(dictionary.cells))
     # Data cells, border and one ring around.
