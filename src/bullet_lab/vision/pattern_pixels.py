@@ -335,19 +335,20 @@ def _edges_of(
 def _unit_edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
     """Return places (n, 2) of the unit square where black meets white, and normals to white."""
     white = np.frombuffer(pattern, np.uint8).reshape(cells, cells) > 0
-    white = np.pad(white, 1, constant_values=True)
-    edges = int((white[:, 1:] != white[:, :-1]).sum() + (white[1:] != white[:-1]).sum())
+    white = np.pad(white, 1, constant_values=True).astype(float)
+    # 1 where white is beyond the edge, for those across each row and across each column.
+    changes = np.diff(white[1:-1], axis=1), np.diff(white[:, 1:-1].T, axis=1)
+    edges = np.count_nonzero(changes)
     each = int(np.clip(_MOST_PIXELS / (_GROUP * edges), 2, _PLACES))
     along = (np.arange(each) + 0.5) / each
     points, normals = [], []
-    # Between the cells of each row; then, with rows and columns exchanged, of each column.
-    for order, cells_of in ((1, white), (-1, white.T)):
-        row, column = np.nonzero(cells_of[1:-1, 1:] != cells_of[1:-1, :-1])
+    for change, order in zip(changes, (1, -1)):
+        row, column = np.nonzero(change)
         x = np.repeat(column.astype(float), each)
         y = (row[:, None] + along).ravel()
         points.append(np.column_stack((x, y))[:, ::order])
-        to_white = np.where(cells_of[1:-1, 1:][row, column], 1.0, -1.0)
-        normals.append(np.outer(np.repeat(to_white, each), np.array([1.0, 0.0])[::order]))
+        to_white = np.repeat(change[row, column], each)
+        normals.append(np.column_stack((to_white, np.zeros(len(x))))[:, ::order])
     return np.concatenate(points) / cells, np.concatenate(normals)
 
 
