@@ -199,6 +199,9 @@ class FreeCamera:
         world: to take images of.
         seed: of the noise.
 
+    Attributes:
+        camera: geometry of the images.
+
     Raises:
         LabError: a file cannot be read.
     """
@@ -211,15 +214,11 @@ class FreeCamera:
         self._simulation = Simulation(world, seed)
         self._instance = self._simulation.add(model)
         self._device: Camera = self._instance.plugins[0]
+        self.camera: PinholeCamera = self._device.camera
 
     def close(self) -> None:
         """Close the simulation."""
         self._simulation.close()
-
-    @property
-    def camera(self) -> PinholeCamera:
-        """Geometry of the images."""
-        return self._device.camera
 
     def take(self, pose: Pose, number: int) -> ndarray:
         """Return the image from a pose, (height, width) of uint8, grey; raises LabError.
@@ -328,12 +327,13 @@ def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResu
     """
     visible = is_visible(cell)
     count = frames if visible else math.ceil(HIDDEN_SHARE * frames)
-    inspection = _inspection(cell.world, cell.light, seed)
-    shots = cell_shots(cell, count, seed)
-    judged = tuple(inspection.judge(shot) for shot in shots)
-    side = float(np.mean([inspection.side(shot.pose) for shot in shots]))
-    snapshot = inspection.snapshot(shots[0]) if keep else None
-    return CellResult(cell, visible, judged, side / CELLS_PER_SIDE, snapshot)
+    camera, shots = _free_camera(cell.world, cell.light, seed), cell_shots(cell, count, seed)
+    judged = tuple(_judged(camera, cell.world, shot) for shot in shots)
+    corners = WORLDS[cell.world].wanted.corners()
+    seen = [camera.camera.project(in_optical_frame(shot.pose, corners)) for shot in shots]
+    pixels_per_cell = float(np.mean(mean_side(np.stack(seen)))) / CELLS_PER_SIDE
+    snapshot = _snapshot(camera, cell.world, shots[0]) if keep else None
+    return CellResult(cell, visible, judged, pixels_per_cell, snapshot)
 
 
 def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, int]:
@@ -342,44 +342,36 @@ def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, in
     Returns:
         The numbers of false detections, and of images with the marker found.
     """
-    inspection = _inspection(world, DEFAULT_LIGHT, seed)
-    judged = [inspection.judge(shot) for shot in strewn_shots(world, frames, seed, block)]
+    camera = _free_camera(world, DEFAULT_LIGHT, seed)
+    shots = strewn_shots(world, frames, seed, block)
+    judged = [_judged(camera, world, shot) for shot in shots]
     return sum(frame.false for frame in judged), sum(frame.found for frame in judged)
 
 
 @functools.lru_cache(maxsize=None)
-def _inspection(world: str, light: str, seed: int) -> Inspection:
-    return Inspection(world, light, seed)
+def _free_camera(world: str, light: str, seed: int) -> FreeCamera:
+    return FreeCamera(lit_world(world, light), seed)
 
 
-class Inspection:
-    """Camera and detector in a world whose markers are known."""
+def _observed(
+    camera: FreeCamera, world: str, shot: Shot
+) -> tuple[ndarray, list[ObservedMarker]]:
+    """Take an image and return it with the markers found."""
+    observer = MarkerObserver(DetectorSettings(DICTIONARY), WORLDS[world].wanted.size)
+    picture = camera.take(*shot)
+    return picture, observer.observe(picture, camera.camera).markers
 
-    def __init__(self, world: str, light: str, seed: int):
-        self._camera = FreeCamera(lit_world(world, light), seed)
-        self._geometry = self._camera.camera
-        self._known = WORLDS[world]
-        self._observer = MarkerObserver(DetectorSettings(DICTIONARY), self._known.wanted.size)
 
-    def snapshot(self, shot: Shot) -> Snapshot:
-        """Take an image and return it with the corners of the markers found."""
-        picture, markers = self._observe(shot)
-        png = cv2.imencode(".png", picture)[1].tobytes()
-        return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
+def _snapshot(camera: FreeCamera, world: str, shot: Shot) -> Snapshot:
+    picture, markers = _observed(camera, world, shot)
+    png = cv2.imencode(".png", picture)[1].tobytes()
+    return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
 
-    def judge(self, shot: Shot) -> Frame:
-        """Take an image and compare the detections with the truth."""
-        _, markers = self._observe(shot)
-        return judge(markers, shot.pose, self._known.wanted, self._known.others, self._geometry)
 
-    def _observe(self, shot: Shot) -> tuple[ndarray, list[ObservedMarker]]:
-        picture = self._camera.take(shot.pose, shot.number)
-        return picture, self._observer.observe(picture, self._geometry).markers
-
-    def side(self, pose: Pose) -> float:
-        """Return the mean side of the wanted marker in the image, in pixels."""
-        corners = in_optical_frame(pose, self._known.wanted.corners())
-        return float(mean_side(self._geometry.project(corners)))
+def _judged(camera: FreeCamera, world: str, shot: Shot) -> Frame:
+    _, markers = _observed(camera, world, shot)
+    known = WORLDS[world]
+    return judge(markers, shot.pose, known.wanted, known.others, camera.camera)
 
 
 def judge(
