@@ -34,8 +34,14 @@ from bullet_lab.vision.images import (
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
 from bullet_lab.vision.pattern_pixels import without_hidden_side
 
-# Of a quadrilateral that was found several times, at most so many versions are tried.
+# Most quadrilaterals that are tried, the largest first. Of one that was found several times, at
+# most so many versions are.
+_MOST_QUADS = 60
 _TRIES = 3
+# Share of the border's cells that may be misread.
+_BORDER_RATE = 0.1
+# Least correlation of grey levels and pattern.
+_LEAST_LIKENESS = 0.6
 # Standard deviation of noise, grey levels, above which the image is smoothed, and the factor by
 # which smoothing lessens it.
 _CLEAN = 0.6
@@ -86,10 +92,8 @@ _ALLOWED = {
     "min_side": (5.0, 1e4),
     "contrast": (0.0, 255.0),
     "correction": (0.0, 1.0),
-    "border_rate": (0.0, 0.5),
-    "likeness": (0.0, 1.0),
-    "max_quads": (1, 10000),
 }
+
 
 @dataclass(frozen=True)
 class DetectorSettings:
@@ -101,9 +105,6 @@ class DetectorSettings:
     min_side: float = 8.0  #: px; mean side of the smallest marker
     contrast: float = 7.0  #: grey levels by which black is darker than white
     correction: float = 0.5  #: share of the correctable bits that is corrected
-    border_rate: float = 0.1  #: share of the border's cells that may be misread
-    likeness: float = 0.6  #: least correlation of grey levels and pattern
-    max_quads: int = 60  #: most quadrilaterals that are tried, the largest first
     inverted: bool = False  #: find white markers on black as well
     second_pass: bool = True  #: search again with other thresholds if nothing was found
 
@@ -174,7 +175,7 @@ class MarkerDetector:
         self.settings = settings or DetectorSettings()
         self.dictionary = dictionary_named(self.settings.dictionary)
         self._correction = int(self.settings.correction * self.dictionary.max_correction + 1e-9)
-        self._border_errors = int(self.settings.border_rate * 4 * (self.dictionary.cells + 1))
+        self._border_errors = int(_BORDER_RATE * 4 * (self.dictionary.cells + 1))
 
     def detect(self, image: ndarray, camera: PinholeCamera | None = None) -> Detections:
         """Return the markers in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
@@ -242,7 +243,7 @@ class MarkerDetector:
         same = _same_quads(quads, sides)
         outlines: list[ndarray] = []
         left = np.ones(len(quads), dtype=bool)
-        while left.any() and len(outlines) < self.settings.max_quads:
+        while left.any() and len(outlines) < _MOST_QUADS:
             versions = same[left.argmax()] & left
             left &= ~versions
             outlines.append(quads[versions & likely][:_TRIES])
@@ -262,8 +263,7 @@ class MarkerDetector:
         if not len(quads):
             return {}
         found = decode(picture, quads, self.dictionary, self._correction, self._border_errors)
-        least = self.settings.likeness
-        return {index: match for index, match in found if match.likeness >= least}
+        return {index: match for index, match in found if match.likeness >= _LEAST_LIKENESS}
 
     def _choose(
         self, found: Sequence[Match], picture: Picture, report: DetectionReport

@@ -16,6 +16,7 @@ from marker_images import (
     true_corners,
 )
 
+from bullet_lab.vision import marker_detector
 from bullet_lab.vision.candidates import CandidateSearch, sound_quads
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, Match, dictionary_named
 from bullet_lab.vision.images import VisionError
@@ -230,14 +231,15 @@ def test_bits_are_corrected_as_far_as_asked():
     assert detect(damaged(1), correction=0.0).markers == []
 
 
-def test_misread_cells_of_the_border_are_counted():
+def test_misread_cells_of_the_border_are_counted(monkeypatch):
     layer = marker(2)
     # Grey, so that the outline is seen, and nearer to white.
     for place in (3, 5, 6):
         layer.cells[1, place] = layer.cells[place, 1] = 130.0
     image = image_of([layer], View(1.0), samples=4)
-    assert ids_of(detect(image, border_rate=0.5)) == [2]
-    assert detect(image, border_rate=0.1).markers == []
+    assert detect(image).markers == []
+    monkeypatch.setattr(marker_detector, "_BORDER_RATE", 0.5)
+    assert ids_of(detect(image)) == [2]
 
 
 # Light
@@ -391,8 +393,7 @@ def test_colour_images_are_looked_at_in_grey():
         {"border": -1.0},
         {"min_side": 2.0},
         {"correction": 1.5},
-        {"likeness": float("nan")},
-        {"max_quads": 0},
+        {"contrast": float("nan")},
     ],
     ids=str,
 )
@@ -407,10 +408,11 @@ def test_noise_is_measured(sigma):
     assert noise_level(image) == pytest.approx(sigma, rel=0.1, abs=0.05)
 
 
-def test_the_number_of_tries_is_bounded():
+def test_the_number_of_tries_is_bounded(monkeypatch):
     image = np.full((480, 640), 200, np.uint8)
     for v in range(10, 460, 24):
         for u in range(10, 620, 24):
             image[v : v + 14, u : u + 14] = 20
     for count in (20, 50):
-        assert detect(image, max_quads=count, second_pass=False).report.quads == count
+        monkeypatch.setattr(marker_detector, "_MOST_QUADS", count)
+        assert detect(image, second_pass=False).report.quads == count

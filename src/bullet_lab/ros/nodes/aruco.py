@@ -18,7 +18,7 @@ Stamps and frames are those of the images.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -128,9 +128,9 @@ class ArucoParameters(ImageParameters):
 
     def settings(self) -> DetectorSettings:
         """Return the detector's settings; raises ParameterError."""
-        names = {field.name for field in fields(DetectorSettings)} & set(vars(self))
+        limits = self.border, self.min_side, self.contrast, self.correction
         try:
-            return replace(DEFAULTS, dictionary=self.tags, **{n: getattr(self, n) for n in names})
+            return DetectorSettings(self.tags, self.ids, *limits, self.inverted, self.second_pass)
         except VisionError as error:
             raise ParameterError(f"~ids: {error}") from error
 
