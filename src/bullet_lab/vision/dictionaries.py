@@ -245,19 +245,18 @@ def _refined(picture: Picture, quads: ndarray, cells: int) -> ndarray:
         (n, 4, 2) corners u, v in ideal px; NaN where there are no four edges.
     """
     corners = picture.ideal(quads)
-    for reach, step in _ROUNDS:
-        corners = _refine_once(picture, corners, cells, reach, step)
+    # What has no edge is NaN.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for reach, step in _ROUNDS:
+            corners = _refine_once(picture, corners, cells, reach, step)
     return corners
 
 
 def _refine_once(
     picture: Picture, corners: ndarray, cells: int, reach: float, step: float
 ) -> ndarray:
-    refined = np.full(corners.shape, np.nan)
     edges = corners[:, NEXT] - corners
     lengths = lengths_of(edges)
-    usable = np.isfinite(lengths).all(axis=1) & (lengths.min(axis=1) >= _LEAST_SIDE)
-    corners, edges, lengths = corners[usable], edges[usable], lengths[usable]
     outward = right_of(edges) / lengths[..., None]
     cell = 0.5 * (lengths[:, PREVIOUS] + lengths[:, NEXT]) / cells
     reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * cell))
@@ -271,10 +270,9 @@ def _refine_once(
     first = corners + outward * level[..., None]
     second = corners + edges + outward * (level + slope)[..., None]
     met = intersections(first, right_of(second - first))
-    seen = (weights > 0.0).sum(axis=-1)
-    met[seen.min(axis=1) < _LEAST_SEEN * _CROSSINGS] = np.nan
-    refined[usable] = met
-    return refined
+    seen = (weights > 0.0).sum(axis=-1) >= _LEAST_SEEN * _CROSSINGS
+    met[~(seen & (lengths >= _LEAST_SIDE)).all(axis=1)] = np.nan
+    return met
 
 
 def _edge_heights(levels: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
@@ -285,8 +283,7 @@ def _edge_heights(levels: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
     rises = np.maximum(levels[..., 1:] - levels[..., :-1], 0.0)
     weights = rises.sum(axis=-1)
     middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        heights = (rises * middles[:, :, None]).sum(axis=-1) / weights
+    heights = (rises * middles[:, :, None]).sum(axis=-1) / weights
     mean = weights.mean(axis=-1, keepdims=True)
     seen = weights > np.maximum(_LEAST_RISE, _LEAST_OF_MEAN * mean)
     return np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
@@ -297,20 +294,19 @@ def _robust_lines(heights: ndarray, weights: ndarray) -> tuple[ndarray, ndarray]
 
     Without an edge both are NaN.
     """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for _ in range(2):
-            total = weights.sum(axis=-1)
-            mean_place = (weights * _PLACES).sum(axis=-1) / total
-            mean_height = (weights * heights).sum(axis=-1) / total
-            centred = _PLACES - mean_place[..., None]
-            spread = (weights * centred**2).sum(axis=-1)
-            product = weights * centred * (heights - mean_height[..., None])
-            slope = product.sum(axis=-1) / spread
-            level = mean_height - slope * mean_place
-            residuals = np.abs(heights - level[..., None] - slope[..., None] * _PLACES)
-            typical = (weights * residuals).sum(axis=-1, keepdims=True) / total[..., None]
-            own = residuals <= _OUTLYING * typical + _LEAST_OUTLYING
-            weights = np.where(own, weights, 0.0)
+    for _ in range(2):
+        total = weights.sum(axis=-1)
+        mean_place = (weights * _PLACES).sum(axis=-1) / total
+        mean_height = (weights * heights).sum(axis=-1) / total
+        centred = _PLACES - mean_place[..., None]
+        spread = (weights * centred**2).sum(axis=-1)
+        product = weights * centred * (heights - mean_height[..., None])
+        slope = product.sum(axis=-1) / spread
+        level = mean_height - slope * mean_place
+        residuals = np.abs(heights - level[..., None] - slope[..., None] * _PLACES)
+        typical = (weights * residuals).sum(axis=-1, keepdims=True) / total[..., None]
+        own = residuals <= _OUTLYING * typical + _LEAST_OUTLYING
+        weights = np.where(own, weights, 0.0)
     return level, slope
 
 
