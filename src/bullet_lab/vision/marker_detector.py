@@ -309,11 +309,7 @@ def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
 
 
 def _quads_in_cells(
-    picture: Picture,
-    corners: ndarray,
-    pattern: ndarray,
-    min_side: float,
-    known: Sequence[ndarray] = (),
+    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: Sequence[ndarray]
 ) -> ndarray:
     """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
 
@@ -381,16 +377,16 @@ def _quads_within(
     cv2.fillConvexPoly(inside, np.rint(polygon).astype(np.int32), 255)
     spread = np.clip((cell - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
     grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
-    found = []
+    outlines = []
     for threshold in _THRESHOLDS:
         limit = _BLACK_LEVEL + _CONTRAST * threshold
         _, dark = cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)
         contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
         outer = [one for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
-        outlines = outlines_of(outer, scale * min_side)
-        found.append(sound_quads(outlined_quads(outlines, FIRST_TRIM)))
-    return (np.concatenate(found) + 0.5) / scale - 0.5 + (left, top)
+        outlines += outlines_of(outer, scale * min_side)
+    quads = sound_quads(outlined_quads(outlines, FIRST_TRIM))
+    return (quads + 0.5) / scale - 0.5 + (left, top)
 
 
 @lru_cache(maxsize=None)
