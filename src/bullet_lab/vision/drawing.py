@@ -32,8 +32,8 @@ _LARGE = 60.0
 
 def draw_points(image: ndarray, points: ndarray) -> None:
     """Draw (n, 2 or more) points u, v as blue discs, as in figure 7c."""
-    for place in np.rint(points[:, :2]).astype(int).tolist():
-        cv2.circle(image, place, _RADIUS, BLUE, -1)
+    for u, v in np.rint(points[:, :2]).astype(int).tolist():
+        cv2.circle(image, (u, v), _RADIUS, BLUE, -1)
 
 
 def draw_area(image: ndarray, area: ndarray) -> None:
@@ -77,7 +77,7 @@ def draw_axes(image: ndarray, pose: MarkerPose, size: float, camera: PinholeCame
     pixels = camera.project(ends @ pose.rotation.T + pose.translation)
     if not np.isfinite(pixels).all() or np.abs(pixels).max() > 1e5:
         return
-    points = np.rint(pixels * 2**_SHIFT).astype(int).tolist()
+    points = list(map(tuple, np.rint(pixels * 2**_SHIFT).astype(int).tolist()))
     width = 2 if np.ptp(pixels, axis=0).max() > 0.5 * _LARGE else 1
     for end, colour in zip(points[1:], AXES):
         cv2.line(image, points[0], end, colour, width, cv2.LINE_AA, _SHIFT)
