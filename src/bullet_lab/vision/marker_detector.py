@@ -146,7 +146,7 @@ class DetectedMarker:
         return float(mean_side(self.corners))
 
 
-@dataclass
+@dataclass(frozen=True)
 class DetectionReport:
     """Statistics of a detection, to explain why nothing was found."""
 
@@ -198,28 +198,41 @@ class MarkerDetector:
         smooth, least = _prepare(grey, low, high, report.noise)
         search = CandidateSearch(smooth, self.settings.min_side)
         quads = search.first_pass(max(least, self.settings.contrast))
-        markers = self._markers(picture, quads, report)
-        if not markers and self.settings.second_pass:
-            report.second_pass = True
-            markers = self._markers(picture, search.second_pass(least), report)
-            if report.undecoded == report.quads:
-                last = replace(report)
-                markers = self._markers(picture, search.open_pass(least), last)
-                # Hulls that are no marker are not worth reporting.
-                report = last if last.undecoded < last.quads else report
-        return Detections(markers, report)
+        found = self._markers(picture, quads, report)
+        if found.markers or not self.settings.second_pass:
+            return found
+        report = replace(report, second_pass=True)
+        found = self._markers(picture, search.second_pass(least), report)
+        if found.report.undecoded < found.report.quads:
+            return found
+        last = self._markers(picture, search.open_pass(least), report)
+        # Hulls that are no marker are not worth reporting.
+        return last if last.report.undecoded < last.report.quads else found
 
-    def _markers(
-        self, picture: Picture, quads: ndarray, report: DetectionReport
-    ) -> list[DetectedMarker]:
-        """Return the markers among quadrilaterals (n, 4, 2), and fill in the report."""
+    def _markers(self, picture: Picture, quads: ndarray, report: DetectionReport) -> Detections:
+        """Return the markers among quadrilaterals (n, 4, 2), and complete the report."""
         outlines = self._outlines(picture, quads)
         decoded = self._first_decoded(picture, outlines)
-        report.quads, report.undecoded = len(outlines), len(outlines) - len(decoded)
+        cropped, other_ids, markers = [], [], []
+        border, (height, width) = self.settings.border, picture.levels.shape
+        largest = np.array((width, height)) - 1 - border
+        for match in self._different(picture, decoded):
+            corners = picture.seen(match.corners)
+            if self.settings.ids and match.marker not in self.settings.ids:
+                other_ids.append(match.marker)
+            elif not ((corners >= border) & (corners <= largest)).all():
+                cropped.append(match.marker)
+            else:
+                markers.append(self._measured(match, picture))
+        tried, undecoded = len(outlines), len(outlines) - len(decoded)
+        seen = {"quads": tried, "undecoded": undecoded, "cropped": cropped, "other_ids": other_ids}
+        return Detections(markers, replace(report, **seen))
+
+    def _different(self, picture: Picture, matches: Sequence[Match]) -> list[Match]:
+        """Return each marker once, and other markers in their white cells."""
         found: list[Match] = []
-        for match in decoded:
+        for match in matches:
             add_match(match, found)
-        # There may be other markers in their white cells.
         for outer in found[:]:
             pattern, size = self.dictionary.pattern(outer.marker), mean_side(outer.corners)
             smaller = [one.corners for one in found if mean_side(one.corners) < size]
@@ -227,7 +240,7 @@ class MarkerDetector:
             inner = _quads_in_cells(picture, outer.corners, pattern, least, smaller)
             for match in self._decoded(picture, inner).values():
                 add_match(match, found)
-        return self._choose(found, picture, report)
+        return found
 
     def _outlines(self, picture: Picture, quads: ndarray) -> list[ndarray]:
         """Return up to `_TRIES` versions (k, 4, 2) of each outline among (n, 4, 2), largest first.
@@ -264,23 +277,6 @@ class MarkerDetector:
             return {}
         found = decode(picture, quads, self.dictionary, self._correction, self._border_errors)
         return {index: match for index, match in found if match.likeness >= _LEAST_LIKENESS}
-
-    def _choose(
-        self, found: Sequence[Match], picture: Picture, report: DetectionReport
-    ) -> list[DetectedMarker]:
-        """Return the markers that were asked for and are whole, with their corners fitted."""
-        report.cropped, report.other_ids, chosen = [], [], []
-        border, (height, width) = self.settings.border, picture.levels.shape
-        largest = np.array((width, height)) - 1 - border
-        for match in found:
-            corners = picture.seen(match.corners)
-            if self.settings.ids and match.marker not in self.settings.ids:
-                report.other_ids.append(match.marker)
-            elif not ((corners >= border) & (corners <= largest)).all():
-                report.cropped.append(match.marker)
-            else:
-                chosen.append(self._measured(match, picture))
-        return chosen
 
     def _measured(self, match: Match, picture: Picture) -> DetectedMarker:
         pattern = self.dictionary.pattern(match.marker)

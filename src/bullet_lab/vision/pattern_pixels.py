@@ -101,10 +101,7 @@ class Pixels:
         return self.flooded is not None and bool(self.flooded.any())
 
     def without(self, these: ndarray) -> Pixels:
-        """Return the pixels without these (n,), and without the others of their groups.
-
-        It is for a marker that is not flooded.
-        """
+        """Return the pixels without these (n,), and without the others of their groups."""
         left = ~np.tile(these.reshape(self.group, -1).any(axis=0), self.group)
         fewer = replace(self, levels=self.levels[left], valid=self.valid[left])
         if self.chosen is not None:
