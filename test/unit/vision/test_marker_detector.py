@@ -273,10 +273,10 @@ def test_light_that_changes_across_the_marker():
         assert ids_of(detect(lit, correction=0.0)) == [0]
 
 
-def test_the_second_look_is_taken_only_where_nothing_was_found():
+def test_the_second_pass_is_made_only_where_nothing_was_found():
     bright = image_of([marker()], View(2.0), samples=4)
     assert not detect(bright).report.second_pass
-    # Black and white are nearer than the first look wants, in an image of full range.
+    # The contrast is less than the first pass needs, in an image of full range.
     faint = image_of([marker(black=100.0, white=106.0)], View(1.0), background=103.0, samples=4)
     faint[:40] = 255
     faint[-40:] = 0
@@ -379,7 +379,7 @@ def test_images_that_are_none():
             detect(image)
 
 
-def test_colour_images_are_looked_at_in_grey():
+def test_colour_images_are_converted_to_grey():
     image = image_of([marker()], View(1.0), samples=4)
     assert ids_of(detect(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))) == [0]
 

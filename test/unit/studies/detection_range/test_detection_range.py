@@ -76,7 +76,7 @@ def test_errors_are_measured_against_the_truth():
     assert turned.rotation_error == pytest.approx(0.01, rel=0.05)
 
 
-def test_finds_are_told_apart_by_where_they_are():
+def test_detections_are_assigned_by_their_position():
     pose = camera_pose(3.0, 0.0)
     other = PrintedMarker(0.35, (3.3, 0.9, 0.5))
     elsewhere = PrintedMarker(0.2, (3.3, -0.9, 0.5))

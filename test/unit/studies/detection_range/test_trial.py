@@ -1,4 +1,4 @@
-"""Where the marker is tried to be found, and the camera that looks at it."""
+"""Camera poses in front of the marker, and the images from there."""
 
 import math
 from contextlib import closing
