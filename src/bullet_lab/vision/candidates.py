@@ -70,33 +70,33 @@ class _Mask(NamedTuple):
 
     window: int
     part: float
-    joined: bool = False
+    joined: bool = True
     coarse: bool = False
     ceiling: int = 255
 
 
 # A large part keeps a border whole that light, blur or noise has broken. A small part separates a
 # marker with a narrow quiet zone from what is dark beside it.
-_FIRST_PASS = (_Mask(3, 0.5, joined=True), _Mask(9, 0.6, coarse=True))
-_SECOND_PASS = (_Mask(5, 0.25, joined=True), _Mask(13, 0.45, joined=True, coarse=True))
+_FIRST_PASS = (_Mask(3, 0.5), _Mask(9, 0.6, joined=False, coarse=True))
+_SECOND_PASS = (_Mask(5, 0.25), _Mask(13, 0.45, coarse=True))
 # Also in the second pass, of an image with few pieces.
 _MORE_MASKS = (
-    _Mask(3, 0.6),
-    _Mask(5, 0.6, joined=True),
-    _Mask(3, 0.55, joined=True),
-    _Mask(3, 0.7, joined=True),
-    _Mask(9, 0.65),
-    _Mask(9, 0.4, joined=True, coarse=True),
-    _Mask(3, 0.5, joined=True, coarse=True),
-    _Mask(5, 0.45, joined=True, ceiling=36),
-    _Mask(5, 0.45, joined=True, ceiling=54),
+    _Mask(3, 0.6, joined=False),
+    _Mask(5, 0.6),
+    _Mask(3, 0.55),
+    _Mask(3, 0.7),
+    _Mask(9, 0.65, joined=False),
+    _Mask(9, 0.4, coarse=True),
+    _Mask(3, 0.5, coarse=True),
+    _Mask(5, 0.45, ceiling=36),
+    _Mask(5, 0.45, ceiling=54),
 )
 # With narrow windows a border with a gap is a line that ends at either side of the gap.
 _OPEN_PASS = (
-    _Mask(3, 0.6, joined=True),
-    _Mask(3, 0.7, joined=True),
-    _Mask(5, 0.4, joined=True),
-    _Mask(3, 0.5, joined=True, coarse=True),
+    _Mask(3, 0.6),
+    _Mask(3, 0.7),
+    _Mask(5, 0.4),
+    _Mask(3, 0.5, coarse=True),
 )
 
 
