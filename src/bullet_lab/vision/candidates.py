@@ -275,11 +275,12 @@ def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
     """
     if not outlines:
         return np.empty((0, 4, 2))
-    lengths = np.array([len(outline.points) for outline in outlines])
-    x, y = points = np.concatenate([outline.points for outline in outlines]).T
+    firsts, contours, places = zip(*outlines)
+    lengths = np.array([len(contour) for contour in contours])
+    x, y = points = np.concatenate(contours).T
     sums = np.zeros((5, len(x) + 1))
     np.cumsum((x, y, x * x, x * y, y * y), axis=1, out=sums[:, 1:])
-    places = np.stack([outline.corners for outline in outlines])
+    places = np.stack(places)
     steps = (places[:, NEXT] - places) % (lengths[:, None] // 2)
     places += (np.cumsum(lengths) - lengths)[:, None]
     trims = (trim * steps).astype(int)
@@ -289,9 +290,8 @@ def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
     corners = points.T[places]
     normals[cross(corners[:, NEXT] - corners, normals) > 0.0] *= -1.0
     # The contour runs through the centres of the outermost dark pixels.
-    middles = np.stack([outline.first for outline in outlines])
-    on_sides = np.stack(means[:2], axis=-1) + middles[:, None] + 0.5 * normals
-    return intersections(on_sides, normals)
+    middles = np.stack(means[:2], axis=-1) + np.stack(firsts)[:, None]
+    return intersections(middles + 0.5 * normals, normals)
 
 
 def _outline(contour: ndarray, min_side: float) -> _Outline | None:
@@ -377,10 +377,10 @@ def _lines_along(hulls: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
 
     A bulge at one end of a side turns its line, so points are chosen anew in narrower strips.
     """
-    contours = np.concatenate([hull.points for hull in hulls])
-    owners = np.repeat(np.arange(len(hulls)), [len(hull.points) for hull in hulls])
-    along = np.stack([hull.along for hull in hulls])
-    points = np.stack([hull.first for hull in hulls]) + 0.5 * along
+    contours, first, along, _ = zip(*hulls)
+    owners = np.repeat(np.arange(len(hulls)), [len(contour) for contour in contours])
+    contours, along = np.concatenate(contours), np.stack(along)
+    points = np.stack(first) + 0.5 * along
     lengths = lengths_of(along)
     along /= lengths[..., None]
     for half_width, rounds in _STRIPS:
