@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, Iterator, NamedTuple, Sequence
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.vision.algebra import NEXT, intersections
-from bullet_lab.vision.dark_pieces import (
-    LEAST_AREA,
-    DarkPieces,
-    Placed,
-    contours_of,
-    dark_pieces,
-    darker_part,
-)
+from bullet_lab.vision.images import NEXT, cross, intersections, lengths_of, right_of
 
+# Least area of a quadrilateral, by the square of its outline's length: 1/16 of a square, a third
+# of that of one that is seen at 80 degrees.
+_LEAST_AREA = 0.018
 # Most difference of a quadrilateral from its contour, as a share of the contour's length.
 _OUTLINE_TOLERANCE = 0.035
 # Shortest side, as a share of the contour's length.
 _MIN_EDGE = 0.05
 # Share of a side at either end that is left out of the line fit. The second pass leaves out more:
 # something dark before a corner is a part of the contour.
-_FIRST_TRIM = 0.15
+FIRST_TRIM = 0.15
 _SECOND_TRIM = 0.32
 # Product of two sides, px², below which they make no corner.
 _LEAST_CORNER = 1.0
@@ -33,9 +28,15 @@ _LEAST_CORNER = 1.0
 _FEW_PIECES = 12
 # Least side that is looked for in the image of half the size, px of the full size.
 _COARSE_SIDE = 20.0
+# Most points of a contour, by the width and height of the box around it. A convex one has 2.
+_RAGGED = 2.2
+# Most labels of 16 bits: OpenCV writes out of bounds with one more.
+_MOST_LABELS = 65534
 
 # Borders with a gap: least width and height together, px.
 _LEAST_OPEN = 40
+# A border with a gap has an inner side as well, and the cells beside it may hang on it.
+_OPEN_RAGGED = 8.0
 # At most so many contours of a mask are tried, the largest first.
 _MOST_OPEN = 12
 # A hull is simplified by up to this share of its length and then has so many corners.
@@ -55,8 +56,7 @@ _LEAST_POINTS = 8
 _MOST_POINTS = 256
 
 
-@dataclass(frozen=True)
-class _Mask:
+class _Mask(NamedTuple):
     """A threshold between dark and bright.
 
     Attributes:
@@ -70,33 +70,33 @@ class _Mask:
 
     window: int
     part: float
-    joined: bool = False
+    joined: bool = True
     coarse: bool = False
     ceiling: int = 255
 
 
 # A large part keeps a border whole that light, blur or noise has broken. A small part separates a
 # marker with a narrow quiet zone from what is dark beside it.
-_FIRST_PASS = (_Mask(3, 0.5, joined=True), _Mask(9, 0.6, coarse=True))
-_SECOND_PASS = (_Mask(5, 0.25, joined=True), _Mask(13, 0.45, joined=True, coarse=True))
+_FIRST_PASS = (_Mask(3, 0.5), _Mask(9, 0.6, joined=False, coarse=True))
+_SECOND_PASS = (_Mask(5, 0.25), _Mask(13, 0.45, coarse=True))
 # Also in the second pass, of an image with few pieces.
 _MORE_MASKS = (
-    _Mask(3, 0.6),
-    _Mask(5, 0.6, joined=True),
-    _Mask(3, 0.55, joined=True),
-    _Mask(3, 0.7, joined=True),
-    _Mask(9, 0.65),
-    _Mask(9, 0.4, joined=True, coarse=True),
-    _Mask(3, 0.5, joined=True, coarse=True),
-    _Mask(5, 0.45, joined=True, ceiling=36),
-    _Mask(5, 0.45, joined=True, ceiling=54),
+    _Mask(3, 0.6, joined=False),
+    _Mask(5, 0.6),
+    _Mask(3, 0.55),
+    _Mask(3, 0.7),
+    _Mask(9, 0.65, joined=False),
+    _Mask(9, 0.4, coarse=True),
+    _Mask(3, 0.5, coarse=True),
+    _Mask(5, 0.45, ceiling=36),
+    _Mask(5, 0.45, ceiling=54),
 )
 # With narrow windows a border with a gap is a line that ends at either side of the gap.
 _OPEN_PASS = (
-    _Mask(3, 0.6, joined=True),
-    _Mask(3, 0.7, joined=True),
-    _Mask(5, 0.4, joined=True),
-    _Mask(3, 0.5, joined=True, coarse=True),
+    _Mask(3, 0.6),
+    _Mask(3, 0.7),
+    _Mask(5, 0.4),
+    _Mask(3, 0.5, coarse=True),
 )
 
 
@@ -111,80 +111,129 @@ class CandidateSearch:
         min_side: least mean length of the sides, px.
     """
 
-    def __init__(self, grey: np.ndarray, min_side: float):
+    def __init__(self, grey: ndarray, min_side: float):
         self._grey, self._min_side = grey, min_side
         size = (grey.shape[1] // 2, grey.shape[0] // 2)
         self._half = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         self._contours = 0
         self._is_clear = False
         # The third pass uses masks of the second one again.
-        self._pieces: Dict[_Mask, DarkPieces] = {}
+        self._pieces: dict[_Mask, _DarkPieces] = {}
 
-    def first_pass(self, contrast: float) -> np.ndarray:
+    def first_pass(self, contrast: float) -> ndarray:
         """Return the outlines with four corners that the usual masks show."""
-        return self._outlines(_FIRST_PASS, contrast, _FIRST_TRIM)
+        return self._outlines(_FIRST_PASS, contrast, FIRST_TRIM)
 
-    def second_pass(self, contrast: float) -> np.ndarray:
+    def second_pass(self, contrast: float) -> ndarray:
         """Return those of other masks, of more of them in an image with few pieces."""
         self._is_clear = self._contours < _FEW_PIECES
         masks = _SECOND_PASS + _MORE_MASKS if self._is_clear else _SECOND_PASS
         return self._outlines(masks, contrast, _SECOND_TRIM)
 
-    def open_pass(self, contrast: float) -> np.ndarray:
+    def open_pass(self, contrast: float) -> ndarray:
         """Return borders with a gap or a hidden corner, in an image with few pieces.
 
         Something before a corner that is as dark as the wall behind joins the two: no threshold
         shows four corners then. The hull of the border still has four long sides.
         """
-        sides: List[_OpenSides] = []
+        hulls, coarse = [], []
         for mask in _OPEN_PASS if self._is_clear else ():
             least = max(0.5 * _LEAST_OPEN, self._least_side(mask)) + 1.0
-            contours = contours_of(self._dark(mask, contrast), least, is_open=True)
-            sides += _open_sides(list(contours), mask.coarse)
-        return sound_quads(self._full_size(*_open_quads(sides)))
+            hulls += _hulls(self._dark(mask, contrast).contours(least, is_open=True))
+            coarse += [mask.coarse] * (len(hulls) - len(coarse))
+        return self._full_size(_open_quads(hulls), coarse)
 
-    def _outlines(self, masks: Sequence[_Mask], contrast: float, trim: float) -> np.ndarray:
-        outlines: List[_Outline] = []
+    def _outlines(self, masks: Sequence[_Mask], contrast: float, trim: float) -> ndarray:
+        outlines, coarse = [], []
         for mask in masks:
             least = self._least_side(mask)
-            contours = list(contours_of(self._dark(mask, contrast), least))
+            contours = list(self._dark(mask, contrast).contours(least))
             self._contours += len(contours)
-            outlines += _outlines_of(contours, least, mask.coarse)
-        coarse = np.array([outline.coarse for outline in outlines], dtype=bool)
-        return sound_quads(self._full_size(_fit_sides(outlines, trim), coarse))
+            outlines += outlines_of(contours, least)
+            coarse += [mask.coarse] * (len(outlines) - len(coarse))
+        return self._full_size(outlined_quads(outlines, trim), coarse)
 
-    def _dark(self, mask: _Mask, contrast: float) -> DarkPieces:
+    def _dark(self, mask: _Mask, contrast: float) -> _DarkPieces:
         """Return the pieces that are dark by a mask."""
         if mask not in self._pieces:
             grey = self._half if mask.coarse else self._grey
             if mask.ceiling < 255:
                 grey = cv2.min(grey, mask.ceiling)
-            dark = darker_part(grey, mask.window, mask.part, math.ceil(contrast))
-            self._pieces[mask] = dark_pieces(dark, mask.joined)
+            self._pieces[mask] = _dark_pieces(grey, mask, contrast)
         return self._pieces[mask]
 
     def _least_side(self, mask: _Mask) -> float:
         """Return the least side to look for in a mask, px of the mask."""
         return 0.5 * max(self._min_side, _COARSE_SIDE) if mask.coarse else self._min_side
 
-    def _full_size(self, quads: np.ndarray, coarse: np.ndarray) -> np.ndarray:
-        """Return quadrilaterals in px of the image; `coarse` (n,) are those of half the size."""
+    def _full_size(self, quads: ndarray, coarse: Sequence[bool]) -> ndarray:
+        """Return the sound ones of quadrilaterals, px; `coarse` ones are of half the size."""
         scale = np.array(self._grey.shape[::-1]) / np.array(self._half.shape[::-1])
         # The centre of a pixel is a whole number.
-        quads[coarse] = (quads[coarse] + 0.5) * scale - 0.5
-        return quads
+        is_coarse = np.array(coarse, dtype=bool)
+        quads[is_coarse] = (quads[is_coarse] + 0.5) * scale - 0.5
+        return sound_quads(quads)
 
 
-def outlines_within(dark: np.ndarray, min_side: float) -> np.ndarray:
-    """Return (n, 4, 2) outlines with four corners of dark pieces in a small mask (h, w)."""
-    contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
-    outer = (contour for contour in contours if cv2.contourArea(contour, oriented=True) < 0.0)
-    outlines = _outlines_of(((contour, (0, 0)) for contour in outer), min_side)
-    return sound_quads(_fit_sides(outlines, _FIRST_TRIM))
+class _DarkPieces(NamedTuple):
+    """The dark pieces of an image.
+
+    Attributes:
+        labels: (h, w) number of each pixel's piece; 0 is the background.
+        boxes: (n, 5) u, v, width, height, area by that number.
+    """
+
+    labels: ndarray
+    boxes: ndarray
+
+    def contours(self, min_side: float, is_open: bool = False) -> Iterator[ndarray]:
+        """Yield the outer contours (n, 1, 2) of the pieces that are large and broad enough.
+
+        If `is_open`, a piece may be a line, of which the contour has two sides.
+        """
+        # Most pieces are too small.
+        large = self.boxes[:, 2] + self.boxes[:, 3] >= math.ceil(2.0 * min_side)
+        # The background is no piece.
+        large[0] = False
+        numbers = large.nonzero()[0]
+        u, v, width, height, area = self.boxes[numbers].T
+        extent = width + height
+        # A convex outline is no longer than that of the box around it; a border is some pixels
+        # wide.
+        fits = area >= extent * (1.5 if is_open else np.clip(extent / 20.0, 1.5, 3.0))
+        fits &= 8 * np.minimum(width, height) >= np.maximum(width, height)
+        # A piece that reaches the edge of the image is cut off by it.
+        fits &= np.minimum(u, v) > 0
+        fits &= (u + width < self.labels.shape[1]) & (v + height < self.labels.shape[0])
+        for number in numbers[fits].tolist():
+            u, v, width, height, _ = self.boxes[number].tolist()
+            piece = (self.labels[v : v + height, u : u + width] == number).view(np.uint8)
+            (contour, *_), _ = cv2.findContours(
+                piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(u, v)
+            )
+            if len(contour) <= (_OPEN_RAGGED if is_open else _RAGGED) * (width + height):
+                yield contour
 
 
-def sound_quads(quads: np.ndarray) -> np.ndarray:
+def _dark_pieces(grey: ndarray, mask: _Mask, contrast: float) -> _DarkPieces:
+    """Return the pieces of (h, w) grey levels that are dark by a mask."""
+    square = np.ones((mask.window, mask.window), np.uint8)
+    darkest, brightest = cv2.erode(grey, square), cv2.dilate(grey, square)
+    limit = cv2.addWeighted(darkest, 1.0 - mask.part, brightest, mask.part, 0.0)
+    rise = cv2.subtract(brightest, darkest)
+    enough = cv2.compare(rise, float(math.ceil(contrast)), cv2.CMP_GE)
+    dark = cv2.bitwise_and(cv2.compare(grey, limit, cv2.CMP_LE), enough)
+    # Labels of 16 bits are quicker. There are no more labels than runs of dark pixels in rows.
+    runs = len(dark) + cv2.countNonZero(cv2.subtract(dark[:, 1:], dark[:, :-1]))
+    kind = cv2.CV_16U if runs <= _MOST_LABELS else cv2.CV_32S
+    neighbours = 8 if mask.joined else 4
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        dark, connectivity=neighbours, ltype=kind
+    )
+    return _DarkPieces(labels, boxes)
+
+
+def sound_quads(quads: ndarray) -> ndarray:
     """Return those of (n, 4, 2) quadrilaterals that have four corners, all finite, px.
 
     >>> side = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
@@ -194,210 +243,164 @@ def sound_quads(quads: np.ndarray) -> np.ndarray:
     """
     with np.errstate(invalid="ignore"):
         sides = quads[:, NEXT] - quads
-        corners = _cross(sides, sides[:, NEXT])
+        corners = cross(sides, sides[:, NEXT])
     # The cross product of sides that are not finite is NaN, which is no greater.
     return quads[(np.abs(corners) > _LEAST_CORNER).all(axis=1)]
 
 
-def same_quads(quads: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Return which (n, n) of (n, 4, 2) quadrilaterals are the same to a fraction of a cell.
+class _Outline(NamedTuple):
+    """A contour with four corners.
 
-    Their middles and the mean lengths of their sides, `sides` (n,), agree.
+    Attributes:
+        first: (2,) px, one of its points.
+        points: (2 n, 2) px from there, twice around: a side may run across the contour's end.
+        corners: (4,) indices of the corners, clockwise.
     """
-    middles = quads.mean(axis=1)
-    away = np.abs(middles[:, None] - middles).max(axis=2)
-    larger = np.abs(sides[:, None] - sides)
-    # A marker's white surroundings on a bright ground are a dark square one cell larger.
-    return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
+
+    first: ndarray
+    points: ndarray
+    corners: ndarray
 
 
-def mean_sides(quads: np.ndarray) -> np.ndarray:
-    """Return the mean length (n,) of the sides of each of (n, 4, 2) corners, px."""
-    return np.linalg.norm(quads[:, NEXT] - quads, axis=2).mean(axis=1)
+def outlines_of(contours: Iterable[ndarray], min_side: float) -> list[_Outline]:
+    """Return the outlines of the contours with four corners."""
+    outlines = (_outline(contour, min_side) for contour in contours)
+    return [outline for outline in outlines if outline is not None]
 
 
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the cross products (...) of vectors (..., 2)."""
-    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
+    """Return the corners (n, 4, 2) at which the lines along the outlines' sides meet.
 
-
-def _line_angle(x, y, xx, xy, yy) -> np.ndarray:
-    """Return the direction, rad, of lines by the means of points' x, y, x², x y and y²."""
-    xx, xy, yy = xx - x * x, xy - x * y, yy - y * y
-    return 0.5 * np.arctan2(2.0 * xy, xx - yy)
-
-
-@dataclass(frozen=True, eq=False)
-class _Outline:
-    """A contour (n, 2) with four corners, and the indices of these, clockwise."""
-
-    contour: np.ndarray
-    places: List[int]
-    coarse: bool
-
-
-def _outlines_of(
-    contours: Iterable[Placed], min_side: float, coarse: bool = False
-) -> List[_Outline]:
-    outlines = []
-    for contour, offset in contours:
-        corners = _corners_of(contour, min_side)
-        if corners is not None:
-            # OpenCV runs around a dark piece counter-clockwise.
-            points = contour[::-1, 0].astype(float)
-            # A complex number is compared at once, both coordinates.
-            places = (points.view(complex) == corners.view(complex).T).argmax(axis=0)
-            outlines.append(_Outline(points + offset, places.tolist(), coarse))
-    return outlines
-
-
-def _corners_of(contour: np.ndarray, min_side: float) -> Optional[np.ndarray]:
-    """Return the (4, 2) points of a contour that are its corners, or None if it has not four."""
-    # A diagonal step counts as one pixel; the contour runs through the centres of pixels.
-    count = len(contour)
-    if count < 2.8 * (min_side - 1.0):
-        return None
-    # The length of a contour is at least the number of its points, which is quicker to compare.
-    area = cv2.contourArea(contour)
-    if area < LEAST_AREA * count * count:
-        return None
-    length = cv2.arcLength(contour, True)
-    if length < 4.0 * (min_side - 1.0) or area < LEAST_AREA * length * length:
-        return None
-    outline = cv2.approxPolyDP(contour, max(1.0, _OUTLINE_TOLERANCE * length), True)
-    if len(outline) != 4 or not cv2.isContourConvex(outline):
-        return None
-    corners = outline[::-1, 0].astype(float)
-    edges = corners[NEXT] - corners
-    if np.hypot(edges[:, 0], edges[:, 1]).min() < _MIN_EDGE * length:
-        return None
-    return corners
-
-
-def _fit_sides(outlines: Sequence[_Outline], trim: float) -> np.ndarray:
-    """Return the corners (n, 4, 2) at which the lines fitted to the outlines' sides meet.
-
-    The fit is of least squares, without the share `trim` of each side at either end.
+    Lines are of least squares, without the share `trim` of each side at either end.
     """
     if not outlines:
         return np.empty((0, 4, 2))
-    contours = [outline.contour for outline in outlines]
-    places = np.array([outline.places for outline in outlines])
-    counts = np.array([len(contour) for contour in contours])
-    middles = np.array([contour[0] for contour in contours])
-    # A side may run across a contour's end, so each contour is there twice.
-    doubled = [part for contour, first in zip(contours, middles) for part in [contour - first] * 2]
-    sums = _running_sums(np.concatenate(doubled))
-    steps = (places[:, NEXT] - places) % counts[:, None]
-    trims = (trim * steps).astype(int)
-    starts = places + np.concatenate(([0], np.cumsum(2 * counts)[:-1]))[:, None]
-    number = steps - 2 * trims + 1
-    of_sides = sums[:, starts + steps - trims + 1] - sums[:, starts + trims]
-    x, y, xx, xy, yy = of_sides / number
-    angle = _line_angle(x, y, xx, xy, yy)
-    normals = np.stack((np.sin(angle), -np.cos(angle)), axis=-1)
-    corners = np.stack([contour[at] for contour, at in zip(contours, places)])
-    inward = _cross(corners[:, NEXT] - corners, normals) > 0.0
-    normals[inward] *= -1.0
-    # The contour runs through the centres of the outermost dark pixels.
-    points = np.stack((x, y), axis=-1) + middles[:, None] + 0.5 * normals
-    return intersections(points, normals)
-
-
-def _running_sums(points: np.ndarray) -> np.ndarray:
-    """Return the sums (5, n + 1) of x, y, x², x y and y² of the points (n, 2) before each."""
-    x, y = points.T
+    firsts, contours, places = zip(*outlines)
+    lengths = np.array([len(contour) for contour in contours])
+    x, y = points = np.concatenate(contours).T
     sums = np.zeros((5, len(x) + 1))
-    for row, part in zip(sums, (x, y, x * x, x * y, y * y)):
-        part.cumsum(out=row[1:])
-    return sums
+    np.cumsum((x, y, x * x, x * y, y * y), axis=1, out=sums[:, 1:])
+    places = np.stack(places)
+    steps = (places[:, NEXT] - places) % (lengths[:, None] // 2)
+    places += (np.cumsum(lengths) - lengths)[:, None]
+    trims = (trim * steps).astype(int)
+    starts, counts = places + trims, steps - 2 * trims + 1
+    means = (sums[:, starts + counts] - sums[:, starts]) / counts
+    normals = right_of(_directions(*means))
+    corners = points.T[places]
+    normals[cross(corners[:, NEXT] - corners, normals) > 0.0] *= -1.0
+    # The contour runs through the centres of the outermost dark pixels.
+    middles = np.stack(means[:2], axis=-1) + np.stack(firsts)[:, None]
+    return intersections(middles + 0.5 * normals, normals)
 
 
-class _OpenSides(NamedTuple):
+def _outline(contour: ndarray, min_side: float) -> _Outline | None:
+    """Return the outline of a contour, or None if it has not four corners."""
+    area, length = cv2.contourArea(contour), cv2.arcLength(contour, True)
+    # The contour runs through the centres of pixels.
+    if length < 4.0 * (min_side - 1.0) or area < _LEAST_AREA * length * length:
+        return None
+    simple = cv2.approxPolyDP(contour, max(1.0, _OUTLINE_TOLERANCE * length), True)
+    if len(simple) != 4 or not cv2.isContourConvex(simple):
+        return None
+    # OpenCV runs around a dark piece counter-clockwise.
+    corners, points = simple[::-1, 0].astype(float), contour[::-1, 0].astype(float)
+    edges = corners[NEXT] - corners
+    if lengths_of(edges).min() < _MIN_EDGE * length:
+        return None
+    # A complex number is compared at once, both coordinates.
+    places = (points.view(complex) == corners.view(complex).T).argmax(axis=0)
+    return _Outline(points[0], np.tile(points - points[0], (2, 1)), places)
+
+
+def _directions(
+    x: ndarray, y: ndarray, x_squares: ndarray, products: ndarray, y_squares: ndarray
+) -> ndarray:
+    """Return the unit vectors (..., 2) of lines by the means of points' x, y, x², x y and y²."""
+    x_variance, y_variance = x_squares - x * x, y_squares - y * y
+    angle = 0.5 * np.arctan2(2.0 * (products - x * y), x_variance - y_variance)
+    return np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+
+
+class _HullSides(NamedTuple):
     """The four longest sides of a contour's hull.
 
     Attributes:
-        contour: (n, 2) some of its points.
+        points: (n, 2) some of the contour's points.
         first: (4, 2) where the sides begin.
         along: (4, 2) from there to where they end.
         area: of the hull.
-        coarse: of the image of half the size.
     """
 
-    contour: np.ndarray
-    first: np.ndarray
-    along: np.ndarray
+    points: ndarray
+    first: ndarray
+    along: ndarray
     area: float
-    coarse: bool
 
 
-def _open_sides(contours: List[Placed], coarse: bool) -> List[_OpenSides]:
+def _hulls(contours: Iterable[ndarray]) -> list[_HullSides]:
     """Return the sides of the largest contours whose hull may be square but for a corner."""
-    contours.sort(key=lambda placed: -float(np.ptp(placed[0][:, 0], axis=0).sum()))
-    sides = (_sides_of_hull(contour, offset, coarse) for contour, offset in contours[:_MOST_OPEN])
-    return [of_one for of_one in sides if of_one is not None]
+    by_size = sorted(contours, key=lambda contour: -np.ptp(contour[:, 0], axis=0).sum())
+    hulls = map(_hull_sides, by_size[:_MOST_OPEN])
+    return [hull for hull in hulls if hull is not None]
 
 
-def _sides_of_hull(
-    contour: np.ndarray, offset: Tuple[int, int], coarse: bool
-) -> Optional[_OpenSides]:
+def _open_quads(hulls: Sequence[_HullSides]) -> ndarray:
+    """Return (n, 4, 2) where the lines along four sides meet; NaN where that is no marker."""
+    if not hulls:
+        return np.empty((0, 4, 2))
+    quads = intersections(*_lines_along(hulls))
+    for quad, hull in zip(quads, hulls):
+        corners = quad.astype(np.float32)
+        is_convex = np.isfinite(quad).all() and cv2.isContourConvex(corners)
+        if not is_convex or cv2.contourArea(corners) > _WITH_CORNER * hull.area:
+            quad[:] = np.nan
+    return quads
+
+
+def _hull_sides(contour: ndarray) -> _HullSides | None:
     hull = cv2.convexHull(contour)
     area, length = cv2.contourArea(hull), cv2.arcLength(hull, True)
-    if area < LEAST_AREA * length * length:
+    if area < _LEAST_AREA * length * length:
         return None
-    simple = cv2.approxPolyDP(hull, _HULL_TOLERANCE * length, True)[:, 0].astype(float)
-    if len(simple) not in _HULL_CORNERS:
+    corners = cv2.approxPolyDP(hull, _HULL_TOLERANCE * length, True)[:, 0].astype(float)
+    if len(corners) not in _HULL_CORNERS:
         return None
-    edges = np.roll(simple, -1, axis=0) - simple
-    longest = np.sort(np.argsort(-np.hypot(edges[:, 0], edges[:, 1]), kind="stable")[:4])
+    edges = np.roll(corners, -1, axis=0) - corners
+    longest = np.sort(np.argsort(-lengths_of(edges), kind="stable")[:4])
     some = contour[:: 1 + len(contour) // _MOST_POINTS, 0].astype(float)
-    return _OpenSides(some + offset, simple[longest] + offset, edges[longest], area, coarse)
+    return _HullSides(some, corners[longest], edges[longest], area)
 
 
-def _open_quads(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
-    """Return (n, 4, 2) where the lines along four sides meet, and which (n,) of it are coarse."""
-    if not sides:
-        return np.empty((0, 4, 2)), np.empty(0, dtype=bool)
-    quads = intersections(*_lines_along(sides))
-    own = np.isfinite(quads).all(axis=(1, 2))
-    for k in np.flatnonzero(own):
-        quad = quads[k].astype(np.float32)
-        own[k] = cv2.isContourConvex(quad)
-        own[k] &= cv2.contourArea(quad) <= _WITH_CORNER * sides[k].area
-    coarse = np.array([of_one.coarse for of_one in sides])
-    return quads[own], coarse[own]
-
-
-def _lines_along(sides: Sequence[_OpenSides]) -> Tuple[np.ndarray, np.ndarray]:
+def _lines_along(hulls: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
     """Return points and normals (n, 4, 2) of the lines through the contours' points beside sides.
 
     A bulge at one end of a side turns its line, so points are chosen anew in narrower strips.
     """
-    contours = np.concatenate([of_one.contour for of_one in sides])
-    owners = np.repeat(np.arange(len(sides)), [len(of_one.contour) for of_one in sides])
-    along = np.stack([of_one.along for of_one in sides])
-    points = np.stack([of_one.first for of_one in sides]) + 0.5 * along
-    lengths = np.hypot(along[..., 0], along[..., 1])
+    contours, first, along, _ = zip(*hulls)
+    owners = np.repeat(np.arange(len(hulls)), [len(contour) for contour in contours])
+    contours, along = np.concatenate(contours), np.stack(along)
+    points = np.stack(first) + 0.5 * along
+    lengths = lengths_of(along)
     along /= lengths[..., None]
     for half_width, rounds in _STRIPS:
-        away = contours[:, None] - points[owners]
-        own = along[owners]
+        away, own = contours[:, None] - points[owners], along[owners]
         ahead = away[..., 0] * own[..., 0] + away[..., 1] * own[..., 1]
-        across = _cross(away, own)
-        near = np.abs(across) < np.maximum(1.0, half_width * lengths)[owners]
+        near = np.abs(cross(away, own)) < np.maximum(1.0, half_width * lengths)[owners]
         near &= np.abs(ahead) < ((0.5 - _OPEN_TRIM) * lengths)[owners]
         of_point, side = near.nonzero()
         side += 4 * owners[of_point]
-        moved, turned = _lines_through(away[near], side, 4 * len(sides), rounds)
-        enough = (np.bincount(side, minlength=4 * len(sides)) >= _LEAST_POINTS).reshape(-1, 4, 1)
+        moved, turned = _lines_through(away[near], side, lengths.size, rounds)
+        enough = np.bincount(side, minlength=lengths.size) >= _LEAST_POINTS
+        enough = enough.reshape(-1, 4, 1)
         points = points + np.where(enough, moved.reshape(-1, 4, 2), 0.0)
         along = np.where(enough, turned.reshape(-1, 4, 2), along)
-    return points, np.stack((along[..., 1], -along[..., 0]), axis=-1)
+    return points, right_of(along)
 
 
 def _lines_through(
-    points: np.ndarray, line: np.ndarray, count: int, rounds: int
-) -> Tuple[np.ndarray, np.ndarray]:
+    points: ndarray, line: ndarray, count: int, rounds: int
+) -> tuple[ndarray, ndarray]:
     """Return a point and the unit vector (count, 2) of each line fitted to points (n, 2).
 
     The first round is least squares. Each further one weights points by the inverse of their
@@ -413,13 +416,11 @@ def _lines_through(
     weights = np.ones(len(points))
     with np.errstate(invalid="ignore", divide="ignore"):
         for _ in range(rounds):
-            parts = (weights, weights * x, weights * y)
-            parts += (parts[1] * x, parts[1] * y, parts[2] * y)
+            by_x, by_y = weights * x, weights * y
+            parts = (weights, by_x, by_y, by_x * x, by_x * y, by_y * y)
             total, *sums = (np.bincount(line, part, count) for part in parts)
             means = [part / total for part in sums]
-            angle = _line_angle(*means)
-            middle = np.stack(means[:2], axis=-1)
-            along = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-            across = _cross(points - middle[line], along[line])
+            middle, along = np.stack(means[:2], axis=-1), _directions(*means)
+            across = cross(points - middle[line], along[line])
             weights = 1.0 / np.maximum(np.abs(across), _ON_LINE)
     return middle, along

@@ -1,16 +1,25 @@
-"""OpenCV's dictionaries of markers by name, and decoding a quadrilateral with them."""
+"""OpenCV's dictionaries of markers by name, and decoding quadrilaterals with them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import List, Optional, Tuple
+from typing import Iterator
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.vision.algebra import homography
-from bullet_lab.vision.images import Picture, VisionError
+from bullet_lab.vision.images import (
+    NEXT,
+    PREVIOUS,
+    Picture,
+    VisionError,
+    homography,
+    intersections,
+    lengths_of,
+    right_of,
+)
 
 _PREFIX = "DICT_"
 # Number of ones in a byte.
@@ -25,34 +34,52 @@ _GLANCES = 7
 _RING = 4 * _GLANCES
 _OUTSIDE = slice(0, _RING)
 _BORDER = slice(_RING, 2 * _RING)
-_INSIDE = slice(2 * _RING, None)
 # Least shares of the places that must pass: a hand or a highlight may be on the marker.
 _FRAMED = 0.8  # the border is darker than the place outside of it
 _DARK = 0.6  # the border is nearer to black
 _BRIGHT = 0.75  # the surroundings are nearer to white
 _FILLED = 0.1  # the data cells are nearer to white
 # Least difference of white and black, grey levels.
-_LEAST_RISE = 4.0
+_LEAST_TYPICAL_RISE = 4.0
 # A plane is fitted to at least as many levels; fewer are replaced by their mean.
 _LEAST_OF_PLANE = 8
+# Reach to either side of a line within which its edge is looked for, and sampling step, px: first
+# coarsely, then centred on the line found.
+_ROUNDS = ((2.5, 0.5), (1.5, 0.25))
+_LEAST_REACH = 1.25
+# Most reach, as a share of a cell: the border is black one cell deep, and white outside as deep.
+_BORDER_PART = 0.9
+# Shortest side that is refined, px.
+_LEAST_SIDE = 3.0
+# Places at which a side is crossed, and share of the side at either end that is left out.
+_CROSSINGS = 16
+_TRIM = 0.08
+_PLACES = np.linspace(_TRIM, 1.0 - _TRIM, _CROSSINGS)
+# Least share of the places at which an edge must be seen.
+_LEAST_SEEN = 0.5
+# Grey levels by which an edge must rise, and the same as a share of the mean rise.
+_LEAST_RISE = 4.0
+_LEAST_OF_MEAN = 0.25
+# An edge is no outlier within so many mean distances from the line, and px more.
+_OUTLYING = 3.0
+_LEAST_OUTLYING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerDictionary:
-    """A set of markers.
-
-    `codes` are (number of ids, 4, cells²) of ±1, white +1, row by row. The second axis is the
-    corner from which the pattern is read, clockwise from the top left.
-    """
+    """A set of markers."""
 
     name: str  #: OpenCV's, such as DICT_APRILTAG_36h10
     cells: int  #: data cells along an edge; the black border is one cell more each way
-    codes: np.ndarray
-    packed: np.ndarray  #: (bytes, number of ids · 4): the codes as bits, eight in a byte
+    codes: ndarray  #: (number of ids, cells + 2, cells + 2) of uint8 with the border, 1 for white
+    packed: ndarray  #: (bytes, number of ids · 4): data cells from each corner on, as bits
     distance: int  #: least number of different bits of two markers, or of one and itself turned
 
-    def nearest(self, bits: np.ndarray) -> Tuple[int, int, int]:
-        """Return the marker nearest to (cells²,) bits, its turns and the number of wrong bits."""
+    def nearest(self, bits: ndarray) -> tuple[int, int, int]:
+        """Return the marker nearest to (cells²,) bits, its turns and the number of wrong bits.
+
+        Turns are the number of the corner that the bits begin with, clockwise from the top left.
+        """
         # On bytes: a product of matrices would start threads.
         different = _ONES[self.packed ^ np.packbits(bits > 0)[:, None]].sum(axis=0, dtype=np.uint8)
         best = int(different.argmin())
@@ -63,7 +90,7 @@ class MarkerDictionary:
         """Number of wrong bits that can be corrected unambiguously."""
         return max(0, (self.distance - 1) // 2)
 
-    def pattern(self, marker: int) -> np.ndarray:
+    def pattern(self, marker: int) -> ndarray:
         """Return the (cells + 2, cells + 2) cells of a marker and its border, 1 for white.
 
         Raises:
@@ -71,15 +98,7 @@ class MarkerDictionary:
         """
         if not 0 <= marker < len(self.codes):
             raise VisionError(f"{self.name} has markers 0 to {len(self.codes) - 1}, not {marker}")
-        return _pattern(self, marker)
-
-
-@lru_cache(maxsize=256)
-def _pattern(dictionary: MarkerDictionary, marker: int) -> np.ndarray:
-    bits = dictionary.codes[marker, 0].reshape(dictionary.cells, dictionary.cells)
-    pattern = np.pad((bits > 0).astype(np.uint8), 1)
-    pattern.flags.writeable = False
-    return pattern
+        return self.codes[marker]
 
 
 def simple_name(name: str) -> str:
@@ -94,7 +113,7 @@ def simple_name(name: str) -> str:
 
 # OpenCV from 4.7 on has each AprilTag dictionary twice, as 36H11 and 36h11; the latter is used.
 _NAMES = {simple_name(name): name for name in sorted(dir(cv2.aruco)) if name.startswith(_PREFIX)}
-DICTIONARY_NAMES: Tuple[str, ...] = tuple(sorted(_NAMES.values()))
+DICTIONARY_NAMES = tuple(sorted(_NAMES.values()))
 
 
 def dictionary_named(name: str) -> MarkerDictionary:
@@ -115,73 +134,69 @@ def dictionary_named(name: str) -> MarkerDictionary:
 def _load(name: str) -> MarkerDictionary:
     source = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     cells = source.markerSize
-    codes = np.empty((len(source.bytesList), 4, cells * cells), dtype=np.float32)
-    for marker, entry in enumerate(source.bytesList):
-        bits = cv2.aruco.Dictionary.getBitsFromByteList(entry[None], cells)
-        signs = 2.0 * bits.astype(np.float32) - 1.0
-        for turns in range(4):
-            codes[marker, turns] = np.rot90(signs, turns).ravel()
-    packed = np.ascontiguousarray(np.packbits(codes.reshape(-1, cells * cells) > 0, axis=1).T)
+    bits_of = cv2.aruco.Dictionary.getBitsFromByteList
+    data = np.stack([bits_of(entry[None], cells) for entry in source.bytesList])
+    turned = np.stack([np.rot90(data, turns, axes=(1, 2)) for turns in range(4)], axis=1)
+    bits = turned.reshape(-1, cells * cells)
     # A product of ±1 is the number of equal bits less that of different ones. Leave out the
     # product of each marker with itself.
-    bits, each = cells * cells, np.arange(len(codes))
-    products = codes[:, 0] @ codes.reshape(-1, bits).T
-    products[each, 4 * each] = -bits
-    distance = int(round((bits - float(products.max())) / 2.0))
+    signs = 2.0 * bits.astype(np.float32) - 1.0
+    products = signs[::4] @ signs.T
+    each = np.arange(len(data))
+    products[each, 4 * each] = -bits.shape[1]
+    distance = int(round((bits.shape[1] - float(products.max())) / 2.0))
+    codes = np.pad(data, ((0, 0), (1, 1), (1, 1)))
+    codes.flags.writeable = False
+    packed = np.ascontiguousarray(np.packbits(bits, axis=1).T)
     return MarkerDictionary(name, cells, codes, packed, distance)
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """The cells of a quadrilateral, read as those of a marker."""
-
-    bits: np.ndarray  #: (cells²,) ±1, white +1, row by row from the first corner
-    border_errors: int  #: cells of the border that are not black
-    levels: np.ndarray  #: (cells + 2, cells + 2) grey levels, border included
-
-
-@dataclass(frozen=True)
 class Match:
-    """The marker that a reading shows."""
+    """The marker that a quadrilateral shows."""
 
     marker: int  #: its id
-    turns: int  #: index of the marker's corner that the reading begins with, clockwise
+    corners: ndarray  #: (4, 2) ideal px, clockwise from its top left
     errors: int  #: bits that were read wrongly
     likeness: float  #: correlation of the grey levels with its pattern, at most 1
 
 
-def may_be_markers(picture: Picture, quads: np.ndarray, cells: int) -> np.ndarray:
+def may_be_markers(picture: Picture, quads: ndarray, cells: int) -> ndarray:
     """Return which (n,) of (n, 4, 2) rough corners, px of the image, may be of a marker.
 
     Those are dark just inside, bright just outside and not empty in the data `cells`.
     """
-    # Sums of products, as a product of matrices would start threads.
-    places = np.einsum("pk,nik->npi", _glance(cells), homography(picture.ideal(quads)))
     # Places on the horizon of a quadrilateral are infinite, so it is no marker.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        values = picture.at(places[..., :2] / places[..., 2:])
-    parts = (_OUTSIDE, _BORDER, _INSIDE)
-    outside, border, inside = (values[:, part] for part in parts)
+        levels = _levels(picture, picture.ideal(quads), _glance(cells))
     # Light may change evenly across a marker.
-    grey = np.einsum("pk,nk->np", _half_planes(cells), values[:, : 2 * _RING])
-    around, along, within = (grey[:, part] for part in parts)
+    grey = np.einsum("pk,nk->np", _half_planes(cells), levels[:, : 2 * _RING])
+    is_bright = levels > grey
+    outside, border = levels[:, _OUTSIDE], levels[:, _BORDER]
     # The median, which is slower to call, of an even number of levels.
     half = _RING // 2
-    ordered = np.sort(values[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
+    ordered = np.sort(levels[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
     typical = 0.5 * (ordered[..., half - 1] + ordered[..., half])
-    likely = typical[:, 0] - typical[:, 1] > _LEAST_RISE
+    likely = typical[:, 0] - typical[:, 1] > _LEAST_TYPICAL_RISE
     for is_right, share in (
         (outside > border, _FRAMED),
-        (border < along, _DARK),
-        (outside > around, _BRIGHT),
-        (inside > within, _FILLED),
+        (border < grey[:, _BORDER], _DARK),
+        (is_bright[:, _OUTSIDE], _BRIGHT),
+        (is_bright[:, 2 * _RING :], _FILLED),
     ):
         likely &= is_right.sum(axis=1) >= share * is_right.shape[1]
     return likely
 
 
+def _levels(picture: Picture, corners: ndarray, places: ndarray) -> ndarray:
+    """Return the grey levels (n, p) at homogeneous places (p, 3) of (n, 4, 2) unit squares."""
+    # Sums of products, as a product of matrices would start threads.
+    there = np.einsum("pk,nik->npi", places, homography(corners))
+    return picture.at(there[..., :2] / there[..., 2:])
+
+
 @lru_cache(maxsize=None)
-def _glance(cells: int) -> np.ndarray:
+def _glance(cells: int) -> ndarray:
     """Return (p, 3) places of the unit square: outside the border, in it, in the data cells."""
     cell = 1.0 / (cells + 2)
     along = np.linspace(cell, 1.0 - cell, _GLANCES)
@@ -190,22 +205,21 @@ def _glance(cells: int) -> np.ndarray:
         low, high = np.full(_GLANCES, ring), np.full(_GLANCES, 1.0 - ring)
         for pair in ((along, low), (along, high), (low, along), (high, along)):
             places.append(np.column_stack(pair))
-    middles = (np.arange(cells) + 1.5) * cell
-    places.append(_grid(middles))
+    places.append(_grid((np.arange(cells) + 1.5) * cell))
     return _homogeneous(np.vstack(places))
 
 
-def _grid(line: np.ndarray) -> np.ndarray:
+def _grid(line: ndarray) -> ndarray:
     """Return the (n², 2) points whose x and y are each of (n,) values, row by row."""
     return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
 
 
-def _homogeneous(points: np.ndarray) -> np.ndarray:
+def _homogeneous(points: ndarray) -> ndarray:
     return np.column_stack((points, np.ones(len(points))))
 
 
 @lru_cache(maxsize=None)
-def _half_planes(cells: int) -> np.ndarray:
+def _half_planes(cells: int) -> ndarray:
     """Return (p, k): from levels outside and in the border to the grey half way between them.
 
     The grey is the mean of two planes (least squares) at all p places of the quick test.
@@ -215,77 +229,160 @@ def _half_planes(cells: int) -> np.ndarray:
     return 0.5 * np.concatenate([places @ np.linalg.pinv(ring) for ring in rings], axis=1)
 
 
-def read_cells(picture: Picture, corners: np.ndarray, cells: int) -> np.ndarray:
-    """Return (n, cells + 4, cells + 4) mean grey levels: data cells, border and one ring around.
+def _refined(picture: Picture, quads: ndarray, cells: int) -> ndarray:
+    """Return the corners of dark quadrilaterals where the lines along their sides meet.
+
+    Each side is crossed at many places; the edge is where the grey level rises, on average. The
+    second round is centred on the line found in the first, so that what lies on either side of the
+    line does not bias it.
 
     Args:
         picture: the image.
-        corners: (n, 4, 2) of the black squares, ideal px.
-        cells: data cells along an edge.
+        quads: (n, 4, 2) corners in px of the image, clockwise, to about two pixels.
+        cells: number of cells of the marker along an edge, with its border.
+
+    Returns:
+        (n, 4, 2) corners u, v in ideal px; NaN where there are no four edges.
     """
-    side, each = cells + 4, len(_OFFSETS)
-    places = np.einsum("pk,nik->npi", _cell_places(cells), homography(corners))
-    values = picture.at(places[..., :2] / places[..., 2:])
-    return values.reshape(-1, side, each, side, each).mean(axis=(2, 4))
+    corners = picture.ideal(quads)
+    # What has no edge is NaN.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for reach, step in _ROUNDS:
+            corners = _refine_once(picture, corners, cells, reach, step)
+    return corners
+
+
+def _refine_once(
+    picture: Picture, corners: ndarray, cells: int, reach: float, step: float
+) -> ndarray:
+    edges = corners[:, NEXT] - corners
+    lengths = lengths_of(edges)
+    outward = right_of(edges) / lengths[..., None]
+    cell = 0.5 * (lengths[:, PREVIOUS] + lengths[:, NEXT]) / cells
+    reaches = np.minimum(reach, np.maximum(_LEAST_REACH, _BORDER_PART * cell))
+    steps = int(np.ceil(reach / step))
+    offsets = np.arange(-steps, steps + 1) / steps * reaches[..., None]
+    base = corners[:, :, None] + edges[:, :, None] * _PLACES[:, None]
+    points = base[:, :, :, None] + outward[:, :, None, None] * offsets[:, :, None, :, None]
+    heights, weights = _edge_heights(picture.at(points), offsets)
+    level, slope = _robust_lines(heights, weights)
+    # Two points of each line: beside the old corners.
+    first = corners + outward * level[..., None]
+    second = corners + edges + outward * (level + slope)[..., None]
+    met = intersections(first, right_of(second - first))
+    seen = (weights > 0.0).sum(axis=-1) >= _LEAST_SEEN * _CROSSINGS
+    met[~(seen & (lengths >= _LEAST_SIDE)).all(axis=1)] = np.nan
+    return met
+
+
+def _edge_heights(levels: ndarray, offsets: ndarray) -> tuple[ndarray, ndarray]:
+    """Return the mean offset of the rises at each crossing, and its weight; 0 without an edge.
+
+    Grey levels are (n, 4, places, offsets), offsets (n, 4, offsets) px.
+    """
+    rises = np.maximum(levels[..., 1:] - levels[..., :-1], 0.0)
+    weights = rises.sum(axis=-1)
+    middles = 0.5 * (offsets[..., 1:] + offsets[..., :-1])
+    heights = (rises * middles[:, :, None]).sum(axis=-1) / weights
+    mean = weights.mean(axis=-1, keepdims=True)
+    seen = weights > np.maximum(_LEAST_RISE, _LEAST_OF_MEAN * mean)
+    return np.where(seen, heights, 0.0), np.where(seen, weights, 0.0)
+
+
+def _robust_lines(heights: ndarray, weights: ndarray) -> tuple[ndarray, ndarray]:
+    """Fit height = level + slope · place along the last axis, the second time without outliers.
+
+    Without an edge both are NaN.
+    """
+    for _ in range(2):
+        total = weights.sum(axis=-1)
+        mean_place = (weights * _PLACES).sum(axis=-1) / total
+        mean_height = (weights * heights).sum(axis=-1) / total
+        centred = _PLACES - mean_place[..., None]
+        spread = (weights * centred**2).sum(axis=-1)
+        product = weights * centred * (heights - mean_height[..., None])
+        slope = product.sum(axis=-1) / spread
+        level = mean_height - slope * mean_place
+        residuals = np.abs(heights - level[..., None] - slope[..., None] * _PLACES)
+        typical = (weights * residuals).sum(axis=-1, keepdims=True) / total[..., None]
+        own = residuals <= _OUTLYING * typical + _LEAST_OUTLYING
+        weights = np.where(own, weights, 0.0)
+    return level, slope
+
+
+def decode(
+    picture: Picture,
+    quads: ndarray,
+    dictionary: MarkerDictionary,
+    correction: int,
+    border_errors: int,
+) -> Iterator[tuple[int, Match]]:
+    """Yield the markers among dark quadrilaterals, each after the quadrilateral's index.
+
+    Args:
+        picture: the image.
+        quads: (n, 4, 2) corners in px of the image, clockwise, to about two pixels.
+        dictionary: of the markers.
+        correction: most bits that are corrected.
+        border_errors: most cells of the border that are not black.
+    """
+    corners = _refined(picture, quads, dictionary.cells + 2)
+    side, each = dictionary.cells + 4, len(_OFFSETS)
+    samples = _levels(picture, corners, _cell_places(dictionary.cells))
+    # Data cells, border and one ring around.
+    levels = samples.reshape(-1, side, each, side, each).mean(axis=(2, 4))
+    on_border = _second_ring(side)[1:-1, 1:-1]
+    for index, cells in enumerate(_sharpened_cells(levels)):
+        # The cells of a uniform square are NaN.
+        if np.isnan(cells[0, 0]) or (cells[on_border] > 0.0).sum() > border_errors:
+            continue
+        marker, turns, errors = dictionary.nearest(cells[1:-1, 1:-1].ravel())
+        if errors <= correction:
+            pattern = np.rot90(dictionary.pattern(marker), turns)
+            likeness = _likeness(pattern, levels[index, 1:-1, 1:-1])
+            yield index, Match(marker, np.roll(corners[index], turns, axis=0), errors, likeness)
+
+
+def _likeness(pattern: ndarray, levels: ndarray) -> float:
+    """Return the correlation of a pattern and the grey levels of its cells."""
+    pattern, levels = pattern.ravel() - pattern.mean(), levels.ravel() - levels.mean()
+    return float(pattern @ levels / np.sqrt((pattern @ pattern) * (levels @ levels)))
 
 
 @lru_cache(maxsize=None)
-def _cell_places(cells: int) -> np.ndarray:
+def _cell_places(cells: int) -> ndarray:
     """Return (p, 3) places of the unit square: some in each cell, the border and a ring around."""
     middles = np.arange(cells + 4) - 0.5
     return _homogeneous(_grid((middles[:, None] + _OFFSETS).ravel() / (cells + 2)))
 
 
-def interpret(levels: np.ndarray) -> List[Optional[Reading]]:
-    """Return the readings of the grey levels of `read_cells`; None where they are uniform.
+def _sharpened_cells(levels: ndarray) -> ndarray:
+    """Return the cells (n, k, k) of grey levels with a ring around, above 0 if white.
 
     Light may change evenly across a marker: black and white levels are planes. That of black goes
-    through the border, that of white through all that is brighter than the middle.
+    through the border, that of white through all that is brighter than the middle. Uniform levels
+    give NaN.
     """
     count, side = levels.shape[:2]
-    inner = levels[:, 1:-1, 1:-1]
-    border = _border(side)
+    border = _second_ring(side)
     black = np.median(levels[:, border], axis=1)
-    order = np.sort(inner.reshape(count, (side - 2) ** 2), axis=1)
+    order = np.sort(levels[:, 1:-1, 1:-1].reshape(count, (side - 2) ** 2), axis=1)
     white = order[:, int(0.95 * order.shape[1])]
+    contrast = white - black
     bright = levels > (0.5 * (black + white))[:, None, None]
     planes = _planes(np.concatenate((levels, levels)), np.concatenate((border & ~bright, bright)))
     dark_plane, bright_plane = planes[:count], planes[count:]
     half = 0.5 * (bright_plane - dark_plane)
-    half = np.maximum(half, np.maximum(0.1 * (white - black), 1e-3)[:, None, None])
+    half = np.maximum(half, np.maximum(0.1 * contrast, 1e-3)[:, None, None])
     soft = np.clip((levels - 0.5 * (bright_plane + dark_plane)) / half, -1.5, 1.5)
-    sharp = _sharpened(soft)
-    bits = np.where(sharp[:, 1:-1, 1:-1] > 0.0, 1.0, -1.0).astype(np.float32)
-    border_errors = (sharp > 0.0)[:, border[1:-1, 1:-1]].sum(axis=1)
-    readings: List[Optional[Reading]] = []
-    for k in range(count):
-        is_uniform = not white[k] - black[k] >= 1.0
-        reading = Reading(bits[k].ravel(), int(border_errors[k]), inner[k])
-        readings.append(None if is_uniform else reading)
-    return readings
-
-
-def _sharpened(soft: np.ndarray) -> np.ndarray:
-    """Return cells (n, k, k) without the outer ring, less a part of their neighbours."""
+    soft[~(contrast >= 1.0)] = np.nan
     own = soft[:, 1:-1, 1:-1]
     neighbours = soft[:, :-2, 1:-1] + soft[:, 2:, 1:-1] + soft[:, 1:-1, :-2] + soft[:, 1:-1, 2:]
     return own + _SHARPENING * (4.0 * own - neighbours)
 
 
-def match(reading: Reading, dictionary: MarkerDictionary, correction: int) -> Optional[Match]:
-    """Return the marker that differs from a reading in at most `correction` bits, or None."""
-    marker, turns, errors = dictionary.nearest(reading.bits)
-    if errors > correction:
-        return None
-    cells = dictionary.pattern(marker)
-    pattern = np.rot90(cells, turns).ravel() - cells.mean()
-    levels = reading.levels.ravel() - reading.levels.mean()
-    likeness = float(pattern @ levels / np.sqrt((pattern @ pattern) * (levels @ levels)))
-    return Match(marker, turns, errors, likeness)
-
-
 @lru_cache(maxsize=None)
-def _border(side: int) -> np.ndarray:
+def _second_ring(side: int) -> ndarray:
     """Return which of (side, side) cells are the border: the second ring."""
     border = np.ones((side, side), dtype=bool)
     border[[0, -1]] = border[:, [0, -1]] = False
@@ -293,32 +390,32 @@ def _border(side: int) -> np.ndarray:
     return border
 
 
-def _planes(levels: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
     """Return the plane (n, k, k) fitted to the chosen levels of each; their mean if few."""
     count, side = levels.shape[:2]
     terms, products = _plane_terms(side)
     flat = levels.reshape(count, side * side)
     weights = chosen.reshape(flat.shape).astype(float)
-    # By Cramer's rule: the equations' matrix is ((a, b, c), (b, d, e), (c, e, f)).
-    a, b, c, d, e, f = np.einsum("np,qp->qn", weights, products)
-    a, d, f = a + 1e-6, d + 1e-6, f + 1e-6
-    x, y, z = right = np.einsum("np,qp->qn", weights * flat, terms)
-    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
-    s, t, u = a * f - c * c, b * c - a * e, a * d - b * b
-    numbers = np.stack((p * x + q * y + r * z, q * x + s * y + t * z, r * x + t * y + u * z))
-    numbers /= a * p + b * q + c * r
-    plane = np.einsum("qn,qp->np", numbers, terms)
-    few = np.rint(a) < _LEAST_OF_PLANE
+    matrix = np.einsum("np,qp->nq", weights, products).reshape(-1, 3, 3) + 1e-6 * np.eye(3)
+    right = np.einsum("np,qp->nq", weights * flat, terms)
+    # By Cramer's rule, as a solver would start threads.
+    after, before = matrix[:, [1, 2, 0]], matrix[:, [2, 0, 1]]
+    cofactors = after[..., [1, 2, 0]] * before[..., [2, 0, 1]]
+    cofactors -= after[..., [2, 0, 1]] * before[..., [1, 2, 0]]
+    determinants = (matrix[:, :1] * cofactors[:, :1]).sum(axis=2)
+    numbers = (cofactors * right[:, None]).sum(axis=2) / determinants
+    plane = np.einsum("nq,qp->np", numbers, terms)
+    total = matrix[:, 0, 0]
+    few = np.rint(total) < _LEAST_OF_PLANE
     if few.any():
-        mean = np.where(a > 0.5, right[0] / np.maximum(a, 1.0), flat.mean(axis=1))
+        mean = np.where(total > 0.5, right[:, 0] / np.maximum(total, 1.0), flat.mean(axis=1))
         plane[few] = mean[few, None]
     return plane.reshape(levels.shape)
 
 
 @lru_cache(maxsize=None)
-def _plane_terms(side: int) -> Tuple[np.ndarray, np.ndarray]:
-    """Return 1, row, column (3, side²), from the middle, and their products (6, side²)."""
+def _plane_terms(side: int) -> tuple[ndarray, ndarray]:
+    """Return 1, row, column (3, side²), from the middle, and their products (9, side²)."""
     row, column = np.indices((side, side), dtype=float).reshape(2, -1) - (side - 1) / 2.0
-    one = np.ones_like(row)
-    products = one, row, column, row * row, row * column, column * column
-    return np.stack((one, row, column)), np.stack(products)
+    terms = np.stack((np.ones_like(row), row, column))
+    return terms, (terms[:, None] * terms).reshape(9, -1)

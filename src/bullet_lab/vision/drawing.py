@@ -6,9 +6,10 @@ from typing import Sequence
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.vision.algebra import mean_side
+from bullet_lab.vision.images import mean_side
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import MarkerPose
 
@@ -20,46 +21,47 @@ AXES = ((40, 40, 230), (60, 200, 60), (255, 80, 0))
 _WHITE = (255, 255, 255)
 _BLACK = (0, 0, 0)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SCALE = 0.5
 # Positions are drawn to 1/16 px.
 _SHIFT = 4
+# Radius of a point, px.
+_RADIUS = 3
 # Side in px of a marker that is drawn with broad lines.
 _LARGE = 60.0
 
 
-def draw_points(image: np.ndarray, points: np.ndarray, radius: int = 3) -> None:
+def draw_points(image: ndarray, points: ndarray) -> None:
     """Draw (n, 2 or more) points u, v as blue discs, as in figure 7c."""
-    for u, v in np.asarray(points)[:, :2]:
-        cv2.circle(image, (int(round(u)), int(round(v))), radius, BLUE, -1)
+    for u, v in np.rint(points[:, :2]).astype(int).tolist():
+        cv2.circle(image, (u, v), _RADIUS, BLUE, -1)
 
 
-def draw_area(image: np.ndarray, area: np.ndarray) -> None:
+def draw_area(image: ndarray, area: ndarray) -> None:
     """Colour an area (h, w) of an image blue, as in figure 7d."""
     image[area] = BLUE
 
 
-def draw_marker(image: np.ndarray, marker: DetectedMarker, label: str) -> None:
+def draw_marker(image: ndarray, marker: DetectedMarker, label: str) -> None:
     """Draw a marker's outline, its first corner and a label beside it."""
     draw_outline(image, marker.corners)
     left, bottom = marker.corners[:, 0].min(), marker.corners[:, 1].min() - 8
     draw_text(image, label, (int(left), int(bottom)))
 
 
-def draw_outline(image: np.ndarray, corners: np.ndarray) -> None:
+def draw_outline(image: ndarray, corners: ndarray) -> None:
     """Draw (4, 2) corners as a quadrilateral, the first of them marked."""
-    side = mean_side(corners)
     # A broad line would hide a small marker.
-    width = 2 if side > _LARGE else 1
+    width, half = (2, 3) if mean_side(corners) > _LARGE else (1, 1)
     outline = np.rint(corners * 2**_SHIFT).astype(np.int32)
     cv2.polylines(image, [outline[:, None]], True, OUTLINE, width, cv2.LINE_AA, _SHIFT)
-    half = 3 if side > _LARGE else 1
-    u, v = (int(round(value)) for value in corners[0])
+    u, v = np.rint(corners[0]).astype(int).tolist()
     cv2.rectangle(image, (u - half, v - half), (u + half, v + half), FIRST_CORNER, -1)
 
 
-def enlarged(image: np.ndarray, corners: np.ndarray, size: int) -> np.ndarray:
+def enlarged(image: ndarray, corners: ndarray, size: int) -> ndarray:
     """Return the part (size, size, 3) of a BGR image around a marker (4, 2), with its outline."""
     half = int(np.ceil(0.8 * mean_side(corners)))
-    u, v = (int(round(value)) for value in corners.mean(axis=0))
+    u, v = np.rint(corners.mean(axis=0)).astype(int).tolist()
     padded = cv2.copyMakeBorder(image, half, half, half, half, cv2.BORDER_REPLICATE)
     part = padded[v : v + 2 * half + 1, u : u + 2 * half + 1]
     large = cv2.resize(part, (size, size), interpolation=cv2.INTER_NEAREST)
@@ -69,22 +71,22 @@ def enlarged(image: np.ndarray, corners: np.ndarray, size: int) -> np.ndarray:
     return large
 
 
-def draw_axes(image: np.ndarray, pose: MarkerPose, size: float, camera: PinholeCamera) -> None:
+def draw_axes(image: ndarray, pose: MarkerPose, size: float, camera: PinholeCamera) -> None:
     """Draw a marker's axes, half its size long: x red, y green, z blue."""
     ends = 0.5 * size * np.vstack((np.zeros(3), np.eye(3)))
     pixels = camera.project(ends @ pose.rotation.T + pose.translation)
     if not np.isfinite(pixels).all() or np.abs(pixels).max() > 1e5:
         return
-    points = [tuple(int(value) for value in row) for row in np.rint(pixels * 2**_SHIFT)]
+    points = list(map(tuple, np.rint(pixels * 2**_SHIFT).astype(int).tolist()))
     width = 2 if np.ptp(pixels, axis=0).max() > 0.5 * _LARGE else 1
     for end, colour in zip(points[1:], AXES):
         cv2.line(image, points[0], end, colour, width, cv2.LINE_AA, _SHIFT)
 
 
-def draw_text(image: np.ndarray, text: str, place: Sequence[int], scale: float = 0.5) -> None:
+def draw_text(image: ndarray, text: str, place: Sequence[int]) -> None:
     """Write white text on black inside the image; `place` is the left end of the base line."""
-    (width, height), base = cv2.getTextSize(text, _FONT, scale, 1)
+    (width, height), base = cv2.getTextSize(text, _FONT, _SCALE, 1)
     u = int(np.clip(place[0], 2, max(2, image.shape[1] - width - 2)))
     v = int(np.clip(place[1], height + 4, image.shape[0] - base - 2))
     cv2.rectangle(image, (u - 2, v - height - 3), (u + width + 2, v + base), _BLACK, -1)
-    cv2.putText(image, text, (u, v), _FONT, scale, _WHITE, 1, cv2.LINE_AA)
+    cv2.putText(image, text, (u, v), _FONT, _SCALE, _WHITE, 1, cv2.LINE_AA)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Tuple
-
 import cv2
 import numpy as np
+from numpy import ndarray
 
 
-def canny_edges(grey: np.ndarray, low: float = 100.0, high: float = 200.0, aperture: int = 3):
+def canny_edges(grey: ndarray, low: float = 100.0, high: float = 200.0, aperture: int = 3):
     """Return the edges of a (h, w) uint8 image: (h, w) uint8, 255 on an edge.
 
     Args:
@@ -21,8 +20,8 @@ def canny_edges(grey: np.ndarray, low: float = 100.0, high: float = 200.0, apert
 
 
 def good_features(
-    grey: np.ndarray, count: int = 25, quality: float = 0.01, distance: float = 10.0
-) -> np.ndarray:
+    grey: ndarray, count: int = 25, quality: float = 0.01, distance: float = 10.0
+) -> ndarray:
     """Return the good features to track (Shi and Tomasi), the best first.
 
     Args:
@@ -44,12 +43,12 @@ def good_features(
 
 
 def harris_corners(
-    grey: np.ndarray,
+    grey: ndarray,
     block: int = 2,
     aperture: int = 3,
     k: float = 0.04,
     threshold: float = 0.01,
-) -> Tuple[np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray]:
     """Return Harris corners as an area and as points.
 
     Args:

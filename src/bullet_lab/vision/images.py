@@ -1,11 +1,15 @@
-"""Images for the detectors: conversion to grey levels, and pictures taken through a lens."""
+"""Images for the detectors, and the geometry of quadrilaterals in them.
+
+numpy's BLAS may wake threads for a 6 × 6 system, which takes a thousand times as long as the sum
+itself when the cores are busy. OpenCV does not, so its solvers are used here.
+"""
 
 from __future__ import annotations
 
-from typing import Optional
-
 import cv2
 import numpy as np
+from numpy import ndarray
+from scipy.linalg import block_diag
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.errors import LabError
@@ -16,15 +20,26 @@ class VisionError(LabError):
 
 
 LEAST_EDGE = 16
+"""Smallest width and height of an image, px."""
+
+NEXT = [1, 2, 3, 0]
+"""Index of the corner, or of the side, after each of a quadrilateral's four."""
+
+PREVIOUS = [3, 0, 1, 2]
+"""Index of the one before each."""
+
+UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+# Conversions by the number of channels; the first is that of an image without an encoding.
 _TO_GREY = {
-    "bgr8": cv2.COLOR_BGR2GRAY,
-    "rgb8": cv2.COLOR_RGB2GRAY,
-    "bgra8": cv2.COLOR_BGRA2GRAY,
-    "rgba8": cv2.COLOR_RGBA2GRAY,
+    3: {"bgr8": cv2.COLOR_BGR2GRAY, "rgb8": cv2.COLOR_RGB2GRAY},
+    4: {"bgra8": cv2.COLOR_BGRA2GRAY, "rgba8": cv2.COLOR_RGBA2GRAY},
 }
+# px; reach of the differences that give the derivatives of the lens.
+_STEP = 0.5
 
 
-def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
+def grey(pixels: ndarray, encoding: str = "") -> ndarray:
     """Return an image as (h, w) uint8 grey levels.
 
     Args:
@@ -45,17 +60,17 @@ def grey(pixels: np.ndarray, encoding: str = "") -> np.ndarray:
         )
     if pixels.ndim == 2 or pixels.shape[2] == 1:
         return np.ascontiguousarray(pixels.reshape(pixels.shape[:2]))
-    known = {3: ("bgr8", "rgb8"), 4: ("bgra8", "rgba8")}.get(pixels.shape[2], ())
-    encoding = encoding or next(iter(known), "")
-    if encoding not in known:
+    conversions = _TO_GREY.get(pixels.shape[2], {})
+    encoding = encoding or next(iter(conversions), "")
+    if encoding not in conversions:
         raise VisionError(
             f"encoding '{encoding}' does not fit an image of {pixels.shape[2]} channels; "
             "rgb8 and bgr8 have 3, rgba8 and bgra8 have 4"
         )
-    return cv2.cvtColor(pixels, _TO_GREY[encoding])
+    return cv2.cvtColor(pixels, conversions[encoding])
 
 
-def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
+def sample(image: ndarray, points: ndarray) -> ndarray:
     """Return the bilinear values of a (h, w) image at points (..., 2) of u, v in px.
 
     Points outside get the value at the border; at NaN it is 0. (OpenCV's `remap` rounds
@@ -88,44 +103,143 @@ class Picture:
         camera: the camera; None, or one without distortion: ideal pixels are those of the image.
     """
 
-    def __init__(self, levels: np.ndarray, camera: Optional[PinholeCamera] = None):
+    def __init__(self, levels: ndarray, camera: PinholeCamera | None = None):
         self.levels = levels
         self._camera = camera if camera is not None and any(camera.distortion) else None
 
-    def at(self, points: np.ndarray) -> np.ndarray:
+    def at(self, points: ndarray) -> ndarray:
         """Return the bilinear grey levels at ideal pixels (..., 2)."""
         return sample(self.levels, self.seen(points))
 
-    def ideal(self, points: np.ndarray) -> np.ndarray:
+    def ideal(self, points: ndarray) -> ndarray:
         """Return the ideal pixels (..., 2) of pixels of the image."""
         if self._camera is None:
             return points
-        flat = np.asarray(points, dtype=float).reshape(-1, 1, 2)
         matrix = self._camera.matrix
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6)
-        distortion = np.array(self._camera.distortion)
-        undistorted = cv2.undistortPointsIter(flat, matrix, distortion, None, matrix, criteria)
-        return undistorted.reshape(np.shape(points))
+        return undistorted(points, self._camera, matrix, 20, 1e-6)
 
-    def seen(self, points: np.ndarray) -> np.ndarray:
+    def seen(self, points: ndarray) -> ndarray:
         """Return the pixels (..., 2) of the image at ideal ones."""
         camera = self._camera
         if camera is None:
             return points
-        flat = np.asarray(points, dtype=float).reshape(-1, 2)
-        rays = (flat - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        rays = (points.reshape(-1, 2) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         return camera.project(np.column_stack((rays, np.ones(len(rays))))).reshape(points.shape)
 
-    def derivatives(self, points: np.ndarray) -> np.ndarray:
+    def derivatives(self, points: ndarray) -> ndarray:
         """Return the derivatives (2 n, 2 n) of `seen` at (n, 2) ideal pixels."""
-        count = len(points)
-        moves = np.eye(2 * count)
         if self._camera is None:
-            return moves
-        step = 0.5
-        for index in range(count):
-            shifts = points[index] + step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-            seen = self.seen(shifts)
-            own = slice(2 * index, 2 * index + 2)
-            moves[own, own] = np.stack((seen[0] - seen[1], seen[2] - seen[3]), axis=1)
-        return moves
+            return np.eye(points.size)
+        steps = _STEP * np.eye(2)[:, None]
+        by_axis = self.seen(points + steps) - self.seen(points - steps)
+        return block_diag(*by_axis.transpose(1, 2, 0))
+
+
+def undistorted(
+    points: ndarray, camera: PinholeCamera, matrix: ndarray | None, rounds: int, error: float
+) -> ndarray:
+    """Return pixels (..., 2) without the camera's distortion.
+
+    Args:
+        points: px of the image.
+        camera: that took it.
+        matrix: (3, 3), of the camera that the result is for; None: on the plane one ahead.
+        rounds: most iterations.
+        error: px at which they end.
+    """
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, rounds, error)
+    flat = np.asarray(points, dtype=float).reshape(-1, 1, 2)
+    distortion = np.array(camera.distortion)
+    ideal = cv2.undistortPointsIter(flat, camera.matrix, distortion, None, matrix, criteria)
+    return ideal.reshape(np.shape(points))
+
+
+def solve_symmetric(matrix: ndarray, right: ndarray) -> ndarray:
+    """Return x (n,) of matrix · x = right for a positive definite (n, n) matrix; NaN if not.
+
+    >>> solve_symmetric(np.diag([2.0, 4.0]), np.array([2.0, 2.0]))
+    array([1. , 0.5])
+    """
+    solved, x = cv2.solve(matrix, right, flags=cv2.DECOMP_CHOLESKY)
+    return x.ravel() if solved else np.full(len(right), np.nan)
+
+
+def cross(first: ndarray, second: ndarray) -> ndarray:
+    """Return the cross products (...) of vectors (..., 2)."""
+    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+
+
+def lengths_of(vectors: ndarray) -> ndarray:
+    """Return the lengths (...) of vectors (..., 2)."""
+    return np.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def right_of(vectors: ndarray) -> ndarray:
+    """Return vectors (..., 2) turned by a quarter: on a clockwise outline, they point outward."""
+    return np.stack((vectors[..., 1], -vectors[..., 0]), axis=-1)
+
+
+def mean_side(quads: ndarray) -> ndarray:
+    """Return the mean length (...) of the sides of (..., 4, 2) corners.
+
+    >>> float(mean_side(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]])))
+    2.0
+    """
+    return lengths_of(quads[..., NEXT, :] - quads).mean(axis=-1)
+
+
+def homography(corners: ndarray) -> ndarray:
+    """Return the (..., 3, 3) map from the unit square, clockwise from (0, 0), to (..., 4, 2).
+
+    >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
+    >>> homography(corners) @ [0.5, 0.5, 1.0]
+    array([3., 2., 1.])
+    """
+    first, second, third, fourth = np.moveaxis(corners, (-2, -1), (0, 1))
+    rest = first - second + third - fourth
+    right, left = second - third, fourth - third
+    determinant = right[0] * left[1] - left[0] * right[1]
+    by_x = (rest[0] * left[1] - left[0] * rest[1]) / determinant
+    by_y = (right[0] * rest[1] - rest[0] * right[1]) / determinant
+    x_column = second - first + by_x * second
+    y_column = fourth - first + by_y * fourth
+    columns = ((*x_column, by_x), (*y_column, by_y), (*first, np.ones_like(by_x)))
+    return np.ascontiguousarray(np.moveaxis(np.array(columns), (0, 1), (-1, -2)))
+
+
+def mapped(places: ndarray, to_image: ndarray) -> ndarray:
+    """Return the points (n, 2) to which a homography (3, 3) maps (n, 2) places."""
+    there = places @ to_image[:, :2].T + to_image[:, 2]
+    return there[:, :2] / there[:, 2:]
+
+
+def unmapped(points: ndarray, to_image: ndarray) -> tuple[ndarray, ndarray]:
+    """Return the places (2, n) that a homography maps to points (2, n), and derivatives (2, 2, n).
+
+    >>> corners = np.array([[2.0, 1.0], [4.0, 1.0], [4.0, 3.0], [2.0, 3.0]])
+    >>> unmapped(np.array([[3.0], [2.0]]), homography(corners))[0].ravel().tolist()
+    [0.5, 0.5]
+    """
+    back = cv2.invert(to_image)[1][:, :, None]
+    there = back[:, 0] * points[0] + back[:, 1] * points[1] + back[:, 2]
+    inverse = 1.0 / there[2]
+    places = there[:2] * inverse
+    return places, (back[:2, :2] - places[:, None] * back[2, :2]) * inverse
+
+
+def intersections(points: ndarray, normals: ndarray) -> ndarray:
+    """Return (..., 4, 2) corners: the k-th is where line k - 1 meets line k.
+
+    Args:
+        points: (..., 4, 2), one on each line.
+        normals: (..., 4, 2), one of each line.
+
+    >>> points = np.array([[1.0, 1.0], [3.0, 1.0], [1.0, 2.0], [1.0, 1.0]])
+    >>> intersections(points, np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])).tolist()
+    [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0], [1.0, 2.0]]
+    """
+    offsets = (points * normals).sum(axis=-1)[..., None]
+    before, offsets_before = normals[..., PREVIOUS, :], offsets[..., PREVIOUS, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = offsets_before * normals - before * offsets
+        return across[..., ::-1] / cross(before, normals)[..., None] * (1.0, -1.0)

@@ -3,31 +3,45 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Iterable, List, Optional, Sequence, Tuple
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Iterable, Sequence
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
-from bullet_lab.vision.algebra import mean_side
-from bullet_lab.vision.candidates import CandidateSearch, mean_sides, same_quads
-from bullet_lab.vision.dictionaries import (
-    Match,
-    dictionary_named,
-    interpret,
-    match,
-    may_be_markers,
-    read_cells,
+from bullet_lab.vision.candidates import (
+    FIRST_TRIM,
+    CandidateSearch,
+    outlined_quads,
+    outlines_of,
+    sound_quads,
 )
-from bullet_lab.vision.images import Picture, VisionError
+from bullet_lab.vision.dictionaries import Match, decode, dictionary_named, may_be_markers
+from bullet_lab.vision.images import (
+    NEXT,
+    UNIT_SQUARE,
+    Picture,
+    VisionError,
+    homography,
+    lengths_of,
+    mapped,
+    mean_side,
+)
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
-from bullet_lab.vision.pattern_sides import without_hidden_side
-from bullet_lab.vision.quads import quads_in_cells, refine_corners
+from bullet_lab.vision.pattern_pixels import without_hidden_side
 
-# Of a quadrilateral that was found several times, at most so many versions are tried.
+# Most quadrilaterals that are tried, the largest first. Of one that was found several times, at
+# most so many versions are.
+_MOST_QUADS = 60
 _TRIES = 3
+# Share of the border's cells that may be misread.
+_BORDER_RATE = 0.1
+# Least correlation of grey levels and pattern.
+_LEAST_LIKENESS = 0.6
 # Standard deviation of noise, grey levels, above which the image is smoothed, and the factor by
 # which smoothing lessens it.
 _CLEAN = 0.6
@@ -50,18 +64,35 @@ _BRIGHT = 243.0
 # Standard deviation of corners that follow from the outline alone: px, and part of a side.
 _UNSURE = 0.3
 _UNSURE_PART = 0.05
+# Samples of a cell along each edge, and the part of the edge that they cover.
+_SAMPLES = 7
+_COVERED = 0.8
+# A cell is not empty if this share of its samples is darker than white by this part of the
+# contrast.
+_DARK_SHARE = 0.2
+_DARKER = 0.25
+# Shares of the black and of the white samples that are darker than the levels of black and white.
+_BLACK_SHARE = 0.5
+_WHITE_SHARE = 0.75
+# At most so many cells are searched, the darkest first.
+_MOST_CELLS = 3
+# A cell is enlarged to about so many px, at most by this factor.
+_ENLARGED = 160.0
+_LARGEST_SCALE = 6
+# Thresholds, as parts of the contrast, and the grey levels of black and of the contrast then.
+_THRESHOLDS = (0.4, 0.55, 0.7, 0.82)
+_BLACK_LEVEL = 25.0
+_CONTRAST = 200.0
+# Standard deviation of the smoothing before, px.
+_SMOOTHING = 0.8
+_NONE = np.empty((0, 4, 2))
 # Limits of the settings.
 _ALLOWED = {
     "border": (0.0, 1000.0),
     "min_side": (5.0, 1e4),
     "contrast": (0.0, 255.0),
     "correction": (0.0, 1.0),
-    "border_rate": (0.0, 0.5),
-    "likeness": (0.0, 1.0),
-    "max_quads": (1, 10000),
 }
-# A marker and its corners, (4, 2) ideal px from its top left on.
-Decoded = Tuple[Match, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -69,14 +100,11 @@ class DetectorSettings:
     """Settings of a detector."""
 
     dictionary: str = "apriltag_36h10"  #: as `dictionary_named` takes it
-    ids: Tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
+    ids: tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
     border: float = 3.0  #: px; markers with a corner nearer to the edge of the image are dropped
     min_side: float = 8.0  #: px; mean side of the smallest marker
     contrast: float = 7.0  #: grey levels by which black is darker than white
     correction: float = 0.5  #: share of the correctable bits that is corrected
-    border_rate: float = 0.1  #: share of the border's cells that may be misread
-    likeness: float = 0.6  #: least correlation of grey levels and pattern
-    max_quads: int = 60  #: most quadrilaterals that are tried, the largest first
     inverted: bool = False  #: find white markers on black as well
     second_pass: bool = True  #: search again with other thresholds if nothing was found
 
@@ -102,33 +130,33 @@ class DetectedMarker:
     """
 
     id: int  #: its number in the dictionary
-    corners: np.ndarray
+    corners: ndarray
     bit_errors: int  #: bits that were corrected
     likeness: float  #: correlation of the grey levels with its pattern
-    covariance: np.ndarray  #: (8, 8) of the corners' u0, v0, u1 ... by this image, px²
+    covariance: ndarray  #: (8, 8) of the corners' u0, v0, u1 ... by this image, px²
 
     @property
-    def deviations(self) -> np.ndarray:
+    def deviations(self) -> ndarray:
         """Standard deviations (4, 2) of the corners' u and v, px."""
         return np.sqrt(np.diag(self.covariance)).reshape(4, 2)
 
     @property
     def side(self) -> float:
         """Mean length of its sides in px."""
-        return mean_side(self.corners)
+        return float(mean_side(self.corners))
 
 
-@dataclass
+@dataclass(frozen=True)
 class DetectionReport:
     """Statistics of a detection, to explain why nothing was found."""
 
+    mean: float  #: of the grey levels
+    contrast: float  #: grey levels between its darkest and its brightest pixel
+    noise: float  #: standard deviation of the grey levels' noise
     quads: int = 0  #: dark quadrilaterals that were tried
     undecoded: int = 0  #: number of them that are no marker
-    cropped: List[int] = field(default_factory=list)  #: ids dropped at the edge of the image
-    other_ids: List[int] = field(default_factory=list)  #: ids seen and not asked for
-    mean: float = 0.0  #: of the grey levels
-    contrast: float = 0.0  #: grey levels between its darkest and its brightest pixel
-    noise: float = 0.0  #: standard deviation of the grey levels' noise
+    cropped: Sequence[int] = ()  #: ids dropped at the edge of the image
+    other_ids: Sequence[int] = ()  #: ids seen and not asked for
     second_pass: bool = False  #: whether the image was searched twice
 
 
@@ -143,13 +171,13 @@ class Detections:
 class MarkerDetector:
     """Finds markers."""
 
-    def __init__(self, settings: Optional[DetectorSettings] = None):
+    def __init__(self, settings: DetectorSettings | None = None):
         self.settings = settings or DetectorSettings()
         self.dictionary = dictionary_named(self.settings.dictionary)
         self._correction = int(self.settings.correction * self.dictionary.max_correction + 1e-9)
-        self._border_errors = int(self.settings.border_rate * 4 * (self.dictionary.cells + 1))
+        self._border_errors = int(_BORDER_RATE * 4 * (self.dictionary.cells + 1))
 
-    def detect(self, image: np.ndarray, camera: Optional[PinholeCamera] = None) -> Detections:
+    def detect(self, image: ndarray, camera: PinholeCamera | None = None) -> Detections:
         """Return the markers in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
 
         Of the camera only the distortion is used, to have straight edges straight. Raises
@@ -164,128 +192,95 @@ class MarkerDetector:
         return Detections(both, (detections if detections.markers else negative).report)
 
     def _detect(self, picture: Picture) -> Detections:
-        grey, report = picture.levels, DetectionReport()
+        grey = picture.levels
         low, high = float(grey.min()), float(grey.max())
-        report.mean, report.contrast = float(cv2.mean(grey)[0]), high - low
-        report.noise = noise_level(grey)
+        report = DetectionReport(float(cv2.mean(grey)[0]), high - low, noise_level(grey))
         smooth, least = _prepare(grey, low, high, report.noise)
         search = CandidateSearch(smooth, self.settings.min_side)
         quads = search.first_pass(max(least, self.settings.contrast))
-        markers = self._markers(picture, quads, report)
-        if not markers and self.settings.second_pass:
-            report.second_pass = True
-            markers = self._markers(picture, search.second_pass(least), report)
-            if report.undecoded == report.quads:
-                last = replace(report)
-                markers = self._markers(picture, search.open_pass(least), last)
-                # Hulls that are no marker are not worth reporting.
-                report = last if last.undecoded < last.quads else report
-        return Detections(markers, report)
+        found = self._markers(picture, quads, report)
+        if found.markers or not self.settings.second_pass:
+            return found
+        report = replace(report, second_pass=True)
+        found = self._markers(picture, search.second_pass(least), report)
+        if found.report.undecoded < found.report.quads:
+            return found
+        last = self._markers(picture, search.open_pass(least), report)
+        # Hulls that are no marker are not worth reporting.
+        return last if last.report.undecoded < last.report.quads else found
 
-    def _markers(
-        self, picture: Picture, quads: np.ndarray, report: DetectionReport
-    ) -> List[DetectedMarker]:
-        """Return the markers among quadrilaterals (n, 4, 2), and fill in the report."""
-        quads, versions = self._likely(picture, quads, report)
-        found: List[Decoded] = []
-        report.cropped, report.other_ids = [], []
-        for one in self._first_decoded(picture, quads, versions):
-            if one is None:
-                report.undecoded += 1
+    def _markers(self, picture: Picture, quads: ndarray, report: DetectionReport) -> Detections:
+        """Return the markers among quadrilaterals (n, 4, 2), and complete the report."""
+        outlines = self._outlines(picture, quads)
+        decoded = self._first_decoded(picture, outlines)
+        cropped, other_ids, markers = [], [], []
+        border, (height, width) = self.settings.border, picture.levels.shape
+        largest = np.array((width, height)) - 1 - border
+        for match in self._different(picture, decoded):
+            corners = picture.seen(match.corners)
+            if self.settings.ids and match.marker not in self.settings.ids:
+                other_ids.append(match.marker)
+            elif not ((corners >= border) & (corners <= largest)).all():
+                cropped.append(match.marker)
             else:
-                add_decoded(one, found)
-        # There may be other markers in their white cells.
-        for read, corners in found[:]:
-            pattern = self.dictionary.pattern(read.marker)
-            size = mean_side(corners)
-            smaller = [other for _, other in found if mean_side(other) < size]
-            inner = quads_in_cells(picture, corners, pattern, self.settings.min_side, smaller)
-            for one in self._decode(picture, inner):
-                if one is not None:
-                    add_decoded(one, found)
-        return self._choose(found, picture, report)
+                markers.append(self._measured(match, picture))
+        tried, undecoded = len(outlines), len(outlines) - len(decoded)
+        seen = {"quads": tried, "undecoded": undecoded, "cropped": cropped, "other_ids": other_ids}
+        return Detections(markers, replace(report, **seen))
 
-    def _likely(
-        self, picture: Picture, quads: np.ndarray, report: DetectionReport
-    ) -> Tuple[np.ndarray, List[range]]:
-        """Return those (n, 4, 2) that may be markers, and the index ranges of versions of one.
+    def _different(self, picture: Picture, matches: Sequence[Match]) -> list[Match]:
+        """Return each marker once, and other markers in their white cells."""
+        found: list[Match] = []
+        for match in matches:
+            add_match(match, found)
+        for outer in found[:]:
+            pattern, size = self.dictionary.pattern(outer.marker), mean_side(outer.corners)
+            smaller = [one.corners for one in found if mean_side(one.corners) < size]
+            least = self.settings.min_side
+            inner = _quads_in_cells(picture, outer.corners, pattern, least, smaller)
+            for match in self._decoded(picture, inner).values():
+                add_match(match, found)
+        return found
 
-        The largest come first. The others are counted in the report.
+    def _outlines(self, picture: Picture, quads: ndarray) -> list[ndarray]:
+        """Return up to `_TRIES` versions (k, 4, 2) of each outline among (n, 4, 2), largest first.
+
+        Versions that cannot be a marker are left out.
         """
-        report.quads = report.undecoded = 0
         if not len(quads):
-            return quads, []
-        sides = mean_sides(quads)
+            return []
+        sides = mean_side(quads)
         order = np.argsort(-sides, kind="stable")
         quads, sides = quads[order], sides[order]
         likely = may_be_markers(picture, quads, self.dictionary.cells)
-        same = same_quads(quads, sides)
-        versions, done = [], np.zeros(len(quads), dtype=bool)
-        chosen: List[int] = []
-        for index in range(len(quads)):
-            if done[index]:
-                continue
-            if report.quads == self.settings.max_quads:
-                break
-            alike = same[index] & ~done
-            done |= alike
-            report.quads += 1
-            tried = np.flatnonzero(alike & likely)[:_TRIES].tolist()
-            if tried:
-                versions.append(range(len(chosen), len(chosen) + len(tried)))
-                chosen += tried
-            else:
-                report.undecoded += 1
-        return quads[chosen], versions
+        same = _same_quads(quads, sides)
+        outlines: list[ndarray] = []
+        left = np.ones(len(quads), dtype=bool)
+        while left.any() and len(outlines) < _MOST_QUADS:
+            versions = same[left.argmax()] & left
+            left &= ~versions
+            outlines.append(quads[versions & likely][:_TRIES])
+        return outlines
 
-    def _first_decoded(
-        self, picture: Picture, quads: np.ndarray, versions: Sequence[range]
-    ) -> List[Optional[Decoded]]:
-        """Return the marker of the first version of each one that is a marker, or None."""
-        found: List[Optional[Decoded]] = [None] * len(versions)
+    def _first_decoded(self, picture: Picture, outlines: Sequence[ndarray]) -> list[Match]:
+        """Return the marker of the first version of each outline that is a marker."""
+        found: dict[int, Match] = {}
         for attempt in range(_TRIES):
-            left = [k for k, same in enumerate(versions) if not found[k] and attempt < len(same)]
-            tried = quads[[versions[k][attempt] for k in left]] if left else quads[:0]
-            for k, one in zip(left, self._decode(picture, tried)):
-                found[k] = one
-        return found
+            left = [k for k, one in enumerate(outlines) if k not in found and attempt < len(one)]
+            decoded = self._decoded(picture, np.array([outlines[k][attempt] for k in left]))
+            found.update((left[index], match) for index, match in decoded.items())
+        return [found[k] for k in sorted(found)]
 
-    def _decode(self, picture: Picture, quads: np.ndarray) -> List[Optional[Decoded]]:
-        """Return the marker at each of (n, 4, 2) quadrilaterals, px of the image, or None."""
-        cells = self.dictionary.cells
+    def _decoded(self, picture: Picture, quads: ndarray) -> dict[int, Match]:
+        """Return the markers among (n, 4, 2) quadrilaterals, px, by their indices."""
         if not len(quads):
-            return []
-        corners = refine_corners(picture, quads, cells + 2)
-        sound = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
-        decoded: List[Optional[Decoded]] = [None] * len(quads)
-        readings = interpret(read_cells(picture, corners[sound], cells))
-        for index, reading in zip(sound.tolist(), readings):
-            if reading is None or reading.border_errors > self._border_errors:
-                continue
-            found = match(reading, self.dictionary, self._correction)
-            if found is not None and found.likeness >= self.settings.likeness:
-                decoded[index] = found, np.roll(corners[index], found.turns, axis=0)
-        return decoded
+            return {}
+        found = decode(picture, quads, self.dictionary, self._correction, self._border_errors)
+        return {index: match for index, match in found if match.likeness >= _LEAST_LIKENESS}
 
-    def _choose(
-        self, found: List[Decoded], picture: Picture, report: DetectionReport
-    ) -> List[DetectedMarker]:
-        """Return the markers that were asked for and are whole, with their corners fitted."""
-        border, chosen = self.settings.border, []
-        largest = np.array(picture.levels.shape[::-1]) - 1 - border
-        for read, ideal in found:
-            corners = picture.seen(ideal)
-            if self.settings.ids and read.marker not in self.settings.ids:
-                report.other_ids.append(read.marker)
-            elif not ((corners >= border) & (corners <= largest)).all():
-                report.cropped.append(read.marker)
-            else:
-                chosen.append(self._measured(read, ideal, picture))
-        return chosen
-
-    def _measured(self, read: Match, corners: np.ndarray, picture: Picture) -> DetectedMarker:
-        pattern = self.dictionary.pattern(read.marker)
-        corners = without_hidden_side(picture, corners, pattern)
+    def _measured(self, match: Match, picture: Picture) -> DetectedMarker:
+        pattern = self.dictionary.pattern(match.marker)
+        corners = without_hidden_side(picture, match.corners, pattern)
         fit = fit_pattern(picture, corners, pattern)
         if fit is None:
             # The pattern does not explain the image, so the outline is not reliable either.
@@ -294,31 +289,132 @@ class MarkerDetector:
         by_ideal = picture.derivatives(fit.corners)
         covariance = by_ideal @ fit.covariance @ by_ideal.T
         seen = picture.seen(fit.corners)
-        return DetectedMarker(read.marker, seen, read.errors, read.likeness, covariance)
+        return DetectedMarker(match.marker, seen, match.errors, match.likeness, covariance)
 
 
-def add_decoded(decoded: Decoded, found: List[Decoded]) -> None:
+def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
+    """Return which (n, n) of (n, 4, 2) quadrilaterals are the same to a fraction of a cell.
+
+    Their middles and the mean lengths of their sides, `sides` (n,), agree.
+    """
+    middles = quads.mean(axis=1)
+    away = np.abs(middles[:, None] - middles).max(axis=2)
+    larger = np.abs(sides[:, None] - sides)
+    # A marker's white surroundings on a bright ground are a dark square one cell larger.
+    return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
+
+
+def _quads_in_cells(
+    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: Sequence[ndarray]
+) -> ndarray:
+    """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
+
+    Where it is small or the light is poor, thresholds of the whole image miss it. The marker around
+    a cell shows how bright black and white are there.
+
+    Args:
+        picture: the image.
+        corners: (4, 2) of the marker, ideal px, clockwise from its top left.
+        pattern: (n, n) its cells with the border, 1 for white.
+        min_side: px, least mean length of the sides that are looked for.
+        known: (4, 2) corners of other markers, ideal px; a cell with one in it is left out.
+
+    Returns:
+        (m, 4, 2) corners u, v in px of the image, clockwise.
+    """
+    cells = len(pattern)
+    if lengths_of(corners[NEXT] - corners).min() < cells * min_side:
+        return _NONE
+    to_image = homography(corners)
+    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
+    is_white = (pattern > 0).ravel()
+    black = _quantile(levels[~is_white], _BLACK_SHARE)
+    white = _quantile(levels[is_white], _WHITE_SHARE)
+    contrast = white - black
+    if contrast < 1.0:
+        return _NONE
+    dark = int(_DARK_SHARE * levels.shape[1])
+    darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
+    darkness[~is_white] = 0.0
+    for other in known:
+        column, row = (cells * mapped(other.mean(axis=0)[None], cv2.invert(to_image)[1]))[0]
+        if 0.0 <= column < cells and 0.0 <= row < cells:
+            darkness[cells * int(row) + int(column)] = 0.0
+    darkest = np.argsort(-darkness, kind="stable")[:_MOST_CELLS]
+    found = [_NONE]
+    for index in darkest[darkness[darkest] > _DARKER].tolist():
+        row, column = divmod(index, cells)
+        outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
+        found.append(_quads_within(picture.levels, outline, black, contrast, min_side))
+    return np.concatenate(found)
+
+
+def _quantile(levels: ndarray, part: float) -> float:
+    index = int(part * levels.size)
+    return float(np.partition(levels, index, axis=None)[index])
+
+
+def _quads_within(
+    image: ndarray, outline: ndarray, black: float, contrast: float, min_side: float
+) -> ndarray:
+    """Return the dark quadrilaterals within an outline (4, 2)."""
+    height, width = image.shape
+    left, top = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
+    right, bottom = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, (width, height))
+    if min(right - left, bottom - top) < min_side:
+        return _NONE
+    cell = image[top:bottom, left:right].astype(np.float32)
+    scale = int(np.clip(_ENLARGED / max(cell.shape), 1, _LARGEST_SCALE))
+    cell = cv2.GaussianBlur(cell, (0, 0), _SMOOTHING)
+    cell = cv2.resize(cell, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    # Beyond the cell all is white, so that black neighbours do not join what is in it.
+    inside = np.zeros(cell.shape, dtype=np.uint8)
+    polygon = scale * (outline - (left, top) + 0.5) - 0.5
+    cv2.fillConvexPoly(inside, np.rint(polygon).astype(np.int32), 255)
+    spread = np.clip((cell - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
+    grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
+    outlines = []
+    for threshold in _THRESHOLDS:
+        limit = _BLACK_LEVEL + _CONTRAST * threshold
+        _, dark = cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)
+        contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
+        outer = [one for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
+        outlines += outlines_of(outer, scale * min_side)
+    quads = sound_quads(outlined_quads(outlines, FIRST_TRIM))
+    return (quads + 0.5) / scale - 0.5 + (left, top)
+
+
+@lru_cache(maxsize=None)
+def _cell_samples(cells: int) -> ndarray:
+    """Return (n, 2) points of the unit square, cell by cell, row by row."""
+    within = 0.5 + _COVERED * (np.arange(_SAMPLES) / (_SAMPLES - 1.0) - 0.5)
+    each = np.arange(cells)
+    row, column, down, right = np.meshgrid(each, each, within, within, indexing="ij")
+    return np.column_stack(((column + right).ravel(), (row + down).ravel())) / cells
+
+
+def add_match(match: Match, found: list[Match]) -> None:
     """Add a marker; of two outlines of one marker, keep the one that looks more like it.
 
     A panel before a bright sky has an outline too, about as large as its marker's.
     """
     for index, other in enumerate(found):
-        if _same_marker(decoded, other):
-            if decoded[0].likeness > other[0].likeness:
-                found[index] = decoded
+        if _is_same_marker(match, other):
+            if match.likeness > other.likeness:
+                found[index] = match
             return
-    found.append(decoded)
+    found.append(match)
 
 
-def _same_marker(first: Decoded, second: Decoded) -> bool:
-    if first[0].marker != second[0].marker:
-        return False
-    sides = mean_side(first[1]), mean_side(second[1])
-    away = np.linalg.norm(first[1].mean(axis=0) - second[1].mean(axis=0))
-    return max(sides) < _ONE_MARKER * min(sides) and bool(away < _BESIDE * min(sides))
+def _is_same_marker(first: Match, second: Match) -> bool:
+    small, large = sorted((mean_side(first.corners), mean_side(second.corners)))
+    away = np.linalg.norm(first.corners.mean(axis=0) - second.corners.mean(axis=0))
+    is_near = large < _ONE_MARKER * small and away < _BESIDE * small
+    return first.marker == second.marker and bool(is_near)
 
 
-def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[np.ndarray, float]:
+def _prepare(grey: ndarray, low: float, high: float, noise: float) -> tuple[ndarray, float]:
     """Return the image with more contrast and less noise, and the least contrast to look for."""
     gain = float(np.clip(_RANGE / max(1.0, high - low), 1.0, _LARGEST_GAIN))
     if gain > 1.0:
@@ -330,7 +426,7 @@ def _prepare(grey: np.ndarray, low: float, high: float, noise: float) -> Tuple[n
     return grey, max(_LEAST_CONTRAST, _CONFIDENCE * gain * noise)
 
 
-def noise_level(grey: np.ndarray) -> float:
+def noise_level(grey: ndarray) -> float:
     """Return the standard deviation of an image's noise, in grey levels.
 
     It follows from the median of second differences both ways, which are zero in uniform areas and

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import List, Mapping, Optional, Sequence, Tuple
+from dataclasses import dataclass, replace
+from typing import Mapping, Sequence
 
+import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.images import VisionError, cross, homography, solve_symmetric, undistorted
 from bullet_lab.vision.marker_detector import (
     DetectedMarker,
     Detections,
     DetectorSettings,
     MarkerDetector,
 )
-from bullet_lab.vision.pose_fit import MarkerPose, SquareFit
 
 # The better of two poses is right if the other one's error is larger by this factor, and by so many
 # standard deviations of the corners.
@@ -24,7 +25,7 @@ _CLEAR_RATIO = 2.0
 _CLEAR_SIGMAS = 3.0
 # Least area of a marker in the image, px².
 _LEAST_AREA = 1.0
-# Seconds after which a pose is no hint for the next one.
+# Seconds after which a pose no longer helps to choose the next one.
 _PATIENCE = 1.0
 # A marker moves by less than this part of its distance from one image to the next.
 _NEAR = 0.2
@@ -32,6 +33,46 @@ _NEAR = 0.2
 _CLEARLY_UPRIGHT = 0.0014
 # Up, in the optical frame of a level camera.
 _UP = np.array([0.0, -1.0, 0.0])
+
+# Top left, top right, bottom right, bottom left corner in the marker's frame, by half its edge.
+_SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+_ITERATIONS = 10
+# The fit has converged when a step gains less, in squares of standard deviations.
+_CONVERGED = 1e-5
+# Tilts (n, 2) at which the likelihood is evaluated, up to so many standard deviations.
+_REACH = 3.5
+_TILTS = np.stack(np.meshgrid(*2 * [np.linspace(-_REACH, _REACH, 15)]), axis=-1).reshape(-1, 2)
+# The other pose does not matter if it is so many standard deviations away.
+_FAR = 16.0
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerPose:
+    """Pose of a marker in the optical frame of a camera.
+
+    The marker's frame has x to its right as one looks at it, y up, z out of its face. The
+    covariance (6, 6) is of x, y, z and small rotations about the x, y, z of the optical frame, as
+    in geometry_msgs/PoseWithCovariance; m² and rad².
+    """
+
+    rotation: ndarray  #: (3, 3), from the marker's frame to the optical frame
+    translation: ndarray  #: (3,) m, the marker's middle
+    error: float  #: root mean square of the corners' distances from where the pose puts them, px
+    covariance: ndarray
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """The rotation as x, y, z, w."""
+        vector = cv2.Rodrigues(self.rotation)[0].ravel()
+        angle = float(np.linalg.norm(vector))
+        scale = np.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
+        x, y, z = (vector * scale).tolist()
+        return x, y, z, float(np.cos(0.5 * angle))
+
+    @property
+    def distance(self) -> float:
+        """From the camera to the marker's middle, m."""
+        return float(np.linalg.norm(self.translation))
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,27 +83,27 @@ class PoseEstimate:
     alternative: MarkerPose  #: the other one; the same as `best` where there is but one
     ambiguous: bool  #: the corners do not show which is right
 
-    def nearest_to(self, rotation: np.ndarray) -> MarkerPose:
+    def nearest_to(self, rotation: ndarray) -> MarkerPose:
         """Return the pose that is turned least from a (3, 3) rotation, such as the last."""
         both = self.best, self.alternative
         return max(both, key=lambda pose: float(np.sum(pose.rotation * rotation)))
 
-    def upright(self, up: np.ndarray, least: float = 0.0) -> MarkerPose:
+    def upright(self, up: ndarray, least: float = 0.0) -> MarkerPose:
         """Return the pose whose y axis is nearer to a direction (3,) of the optical frame.
 
         A marker on an upright wall has its y axis up: (0, -1, 0) for a level camera. The one that
         fits worse is returned only if the cosine of its angle is larger by more than `least`.
         """
-        gain = (self.alternative.rotation[:, 1] - self.best.rotation[:, 1]) @ np.asarray(up)
+        gain = (self.alternative.rotation[:, 1] - self.best.rotation[:, 1]) @ up
         return self.alternative if gain > least else self.best
 
 
 def estimate_pose(
-    corners: np.ndarray,
+    corners: ndarray,
     size: float,
     camera: PinholeCamera,
     pixel_sigma: float = 0.1,
-    covariance: Optional[np.ndarray] = None,
+    covariance: ndarray | None = None,
 ) -> PoseEstimate:
     """Return the poses of a marker from its corners.
 
@@ -84,25 +125,233 @@ def estimate_pose(
         raise VisionError("a marker needs four finite corners")
     total = pixel_sigma**2 * np.eye(8) + (0.0 if covariance is None else covariance)
     sigma = float(np.sqrt(np.trace(total) / 8.0))
-    if not (np.isfinite(size) and size > 0.0 and np.isfinite(sigma) and sigma > 0.0):
+    if not (0.0 < size < math.inf and 0.0 < sigma < math.inf):
         raise VisionError(
             f"marker size {size} m, deviation of its corners {sigma} px; both must be above 0"
         )
     # The area of a quadrilateral, from its diagonals.
-    (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
-    if 0.5 * abs(float(ax * by - ay * bx)) < _LEAST_AREA:
+    if 0.5 * abs(cross(corners[2] - corners[0], corners[3] - corners[1])) < _LEAST_AREA:
         raise VisionError(f"the corners of a marker span less than {_LEAST_AREA:g} px²")
-    square = SquareFit(corners, size, camera, total)
+    square = _SquareFit(corners, size, camera, total)
     refined = [square.refined(*start) for start in square.starts()]
     fits = sorted((fit for fit in refined if fit is not None), key=lambda fit: fit[0])
     if not fits:
         raise VisionError("no pose fits the corners")
     best, other = fits[0][1], fits[-1][1]
     best, other = square.widened(best, other), square.widened(other, best)
-    same = fits[0] is fits[-1] or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
+    same = len(fits) == 1 or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
     clear = other.error > _CLEAR_RATIO * best.error
     clear = clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * sigma
     return PoseEstimate(best, other, not (same or clear))
+
+
+class _SquareFit:
+    """Fits the pose of a square marker to its corners.
+
+    Args:
+        corners: (4, 2) px.
+        size: edge of the black square, m.
+        camera: geometry of the image.
+        covariance: (8, 8) of the corners, px².
+    """
+
+    def __init__(self, corners: ndarray, size: float, camera: PinholeCamera, covariance: ndarray):
+        self._corners, self._camera = corners, camera
+        self._points = 0.5 * size * _SQUARE
+        # With this matrix the corners' errors become independent ones of 1.
+        _, values, vectors = cv2.eigen(covariance)
+        self._whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
+
+    def starts(self) -> list[tuple[ndarray, ndarray]]:
+        """Return both poses, rotation and translation, by Collins and Bartoli (2014, IPPE).
+
+        (OpenCV's IPPE_SQUARE uses rotation vectors and fails at half turns, which is how a level
+        camera sees an upright marker.)
+        """
+        rays = self._rays()
+        size = self._points[1, 0] - self._points[0, 0]
+        from_plane = np.array([[1.0 / size, 0.0, 0.5], [0.0, -1.0 / size, 0.5], [0.0, 0.0, 1.0]])
+        plane = homography(rays) @ from_plane
+        plane = plane / plane[2, 2]
+        middle = plane[:2, 2]
+        # How the image moves with the plane about its middle.
+        by_plane = plane[:2, :2] - np.outer(middle, plane[2, :2])
+        to_middle = _rotation_to(np.array([*middle, 1.0]))
+        by_space = np.column_stack((np.eye(2), -middle)) @ to_middle
+        (xx, xy), (yx, yy) = by_space[:, :2]
+        scaled = np.array([[yy, -xy], [-yx, xx]]) @ by_plane / (xx * yy - xy * yx)
+        upper = scaled / _largest_singular_value(scaled)
+        rest = np.eye(2) - upper.T @ upper
+        lower = np.sqrt(np.maximum(0.0, np.diag(rest)))
+        if rest[0, 1] < 0.0:
+            lower[1] = -lower[1]
+        poses = []
+        for sign in (1.0, -1.0):
+            columns = np.vstack((upper, sign * lower))
+            local = np.column_stack((columns, np.cross(columns[:, 0], columns[:, 1])))
+            # The nearest rotation to a matrix that is nearly one.
+            _, left, right = cv2.SVDecomp(to_middle @ local)
+            rotation = left @ right
+            poses.append((rotation, _translation(self._points @ rotation.T, rays)))
+        return poses
+
+    def refined(self, rotation: ndarray, translation: ndarray) -> tuple[float, MarkerPose] | None:
+        """Return the pose of least squares from a start, and its sum of squares; None if none.
+
+        By Levenberg and Marquardt.
+        """
+        seen, residuals, jacobian = self._whitened(rotation, translation)
+        error, damping = float(residuals @ residuals), 1e-6
+        for _ in range(_ITERATIONS):
+            if not np.isfinite(error):
+                return None
+            normal = jacobian.T @ jacobian
+            damped = normal + damping * np.diag(np.diag(normal))
+            step = -solve_symmetric(damped, jacobian.T @ residuals)
+            moved = translation + step[:3]
+            turned = cv2.Rodrigues(step[3:])[0] @ rotation
+            there = self._whitened(turned, moved)
+            error_there = float(there[1] @ there[1])
+            if not error_there < error:
+                damping *= 100.0
+                continue
+            gain = error - error_there
+            rotation, translation, error = turned, moved, error_there
+            seen, residuals, jacobian = there
+            damping *= 0.1
+            if gain < _CONVERGED:
+                break
+        solved, inverse = cv2.invert(jacobian.T @ jacobian, flags=cv2.DECOMP_CHOLESKY)
+        covariance = 0.5 * (inverse + inverse.T) if solved else np.full((6, 6), np.nan)
+        distance = float(np.sqrt(seen @ seen / 4.0))
+        return error, MarkerPose(rotation, translation, distance, covariance)
+
+    def widened(self, pose: MarkerPose, other: MarkerPose) -> MarkerPose:
+        """Return a pose with the mean squares of its error as covariance.
+
+        How a marker that faces the camera looks changes with the square of its tilt: equally likely
+        tilts form no ellipse, and the estimate is not in their middle. So the likelihood is summed
+        over both tilts, up to half way to the other pose, with every angle between the marker's
+        axis and the line of sight equally likely before; all else follows the tilts to first order.
+
+        Args:
+            pose: its covariance is the inverse of the curvature.
+            other: the other pose that the corners allow, or the same.
+        """
+        turn = cv2.Rodrigues(other.rotation @ pose.rotation.T)[0].ravel()
+        covariance = pose.covariance
+        sight = pose.translation / pose.distance
+        across = np.linalg.svd(sight[None])[2][1:]
+        of_tilts = across @ covariance[3:, 3:] @ across.T
+        away = across @ turn
+        if not np.linalg.det(of_tilts) > 0.0 or away @ away > _FAR**2 * np.trace(of_tilts):
+            return pose
+        scale = np.linalg.cholesky(of_tilts + np.outer(away, away) / (2.0 * _REACH) ** 2)
+        tilts = _TILTS @ scale.T
+        tilts = tilts[tilts @ away <= 0.5 * (away @ away)]
+        along = covariance[:, 3:] @ across.T @ np.linalg.inv(of_tilts)
+        moves, squares = self._followed(pose, tilts @ along.T)
+        facing = across @ np.cross(sight, pose.rotation[:, 2])
+        likely = np.exp(-0.5 * (squares - squares.min()))
+        likely /= np.hypot(np.hypot(*(tilts - facing).T), math.sqrt(np.trace(of_tilts)))
+        beside = covariance - along @ of_tilts @ along.T
+        squares = beside + (moves.T * (likely / likely.sum())) @ moves
+        return replace(pose, covariance=squares) if np.isfinite(squares).all() else pose
+
+    def _followed(self, pose: MarkerPose, moves: ndarray) -> tuple[ndarray, ndarray]:
+        """Return moves (n, 6) with the best place and roll for their tilts, and squares (n,)."""
+        residuals = self._moved_residuals(pose, moves) @ self._whitening.T
+        _, _, jacobian = self._whitened(pose.rotation, pose.translation)
+        free = np.zeros((6, 4))
+        free[:3, :3] = np.eye(3)
+        free[3:, 3] = pose.translation / pose.distance
+        basis, upper = np.linalg.qr(jacobian @ free)
+        in_basis = residuals @ basis
+        squares = np.square(residuals).sum(axis=1) - np.square(in_basis).sum(axis=1)
+        return moves - in_basis @ np.linalg.inv(upper).T @ free.T, squares
+
+    def _moved_residuals(self, pose: MarkerPose, moves: ndarray) -> ndarray:
+        """Return the residuals (n, 8), px, of a pose that is moved by (n, 6)."""
+        turned = self._points @ pose.rotation.T
+        angles = np.linalg.norm(moves[:, 3:], axis=1)[:, None, None]
+        axes = moves[:, None, 3:] / np.maximum(angles, 1e-12)
+        # Rodrigues' formula.
+        sine, cosine = np.sin(angles), np.cos(angles)
+        points = cosine * turned + sine * np.cross(axes, turned)
+        points += (1.0 - cosine) * (axes * turned).sum(axis=2, keepdims=True) * axes
+        points += (pose.translation + moves[:, :3])[:, None]
+        pixels, _ = _projected(points.reshape(-1, 3), self._camera)
+        return pixels.reshape(len(moves), 8) - self._corners.ravel()
+
+    def _whitened(
+        self, rotation: ndarray, translation: ndarray
+    ) -> tuple[ndarray, ndarray, ndarray]:
+        """Return the residuals (8,) in px, and them and their derivatives in deviations.
+
+        The derivatives (8, 6) are by x, y, z and rotations.
+        """
+        turned = self._points @ rotation.T
+        pixels, by_point = _projected(turned + translation, self._camera)
+        x, y, z = turned.T
+        crosses = np.zeros((4, 3, 3))
+        crosses[:, 0, 1], crosses[:, 0, 2], crosses[:, 1, 2] = z, -y, x
+        crosses -= np.swapaxes(crosses, 1, 2)
+        jacobian = np.concatenate((by_point, by_point @ crosses), axis=2).reshape(8, 6)
+        residuals = (pixels - self._corners).ravel()
+        return residuals, self._whitening @ residuals, self._whitening @ jacobian
+
+    def _rays(self) -> ndarray:
+        """Return the (4, 2) corners on the plane one ahead of an ideal camera."""
+        camera = self._camera
+        if any(camera.distortion):
+            return undistorted(self._corners, camera, None, 30, 1e-8)
+        return (self._corners - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+
+
+def _largest_singular_value(matrix: ndarray) -> float:
+    """Return the largest singular value of a (2, 2) matrix."""
+    (xx, xy), (yx, yy) = matrix
+    square, determinant = float(xx * xx + xy * xy + yx * yx + yy * yy), float(xx * yy - xy * yx)
+    rest = max(0.0, square * square - 4.0 * determinant * determinant)
+    return float(np.sqrt(0.5 * (square + np.sqrt(rest))))
+
+
+def _rotation_to(direction: ndarray) -> ndarray:
+    """Return the least rotation that turns the z axis to a direction with z > 0."""
+    x, y, z = direction / np.linalg.norm(direction)
+    across = -x * y / (1.0 + z)
+    return np.array(
+        [
+            [1.0 - x * x / (1.0 + z), across, x],
+            [across, 1.0 - y * y / (1.0 + z), y],
+            [-x, -y, z],
+        ]
+    )
+
+
+def _translation(turned: ndarray, rays: ndarray) -> ndarray:
+    """Return the translation (least squares) that puts turned points on their rays."""
+    columns = np.concatenate((np.tile(np.eye(2), (4, 1)), -rays.reshape(8, 1)), axis=1)
+    right = rays * turned[:, 2:] - turned[:, :2]
+    return solve_symmetric(columns.T @ columns, columns.T @ right.ravel())
+
+
+def _projected(seen: ndarray, camera: PinholeCamera) -> tuple[ndarray, ndarray]:
+    """Return the pixels (n, 2) of points of the optical frame and their (n, 2, 3) derivatives."""
+    if not any(camera.distortion):
+        x, y = seen[:, 0], seen[:, 1]
+        z = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
+        u, v = camera.fx * x / z, camera.fy * y / z
+        by_point = np.zeros((len(seen), 2, 3))
+        by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -u / z
+        by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -v / z
+        return np.column_stack((u + camera.cx, v + camera.cy)), by_point
+    # By central differences through the lens.
+    step = 1e-6 * float(np.abs(seen[:, 2]).mean())
+    shifts = step * np.vstack((np.zeros(3), np.eye(3), -np.eye(3)))
+    pixels = camera.project((seen[:, None] + shifts).reshape(-1, 3)).reshape(len(seen), 7, 2)
+    by_point = np.swapaxes((pixels[:, 1:4] - pixels[:, 4:]) / (2.0 * step), 1, 2)
+    return pixels[:, 0], by_point
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,42 +371,37 @@ class MarkerObserver:
         sizes: the edge by id, of markers with another one.
         pixel_sigma: standard deviation of a corner's coordinates beside that of the image's noise,
             px: of the print, or of an inexact lens model.
-
-    Raises:
-        VisionError: a setting is not allowed.
     """
 
     def __init__(
         self,
-        settings: Optional[DetectorSettings] = None,
+        settings: DetectorSettings | None = None,
         size: float = 0.2,
-        sizes: Optional[Mapping[int, float]] = None,
+        sizes: Mapping[int, float] | None = None,
         pixel_sigma: float = 0.02,
     ):
-        self.detector = MarkerDetector(settings)
-        self._size = size
-        self._sizes = dict(sizes or {})
-        self._sigma = pixel_sigma
-        for value in (size, *self._sizes.values()):
-            if not math.isfinite(value) or value <= 0.0:
-                raise VisionError(f"marker size is {value} m; it must be above 0")
-        if not math.isfinite(pixel_sigma) or pixel_sigma < 0.0:
-            raise VisionError(f"pixel_sigma is {pixel_sigma} px; it must be 0 or more")
+        self._detector = MarkerDetector(settings)
+        self._size, self._sizes, self._sigma = size, sizes or {}, pixel_sigma
 
-    def observe(self, image: np.ndarray, camera: PinholeCamera) -> Detections:
-        """Return the `ObservedMarker`s in an image, (h, w) grey levels or (h, w, 3) BGR, uint8.
+    def observe(self, image: ndarray, camera: PinholeCamera | None) -> Detections:
+        """Return the `ObservedMarker`s in an image; without a camera, `DetectedMarker`s.
+
+        Args:
+            image: (h, w) grey levels or (h, w, 3) BGR, uint8.
+            camera: geometry of the image.
 
         Raises:
             VisionError: it is no image, or not of the camera's size.
         """
+        if camera is None:
+            return self._detector.detect(image)
         if image.shape[:2] != (camera.height, camera.width):
             size = f"{image.shape[1]} x {image.shape[0]} px"
             raise VisionError(f"the image has {size}; the camera {camera.width} x {camera.height}")
-        detections = self.detector.detect(image, camera)
-        return Detections([self.locate(m, camera) for m in detections.markers], detections.report)
+        found = self._detector.detect(image, camera)
+        return replace(found, markers=[self._observed(one, camera) for one in found.markers])
 
-    def locate(self, marker: DetectedMarker, camera: PinholeCamera) -> ObservedMarker:
-        """Return a detected marker with its poses."""
+    def _observed(self, marker: DetectedMarker, camera: PinholeCamera) -> ObservedMarker:
         size = self._sizes.get(marker.id, self._size)
         pose = estimate_pose(marker.corners, size, camera, self._sigma, marker.covariance)
         return ObservedMarker(**vars(marker), size=size, pose=pose)
@@ -173,14 +417,14 @@ class PoseMemory:
 
     def __init__(self, upright: bool = True):
         self._upright = upright
-        self._last: List[Tuple[int, MarkerPose]] = []
-        self._stamp = -np.inf
+        self._last: list[tuple[int, MarkerPose]] = []
+        self._stamp = -math.inf
 
     def forget(self) -> None:
         """Forget the last poses."""
         self._last = []
 
-    def choose(self, markers: Sequence[ObservedMarker], stamp: float) -> List[MarkerPose]:
+    def choose(self, markers: Sequence[ObservedMarker], stamp: float) -> list[MarkerPose]:
         """Return a pose for each marker of an image of a stamp in s."""
         if not 0.0 <= stamp - self._stamp <= _PATIENCE:
             self._last = []

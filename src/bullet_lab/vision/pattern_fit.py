@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import List, NamedTuple, Optional, Tuple
+from typing import NamedTuple, Tuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.vision.algebra import NEXT, mean_side
-from bullet_lab.vision.images import Picture
+from bullet_lab.vision.images import NEXT, Picture, lengths_of, mean_side, right_of
 from bullet_lab.vision.pattern_model import PatternModel, moves_of
 from bullet_lab.vision.pattern_pixels import (
     LEAST_AROUND,
@@ -96,12 +96,12 @@ class PatternFit:
         hidden: share of the pixels that do not match the pattern.
     """
 
-    corners: np.ndarray
-    covariance: np.ndarray
+    corners: ndarray
+    covariance: ndarray
     hidden: float
 
 
-def fit_pattern(picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> Optional[PatternFit]:
+def fit_pattern(picture: Picture, corners: ndarray, pattern: ndarray) -> PatternFit | None:
     """Fit corners, light and blur to the grey levels by weighted least squares.
 
     A pixel is modelled as a + d · B, with a (of second order) and d (of first) its light over the
@@ -149,7 +149,7 @@ def fit_pattern(picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> O
 
 # A side that is not where the other edges have it: by how many standard deviations, and which
 # pixels (n,) are at it.
-_OddSide = Tuple[float, np.ndarray]
+_OddSide = Tuple[float, ndarray]
 
 
 class _Fitted(NamedTuple):
@@ -162,10 +162,10 @@ class _Fitted(NamedTuple):
         odd: inconsistent sides, the worst first.
     """
 
-    fit: Optional[PatternFit]
+    fit: PatternFit | None
     blur: float
-    pixels: Optional[Pixels] = None
-    odd: Tuple[_OddSide, ...] = ()
+    pixels: Pixels | None = None
+    odd: tuple[_OddSide, ...] = ()
 
     @property
     def disagreement(self) -> float:
@@ -173,10 +173,9 @@ class _Fitted(NamedTuple):
         return self.odd[0][0] if self.odd else 0.0
 
 
-def _fit(pixels: Pixels, picture: Picture, corners: np.ndarray, pattern: np.ndarray) -> _Fitted:
+def _fit(pixels: Pixels, picture: Picture, corners: ndarray, pattern: ndarray) -> _Fitted:
     """Return the fit to a set of pixels, starting at corners."""
-    start = corners
-    most_moved = _MOST_MOVED * (mean_side(corners) / len(pattern))
+    start, most_moved = corners, _MOST_MOVED * mean_side(corners) / len(pattern)
     spread, light = np.array(_FIRST_SPREAD), None
     for left in reversed(range(_MOST_ROUNDS)):
         linear = _Linearised(pixels, corners, spread, light, pattern)
@@ -185,13 +184,13 @@ def _fit(pixels: Pixels, picture: Picture, corners: np.ndarray, pattern: np.ndar
         moved = linear.to_corners @ step[_SHAPE]
         corners = corners + moved.reshape(4, 2)
         is_late = left < _MOST_ROUNDS - _FULL_STEPS
-        before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.grouped, is_late)
+        before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.group > 1, is_late)
         blur = float(spread[:2].max())
         if not np.abs(corners - start).max() <= most_moved:
             return _Fitted(None, blur)
         if np.abs(moved).max() < _STILL and _is_same_blur(before, spread):
             break
-        if left and pixels.grouped and spread.max() > _SOFT:
+        if left and pixels.group > 1 and spread.max() > _SOFT:
             # In so much blur the few pixels across each edge see little of it.
             pixels, light = all_pixels(picture, corners, len(pattern), pixels.cut_off), None
     judged = _Judged(linear, step, corners)
@@ -201,7 +200,7 @@ def _fit(pixels: Pixels, picture: Picture, corners: np.ndarray, pattern: np.ndar
     return _Fitted(fit, blur, pixels, judged.odd_sides())
 
 
-def _next_spread(spread: np.ndarray, step: np.ndarray, grouped: bool, is_late: bool) -> np.ndarray:
+def _next_spread(spread: ndarray, step: ndarray, grouped: bool, is_late: bool) -> ndarray:
     """Return the blur's numbers after a step, within their limits."""
     least = np.full(2, _LEAST_VARIANCE)
     gain = 1.0
@@ -216,7 +215,7 @@ def _next_spread(spread: np.ndarray, step: np.ndarray, grouped: bool, is_late: b
     return np.array([low, high, min(max(spread[2], -most), most), shared])
 
 
-def _is_same_blur(before: np.ndarray, after: np.ndarray) -> bool:
+def _is_same_blur(before: ndarray, after: ndarray) -> bool:
     changed = np.abs(after - before)
     is_same = changed.max() - _SAME_PART * after.max() < _SAME_BLUR
     return is_same and changed[3] < _SAME_SHARED
@@ -244,10 +243,10 @@ class _Linearised:
     def __init__(
         self,
         pixels: Pixels,
-        corners: np.ndarray,
-        spread: np.ndarray,
-        light: Optional[np.ndarray],
-        pattern: np.ndarray,
+        corners: ndarray,
+        spread: ndarray,
+        light: ndarray | None,
+        pattern: ndarray,
     ):
         self.pixels = pixels
         self.model = model = PatternModel(pixels.points, corners, spread, pattern)
@@ -259,25 +258,25 @@ class _Linearised:
             light = _Equations(columns, levels, np.ones(columns.shape[1])).solution()
         self.light = light
         self.residuals = levels - light @ columns
-        if pixels.sunlit:
-            contrast, _ = pixels.own_contrast(value)
-        else:
+        if pixels.flooded is None:
             contrast = model.contrast(light)
+        else:
+            contrast, _ = pixels.own_contrast(value)
         self._weigh(contrast, spread)
         shape = np.concatenate((model.shape(contrast), model.blur(contrast)))
         shape = pixels.seen(shape, shared, value)
         by_shared = pixels.by_shared(light @ of_light, shared)
         self.columns = np.concatenate((columns, shape, by_shared))
 
-    def _columns_of_light(self) -> np.ndarray:
-        pixels, model = self.pixels, self.model
-        if pixels.sunlit:
-            # Each group has a contrast of its own.
-            return model.light(True, False, pixels.flooded)[:-_OF_CONTRAST]
-        bowed = not (pixels.grouped and pixels.valid.all())
-        return model.light(pixels.grouped, bowed, pixels.cut_off)
+    def _columns_of_light(self) -> ndarray:
+        pixels, light = self.pixels, self.model.light
+        grouped = pixels.group > 1
+        if pixels.flooded is None:
+            return light(grouped, not (grouped and pixels.valid.all()), pixels.cut_off)
+        # Each group has a contrast of its own.
+        return light(True, False, pixels.flooded)[:-_OF_CONTRAST]
 
-    def _weigh(self, contrast: np.ndarray, spread: np.ndarray) -> None:
+    def _weigh(self, contrast: ndarray, spread: ndarray) -> None:
         """Find the pixels that are the marker's, and the residuals' weights."""
         pixels, model = self.pixels, self.model
         self._steepness = pixels.own(model.steepness(contrast))
@@ -291,7 +290,7 @@ class _Linearised:
         weights = shown * _tukey(self.residuals / noise) / (noise * noise)
         self.weights = np.where(self.own, weights, 0.0)
 
-    def noise(self, residuals: np.ndarray) -> np.ndarray:
+    def noise(self, residuals: ndarray) -> ndarray:
         """Return the standard deviation (n,) of each residual.
 
         Besides the image's noise, residuals are larger where the image is steep, because of what
@@ -306,24 +305,22 @@ class _Linearised:
         steeper = self._steepness / max(slope, 1e-9)
         return np.sqrt(even * even + more * steeper * steeper + self._beyond * self._beyond)
 
-    def step(self) -> np.ndarray:
+    def step(self) -> ndarray:
         """Return the step (m,) of least squares."""
         return _Equations(self.columns, self.residuals, self.weights, _BLUR_PRIOR).solution()
 
 
-def _shown(
-    pixels: Pixels, value: np.ndarray, contrast: np.ndarray, noise: np.ndarray
-) -> np.ndarray:
+def _shown(pixels: Pixels, value: ndarray, contrast: ndarray, noise: ndarray) -> ndarray:
     """Return weights (n,) by how much of the contrast the pixels across each place of an edge show.
 
     Where something hides an edge there is none. In a noisy image no pixel shows that by itself. If
     each place has a contrast of its own, all that can be tested is whether there is any.
     """
-    if not pixels.grouped:
+    if pixels.group == 1:
         return np.ones(len(noise))
     own, squares = pixels.own_contrast(value)
     deviation = noise / np.sqrt(squares)
-    if pixels.sunlit:
+    if pixels.flooded is not None:
         return np.where(own > _SHOWN * deviation, 1.0, 0.0)
     deviation = np.maximum(deviation, contrast / _TUKEY)
     return _tukey((own - contrast) / np.maximum(deviation, 1e-9))
@@ -335,7 +332,7 @@ class _Judged:
     Residuals and columns are in standard deviations of the noise.
     """
 
-    def __init__(self, linear: _Linearised, step: np.ndarray, corners: np.ndarray):
+    def __init__(self, linear: _Linearised, step: ndarray, corners: ndarray):
         residuals = linear.residuals - step @ linear.columns
         noise = linear.noise(residuals)
         used = linear.own & (linear.weights > 0.0)
@@ -344,14 +341,14 @@ class _Judged:
         self._own = np.abs(self._residuals) < _OUTLYING
         self._linear, self._corners = linear, corners
 
-    def fit(self) -> Optional[PatternFit]:
+    def fit(self) -> PatternFit | None:
         """Return the fit with its covariance, or None if the pattern explains too few pixels."""
         pixels, to_corners = self._linear.pixels, self._linear.to_corners
         valid, count = int(pixels.valid.sum()), int(self._own.sum())
         if count < max(_LEAST_PIXELS, LEAST_SHARE * valid):
             return None
         inverse = self._equations(self._own).inverse()
-        if pixels.grouped:
+        if pixels.group > 1:
             self._square = self._square_of_groups(inverse)
         else:
             squares = float(np.square(self._residuals[self._own]).sum())
@@ -359,15 +356,15 @@ class _Judged:
         covariance = self._square * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
         return PatternFit(self._corners, 0.5 * (covariance + covariance.T), 1.0 - count / valid)
 
-    def odd_sides(self) -> Tuple[_OddSide, ...]:
+    def odd_sides(self) -> tuple[_OddSide, ...]:
         """Return the sides that are not where all other edges have them, after `fit`."""
-        odd: List[_OddSide] = []
+        odd: list[_OddSide] = []
         to_corners = self._linear.to_corners.reshape(4, 2, 8)
         along = self._corners[NEXT] - self._corners
         for side, points in enumerate(self._linear.model.sides()):
             at_side = self._linear.pixels.own(points)
             others = self._equations(self._own & ~at_side)
-            across = np.array([-along[side, 1], along[side, 0]]) / np.hypot(*along[side])
+            across = right_of(along[side]) / lengths_of(along[side])
             to_ends = np.einsum("k,ekm->em", across, to_corners[[side, NEXT[side]]])
             off = np.abs(to_ends @ others.solution()[_SHAPE])
             by_shape = others.inverse()[_SHAPE, _SHAPE]
@@ -377,10 +374,10 @@ class _Judged:
                 odd.append((float(deviations.max()), at_side))
         return tuple(sorted(odd, key=lambda one: -one[0]))
 
-    def _equations(self, used: np.ndarray) -> _Equations:
+    def _equations(self, used: ndarray) -> _Equations:
         return _Equations(self._columns, self._residuals, used.astype(float), _BLUR_PRIOR)
 
-    def _square_of_groups(self, inverse: np.ndarray) -> float:
+    def _square_of_groups(self, inverse: ndarray) -> float:
         """Return the mean square of what the residuals of each group together move the corners by.
 
         What the model does not know, a blur that is no Gaussian, is alike on both sides of an edge:
@@ -402,7 +399,7 @@ class _Judged:
         return float(found / max(expected, 1.0))
 
 
-def _without_odd_side(first: _Fitted, picture: Picture, pattern: np.ndarray) -> PatternFit:
+def _without_odd_side(first: _Fitted, picture: Picture, pattern: ndarray) -> PatternFit:
     """Return the fit without the side without which all others agree best.
 
     Its covariance is scaled by the disagreement that is left.
@@ -425,7 +422,7 @@ class _Equations:
     """Normal equations of weighted least squares of columns (m, n) to levels (n,)."""
 
     def __init__(
-        self, columns: np.ndarray, levels: np.ndarray, weights: np.ndarray, prior: float = 0.0
+        self, columns: ndarray, levels: ndarray, weights: ndarray, prior: float = 0.0
     ):
         rows = np.concatenate((columns, levels[None]))
         rows *= np.sqrt(weights)
@@ -438,27 +435,27 @@ class _Equations:
         self._normal *= self._size[:, None] * self._size
         diagonal += 1e-9
 
-    def solution(self) -> np.ndarray:
+    def solution(self) -> ndarray:
         """Return the numbers (m,); NaN if there are none."""
         solved, found = cv2.solve(self._normal, self._size * self._right)
         return self._size * found.ravel() if solved else np.full(len(self._right), np.nan)
 
-    def inverse(self) -> np.ndarray:
+    def inverse(self) -> ndarray:
         """Return the inverse (m, m) of the equations' matrix."""
         return cv2.invert(self._normal)[1] * (self._size[:, None] * self._size)
 
 
-def _median(values: np.ndarray) -> float:
+def _median(values: ndarray) -> float:
     middle = len(values) // 2
     return float(np.partition(values, middle)[middle])
 
 
-def _scale(sizes: np.ndarray) -> float:
+def _scale(sizes: ndarray) -> float:
     """Return the standard deviation of most residuals, by the median of their sizes."""
     return max(_LEAST_NOISE, 1.4826 * _median(sizes)) if len(sizes) else _LEAST_NOISE
 
 
-def _tukey(ratios: np.ndarray) -> np.ndarray:
+def _tukey(ratios: ndarray) -> ndarray:
     """Return Tukey's biweights (n,) of residuals in standard deviations."""
     rest = np.maximum(1.0 - np.square(ratios / _TUKEY), 0.0)
     return rest * rest

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Optional, Tuple, Union
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from scipy.special import ndtr
 
-from bullet_lab.vision.algebra import UNIT_SQUARE, homography, unmapped
+from bullet_lab.vision.images import UNIT_SQUARE, homography, unmapped
 
 # A shorter motion is modelled as a Gaussian, px.
 _LEAST_MOTION = 1.5
@@ -43,62 +42,27 @@ class PatternModel:
         to_image: (3, 3), from the unit square to ideal px.
     """
 
-    def __init__(
-        self, points: np.ndarray, corners: np.ndarray, spread: np.ndarray, pattern: np.ndarray
-    ):
+    def __init__(self, points: ndarray, corners: ndarray, spread: ndarray, pattern: ndarray):
         self._cells = cells = len(pattern)
         self.to_image = homography(corners)
         unit, by_pixel = unmapped(points, self.to_image)
         self._away = unit - 0.5
-        self._planes = np.concatenate((np.ones((1, len(unit[0]))), self._away))
+        self._planes = _planes(self._away)
         self._by_pixel = cells * by_pixel
         self._finest = np.hypot(self._by_pixel[:, 0], self._by_pixel[:, 1])
         self._deviation = math.sqrt(max(spread[:2]) + _BOX)
-        motion = _motion_of(spread)
-        if motion is None:
-            parts = _blurred(cells * unit, self._by_pixel, spread, pattern)
-            self.value, slopes = parts[0], parts[1:3]
-            self._by_blur = _by_blur(parts[3:], self._by_pixel)
-        else:
-            self.value, slopes = self._moved(cells * unit, spread, motion, pattern)
+        # A motion makes a blur longer than wide.
+        longer = math.hypot(0.5 * (spread[0] - spread[1]), spread[2])
+        blurred = _blurred if math.sqrt(24.0 * longer) < _LEAST_MOTION else _moved
+        self.value, slopes, self._by_blur = blurred(cells * unit, self._by_pixel, spread, pattern)
         self._slopes = cells * slopes
-
-    def _moved(
-        self, places: np.ndarray, spread: np.ndarray, motion: _Motion, pattern: np.ndarray
-    ) -> Tuple[np.ndarray, np.ndarray]:
-        """Return value (n,) and slopes (2, n) as means over a motion, and set the derivatives."""
-        positions, rest = motion.positions, motion.rest
-        count = (len(positions), places.shape[1])
-        shifts = np.einsum("m,k,akn->amn", positions, motion.along, self._by_pixel)
-        by_pixel = np.broadcast_to(self._by_pixel[:, :, None], (2, 2, *count)).reshape(2, 2, -1)
-        shifted = (places[:, None] + shifts).reshape(2, -1)
-        parts = _blurred(shifted, by_pixel, np.array([rest, rest, 0.0]), pattern)
-        parts = parts.reshape(6, *count)
-        value, *means = np.einsum("m,kmn->kn", motion.weights, parts)
-        slopes, bends = np.stack(means[:2]), np.stack(means[2:])
-        # Derivatives by the motion's length and direction, and by the Gaussian blur beside it.
-        pulls = np.einsum("m,amn->an", motion.weights * positions, parts[1:3])
-        pulls = np.einsum("an,akn->kn", pulls, self._by_pixel)
-        variance = spread[0] + spread[1] - 2.0 * rest
-        by_length = 0.5 / variance * (motion.along @ pulls)
-        by_turn = (motion.across @ pulls) / variance
-        by_rest = _by_blur(bends, self._by_pixel)[:2].sum(axis=0) - by_length
-        (eu, ev), (fu, fv) = motion.along, motion.across
-        self._by_blur = np.stack(
-            (
-                eu * eu * by_length + fu * fu * by_rest + eu * fu * by_turn,
-                ev * ev * by_length + fv * fv * by_rest + ev * fv * by_turn,
-                2.0 * (eu * ev * by_length + fu * fv * by_rest) + (eu * fv + ev * fu) * by_turn,
-            )
-        )
-        return value, slopes
 
     def light(
         self,
         evenly: bool = False,
         bowed: bool = True,
-        blooming: Union[bool, np.ndarray] = False,
-    ) -> np.ndarray:
+        blooming: bool | ndarray = False,
+    ) -> ndarray:
         """Return the columns (k, n) of the light's coefficients; the last 3 are the contrast's.
 
         Args:
@@ -114,60 +78,78 @@ class PatternModel:
             columns += [self._away**2, (self._away[0] * self._away[1])[None]]
         return np.concatenate((*columns, self._planes * self.value))
 
-    def _tails(self) -> np.ndarray:
+    def _tails(self) -> ndarray:
         """Return the share of light from beyond the quiet zone on each side, (4, n)."""
         away = self._cells * np.concatenate((self._away, -self._away))
         within = (0.5 * self._cells + 1.0) - away
         tails, _ = _normal_at(within / (-self._deviation * np.tile(self._finest, (2, 1))))
         return tails
 
-    def contrast(self, light: np.ndarray) -> np.ndarray:
+    def contrast(self, light: ndarray) -> ndarray:
         """Return white less black (n,) by the light's coefficients."""
         return light[-3:] @ self._planes
 
-    def outside(self) -> np.ndarray:
+    def outside(self) -> ndarray:
         """Return the distance of pixels outside of the outline, (n,) in cells; negative within."""
         return self._cells * (np.abs(self._away).max(axis=0) - 0.5)
 
-    def sides(self) -> np.ndarray:
+    def sides(self) -> ndarray:
         """Return which pixels are at each side, (4, n): the upper one, then clockwise."""
         right, below = self._away
         inner = 0.5 - 0.75 / self._cells
         return np.stack((below < -inner, right > inner, below > inner, right < -inner))
 
-    def margin(self) -> np.ndarray:
+    def margin(self) -> ndarray:
         """Return how far pixels are within the quiet zone's outer edge, (n,) px."""
         within = self._cells * (0.5 - np.abs(self._away)) + 1.0
         return (within / self._finest).min(axis=0)
 
-    def beyond(self, contrast: np.ndarray) -> np.ndarray:
+    def beyond(self, contrast: ndarray) -> ndarray:
         """Return the grey levels (n,) that blur may add from beyond the quiet zone."""
         tail, _ = _normal_at(self.margin() / -self._deviation)
         return np.abs(contrast) * tail
 
-    def steepness(self, contrast: np.ndarray) -> np.ndarray:
+    def steepness(self, contrast: ndarray) -> ndarray:
         """Return the change of the grey levels (n,) when the image moves by 1 px."""
         return np.abs(contrast) * self._steep()
 
-    def _steep(self) -> np.ndarray:
+    def _steep(self) -> ndarray:
         """Return the change of the pattern (n,) for 1 px across its edges."""
         x, y = self._slopes / self._cells
         slopes = x * self._by_pixel[0] + y * self._by_pixel[1]
         return np.hypot(slopes[0], slopes[1])
 
-    def shape(self, contrast: np.ndarray) -> np.ndarray:
+    def shape(self, contrast: ndarray) -> ndarray:
         """Return the derivatives (8, n) of the grey levels by the coefficients of `moves_of`."""
-        steep = -contrast * self._slopes
-        outward = (steep * self._away).sum(axis=0)
-        by_affine = steep[0] * self._planes, steep[1] * self._planes
-        return np.concatenate((*by_affine, outward * self._away))
+        return by_shape(-contrast * self._slopes, self._away)
 
-    def blur(self, contrast: np.ndarray) -> np.ndarray:
+    def blur(self, contrast: ndarray) -> ndarray:
         """Return derivatives (3, n) of the grey levels by the blur's variances and covariance."""
         return contrast * self._by_blur
 
 
-def moves_of(corners: np.ndarray, to_image: np.ndarray) -> np.ndarray:
+def _planes(away: ndarray) -> ndarray:
+    """Return 1, x and y (3, n) of places (2, n)."""
+    return np.concatenate((np.ones((1, away.shape[1])), away))
+
+
+def by_shape(slopes: ndarray, away: ndarray) -> ndarray:
+    """Return the derivatives (8, n) of what changes with its place by coefficients of `moves_of`.
+
+    Slopes are (2, n), places (2, n) of the unit square, from its middle.
+    """
+    planes, outward = _planes(away), (slopes * away).sum(axis=0)
+    return np.concatenate((slopes[0] * planes, slopes[1] * planes, outward * away))
+
+
+# (4, 2, 8): how a corner's x and y change.
+_CORNER_MOVES = np.stack(
+    [by_shape(np.repeat(axis, 4).reshape(2, 4), (UNIT_SQUARE - 0.5).T).T for axis in np.eye(2)],
+    axis=1,
+)
+
+
+def moves_of(corners: ndarray, to_image: ndarray) -> ndarray:
     """Return the derivatives (8, 8) of the corners u0, v0, u1 ... by the coefficients of a map.
 
     The map moves places of the unit square, with x and y from its middle, by
@@ -179,58 +161,63 @@ def moves_of(corners: np.ndarray, to_image: np.ndarray) -> np.ndarray:
     return (by_place @ _CORNER_MOVES).reshape(8, 8)
 
 
-def _corner_moves() -> np.ndarray:
-    moves = np.zeros((4, 2, 8))
-    for move, (x, y) in zip(moves, UNIT_SQUARE - 0.5):
-        move[0, :3] = move[1, 3:6] = 1.0, x, y
-        move[:, 6:] = np.outer((x, y), (x, y))
-    return moves
-
-
-_CORNER_MOVES = _corner_moves()
-
-
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """Motion of the image during the exposure.
-
-    Attributes:
-        along: (2,) direction, of length 1.
-        across: (2,) direction across it.
-        positions: (m,) px along it.
-        weights: (m,) of the positions; their sum is 1.
-        rest: variance of the Gaussian blur beside it, px².
-    """
-
-    along: np.ndarray
-    across: np.ndarray
-    positions: np.ndarray
-    weights: np.ndarray
-    rest: float
-
-
-def _motion_of(spread: np.ndarray) -> Optional[_Motion]:
-    """Return the motion that makes a blur longer than wide; None if it is short."""
+def _moved(
+    places: ndarray, by_pixel: ndarray, spread: ndarray, pattern: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
+    """Return what `_blurred` returns, as means over a motion during the exposure."""
     mean, half = 0.5 * (spread[0] + spread[1]), 0.5 * (spread[0] - spread[1])
     longer = math.hypot(half, spread[2])
-    length = math.sqrt(24.0 * longer)
-    if length < _LEAST_MOTION:
-        return None
     angle = 0.5 * math.atan2(spread[2], half)
     along = np.array([math.cos(angle), math.sin(angle)])
     across = np.array([-along[1], along[0]])
+    length = math.sqrt(24.0 * longer)
     count = min(_MOST_POSITIONS, 1 + math.ceil(length / _POSITION_STEP))
     positions, weights = np.polynomial.legendre.leggauss(count)
-    return _Motion(along, across, 0.5 * length * positions, 0.5 * weights, mean - longer)
+    positions, weights = 0.5 * length * positions, 0.5 * weights
+    # The variance of the Gaussian blur beside the motion.
+    rest = mean - longer
+    shape = (count, places.shape[1])
+    shifts = np.einsum("m,k,akn->amn", positions, along, by_pixel)
+    everywhere = np.broadcast_to(by_pixel[:, :, None], (2, 2, *shape)).reshape(2, 2, -1)
+    shifted = (places[:, None] + shifts).reshape(2, -1)
+    parts = _parts(shifted, everywhere, np.array([rest, rest, 0.0]), pattern).reshape(6, *shape)
+    means = np.einsum("m,kmn->kn", weights, parts)
+    # Derivatives by the motion's length and direction, and by the Gaussian blur beside it.
+    pulls = np.einsum("m,amn->an", weights * positions, parts[1:3])
+    pulls = np.einsum("an,akn->kn", pulls, by_pixel)
+    variance = spread[0] + spread[1] - 2.0 * rest
+    by_length = 0.5 / variance * (along @ pulls)
+    by_turn = (across @ pulls) / variance
+    by_rest = _by_blur(means[3:], by_pixel)[:2].sum(axis=0) - by_length
+    (eu, ev), (fu, fv) = along, across
+    by_blur = (
+        eu * eu * by_length + fu * fu * by_rest + eu * fu * by_turn,
+        ev * ev * by_length + fv * fv * by_rest + ev * fv * by_turn,
+        2.0 * (eu * ev * by_length + fu * fv * by_rest) + (eu * fv + ev * fu) * by_turn,
+    )
+    return means[0], means[1:3], np.stack(by_blur)
 
 
 def _blurred(
-    places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, pattern: np.ndarray
-) -> np.ndarray:
-    """Return the blurred pattern and its derivatives by x, y, variances and covariance, (6, n).
+    places: ndarray, by_pixel: ndarray, spread: ndarray, pattern: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
+    """Return the blurred pattern and its derivatives.
 
-    Places (2, n) are in cells; `by_pixel` (2, 2, n) are their derivatives by pixels.
+    Args:
+        places: (2, n) in cells.
+        by_pixel: (2, 2, n), their derivatives by pixels.
+        spread: variances of the blur along u and v and their covariance, px².
+        pattern: (cells, cells), 1 for white.
+
+    Returns:
+        (n,), and derivatives (2, n) by place and (3, n) by the numbers of the blur.
     """
+    parts = _parts(places, by_pixel, spread, pattern)
+    return parts[0], parts[1:3], _by_blur(parts[3:], by_pixel)
+
+
+def _parts(places: ndarray, by_pixel: ndarray, spread: ndarray, pattern: ndarray) -> ndarray:
+    """Return the blurred pattern and its derivatives by x, y, variances and covariance, (6, n)."""
     first, edges = _edge_profiles(places, by_pixel, spread, len(pattern))
     shares = edges[:, :, :-1] - edges[:, :, 1:]
     around = _cells_around(pattern, first, shares.shape[2])
@@ -246,7 +233,7 @@ def _blurred(
     return np.stack((value + covariance * twist, slope_x, slope_y, bend_x, bend_y, twist))
 
 
-def _by_blur(bends: np.ndarray, by_pixel: np.ndarray) -> np.ndarray:
+def _by_blur(bends: ndarray, by_pixel: ndarray) -> ndarray:
     """Return derivatives (3, n) by the blur's variances and covariance along u and v.
 
     `bends` (3, n) are those by the variances and covariance along x and y.
@@ -263,8 +250,8 @@ def _by_blur(bends: np.ndarray, by_pixel: np.ndarray) -> np.ndarray:
 
 
 def _edge_profiles(
-    places: np.ndarray, by_pixel: np.ndarray, spread: np.ndarray, cells: int
-) -> Tuple[np.ndarray, np.ndarray]:
+    places: ndarray, by_pixel: ndarray, spread: ndarray, cells: int
+) -> tuple[ndarray, ndarray]:
     """Return the share of each blurred pixel that is beyond the edges of the cells around it.
 
     Across an edge, a pixel is a box of its own extent, blurred by a Gaussian.
@@ -304,7 +291,7 @@ def _edge_profiles(
     return first.astype(np.intp) - reach, edges
 
 
-def _cells_around(pattern: np.ndarray, first: np.ndarray, count: int) -> np.ndarray:
+def _cells_around(pattern: ndarray, first: ndarray, count: int) -> ndarray:
     """Return `count` rows and columns of cells from the first (2, n) on: (count, count, n)."""
     pad = count // 2 + 1
     white = cv2.copyMakeBorder(pattern, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=1)
@@ -315,7 +302,7 @@ def _cells_around(pattern: np.ndarray, first: np.ndarray, count: int) -> np.ndar
     return white.astype(float).ravel().take(index)
 
 
-def _normal_at(places: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def _normal_at(places: ndarray) -> tuple[ndarray, ndarray]:
     """Return the normal distribution function and density at places."""
     index = np.clip(_FINE * places + (_FAR * _FINE + 0.5), 0.0, 2.0 * _FAR * _FINE).astype(np.intp)
     return _BELOW.take(index), _DENSITY.take(index)

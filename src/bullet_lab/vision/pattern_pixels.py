@@ -1,16 +1,31 @@
-"""The pixels that a marker's pattern is fitted to: all of them, or those across its edges."""
+"""Which pixels a marker's pattern is fitted to, and where its edges are seen.
+
+These are all pixels of a small marker and those across the edges of a large one. An object before a
+large marker has an edge that looks like the marker's own side. But then the edges between the
+marker's cells are not where such an outline puts them, and the corners are corrected.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Optional, Tuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.vision.algebra import UNIT_SQUARE, homography, mapped, mean_side, unmapped
-from bullet_lab.vision.images import Picture
+from bullet_lab.vision.images import (
+    UNIT_SQUARE,
+    Picture,
+    homography,
+    lengths_of,
+    mapped,
+    mean_side,
+    solve_symmetric,
+    unmapped,
+)
+from bullet_lab.vision.pattern_model import by_shape, moves_of
 
 # Width around the outline that is used, in cells, at most and at least; the quiet zone is one cell,
 # and blur carries what lies beyond it so many px into it.
@@ -19,7 +34,7 @@ LEAST_AROUND = 0.1
 _BEYOND = 1.3
 # Mean side, px, up to which all pixels of a marker are used. Of a larger one, some hundreds beside
 # its edges are.
-SMALL = 30.0
+_SMALL = 30.0
 _MOST_PIXELS = 600
 # At most so many places along each cell's edge, and so many px to either side.
 _PLACES = 5
@@ -56,132 +71,130 @@ class Pixels:
     """Pixels of a marker.
 
     Of a small marker, they are a part of a grid, and may share light with their neighbours. Of a
-    large one, they are groups of pixels across each place of an edge, with a mean of their own.
+    large one, they are groups of pixels across each place of an edge, with a mean of their own. The
+    first of each group come first.
 
     Attributes:
         points: (2, m) ideal px at which the model is evaluated: the n pixels, or the whole grid.
         levels: (n,) grey levels; in groups, less their group's mean.
         valid: (n,) which of them count; over-exposed ones in groups do not.
-        group: number of pixels in a group; 1: no groups. The first of each group come first.
         over_exposed: white is cut off at so many pixels that some edges have none left.
         cut_off: over-exposed pixels count.
-        sunlit: the marker is partly in the sun, and each group has a contrast of its own.
-        flooded: (n,) which pixels are in groups with white that was cut off; of sunlit ones.
-        grid: (rows, columns) of the grid.
-        chosen: which of the grid without its outer rows and columns the n are.
+        group: number of pixels in a group; 1: no groups.
+        chosen: which of the grid without its outer rows and columns the n are; None: no grid.
+        flooded: (n,) which pixels are in groups with white that was cut off; None: the marker is
+            not partly in the sun. In the sun, each group has a contrast of its own.
     """
 
-    points: np.ndarray
-    levels: np.ndarray
-    valid: np.ndarray
+    points: ndarray
+    levels: ndarray
+    valid: ndarray
+    over_exposed: bool
+    cut_off: bool
     group: int = 1
-    over_exposed: bool = False
-    cut_off: bool = False
-    sunlit: bool = False
-    flooded: Optional[np.ndarray] = None
-    grid: Optional[Tuple[int, int]] = None
-    chosen: Optional[np.ndarray] = None
-
-    @property
-    def grouped(self) -> bool:
-        """Whether there are groups."""
-        return self.group > 1
+    chosen: ndarray | None = None
+    flooded: ndarray | None = None
 
     @property
     def any_flooded(self) -> bool:
         """Whether the marker is partly in the sun, with white that was cut off."""
-        return self.sunlit and bool(self.flooded.any())
+        return self.flooded is not None and bool(self.flooded.any())
 
-    def without(self, these: np.ndarray) -> Pixels:
+    def without(self, these: ndarray) -> Pixels:
         """Return the pixels without these (n,), and without the others of their groups."""
         left = ~np.tile(these.reshape(self.group, -1).any(axis=0), self.group)
         fewer = replace(self, levels=self.levels[left], valid=self.valid[left])
-        if self.grid is not None:
+        if self.chosen is not None:
             chosen = self.chosen.copy()
             chosen[chosen] = left
             return replace(fewer, chosen=chosen)
         flooded = None if self.flooded is None else self.flooded[left]
         return replace(fewer, points=np.ascontiguousarray(self.points[:, left]), flooded=flooded)
 
-    def own(self, values: np.ndarray) -> np.ndarray:
+    def own(self, values: ndarray) -> ndarray:
         """Return the values (n,) of the pixels from those (m,) of the points."""
-        if self.grid is None:
+        if self.chosen is None:
             return values
-        return values.reshape(self.grid)[1:-1, 1:-1][self.chosen]
+        return self._grids(values)[0, 1:-1, 1:-1][self.chosen]
 
-    def seen(self, columns: np.ndarray, shared: float, value: np.ndarray) -> np.ndarray:
+    def _grids(self, columns: ndarray) -> ndarray:
+        rows, width = self.chosen.shape
+        return columns.reshape(-1, rows + 2, width + 2)
+
+    def seen(self, columns: ndarray, shared: float, value: ndarray) -> ndarray:
         """Return columns (k, m) of the model as the pixels see them, (k, n).
 
         A pixel of a grid has the part `shared` of each neighbour. In groups the mean is left out,
-        and of sunlit ones the pattern's value (m,) too.
+        and in the sun the pattern's value (m,) too.
         """
-        if self.grid is not None:
-            columns = columns.reshape(-1, *self.grid)
-            return _mixed(_mixed(columns, shared, 2), shared, 1)[:, self.chosen]
-        if not self.grouped:
-            return columns
-        columns = _less_mean(columns, self.valid, self.group)
-        return self._less_pattern(columns, value) if self.sunlit else columns
+        if self.chosen is not None:
+            return _mixed(_mixed(self._grids(columns), shared, 2), shared, 1)[:, self.chosen]
+        if self.group > 1:
+            columns = _less_mean(columns, self.valid)
+        return columns if self.flooded is None else self._less_pattern(columns, value)
 
-    def seen_levels(self, value: np.ndarray) -> np.ndarray:
+    def seen_levels(self, value: ndarray) -> ndarray:
         """Return the grey levels (n,) treated as `seen` treats the columns."""
-        return self._less_pattern(self.levels[None], value)[0] if self.sunlit else self.levels
+        if self.flooded is None:
+            return self.levels
+        return self._less_pattern(self.levels[None], value)[0]
 
-    def own_contrast(self, value: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    def own_contrast(self, value: ndarray) -> tuple[ndarray, ndarray]:
         """Return white less black (n,) of each group, by its levels and the pattern's value.
 
         And the pattern's sum of squares in the group: a level's variance divided by it is that of
         the contrast.
         """
-        pattern = self._grouped_pattern(value)
+        pattern, squares = self._grouped_pattern(value)
         seen = (pattern * self.levels.reshape(pattern.shape)).sum(axis=0)
-        squares = np.maximum(np.square(pattern).sum(axis=0), _FLAT)
         contrast = np.maximum(seen / squares, 0.0)
         return np.tile(contrast, self.group), np.tile(squares, self.group)
 
-    def _grouped_pattern(self, value: np.ndarray) -> np.ndarray:
-        return _less_mean(value[None], self.valid, self.group).reshape(self.group, -1)
+    def _grouped_pattern(self, value: ndarray) -> tuple[ndarray, ndarray]:
+        """Return the pattern less its mean in each group, and the sums of its squares."""
+        pattern = _less_mean(value[None], self.valid).reshape(self.group, -1)
+        return pattern, np.maximum(np.square(pattern).sum(axis=0), _FLAT)
 
-    def _less_pattern(self, columns: np.ndarray, value: np.ndarray) -> np.ndarray:
+    def _less_pattern(self, columns: ndarray, value: ndarray) -> ndarray:
         """Return columns (k, n) less their projection on the pattern in each group."""
-        pattern = self._grouped_pattern(value)
-        pattern = pattern / np.sqrt(np.maximum(np.square(pattern).sum(axis=0), _FLAT))
+        pattern, squares = self._grouped_pattern(value)
+        pattern = pattern / np.sqrt(squares)
         grouped = columns.reshape(len(columns), *pattern.shape)
         shares = (grouped * pattern).sum(axis=1, keepdims=True)
         return (grouped - shares * pattern).reshape(columns.shape)
 
-    def by_shared(self, values: np.ndarray, shared: float) -> np.ndarray:
+    def by_shared(self, values: ndarray, shared: float) -> ndarray:
         """Return the derivatives (1, n) of the pixels by `shared`; values are (m,)."""
-        if self.grid is None:
+        if self.chosen is None:
             return np.zeros((1, len(values)))
-        values = values.reshape(1, *self.grid)
-        across, down = (_mixed(_less_own(values, 3 - axis), shared, axis) for axis in (1, 2))
+        grids = self._grids(values)
+        across, down = (_mixed(_less_own(grids, 3 - axis), shared, axis) for axis in (1, 2))
         return (across + down)[:, self.chosen]
 
 
-def _mixed(grids: np.ndarray, shared: float, axis: int) -> np.ndarray:
+def _mixed(grids: ndarray, shared: float, axis: int) -> ndarray:
     """Return grids (k, rows, columns), each pixel with a part of both neighbours along an axis."""
     inner = grids[:, 1:-1] if axis == 1 else grids[:, :, 1:-1]
     return inner + shared * _less_own(grids, axis)
 
 
-def _less_own(grids: np.ndarray, axis: int) -> np.ndarray:
+def _less_own(grids: ndarray, axis: int) -> ndarray:
     """Return both neighbours of each pixel along an axis, less twice its own value."""
     if axis == 1:
         return grids[:, :-2] + grids[:, 2:] - 2.0 * grids[:, 1:-1]
     return grids[:, :, :-2] + grids[:, :, 2:] - 2.0 * grids[:, :, 1:-1]
 
 
-def _less_mean(columns: np.ndarray, valid: np.ndarray, group: int) -> np.ndarray:
+def _less_mean(columns: ndarray, valid: ndarray) -> ndarray:
     """Return columns (m, n) less the mean of the valid pixels of each group; 0 for the others."""
-    valid = valid.reshape(group, -1).astype(float)
-    grouped = valid * columns.reshape(len(columns), group, -1)
+    valid = valid.reshape(_GROUP, -1).astype(float)
+    grouped = valid * columns.reshape(len(columns), _GROUP, -1)
     means = grouped.sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=0), 1.0)
     return (grouped - valid * means).reshape(len(columns), -1)
 
 
 def pixels_of(
-    picture: Picture, corners: np.ndarray, pattern: np.ndarray, cut_off: bool = False
+    picture: Picture, corners: ndarray, pattern: ndarray, cut_off: bool = False
 ) -> Pixels:
     """Return the pixels to fit: all of a small marker, those at the edges of a large one.
 
@@ -191,12 +204,12 @@ def pixels_of(
         pattern: (n, n) cells with the border, 1 for white.
         cut_off: over-exposed pixels count.
     """
-    if mean_side(corners) <= SMALL:
+    if mean_side(corners) <= _SMALL:
         return all_pixels(picture, corners, len(pattern), cut_off)
     return _edge_pixels(picture, corners, pattern, cut_off)
 
 
-def all_pixels(picture: Picture, corners: np.ndarray, cells: int, cut_off: bool) -> Pixels:
+def all_pixels(picture: Picture, corners: ndarray, cells: int, cut_off: bool) -> Pixels:
     """Return the pixels of a marker with `cells` along a side, and of its quiet zone."""
     side = mean_side(corners)
     around = float(np.clip(1.0 - _BEYOND / (side / cells), LEAST_AROUND, _AROUND)) / cells
@@ -213,33 +226,28 @@ def all_pixels(picture: Picture, corners: np.ndarray, cells: int, cut_off: bool)
     cut_off = over_exposed and (cut_off or bool(share < LEAST_SHARE))
     chosen = chosen if cut_off else valid
     levels = levels[chosen]
-    valid = np.ones(len(levels), dtype=bool)
-    if side > SMALL:
-        points = np.ascontiguousarray(inner[:, chosen.ravel()])
-        return Pixels(points, levels, valid, 1, over_exposed, cut_off)
+    common = levels, np.ones(len(levels), dtype=bool), over_exposed, cut_off
+    if side > _SMALL:
+        return Pixels(np.ascontiguousarray(inner[:, chosen.ravel()]), *common)
     columns, rows = (np.arange(ends[0] - 1, ends[-1] + 2) for ends in (columns, rows))
-    points, grid = _ideal_grid(picture, columns, rows), (len(rows), len(columns))
-    return Pixels(points, levels, valid, 1, over_exposed, cut_off, grid=grid, chosen=chosen)
+    return Pixels(_ideal_grid(picture, columns, rows), *common, chosen=chosen)
 
 
-def _box(image: np.ndarray, outline: np.ndarray, step: int) -> Tuple[np.ndarray, np.ndarray]:
+def _box(image: ndarray, outline: ndarray, step: int) -> tuple[ndarray, ndarray]:
     """Return the columns and rows of the image around an outline (4, 2), every `step`-th."""
-    limits = np.array(image.shape[::-1]) - 1.0
-    low = np.clip(outline.min(axis=0), 0.0, limits)
-    high = np.clip(outline.max(axis=0), 0.0, limits)
-    columns, rows = (
-        np.arange(int(low[axis]), int(np.ceil(high[axis])) + 1, step) for axis in (0, 1)
-    )
+    ends = np.floor(outline.min(axis=0)), np.ceil(outline.max(axis=0))
+    ends = np.clip(ends, 0, np.array(image.shape[::-1]) - 1).astype(int)
+    columns, rows = (np.arange(low, high + 1, step) for low, high in ends.T)
     return columns, rows
 
 
-def _ideal_grid(picture: Picture, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def _ideal_grid(picture: Picture, columns: ndarray, rows: ndarray) -> ndarray:
     """Return the ideal px (2, m) of the pixels in columns and rows, row by row."""
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(float)
     return np.ascontiguousarray(picture.ideal(grid).T)
 
 
-def _over_exposed(levels: np.ndarray) -> float:
+def _over_exposed(levels: ndarray) -> float:
     """Return the grey level from which on pixels may be over-exposed.
 
     Noise that is added after the cut-off leaves half of the pixels there and puts the rest below.
@@ -251,10 +259,10 @@ def _over_exposed(levels: np.ndarray) -> float:
 
 
 def _edge_pixels(
-    picture: Picture, corners: np.ndarray, pattern: np.ndarray, cut_off: bool
+    picture: Picture, corners: ndarray, pattern: ndarray, cut_off: bool
 ) -> Pixels:
     """Return the pixels on either side of places along all edges in a pattern."""
-    _, points, across = edges_of(pattern, homography(corners))
+    _, points, across = _edges_of(pattern, homography(corners))
     offsets = np.arange(-_REACH, _REACH + 1.0)[:, None, None]
     seen = np.rint(picture.seen(points + offsets * across)).astype(int)
     inside = ((seen >= 0) & (seen < picture.levels.shape[::-1])).all(axis=(0, 2))
@@ -265,18 +273,18 @@ def _edge_pixels(
     if _is_sunlit(by_group):
         valid = np.ones(len(levels), dtype=bool)
         flooded = np.tile((by_group >= _BRIGHTEST).any(axis=0), _GROUP)
-        levels = _less_mean(levels[None], valid, _GROUP)[0]
-        return Pixels(points, levels, valid, _GROUP, sunlit=True, flooded=flooded)
+        levels = _less_mean(levels[None], valid)[0]
+        return Pixels(points, levels, valid, False, False, _GROUP, flooded=flooded)
     valid = _valid_in_groups(levels)
     of_groups = valid.reshape(_GROUP, -1)
     over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
     cut_off = over_exposed and (cut_off or _is_uneven(by_group))
     valid |= cut_off
-    levels = _less_mean(levels[None], valid, _GROUP)[0]
-    return Pixels(points, levels, valid, _GROUP, over_exposed, cut_off)
+    levels = _less_mean(levels[None], valid)[0]
+    return Pixels(points, levels, valid, over_exposed, cut_off, _GROUP)
 
 
-def _is_sunlit(levels: np.ndarray) -> bool:
+def _is_sunlit(levels: ndarray) -> bool:
     """Return whether a part of the marker has much more light, by groups' levels (group, n)."""
     white = np.maximum(levels[:_REACH].mean(axis=0), levels[-_REACH:].mean(axis=0))
     black = np.percentile(levels.min(axis=0), _SUN_PERCENTILES[0])
@@ -285,7 +293,7 @@ def _is_sunlit(levels: np.ndarray) -> bool:
     return bool(high > _SUN * low and high - low > _SUN_DEVIATIONS * noise)
 
 
-def _valid_in_groups(levels: np.ndarray) -> np.ndarray:
+def _valid_in_groups(levels: ndarray) -> ndarray:
     """Return which levels (n,) count: those of groups without over-exposed pixels.
 
     Where there are few such groups, all pixels that are not over-exposed count.
@@ -297,7 +305,7 @@ def _valid_in_groups(levels: np.ndarray) -> np.ndarray:
     return whole if whole.mean() >= LEAST_SHARE else valid
 
 
-def _is_uneven(levels: np.ndarray) -> bool:
+def _is_uneven(levels: ndarray) -> bool:
     """Return whether the dark sides of groups (group, n) differ, as under a highlight or by blur.
 
     The slope of light in half a group looks like a misplaced edge. Whole groups have large
@@ -307,34 +315,143 @@ def _is_uneven(levels: np.ndarray) -> bool:
     return bool(high - low > _UNEVEN * (_BRIGHTEST - low))
 
 
-def edges_of(
-    pattern: np.ndarray, to_image: np.ndarray
-) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _edges_of(
+    pattern: ndarray, to_image: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """Return places where black meets white, in the unit square and in px, and normals in px.
 
     All are (n, 2). A normal is 1 px long and points to white.
     """
-    places, normals = _edges(pattern.tobytes(), len(pattern))
+    places, normals = _unit_edges(pattern.tobytes(), len(pattern))
     points, beside = mapped(places, to_image), mapped(places + 1e-3 * normals, to_image)
     across = beside - points
-    return places, points, across / np.hypot(across[:, 0], across[:, 1])[:, None]
+    return places, points, across / lengths_of(across)[:, None]
 
 
 @lru_cache(maxsize=64)
-def _edges(pattern: bytes, cells: int) -> Tuple[np.ndarray, np.ndarray]:
+def _unit_edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
     """Return places (n, 2) of the unit square where black meets white, and normals to white."""
     white = np.frombuffer(pattern, np.uint8).reshape(cells, cells) > 0
-    white = np.pad(white, 1, constant_values=True)
-    edges = int((white[:, 1:] != white[:, :-1]).sum() + (white[1:] != white[:-1]).sum())
+    white = np.pad(white, 1, constant_values=True).astype(float)
+    # 1 where white is beyond the edge, for those across each row and across each column.
+    changes = np.diff(white[1:-1], axis=1), np.diff(white[:, 1:-1].T, axis=1)
+    edges = np.count_nonzero(changes)
     each = int(np.clip(_MOST_PIXELS / (_GROUP * edges), 2, _PLACES))
     along = (np.arange(each) + 0.5) / each
     points, normals = [], []
-    # Between the cells of each row; then, with rows and columns exchanged, of each column.
-    for order, cells_of in ((1, white), (-1, white.T)):
-        row, column = np.nonzero(cells_of[1:-1, 1:] != cells_of[1:-1, :-1])
+    for change, order in zip(changes, (1, -1)):
+        row, column = np.nonzero(change)
         x = np.repeat(column.astype(float), each)
         y = (row[:, None] + along).ravel()
         points.append(np.column_stack((x, y))[:, ::order])
-        to_white = np.where(cells_of[1:-1, 1:][row, column], 1.0, -1.0)
-        normals.append(np.outer(np.repeat(to_white, each), np.array([1.0, 0.0])[::order]))
+        to_white = np.repeat(change[row, column], each)
+        normals.append(np.column_stack((to_white, np.zeros(len(x))))[:, ::order])
     return np.concatenate(points) / cells, np.concatenate(normals)
+
+
+# Reach to either side within which an edge is searched: in cells, and at most in px.
+_SEARCHED = 0.45
+_FARTHEST = 16.0
+# Least rise of an edge, as a share of the median rise.
+_LEAST_EDGE_RISE = 0.35
+# An edge is in its place within so many px, or cells, whichever is more.
+_NEAR = 1.2
+_NEAR_CELLS = 0.06
+# Share of misplaced edges above which a side is suspected, and by which the share must fall
+# without that side.
+_MISPLACED = 0.1
+_FEWER = 0.05
+# Rounds of the fit; each weights edges by the inverse of the distance that is left, px at least.
+_ROUNDS = 4
+_LEAST_LEFT = 0.3
+# Least places that determine eight coefficients well.
+_LEAST_PLACES = 24
+# Sides of the unit square: axis and coordinate.
+_SIDES = (0, 0.0), (0, 1.0), (1, 0.0), (1, 1.0)
+
+
+class _Edges(NamedTuple):
+    """Edges that are seen.
+
+    Attributes:
+        places: (n, 2) of the unit square.
+        off: (n,) px towards white from where they should be.
+        moves: (n, 8) derivatives of `off`, px, by the coefficients of `moves_of`.
+    """
+
+    places: ndarray
+    off: ndarray
+    moves: ndarray
+
+    def fit_without(self, side: tuple[int, float]) -> ndarray:
+        """Return the coefficients (8,) of least distances to the edges that are not at a side."""
+        used = self.places[:, side[0]] != side[1]
+        columns, off = self.moves[used], self.off[used]
+        left, coefficients = off, np.zeros(8)
+        for _ in range(_ROUNDS):
+            weighted = columns / np.maximum(np.abs(left), _LEAST_LEFT)[:, None]
+            coefficients = solve_symmetric(weighted.T @ columns, weighted.T @ off)
+            left = off - columns @ coefficients
+        return coefficients
+
+
+def without_hidden_side(picture: Picture, corners: ndarray, pattern: ndarray) -> ndarray:
+    """Return the corners (4, 2) of a large marker in ideal px, corrected for a hidden side.
+
+    They are those given, unless many edges are misplaced and fewer are if one side is left out.
+
+    Args:
+        picture: the image.
+        corners: (4, 2) ideal px, clockwise from the marker's top left, to half a cell.
+        pattern: (n, n) cells with the border, 1 for white.
+    """
+    seen = _edges_seen(picture, corners, pattern) if mean_side(corners) > _SMALL else None
+    if seen is None:
+        return corners
+    cell = mean_side(corners) / len(pattern)
+    near = max(_NEAR, _NEAR_CELLS * cell)
+    misplaced = _share_beyond(near, seen.off)
+    if misplaced <= _MISPLACED:
+        return corners
+    fits = [seen.fit_without(side) for side in _SIDES]
+    shares = [_share_beyond(near, seen.off - seen.moves @ fit) for fit in fits]
+    hidden = int(np.argmin(shares))
+    if not shares[hidden] < misplaced - _FEWER:
+        return corners
+    moved = _moved(corners, fits[hidden])
+    again = _edges_seen(picture, moved, pattern)
+    if again is not None:
+        moved = _moved(moved, again.fit_without(_SIDES[hidden]))
+    is_near = np.abs(moved - corners).max() <= cell
+    return moved if is_near else corners
+
+
+def _share_beyond(near: float, off: ndarray) -> float:
+    """Return the share of distances (n,) that are not within `near` px; NaN is not."""
+    return 1.0 - float((np.abs(off) <= near).mean())
+
+
+def _moved(corners: ndarray, coefficients: ndarray) -> ndarray:
+    """Return corners (4, 2) moved by coefficients (8,) of `moves_of`."""
+    return corners + (moves_of(corners, homography(corners)) @ coefficients).reshape(4, 2)
+
+
+def _edges_seen(picture: Picture, corners: ndarray, pattern: ndarray) -> _Edges | None:
+    """Return the edges that are seen near to where they should be; None if they are few."""
+    reach = max(1, math.floor(min(_FARTHEST, _SEARCHED * (mean_side(corners) / len(pattern)))))
+    to_image = homography(corners)
+    places, points, across = _edges_of(pattern, to_image)
+    offsets = np.arange(-reach - 2.0, reach + 3.0)[:, None, None]
+    levels = picture.at(points + offsets * across)
+    rises = levels[3:-1] + levels[4:] - levels[:-4] - levels[1:-3]
+    most = rises.max(axis=0)
+    shown = most > _LEAST_EDGE_RISE * np.median(most)
+    if np.count_nonzero(shown) < _LEAST_PLACES:
+        return None
+    off = rises.argmax(axis=0)[shown] - float(reach)
+    places, points, across = places[shown], points[shown], across[shown]
+    # How far an edge moves along its normal with its place.
+    third = (places @ to_image[2, :2] + to_image[2, 2])[:, None]
+    along = across @ to_image[:2, :2] - (across * points).sum(axis=1)[:, None] * to_image[2, :2]
+    moves = by_shape((along / third).T, (places - 0.5).T)
+    return _Edges(places, off, np.ascontiguousarray(moves.T))

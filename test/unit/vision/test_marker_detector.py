@@ -16,13 +16,14 @@ from marker_images import (
     true_corners,
 )
 
+from bullet_lab.vision import marker_detector
 from bullet_lab.vision.candidates import CandidateSearch, sound_quads
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, Match, dictionary_named
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import (
     DetectorSettings,
     MarkerDetector,
-    add_decoded,
+    add_match,
     noise_level,
     why_nothing,
 )
@@ -119,14 +120,14 @@ def test_one_id_twice_is_reported_twice():
 def test_of_two_outlines_of_one_marker_the_likelier_stays():
     """As of a panel before a bright sky: its own outline, and that of its marker."""
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    panel = (Match(0, 0, 2, 0.7), 100.0 + 27.0 * square)
-    marker_itself = (Match(0, 0, 0, 0.95), 100.5 + 25.0 * square)
-    inner = (Match(0, 0, 0, 0.9), 101.0 + 2.5 * square)
-    other_id = (Match(3, 0, 0, 0.8), 100.0 + 25.0 * square)
-    beside = (Match(0, 0, 0, 0.8), 100.0 + 25.0 * square + (60.0, 0.0))
+    panel = Match(0, 100.0 + 27.0 * square, 2, 0.7)
+    marker_itself = Match(0, 100.5 + 25.0 * square, 0, 0.95)
+    inner = Match(0, 101.0 + 2.5 * square, 0, 0.9)
+    other_id = Match(3, 100.0 + 25.0 * square, 0, 0.8)
+    beside = Match(0, 100.0 + 25.0 * square + (60.0, 0.0), 0, 0.8)
     found = []
-    for decoded in (panel, marker_itself, panel, inner, other_id, beside):
-        add_decoded(decoded, found)
+    for match in (panel, marker_itself, panel, inner, other_id, beside):
+        add_match(match, found)
     assert found == [marker_itself, inner, other_id, beside]
 
 
@@ -230,14 +231,15 @@ def test_bits_are_corrected_as_far_as_asked():
     assert detect(damaged(1), correction=0.0).markers == []
 
 
-def test_misread_cells_of_the_border_are_counted():
+def test_misread_cells_of_the_border_are_counted(monkeypatch):
     layer = marker(2)
     # Grey, so that the outline is seen, and nearer to white.
     for place in (3, 5, 6):
         layer.cells[1, place] = layer.cells[place, 1] = 130.0
     image = image_of([layer], View(1.0), samples=4)
-    assert ids_of(detect(image, border_rate=0.5)) == [2]
-    assert detect(image, border_rate=0.1).markers == []
+    assert detect(image).markers == []
+    monkeypatch.setattr(marker_detector, "_BORDER_RATE", 0.5)
+    assert ids_of(detect(image)) == [2]
 
 
 # Light
@@ -271,10 +273,10 @@ def test_light_that_changes_across_the_marker():
         assert ids_of(detect(lit, correction=0.0)) == [0]
 
 
-def test_the_second_look_is_taken_only_where_nothing_was_found():
+def test_the_second_pass_is_made_only_where_nothing_was_found():
     bright = image_of([marker()], View(2.0), samples=4)
     assert not detect(bright).report.second_pass
-    # Black and white are nearer than the first look wants, in an image of full range.
+    # The contrast is less than the first pass needs, in an image of full range.
     faint = image_of([marker(black=100.0, white=106.0)], View(1.0), background=103.0, samples=4)
     faint[:40] = 255
     faint[-40:] = 0
@@ -377,7 +379,7 @@ def test_images_that_are_none():
             detect(image)
 
 
-def test_colour_images_are_looked_at_in_grey():
+def test_colour_images_are_converted_to_grey():
     image = image_of([marker()], View(1.0), samples=4)
     assert ids_of(detect(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))) == [0]
 
@@ -391,8 +393,7 @@ def test_colour_images_are_looked_at_in_grey():
         {"border": -1.0},
         {"min_side": 2.0},
         {"correction": 1.5},
-        {"likeness": float("nan")},
-        {"max_quads": 0},
+        {"contrast": float("nan")},
     ],
     ids=str,
 )
@@ -407,10 +408,11 @@ def test_noise_is_measured(sigma):
     assert noise_level(image) == pytest.approx(sigma, rel=0.1, abs=0.05)
 
 
-def test_the_number_of_tries_is_bounded():
+def test_the_number_of_tries_is_bounded(monkeypatch):
     image = np.full((480, 640), 200, np.uint8)
     for v in range(10, 460, 24):
         for u in range(10, 620, 24):
             image[v : v + 14, u : u + 14] = 20
     for count in (20, 50):
-        assert detect(image, max_quads=count, second_pass=False).report.quads == count
+        monkeypatch.setattr(marker_detector, "_MOST_QUADS", count)
+        assert detect(image, second_pass=False).report.quads == count

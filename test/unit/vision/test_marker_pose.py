@@ -149,8 +149,6 @@ def test_an_image_gives_markers_with_poses_and_their_own_sizes():
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(VisionError, match="320 x 240"):
         MarkerObserver().observe(np.zeros((240, 320), np.uint8), CAMERA)
-    with pytest.raises(VisionError):
-        MarkerObserver(size=0.0)
 
 
 # From image to image

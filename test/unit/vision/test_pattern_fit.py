@@ -1,4 +1,4 @@
-"""The fit of a marker's whole pattern is right, says how right, and passes over what hides it."""
+"""The fit of a marker's pattern and its covariance are right, also where something hides it."""
 
 from itertools import product
 
@@ -14,7 +14,7 @@ from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 from bullet_lab.vision.marker_pose import estimate_pose
 from bullet_lab.vision.pattern_fit import fit_pattern
 from bullet_lab.vision.pattern_model import PatternModel, moves_of
-from bullet_lab.vision.pattern_sides import without_hidden_side
+from bullet_lab.vision.pattern_pixels import without_hidden_side
 
 PATTERN = dictionary_named(TAGS).pattern(0)
 VIEW = View(2.0, yaw=25.0, pitch=4.0, roll=10.0, shift=(0.1, 0.05))
@@ -53,7 +53,7 @@ def test_derivatives_are_those_of_the_model(spread):
 
 @pytest.mark.parametrize("length", [7.0, 12.0])
 @pytest.mark.parametrize("right, down", [(0.8, 0.6), (1.0, 0.0)])
-def test_motion_is_told_from_the_marker(length, right, down):
+def test_motion_blur_moves_no_corner(length, right, down):
     # What moves along its own edges has less white beside some than beside others, as in the sun.
     view = View(1.6, yaw=25.0, pitch=4.0, roll=10.0)
     image = image_of([marker()], view, samples=12, blur=0.6).astype(np.float32)
@@ -119,7 +119,7 @@ def test_over_exposed_white_moves_no_corner():
 
 @pytest.mark.parametrize("distance", [2.0, 0.8])
 def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
-    """Half of what was cut off at 255 is below, and looked like white that is as bright as that."""
+    """Noise puts half of the cut-off pixels below 255, where they count as white."""
     view = View(distance, yaw=3.0, pitch=2.0)
     image = image_of([marker(black=0.0, white=420.0)], view, samples=8).astype(float)
     image += np.random.default_rng(2).normal(0.0, 3.0, image.shape)
@@ -131,7 +131,7 @@ def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
 @pytest.mark.parametrize("white, blur", [(420.0, 0.9), (600.0, 0.6)])
 @pytest.mark.parametrize("distance", [0.9, 2.6])
 def test_a_blurred_marker_that_is_over_exposed_is_as_large_as_it_is(distance, white, blur):
-    """How bright white would be cannot be told from the blur: markers were 0.9 px too small."""
+    """Pixels do not separate the level of white from the blur: markers were 0.9 px too small."""
     view = View(distance, yaw=8.0, pitch=4.0)
     image = image_of([marker(black=100.0, white=white)], view, samples=12, blur=blur, noise=2.0)
     found, true = fit(image, view), true_corners(view)
@@ -144,7 +144,7 @@ def test_a_blurred_marker_that_is_over_exposed_is_as_large_as_it_is(distance, wh
 @pytest.mark.parametrize("sun, blur", [(420.0, 0.6), (230.0, 0.8)])
 @pytest.mark.parametrize("shade", [0.25, -0.25, 0.0])
 def test_a_shadow_across_a_marker_moves_no_corner(distance, sun, blur, shade):
-    """What was in the sun looked as if it were not the marker's: corners there were 1 px off."""
+    """Pixels in the sun were taken for something else: corners there were 1 px off."""
     view = View(distance, yaw=6.0, pitch=4.0)
     paper = image_of([marker(black=20.0, white=200.0)], view, samples=12, blur=0.0) / 200.0
     middle, side = true_corners(view).mean(axis=0), np.ptp(true_corners(view)[:, 0])
@@ -157,7 +157,7 @@ def test_a_shadow_across_a_marker_moves_no_corner(distance, sun, blur, shade):
     assert np.abs(found.corners - true_corners(view)).max() < 0.25
 
 
-def test_what_hides_a_corner_is_passed_over_and_the_corner_is_less_certain():
+def test_a_hidden_corner_is_left_out_and_less_certain():
     image = image_of([marker()], VIEW, samples=8, blur=0.6, noise=2.0)
     free = fit(image, VIEW)
     u, v = true_corners(VIEW)[1].astype(int)
@@ -189,7 +189,7 @@ def test_what_hides_a_corner_in_the_dark_moves_none(hidden):
     [*product([0.8], [0.6, 2.0, 5.0], [60.0, 160.0, 235.0]), (4.5, 0.6, 160.0), (4.5, 0.6, 235.0)],
 )
 def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
-    """Its edge looked like the marker's: so many px off, with a tenth of a px told."""
+    """Its edge was taken for the marker's: so many px off, with a deviation of a tenth of a px."""
     for roll in (0.0, 90.0, 180.0, 270.0):
         view = View(distance, yaw=20.0, roll=roll)
         left = 0.1 - hidden * view.distance / CAMERA.fx
@@ -218,7 +218,7 @@ def test_edges_that_are_nowhere_lead_corners_nowhere():
     assert np.isfinite(without_hidden_side(Picture(stripes), start, column)).all()
 
 
-def test_what_hides_edges_is_told_also_where_a_part_is_in_the_sun():
+def test_occlusion_is_found_also_where_a_part_is_in_the_sun():
     """There each place has a light of its own, and what has no edge made no residual."""
     view = View(0.8)
     image = image_of([marker()], view, samples=8, blur=0.6).astype(np.float32)
@@ -238,7 +238,7 @@ def test_no_marker_is_none():
     assert found is None or found.covariance.max() > 0.05
 
 
-def test_detections_tell_their_covariance_and_poses_follow_it():
+def test_detections_have_a_covariance_and_poses_follow_it():
     image = image_of([marker()], VIEW, samples=8, blur=0.6, noise=4.0)
     (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
     certain = estimate_pose(found.corners, 0.2, CAMERA, 0.0, found.covariance).best

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Tuple
 
 import cv2
 import numpy as np
@@ -17,6 +16,7 @@ from geometry_msgs.msg import (
     Vector3,
 )
 from geometry_msgs.msg import Pose as PoseMessage
+from numpy import ndarray
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
@@ -25,7 +25,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.msg import ImagePoints, MarkerDetection
 from bullet_lab.vision.images import LEAST_EDGE
 from bullet_lab.vision.marker_detector import DetectedMarker
-from bullet_lab.vision.marker_pose import MarkerPose, ObservedMarker
+from bullet_lab.vision.marker_pose import MarkerPose
 
 # px
 _LARGEST_EDGE = 16384
@@ -53,7 +53,7 @@ class ImageError(LabError):
     """An image message has an invalid size or encoding."""
 
 
-def pixels_of(message: Image, encoding: str) -> np.ndarray:
+def pixels_of(message: Image, encoding: str) -> ndarray:
     """Return the image of a message as (h, w) for mono8 or (h, w, 3) for bgr8, uint8.
 
     Colours are converted as by cv_bridge. An encoding that is the message's own is left as it is.
@@ -80,7 +80,7 @@ def _conversion(colours: str, wanted: str) -> int:
     return getattr(cv2, f"COLOR_{name}")
 
 
-def _stored_pixels(message: Image) -> np.ndarray:
+def _stored_pixels(message: Image) -> ndarray:
     """Return the pixels as the message has them, (h, w) or (h, w, channels), native byte order."""
     kind, channels = _layout(message.encoding)
     _check_sizes(message, channels * kind.itemsize)
@@ -92,7 +92,7 @@ def _stored_pixels(message: Image) -> np.ndarray:
     return pixels.astype(kind.newbyteorder("="), copy=False).reshape(shape)
 
 
-def _layout(encoding: str) -> Tuple[np.dtype, int]:
+def _layout(encoding: str) -> tuple[np.dtype, int]:
     """Return the type of a channel and the number of channels; raises ImageError."""
     if encoding in _COLOURS:
         return np.dtype(np.uint16 if encoding.endswith("16") else np.uint8), _COLOURS[encoding][1]
@@ -103,7 +103,7 @@ def _layout(encoding: str) -> Tuple[np.dtype, int]:
     return np.dtype(f"{kind}{bits // 8}"), int(match[2] or 1)
 
 
-def image_message(header: Header, pixels: np.ndarray, encoding: str) -> Image:
+def image_message(header: Header, pixels: ndarray, encoding: str) -> Image:
     """Return an image (h, w) or (h, w, channels) uint8 as a message with a given header."""
     height, width = pixels.shape[:2]
     data = np.ascontiguousarray(pixels)
@@ -121,7 +121,7 @@ def _check_sizes(message: Image, bytes_per_pixel: int) -> None:
         raise ImageError(f"{len(message.data)} bytes for {height} rows of {message.step}")
 
 
-def points_message(header: Header, shape: Tuple[int, int], points: np.ndarray) -> ImagePoints:
+def points_message(header: Header, shape: tuple[int, int], points: ndarray) -> ImagePoints:
     """Return (n, 3) points u, v, strength of an image of a shape (h, w) as a message."""
     height, width = shape
     return ImagePoints(header, width, height, [Point32(u, v, s) for u, v, s in points])
@@ -158,7 +158,7 @@ def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False
         raise CameraGeometryError(f"camera_info: {error}") from error
 
 
-def _region(info: CameraInfo, width: int, height: int) -> Tuple[int, int]:
+def _region(info: CameraInfo, width: int, height: int) -> tuple[int, int]:
     """Return the offset (px) of the image in the full image that K describes."""
     if info.binning_x > 1 or info.binning_y > 1:
         binning = f"{info.binning_x} x {info.binning_y}"
@@ -171,7 +171,7 @@ def _region(info: CameraInfo, width: int, height: int) -> Tuple[int, int]:
     return region.x_offset, region.y_offset
 
 
-def _distortion(info: CameraInfo) -> Tuple[float, ...]:
+def _distortion(info: CameraInfo) -> tuple[float, ...]:
     values = tuple(info.D)
     if not any(values):
         return _NO_DISTORTION
@@ -191,18 +191,22 @@ def covariance_message(pose: MarkerPose) -> PoseWithCovariance:
     return PoseWithCovariance(marker_pose_message(pose), pose.covariance.ravel().tolist())
 
 
-def detection_message(marker: DetectedMarker, dictionary: str) -> MarkerDetection:
-    """Return a marker without a pose as a message, when there is no camera_info."""
+def detection_message(
+    marker: DetectedMarker, pose: MarkerPose | None, dictionary: str
+) -> MarkerDetection:
+    """Return a marker as a message.
+
+    Args:
+        marker: an `ObservedMarker` if it has a pose.
+        pose: the chosen one of its two poses; None: there is no camera_info.
+        dictionary: its name.
+    """
     message = MarkerDetection(id=marker.id, dictionary=dictionary, bit_errors=marker.bit_errors)
     message.corners = np.asarray(marker.corners, dtype=float).ravel().tolist()
     message.deviations = marker.deviations.ravel().tolist()
-    message.pose.pose.orientation.w = message.alternative_pose.orientation.w = 1.0
-    return message
-
-
-def located_message(marker: ObservedMarker, dictionary: str, pose: MarkerPose) -> MarkerDetection:
-    """Return a marker with the chosen one of its two poses as a message."""
-    message = detection_message(marker, dictionary)
+    if pose is None:
+        message.pose.pose.orientation.w = message.alternative_pose.orientation.w = 1.0
+        return message
     estimate = marker.pose
     other = estimate.alternative if pose is estimate.best else estimate.best
     message.size = marker.size

@@ -18,8 +18,8 @@ Stamps and frames are those of the images.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any, Iterable, List, Mapping, Sequence, Tuple
+from dataclasses import dataclass
+from typing import Any, Iterable, Mapping, Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -35,7 +35,6 @@ from bullet_lab.ros.messages.images import (
     camera_of,
     covariance_message,
     detection_message,
-    located_message,
     marker_pose_message,
     marker_transform,
 )
@@ -46,17 +45,10 @@ from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParamet
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.images import VisionError
-from bullet_lab.vision.marker_detector import (
-    DetectedMarker,
-    Detections,
-    DetectorSettings,
-    why_nothing,
-)
-from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, ObservedMarker, PoseMemory
+from bullet_lab.vision.marker_detector import Detections, DetectorSettings, why_nothing
+from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, PoseMemory
 
 DEFAULTS = DetectorSettings()
-# The markers of an image with their poses, the largest marker first.
-Located = List[Tuple[ObservedMarker, MarkerPose]]
 
 
 def accept_tags(value: Any) -> str:
@@ -136,10 +128,9 @@ class ArucoParameters(ImageParameters):
 
     def settings(self) -> DetectorSettings:
         """Return the detector's settings; raises ParameterError."""
-        names = {field.name for field in fields(DetectorSettings)} & set(vars(self))
-        given = {name: getattr(self, name) for name in names}
+        limits = self.border, self.min_side, self.contrast, self.correction
         try:
-            return DetectorSettings(dictionary=self.tags, **given)
+            return DetectorSettings(self.tags, self.ids, *limits, self.inverted, self.second_pass)
         except VisionError as error:
             raise ParameterError(f"~ids: {error}") from error
 
@@ -167,11 +158,15 @@ class Aruco(ImageNode):
     def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the markers."""
         camera, problem = self._camera(image)
-        detections = self._observer.detector.detect(image.grey, camera)
-        located = self._locate(detections, camera, image)
-        self._publish_markers(image.header, detections.markers, located)
-        self.annotate(image, lambda canvas: self._draw(canvas, detections, located, camera))
-        self._health = self._judge(detections, located, problem)
+        detections = self._observer.observe(image.grey, camera)
+        markers: Sequence[Any] = detections.markers
+        if camera is None:
+            poses = [None] * len(markers)
+        else:
+            poses = self._memory.choose(markers, image.header.stamp.to_sec())
+        self._publish_markers(image.header, markers, poses)
+        self.annotate(image, lambda canvas: self._draw(canvas, detections, poses, camera))
+        self._health = problem or self._judge(detections, poses)
         return _figures(detections)
 
     def process_unusable(self, image: CameraImage) -> None:
@@ -186,48 +181,37 @@ class Aruco(ImageNode):
         """Return the markers of the last image, or the reason why there are none."""
         return self._health
 
-    def _camera(self, image: CameraImage) -> tuple[PinholeCamera | None, str]:
+    def _camera(self, image: CameraImage) -> tuple[PinholeCamera | None, Health | None]:
         """Return the camera, or None and the reason."""
         topic = self.parameters.info_topic
         if image.info is None:
-            return None, f"no camera_info on {topic}: markers have no poses"
+            reason = f"no camera_info on {topic}: markers have no poses"
+            return None, Health(DiagnosticStatus.WARN, reason)
         try:
             rectified = self.parameters.rectified
-            return camera_of(image.info, image.width, image.height, rectified), ""
+            return camera_of(image.info, image.width, image.height, rectified), None
         except CameraGeometryError as error:
             self.refuse(topic, str(error))
-            return None, str(error)
-
-    def _locate(
-        self, detections: Detections, camera: PinholeCamera | None, image: CameraImage
-    ) -> Located:
-        if camera is None:
-            return []
-        observed = [self._observer.locate(marker, camera) for marker in detections.markers]
-        poses = self._memory.choose(observed, image.header.stamp.to_sec())
-        return list(zip(observed, poses))
+            return None, Health(DiagnosticStatus.ERROR, str(error))
 
     def _publish_markers(
-        self, header: Header, markers: Sequence[DetectedMarker], located: Located
+        self, header: Header, markers: Sequence[Any], poses: Sequence[MarkerPose | None]
     ) -> None:
         tags = self.parameters.tags
         message = MarkerDetectionArray(header=header)
-        message.detections = [located_message(marker, tags, pose) for marker, pose in located] or [
-            detection_message(marker, tags) for marker in markers
-        ]
+        message.detections = [detection_message(*one, tags) for one in zip(markers, poses)]
         self.publish("detections", message)
-        if not located:
+        if not poses or poses[0] is None:
             return
-        pose = located[0][1]
-        self.publish("pose", PoseStamped(header, marker_pose_message(pose)))
-        covariance = PoseWithCovarianceStamped(header, covariance_message(pose))
+        self.publish("pose", PoseStamped(header, marker_pose_message(poses[0])))
+        covariance = PoseWithCovarianceStamped(header, covariance_message(poses[0]))
         self.publish("pose_with_covariance", covariance)
         if self._tf is not None:
             # Of several markers with one id, the largest in the image.
-            by_id = {observed.id: pose for observed, pose in reversed(located)}
+            by_id = {marker.id: pose for marker, pose in list(zip(markers, poses))[::-1]}
             transforms = [
-                marker_transform(header, f"{self._prefix}fiducial_{marker}", pose)
-                for marker, pose in by_id.items()
+                marker_transform(header, f"{self._prefix}fiducial_{number}", pose)
+                for number, pose in by_id.items()
             ]
             self._tf.publish(TFMessage(transforms))
 
@@ -235,27 +219,25 @@ class Aruco(ImageNode):
         self,
         canvas: np.ndarray,
         detections: Detections,
-        located: Located,
+        poses: Sequence[MarkerPose | None],
         camera: PinholeCamera | None,
     ) -> None:
-        labels = [f"id {marker.id}" for marker in detections.markers]
-        for index, (observed, pose) in enumerate(located):
-            draw_axes(canvas, pose, observed.size, camera)
-            labels[index] += f"  {pose.distance:.2f} m"
-        for marker, label in zip(detections.markers, labels):
-            draw_marker(canvas, marker, label)
+        # Outlines are above the axes of all markers.
+        for marker, pose in zip(detections.markers, poses):
+            if pose is not None:
+                draw_axes(canvas, pose, marker.size, camera)
+        for marker, pose in zip(detections.markers, poses):
+            label = "" if pose is None else f"  {pose.distance:.2f} m"
+            draw_marker(canvas, marker, f"id {marker.id}{label}")
         if not detections.markers:
             draw_text(canvas, why_nothing(detections.report, self.parameters.tags), (8, 16))
 
-    def _judge(self, detections: Detections, located: Located, problem: str) -> Health:
-        if problem:
-            is_missing = problem.startswith("no ")
-            return Health(DiagnosticStatus.WARN if is_missing else DiagnosticStatus.ERROR, problem)
+    def _judge(self, detections: Detections, poses: Sequence[MarkerPose]) -> Health:
         if not detections.markers:
             reason = why_nothing(detections.report, self.parameters.tags)
             return Health(DiagnosticStatus.WARN, f"no marker: {reason}")
-        found = ", ".join(f"id {o.id} at {pose.distance:.2f} m" for o, pose in located)
-        return Health(DiagnosticStatus.OK, found)
+        found = [f"id {m.id} at {p.distance:.2f} m" for m, p in zip(detections.markers, poses)]
+        return Health(DiagnosticStatus.OK, ", ".join(found))
 
 
 def _figures(detections: Detections) -> dict[str, Any]:

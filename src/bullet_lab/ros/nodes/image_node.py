@@ -35,7 +35,7 @@ from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.node.diagnostics import Diagnostics, Health, Traffic
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
-from bullet_lab.ros.node.publishers import Demand, Publisher, subscriber
+from bullet_lab.ros.node.publishers import Demand, subscriber
 from bullet_lab.vision.drawing import draw_text
 
 # Larger than an image, so that old images do not collect in the socket.
@@ -44,10 +44,6 @@ _BUFFER_BYTES = 2**24
 _INFO_PATIENCE = 1.0
 # Wall seconds without an image until the diagnostics warn.
 _SILENCE = 1.5
-
-
-class DuplicateImageError(LabError):
-    """An image has the stamp of the image before."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ class ImageNode(ABC):
         self._trouble = ""
         self._figures: Mapping[str, Any] = {}
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
-        self._publishers: dict[str, Publisher] = {}
+        self._publishers = {}
         for topic, kind in topics.items():
             # Old images are of no use.
             queue_size = 1 if kind in (Image, CameraInfo) else 10
@@ -198,11 +194,16 @@ class ImageNode(ABC):
 
     def _receive_image(self, message: Image) -> None:
         start = time.monotonic()
-        try:
-            self._check_time(message)
-        except DuplicateImageError as error:
-            self.refuse(self.parameters.image, str(error))
-            return
+        stamp, last = message.header.stamp, self._last_stamp
+        self._last_stamp = stamp
+        if last is not None and not stamp.is_zero():
+            if stamp == last:
+                reason = f"duplicate image with stamp {stamp.to_sec():.3f} s"
+                self.refuse(self.parameters.image, reason)
+                return
+            if stamp < last:
+                rospy.loginfo("%s: time was set back: resetting", self.parameters.image)
+                self.reset()
         image = CameraImage(message, self._info_now())
         try:
             self._figures = self.process(image)
@@ -223,22 +224,10 @@ class ImageNode(ABC):
                 self._waits_for_info = self._info is not None
             return self._info
 
-    def _check_time(self, message: Image) -> None:
-        stamp, last = message.header.stamp, self._last_stamp
-        if last is not None and not stamp.is_zero():
-            if stamp == last:
-                raise DuplicateImageError(f"duplicate image with stamp {stamp.to_sec():.3f} s")
-            if stamp < last:
-                rospy.loginfo("%s: time was set back: resetting", self.parameters.image)
-                self.reset()
-        self._last_stamp = stamp
-
     def _diagnose(self) -> Health:
-        figures = self._traffic.figures()
-        figures.update({key: str(value) for key, value in dict(self._figures).items()})
-        figures["refused"] = str(self._refusals.total)
-        health = self._verdict()
-        return Health(health.level, health.message, figures)
+        figures = {**self._traffic.figures(), **self._figures, "refused": self._refusals.total}
+        values = {key: str(value) for key, value in figures.items()}
+        return self._verdict()._replace(values=values)
 
     def _verdict(self) -> Health:
         if not self._demand.is_there:

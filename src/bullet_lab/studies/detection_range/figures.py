@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Dict, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterator, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon, Wedge
+from matplotlib.patches import Circle, Polygon, Rectangle, Wedge
+from numpy import ndarray
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.studies.detection_range.trial import Snapshot
@@ -64,8 +65,9 @@ def _draw_map(
     axes.set_yticks(range(len(bearings)), [f"{value:g}" for value in bearings], fontsize=8)
     for row in rows:
         x, y = distances.index(row["distance_m"]), bearings.index(row["bearing_deg"])
-        square = [(x - 0.5, y - 0.5), (x + 0.5, y - 0.5), (x + 0.5, y + 0.5), (x - 0.5, y + 0.5)]
-        axes.add_patch(Polygon(square, facecolor=_colour(row), edgecolor="white", linewidth=0.5))
+        square = Rectangle((x - 0.5, y - 0.5), 1.0, 1.0)
+        square.set(facecolor=_colour(row), edgecolor="white", linewidth=0.5)
+        axes.add_patch(square)
         if row["visible"] or row["found"]:
             shade = "white" if row["rate"] < 0.25 or row["rate"] > 0.9999 else BLACK
             text = f"{math.floor(100.0 * row['rate']):d}"
@@ -81,7 +83,7 @@ def _colour(row: Record) -> str:
 def range_figure(
     rows: Sequence[Record],
     summary: Mapping[str, Any],
-    pictures: Mapping[Tuple[str, float], Snapshot],
+    pictures: Mapping[tuple[str, float], Snapshot],
 ) -> Figure:
     """Draw the answer to the report's question: how close, how far.
 
@@ -98,12 +100,13 @@ def range_figure(
         2, 12, height_ratios=(1.6, 1.0), hspace=0.3, wspace=0.4,
         left=0.05, right=0.985, top=0.9, bottom=0.05,
     )  # fmt: skip
-    world = next(iter(summary["worlds"]))
-    own = [row for row in rows if row["world"] == world and row["light"] == rows[0]["light"]]
-    ends = _ends(summary["worlds"][world], rows[0]["light"])
+    world, light = rows[0]["world"], rows[0]["light"]
+    own = [row for row in rows if (row["world"], row["light"]) == (world, light)]
+    (entry,) = (entry for *of, entry in ranges_of(summary) if of == [world, light])
+    ends = entry["closest_m"], entry["farthest_frontal_m"]
     floor = figure.add_subplot(grid[0, :8])
     _draw_floor(floor, own, ends)
-    floor.set_title(f"{world}, {rows[0]['light']} light: where the marker is found")
+    floor.set_title(f"{world}, {light} light: where the marker is found")
     _add_scale(figure, floor)
     _draw_bars(figure.add_subplot(grid[0, 9:12]), summary)
     of_world = {distance: pictures[name, distance] for name, distance in pictures if name == world}
@@ -115,9 +118,12 @@ def range_figure(
     return figure
 
 
-def _ends(entry: Mapping[str, Any], light: str) -> Ends:
-    figures = entry if light == DEFAULT_LIGHT else entry["lights"][light]
-    return figures["closest_m"], figures["farthest_frontal_m"]
+def ranges_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    """Yield each world and light of a `detection_summary` with its ranges."""
+    for world, figures in summary["worlds"].items():
+        for light, entry in {DEFAULT_LIGHT: figures, **figures.get("lights", {})}.items():
+            if "closest_m" in entry:
+                yield world, light, entry
 
 
 def _headline(world: str, ends: Ends, rows: Sequence[Record]) -> str:
@@ -166,7 +172,7 @@ def _draw_robot(axes: Axes, distance: float, colour: str) -> None:
     )  # fmt: skip
 
 
-def _edges(values: Sequence[float]) -> Dict[float, Tuple[float, float]]:
+def _edges(values: Sequence[float]) -> dict[float, tuple[float, float]]:
     """Return, for each of the sorted values, the midpoints to its neighbours."""
     middles = [0.5 * (a + b) for a, b in zip(values, values[1:])]
     first = max(0.0, values[0] - (middles[0] - values[0] if middles else 0.1))
@@ -186,12 +192,8 @@ def _add_scale(figure: Figure, axes: Axes) -> None:
 
 
 def _draw_bars(axes: Axes, summary: Mapping[str, Any]) -> None:
-    bars = []
-    for world, figures in summary["worlds"].items():
-        if "closest_m" in figures:
-            bars.append((world, figures))
-        bars += [(f"{world}\n{k} light", entry) for k, entry in figures.get("lights", {}).items()]
-    for index, (_, entry) in enumerate(bars):
+    bars = list(ranges_of(summary))
+    for index, (_, _, entry) in enumerate(bars):
         first, last, aside = (
             entry[k] for k in ("closest_m", "farthest_frontal_m", "farthest_30deg_m")
         )
@@ -203,9 +205,10 @@ def _draw_bars(axes: Axes, summary: Mapping[str, Any]) -> None:
         axes.text(last + 0.1, index, text, va="center", fontsize=8)
         if aside is not None:
             axes.plot([aside], [index], marker="D", color=ORANGE, markersize=5, linestyle="")
-    axes.set_yticks(range(len(bars)), [name for name, _ in bars], fontsize=8)
+    names = [f"{w}\n{k} light" if k != DEFAULT_LIGHT else w for w, k, _ in bars]
+    axes.set_yticks(range(len(bars)), names, fontsize=8)
     axes.set_ylim(max(len(bars) - 0.4, 4.6), -0.6)
-    axes.set_xlim(0.0, 1.3 * max([e["farthest_frontal_m"] or 1.0 for _, e in bars]))
+    axes.set_xlim(0.0, 1.3 * max(entry["farthest_frontal_m"] or 1.0 for _, _, entry in bars))
     axes.set_xlabel("distance with ≥ 95 % found (m)")
     axes.set_title("frontal; ◆ farthest at 30°", fontsize=10)
     axes.grid(axis="x", alpha=0.3)
@@ -235,7 +238,7 @@ def _show_picture(axes: Axes, snapshot: Snapshot) -> None:
     _zoom(axes, snapshot.corners[0], picture.shape)
 
 
-def _zoom(axes: Axes, corners: np.ndarray, shape: Tuple[int, ...]) -> None:
+def _zoom(axes: Axes, corners: ndarray, shape: tuple[int, ...]) -> None:
     """Limit the axes to a marker and its surroundings, within the image."""
     side = float(np.linalg.norm(corners[0] - corners[1]))
     middle = corners.mean(axis=0)

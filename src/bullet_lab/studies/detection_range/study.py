@@ -10,15 +10,21 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterator, Mapping, Sequence
 
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import boolean, choices, integer, numbers
 from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.detection_range.figures import heat_map, range_figure
-from bullet_lab.studies.detection_range.scenes import WORLDS, Cell, is_reachable
-from bullet_lab.studies.detection_range.trial import count_false, try_cell
+from bullet_lab.studies.detection_range.figures import heat_map, range_figure, ranges_of
+from bullet_lab.studies.detection_range.trial import (
+    WORLDS,
+    Cell,
+    count_false,
+    is_reachable,
+    try_cell,
+)
 from bullet_lab.studies.results import Record, rows_of, write_results
 from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
 from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, this_process, workers
@@ -38,11 +44,11 @@ LARGEST_DISTANCE = 50.0
 class RangeSettings(Settings):
     """A grid of camera positions in each world and light, and images of the dots."""
 
-    worlds: Tuple[str, ...] = choices(tuple(WORLDS), "worlds to try", WORLDS)
-    lights: Tuple[str, ...] = choices(
+    worlds: tuple[str, ...] = choices(tuple(WORLDS), "worlds to try", WORLDS)
+    lights: tuple[str, ...] = choices(
         LIGHTS, "lights to try; default is the world's own", LIGHTS
     )
-    distances: Tuple[float, ...] = numbers(
+    distances: tuple[float, ...] = numbers(
         (
             *(0.3, 0.32, 0.34, 0.35, 0.36, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0),
             *(4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 8.0),
@@ -51,7 +57,7 @@ class RangeSettings(Settings):
         0.1,
         maximum=LARGEST_DISTANCE,
     )
-    bearings: Tuple[float, ...] = numbers(
+    bearings: tuple[float, ...] = numbers(
         (0.0, 15.0, 30.0, 45.0, 60.0),
         "angles from the marker's axis, degrees, each tried on both sides",
         0.0,
@@ -69,13 +75,13 @@ class RangeSettings(Settings):
 class Task:
     """A task for a worker: a cell, or a block of images of the dots."""
 
-    cell: Optional[Cell]
+    cell: Cell | None
     block: int = 0
     frames: int = 0
 
 
 @functools.lru_cache(maxsize=4)
-def tasks(settings: RangeSettings) -> Tuple[Task, ...]:
+def tasks(settings: RangeSettings) -> tuple[Task, ...]:
     """Return all tasks, in the order of the results."""
     found = [Task(cell) for cell in _cells(settings) if is_reachable(cell)]
     for block, first in enumerate(range(0, settings.dots, DOTS_PER_BLOCK)):
@@ -84,12 +90,10 @@ def tasks(settings: RangeSettings) -> Tuple[Task, ...]:
 
 
 def _cells(settings: RangeSettings) -> Iterator[Cell]:
-    for world in settings.worlds:
-        for light in settings.lights:
-            if light == DEFAULT_LIGHT or world in FULLY_LIT or settings.every_light:
-                for bearing in settings.bearings:
-                    for distance in settings.distances:
-                        yield Cell(world, light, distance, math.radians(bearing))
+    for world, light in product(settings.worlds, settings.lights):
+        if light == DEFAULT_LIGHT or world in FULLY_LIT or settings.every_light:
+            for bearing, distance in product(settings.bearings, settings.distances):
+                yield Cell(world, light, distance, math.radians(bearing))
 
 
 def do_task(settings: RangeSettings, number: int) -> Any:
@@ -127,15 +131,21 @@ def _entry(value: Any) -> Any:
     return f"{value:.6g}" if isinstance(value, float) else value
 
 
-def detection_summary(rows: Sequence[Record]) -> Dict[str, Any]:
+def detection_summary(rows: Sequence[Record]) -> dict[str, Any]:
     """Return the ranges of each world and light, and the results of the panel's targets.
 
     The rows are those of all cells, as in the table.
     """
-    lights = list(dict.fromkeys((row["world"], row["light"]) for row in rows))
-    worlds: Dict[str, Any] = {}
-    for world, light in lights:
-        figures = _ranges([r for r in rows if (r["world"], r["light"]) == (world, light)])
+    worlds: dict[str, Any] = {}
+    for world, light in dict.fromkeys((row["world"], row["light"]) for row in rows):
+        of_light = [row for row in rows if (row["world"], row["light"]) == (world, light)]
+        frontal, aside = (found_range(of_light, bearing) for bearing in (0.0, 30.0))
+        figures = {
+            "closest_m": frontal[0],
+            "farthest_frontal_m": frontal[1],
+            "farthest_30deg_m": aside[1],
+            **{name: sum(row[name] for row in of_light) for name in COUNTS},
+        }
         entry = worlds.setdefault(world, {})
         if light == DEFAULT_LIGHT:
             entry.update(figures)
@@ -144,66 +154,45 @@ def detection_summary(rows: Sequence[Record]) -> Dict[str, Any]:
     return {"least_rate": LEAST_RATE, "worlds": worlds, "targets": _targets(rows)}
 
 
-def _ranges(rows: Sequence[Record]) -> Dict[str, Any]:
-    frontal, aside = (found_range(rows, bearing) for bearing in (0.0, 30.0))
-    return {
-        "closest_m": frontal[0],
-        "farthest_frontal_m": frontal[1],
-        "farthest_30deg_m": aside[1],
-        **{name: sum(row[name] for row in rows) for name in COUNTS},
-    }
-
-
-def found_range(rows: Sequence[Record], bearing: float) -> Tuple[Optional[float], Optional[float]]:
+def found_range(rows: Sequence[Record], bearing: float) -> tuple[float | None, float | None]:
     """Return the closest and the farthest distance of the longest range without a gap.
 
     In all its cells the marker is found in at least `LEAST_RATE` of the images. Returns
     None, None if there is no such cell.
     """
     aligned = [row for row in rows if row["bearing_deg"] == bearing]
-    best: List[float] = []
-    current: List[float] = []
+    best: list[float] = []
+    current: list[float] = []
     for distance, rate in sorted((row["distance_m"], row["rate"]) for row in aligned):
         current = [*current, distance] if rate >= LEAST_RATE else []
         best = max(best, current, key=lambda run: run[-1] - run[0] if run else -1.0)
     return (best[0], best[-1]) if best else (None, None)
 
 
-def _targets(rows: Sequence[Record]) -> List[Dict[str, Any]]:
+def _targets(rows: Sequence[Record]) -> list[dict[str, Any]]:
     """Return, for each target that was tried, the numbers of images and of finds."""
     panel = [row for row in rows if (row["world"], row["light"]) == (PANEL, DEFAULT_LIGHT)]
-    found = [_target(panel, *target) for target in TARGETS]
+    judged: list[dict[str, Any]] = []
+    for bearing, least, most, rate in TARGETS:
+        aligned = [row for row in panel if row["bearing_deg"] == bearing]
+        chosen = [row for row in aligned if least <= row["distance_m"] <= most]
+        frames, found = (sum(row[name] for row in chosen) for name in ("frames", "found"))
+        where = f"at {most:g} m" if least == most else f"up to {most:g} m"
+        if frames:
+            name = f"{100 * rate:g} % {where}, {bearing:g} deg"
+            met = found >= rate * frames
+            judged.append({"target": name, "frames": frames, "found": found, "met": met})
     if any(row["bearing_deg"] == 0.0 and row["distance_m"] <= CLOSEST_TARGET for row in panel):
         closest = found_range(panel, 0.0)[0]
         met = closest is not None and closest <= CLOSEST_TARGET
-        found.append({"target": f"closest {CLOSEST_TARGET:g} m", "closest_m": closest, "met": met})
-    return [target for target in found if target]
+        judged.append({"target": f"closest {CLOSEST_TARGET:g} m", "closest_m": closest, "met": met})
+    return judged
 
 
-def _target(
-    panel: Sequence[Record], bearing: float, least: float, most: float, rate: float
-) -> Dict[str, Any]:
-    chosen = [r for r in panel if r["bearing_deg"] == bearing and least <= r["distance_m"] <= most]
-    frames, found = (sum(row[name] for row in chosen) for name in ("frames", "found"))
-    if not frames:
-        return {}
-    where = f"at {most:g} m" if least == most else f"up to {most:g} m"
-    return {
-        "target": f"{100 * rate:g} % {where}, {bearing:g} deg",
-        "frames": frames,
-        "found": found,
-        "met": found >= rate * frames,
-    }
-
-
-def describe(summary: Mapping[str, Any]) -> List[str]:
+def describe(summary: Mapping[str, Any]) -> list[str]:
     """Return the main figures as lines for the user."""
-    lines = []
-    for world, figures in summary["worlds"].items():
-        entries = {DEFAULT_LIGHT: figures, **figures.get("lights", {})}
-        for light, entry in entries.items():
-            if "closest_m" in entry:
-                lines.append(f"{world}, {light} light: {_sentence(entry)}")
+    ranges = ranges_of(summary)
+    lines = [f"{world}, {light} light: {_sentence(entry)}" for world, light, entry in ranges]
     for target in summary["targets"]:
         if "frames" in target:
             count = f"{target['found']} of {target['frames']} frames"
@@ -228,7 +217,7 @@ def _sentence(entry: Mapping[str, Any]) -> str:
     return f"{text}, {others} of another marker with the same id" if others else text
 
 
-def _metres(value: Optional[float]) -> str:
+def _metres(value: float | None) -> str:
     return "nowhere" if value is None else f"{value:g} m"
 
 
@@ -237,7 +226,7 @@ def run_detection_range(
     settings: RangeSettings,
     run: Run = this_process,
     tell: Tell = silent,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Try all cells; write table, heat maps, figure and summary.json; return the summary.
 
     The same settings give the same files, with any workers.
@@ -278,7 +267,7 @@ def run_detection_range(
     return write_results(folder, summary, {"cells.csv": table}, figures, {})
 
 
-def _run(folder: Path, settings: RangeSettings, work: WorkerSettings, tell: Tell) -> List[str]:
+def _run(folder: Path, settings: RangeSettings, work: WorkerSettings, tell: Tell) -> list[str]:
     distances, bearings = tuple(sorted(settings.distances)), tuple(sorted(settings.bearings))
     settings = replace(settings, distances=distances, bearings=bearings)
     return describe(run_detection_range(folder, settings, workers(work.workers), tell))

@@ -1,39 +1,240 @@
-"""The trial of a cell: its images, and their detections compared with the truth."""
+"""The trial of a cell: worlds, camera poses, images, and their detections beside the truth."""
 
 from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
-from typing import Any, Dict, List, Optional, Tuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+from zlib import crc32
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.pose import Pose
-from bullet_lab.studies.detection_range.scenes import (
-    DICTIONARY,
-    WANTED_ID,
-    WORLDS,
-    Cell,
-    FreeCamera,
-    PrintedMarker,
-    Shot,
-    cell_shots,
-    in_optical_frame,
-    is_visible,
-    strewn_shots,
-)
-from bullet_lab.studies.worlds import DEFAULT_LIGHT, lit_world
+from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Box, Link, Model, World
+from bullet_lab.simulation.world.description import footprints
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.urdf import read_urdf_file
+from bullet_lab.studies.worlds import DEFAULT_LIGHT, ROBOT, lit_world
+from bullet_lab.vision.images import grey, mean_side
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_pose import MarkerObserver, ObservedMarker
+
+DICTIONARY = "apriltag_36h10"
+WANTED_ID = 0
+CAMERA_HEIGHT = 0.44
+MARKER: Vector = (4.0, 0.0, 0.5)
+"""Centre of the wanted marker in all worlds; all markers in them face -x."""
+
+CLEARANCE = 0.12
+"""m; smallest distance of a robot's camera from a wall beside it."""
+
+DISTANCE_JITTER = (0.005, 0.02)
+"""Share of the distance, and m; the smaller one holds."""
+
+BEARING_JITTER = math.radians(1.0)
+HEADING_JITTER = math.radians(2.0)
+
+STREWN_DISTANCES = (0.35, 8.0)
+STREWN_BEARINGS = (0.0, math.radians(60.0))
+STREWN_HEADING = math.radians(25.0)
 
 LARGEST_OFFSET = 0.15
 """Tolerance of a detection's corners as a share of the marker's side, plus one pixel."""
 
 CELLS_PER_SIDE = 8
 HIDDEN_SHARE = 0.2
+# Columns: the axes of the optical frame (right, down, ahead) in that of the camera's link.
+OPTICAL_AXES = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class PrintedMarker:
+    """A marker of the wanted id in a world: edge (m) and centre; it faces -x."""
+
+    size: float
+    middle: Vector
+
+    def corners(self) -> ndarray:
+        """Return the (4, 3) corners: top left, top right, bottom right, bottom left."""
+        # For a view along x, +y is to the left.
+        offsets = np.array([(0, 1, 1), (0, -1, 1), (0, -1, -1), (0, 1, -1)], dtype=float)
+        return np.asarray(self.middle) + 0.5 * self.size * offsets
+
+
+@dataclass(frozen=True)
+class DetectionWorld:
+    """The wanted marker of a world, and other markers with the same id."""
+
+    wanted: PrintedMarker = PrintedMarker(0.20, MARKER)
+    others: tuple[PrintedMarker, ...] = ()
+
+
+WORLDS = {
+    "marker_panel": DetectionWorld(),
+    "docking": DetectionWorld(),
+    "docking_dots": DetectionWorld(),
+    "docking_nested": DetectionWorld(
+        PrintedMarker(0.075, MARKER), (PrintedMarker(0.8, (4.0, 0.05, 0.45)),)
+    ),
+    "docking_decoy": DetectionWorld(others=(PrintedMarker(0.35, (3.3, 1.65, 0.5)),)),
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of the grid: world, light, distance to the marker (m), bearing (rad, >= 0).
+
+    The bearing is the angle at the marker between its axis and the camera.
+    """
+
+    world: str
+    light: str
+    distance: float
+    bearing: float
+
+    def key(self) -> tuple[int, ...]:
+        """Return numbers that are unique to this cell, for its random stream."""
+        words = (crc32(self.world.encode()), crc32(self.light.encode()))
+        return (*words, round(1e6 * self.distance), round(1e6 * self.bearing))
+
+
+class Shot(NamedTuple):
+    """A pose of the camera, and the number of its image."""
+
+    pose: Pose
+    number: int
+
+
+def cell_shots(cell: Cell, frames: int, seed: int) -> list[Shot]:
+    """Return jittered camera poses for a cell, on the left and the right side in turn.
+
+    They depend on the cell and the seed only. The camera faces the marker, with a small error.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=cell.key()))
+    return [_shot(cell, (-1.0) ** index, rng) for index in range(frames)]
+
+
+def strewn_shots(world: str, frames: int, seed: int, block: int) -> list[Shot]:
+    """Return camera poses all over a world, at random distances and bearings."""
+    key = (crc32(world.encode()), block)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+    found: list[Shot] = []
+    while len(found) < frames:
+        distance, bearing = rng.uniform(*STREWN_DISTANCES), rng.uniform(*STREWN_BEARINGS)
+        cell = Cell(world, DEFAULT_LIGHT, distance, bearing)
+        if is_reachable(cell):
+            found.append(_shot(cell, rng.choice((-1.0, 1.0)), rng, STREWN_HEADING))
+    return found
+
+
+def _shot(
+    cell: Cell, side: float, rng: np.random.Generator, astray: float = HEADING_JITTER
+) -> Shot:
+    share, most = DISTANCE_JITTER
+    reach = min(share * cell.distance, most)
+    off, aside, turned = rng.uniform(-1.0, 1.0, 3) * (reach, BEARING_JITTER, astray)
+    bearing = side * cell.bearing + aside
+    return Shot(camera_pose(cell.distance + off, bearing, turned), int(rng.integers(2**31)))
+
+
+def camera_pose(distance: float, bearing: float, turned: float = 0.0) -> Pose:
+    """Return the camera's pose at a distance (m) and bearing (rad) from the marker.
+
+    It is level, and faces the marker except for `turned` rad to the left.
+    """
+    x = MARKER[0] - distance * math.cos(bearing)
+    y = MARKER[1] + distance * math.sin(bearing)
+    return Pose.from_rpy((x, y, CAMERA_HEIGHT), (0.0, 0.0, turned - bearing))
+
+
+def _places(cell: Cell) -> list[Vector]:
+    """Return the positions of the camera at a cell, on both sides."""
+    return [camera_pose(cell.distance, side * cell.bearing).position for side in (-1.0, 1.0)]
+
+
+def is_reachable(cell: Cell) -> bool:
+    """Return whether there is room for the camera at a cell, on both sides."""
+    plan = footprints(lit_world(cell.world, cell.light), below=CAMERA_HEIGHT + CLEARANCE)
+    # The camera may come close to the wall that bears the marker.
+    plan = [one for one in plan if one.centre[0] <= MARKER[0] - CLEARANCE]
+    return all(one.distance(place[:2]) >= CLEARANCE for one in plan for place in _places(cell))
+
+
+def is_visible(cell: Cell) -> bool:
+    """Return whether no box hides the wanted marker from the camera, on both sides."""
+    corners = WORLDS[cell.world].wanted.corners()
+    # Not to the very end: the marker lies on the surface of a box.
+    rays = [(np.array(eye), 0.999 * (corners - eye)) for eye in _places(cell)]
+    return not any(
+        _cuts(model.pose * link.pose * shape.pose, shape.geometry, *ray)
+        for model in lit_world(cell.world, cell.light).models
+        for link in model.links
+        for shape in link.collisions
+        if isinstance(shape.geometry, Box)
+        for ray in rays
+    )
+
+
+def _cuts(pose: Pose, box: Box, eye: ndarray, rays: ndarray) -> bool:
+    """Return whether a box cuts one of the rays (n, 3) from an eye (slab method)."""
+    turn = pose.rotation_matrix()
+    start, rays, half = (eye - pose.position) @ turn, rays @ turn, 0.5 * np.array(box.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = (-half - start) / rays, (half - start) / rays
+    enter = np.nanmax(np.minimum(first, second), axis=1)
+    leave = np.nanmin(np.maximum(first, second), axis=1)
+    return bool((np.maximum(enter, 0.0) < np.minimum(leave, 1.0)).any())
+
+
+class FreeCamera:
+    """The camera of the robot, noise included, at any pose in a world.
+
+    Args:
+        world: to take images of.
+        seed: of the noise.
+
+    Attributes:
+        camera: geometry of the images.
+
+    Raises:
+        LabError: a file cannot be read.
+    """
+
+    def __init__(self, world: World, seed: int = 0):
+        robot = read_urdf_file(ResourceFinder.anywhere().find(ROBOT))
+        plugin = next(p for p in robot.plugins if p.filename in Camera.filenames)
+        plugin = replace(plugin, link="camera")
+        model = Model("free_camera", (Link("camera"),), plugins=(plugin,), static=True)
+        self._simulation = Simulation(world, seed)
+        self._instance = self._simulation.add(model)
+        self._device: Camera = self._instance.plugins[0]
+        self.camera: PinholeCamera = self._device.camera
+
+    def close(self) -> None:
+        """Close the simulation."""
+        self._simulation.close()
+
+    def take(self, pose: Pose, number: int) -> ndarray:
+        """Return the image from a pose, (height, width) of uint8, grey; raises LabError.
+
+        Args:
+            pose: of the camera in the world: x ahead, z up.
+            number: of the image, >= 0; its noise follows from this and the seed.
+        """
+        self._instance.place(pose)
+        return grey(self._device.take(number), self._device.encoding)
+
+
+def in_optical_frame(pose: Pose, points: ndarray) -> ndarray:
+    """Return (n, 3) points of the world in the optical frame of a camera: right, down, ahead."""
+    inside = (np.asarray(points, dtype=float) - pose.position) @ pose.rotation_matrix()
+    return inside @ np.array(OPTICAL_AXES)
 
 
 @dataclass(frozen=True)
@@ -66,7 +267,7 @@ class Snapshot:
     """An image as PNG, and the (n, 4, 2) corners of the markers found in it, in pixels."""
 
     png: bytes
-    corners: np.ndarray
+    corners: ndarray
 
 
 @dataclass(frozen=True)
@@ -83,15 +284,11 @@ class CellResult:
 
     cell: Cell
     visible: bool
-    frames: Tuple[Frame, ...]
+    frames: tuple[Frame, ...]
     pixels_per_cell: float
-    snapshot: Optional[Snapshot] = None
+    snapshot: Snapshot | None = None
 
-    def rate(self) -> float:
-        """Return the share of frames in which the wanted marker was found."""
-        return sum(frame.found for frame in self.frames) / len(self.frames)
-
-    def row(self) -> Dict[str, Any]:
+    def row(self) -> dict[str, Any]:
         """Return the row of the table; without finds, the errors are None."""
         found = [frame for frame in self.frames if frame.found]
         return {
@@ -102,7 +299,7 @@ class CellResult:
             "visible": self.visible,
             "frames": len(self.frames),
             "found": len(found),
-            "rate": self.rate(),
+            "rate": len(found) / len(self.frames),
             "other_detections": sum(frame.others for frame in self.frames),
             "double_detections": sum(frame.doubles for frame in self.frames),
             "false_detections": sum(frame.false for frame in self.frames),
@@ -114,7 +311,7 @@ class CellResult:
         }
 
 
-def _spread(name: str, values: List[float]) -> Dict[str, Optional[float]]:
+def _spread(name: str, values: list[float]) -> dict[str, float | None]:
     sizes = np.abs(values)
     return {
         f"{name}_median": float(np.median(sizes)) if len(sizes) else None,
@@ -130,65 +327,58 @@ def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResu
     """
     visible = is_visible(cell)
     count = frames if visible else math.ceil(HIDDEN_SHARE * frames)
-    inspection = _inspection(cell.world, cell.light, seed)
-    shots = cell_shots(cell, count, seed)
-    judged = tuple(inspection.judge(shot) for shot in shots)
-    side = float(np.mean([inspection.side(shot.pose) for shot in shots]))
-    snapshot = inspection.snapshot(shots[0]) if keep else None
-    return CellResult(cell, visible, judged, side / CELLS_PER_SIDE, snapshot)
+    camera, shots = _free_camera(cell.world, cell.light, seed), cell_shots(cell, count, seed)
+    judged = tuple(_judged(camera, cell.world, shot) for shot in shots)
+    corners = WORLDS[cell.world].wanted.corners()
+    seen = [camera.camera.project(in_optical_frame(shot.pose, corners)) for shot in shots]
+    pixels_per_cell = float(np.mean(mean_side(np.stack(seen)))) / CELLS_PER_SIDE
+    snapshot = _snapshot(camera, cell.world, shots[0]) if keep else None
+    return CellResult(cell, visible, judged, pixels_per_cell, snapshot)
 
 
-def count_false(world: str, block: int, frames: int, seed: int) -> Tuple[int, int]:
+def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, int]:
     """Take images all over a world, in its own light, and count false detections.
 
     Returns:
         The numbers of false detections, and of images with the marker found.
     """
-    inspection = _inspection(world, DEFAULT_LIGHT, seed)
-    judged = [inspection.judge(shot) for shot in strewn_shots(world, frames, seed, block)]
+    camera = _free_camera(world, DEFAULT_LIGHT, seed)
+    shots = strewn_shots(world, frames, seed, block)
+    judged = [_judged(camera, world, shot) for shot in shots]
     return sum(frame.false for frame in judged), sum(frame.found for frame in judged)
 
 
 @functools.lru_cache(maxsize=None)
-def _inspection(world: str, light: str, seed: int) -> Inspection:
-    return Inspection(world, light, seed)
+def _free_camera(world: str, light: str, seed: int) -> FreeCamera:
+    return FreeCamera(lit_world(world, light), seed)
 
 
-class Inspection:
-    """Camera and detector in a world whose markers are known."""
+def _observed(
+    camera: FreeCamera, world: str, shot: Shot
+) -> tuple[ndarray, list[ObservedMarker]]:
+    """Take an image and return it with the markers found."""
+    observer = MarkerObserver(DetectorSettings(DICTIONARY), WORLDS[world].wanted.size)
+    picture = camera.take(*shot)
+    return picture, observer.observe(picture, camera.camera).markers
 
-    def __init__(self, world: str, light: str, seed: int):
-        self._camera = FreeCamera(lit_world(world, light), seed)
-        self._geometry = self._camera.camera
-        self._known = WORLDS[world]
-        self._observer = MarkerObserver(DetectorSettings(DICTIONARY), self._known.wanted.size)
 
-    def snapshot(self, shot: Shot) -> Snapshot:
-        """Take an image and return it with the corners of the markers found."""
-        picture, markers = self._observe(shot)
-        png = cv2.imencode(".png", picture)[1].tobytes()
-        return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
+def _snapshot(camera: FreeCamera, world: str, shot: Shot) -> Snapshot:
+    picture, markers = _observed(camera, world, shot)
+    png = cv2.imencode(".png", picture)[1].tobytes()
+    return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
 
-    def judge(self, shot: Shot) -> Frame:
-        """Take an image and compare the detections with the truth."""
-        _, markers = self._observe(shot)
-        return judge(markers, shot.pose, self._known.wanted, self._known.others, self._geometry)
 
-    def _observe(self, shot: Shot) -> Tuple[np.ndarray, List[ObservedMarker]]:
-        picture = self._camera.take(shot.pose, shot.number)
-        return picture, self._observer.observe(picture, self._geometry).markers
-
-    def side(self, pose: Pose) -> float:
-        """Return the mean side of the wanted marker in the image, in pixels."""
-        corners = in_optical_frame(pose, self._known.wanted.corners())
-        return _side(self._geometry.project(corners))
+def _judged(camera: FreeCamera, world: str, shot: Shot) -> Frame:
+    _, markers = _observed(camera, world, shot)
+    known = WORLDS[world]
+    return judge(markers, shot.pose, known.wanted, known.others, camera.camera)
 
 
 def judge(
-    markers: List[ObservedMarker],
+    markers: list[ObservedMarker],
     pose: Pose,
     wanted: PrintedMarker,
-    others: Tuple[PrintedMarker, ...],
+    others: tuple[PrintedMarker, ...],
     camera: PinholeCamera,
 ) -> Frame:
     """Compare the detections in an image with the truth.
@@ -215,33 +405,25 @@ def _is_seen_at(
     if marker.id != WANTED_ID:
         return False
     corners = camera.project(in_optical_frame(pose, printed.corners()))
-    offsets = np.linalg.norm(np.asarray(marker.corners) - corners, axis=1)
-    return bool(np.max(offsets) <= 1.0 + LARGEST_OFFSET * _side(corners))
+    offsets = np.linalg.norm(marker.corners - corners, axis=1)
+    return bool(np.max(offsets) <= 1.0 + LARGEST_OFFSET * mean_side(corners))
 
 
-def _side(corners: np.ndarray) -> float:
-    return float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
-
-
-def _pose_errors(marker: ObservedMarker, printed: PrintedMarker, pose: Pose) -> Dict[str, Any]:
+def _pose_errors(marker: ObservedMarker, printed: PrintedMarker, pose: Pose) -> dict[str, Any]:
     corners = in_optical_frame(pose, printed.corners())
     middle = corners.mean(axis=0)
     right, up = corners[1] - corners[0], corners[0] - corners[3]
     truth = np.column_stack([right, up, np.cross(right, up) / printed.size]) / printed.size
-    best, alternative = marker.pose.best, marker.pose.alternative
-    distance = float(np.linalg.norm(middle))
-    error = np.asarray(best.translation) - middle
+    best, distance = marker.pose.best, float(np.linalg.norm(middle))
+    error = best.translation - middle
     along = float(error @ middle) / distance
-    turned, other = (_angle(truth, p.rotation) for p in (best, alternative))
+    turned, other = (
+        float(np.linalg.norm(cv2.Rodrigues(truth.T @ one.rotation)[0]))
+        for one in (best, marker.pose.alternative)
+    )
     return {
-        "distance_error": float(np.linalg.norm(best.translation)) - distance,
+        "distance_error": best.distance - distance,
         "lateral_error": math.sqrt(max(0.0, float(error @ error) - along * along)),
         "rotation_error": turned,
         "flipped": other < turned,
     }
-
-
-def _angle(one: np.ndarray, two: np.ndarray) -> float:
-    """Return the angle between two attitudes, (3, 3) each."""
-    vector, _ = cv2.Rodrigues(np.asarray(one).T @ np.asarray(two))
-    return float(np.linalg.norm(vector))

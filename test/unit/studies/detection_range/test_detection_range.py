@@ -14,13 +14,6 @@ from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import COLOURS, HIDDEN, heat_map, range_figure
-from bullet_lab.studies.detection_range.scenes import (
-    WORLDS,
-    Cell,
-    PrintedMarker,
-    camera_pose,
-    in_optical_frame,
-)
 from bullet_lab.studies.detection_range.study import (
     RangeSettings,
     describe,
@@ -30,7 +23,17 @@ from bullet_lab.studies.detection_range.study import (
     run_detection_range,
     tasks,
 )
-from bullet_lab.studies.detection_range.trial import CellResult, Frame, Snapshot, judge
+from bullet_lab.studies.detection_range.trial import (
+    WORLDS,
+    Cell,
+    CellResult,
+    Frame,
+    PrintedMarker,
+    Snapshot,
+    camera_pose,
+    in_optical_frame,
+    judge,
+)
 from bullet_lab.studies.workers import TaskLostError
 from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
@@ -73,7 +76,7 @@ def test_errors_are_measured_against_the_truth():
     assert turned.rotation_error == pytest.approx(0.01, rel=0.05)
 
 
-def test_finds_are_told_apart_by_where_they_are():
+def test_detections_are_assigned_by_their_position():
     pose = camera_pose(3.0, 0.0)
     other = PrintedMarker(0.35, (3.3, 0.9, 0.5))
     elsewhere = PrintedMarker(0.2, (3.3, -0.9, 0.5))

@@ -1,4 +1,4 @@
-"""Where the marker is tried to be found, and the camera that looks at it."""
+"""Camera poses in front of the marker, and the images from there."""
 
 import math
 from contextlib import closing
@@ -9,7 +9,7 @@ import pytest
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.studies.detection_range.scenes import (
+from bullet_lab.studies.detection_range.trial import (
     MARKER,
     WORLDS,
     Cell,
