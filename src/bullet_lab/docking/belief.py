@@ -16,18 +16,25 @@ from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.filter import (
-    UNKNOWN_ODOMETRY,
-    DriftingPoses,
-    GaussianPose,
+from bullet_lab.docking.filter import UNKNOWN_ODOMETRY, DriftingPose, GaussianPose, true_steps
+from bullet_lab.docking.geometry import (
+    MarkerVisibility,
     Viewpoint,
+    clearance,
     extent_of,
-    true_steps,
+    wall_boxes,
 )
-from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.odometry import MotionStep, OdometryBuffer, motion_step
-from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
+from bullet_lab.docking.types import (
+    CameraMount,
+    DockingSettings,
+    MotionStep,
+    Observation,
+    Odometry,
+    OdometryBuffer,
+    Sighting,
+    motion_step,
+)
 
 PARTICLES = 600
 # Number of the particles that no failed look makes less likely, and their share of the possible
@@ -57,7 +64,6 @@ _REACHES = (0.0, 0.15, 1.0), (0.35, 0.7, 1.15)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 # Standard deviation of the difference in yaw of two prints on one wall, rad.
 _SAME_WALL = 0.015
-_PRIOR, _DATABASE = 0, 1
 
 
 class DockParticles:
@@ -70,7 +76,7 @@ class DockParticles:
     Attributes:
         poses: (n, 3).
         weights: (n,).
-        reach: (n,) of the light, as `MarkerVisibility.in_reach` takes it.
+        reach: (n,) of the light, as `MarkerVisibility.found` takes it.
         mass: share of the prior that is left.
     """
 
@@ -80,7 +86,7 @@ class DockParticles:
         self._rng = rng
         self._boxes = wall_boxes(dock)
         # Farther from the dock's origin there is no wall, m.
-        self._reach = math.hypot(
+        self._extent = math.hypot(
             *np.abs(self._boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0)
         )
         # The uncertainty is along the axes of the frame that the pose is given in, which may be
@@ -106,7 +112,7 @@ class DockParticles:
 
     def stands_free(self, radius: float) -> bool:
         """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
-        if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._reach + radius) ** 2:
+        if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._extent + radius) ** 2:
             return True
         free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
         if not np.all(free):
@@ -155,11 +161,7 @@ class DockParticles:
         covariance = (self.weights[:, None] * off).T @ off
         return GaussianPose(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
 
-    def samples(self, count: int) -> np.ndarray:
-        """Draw (count, 3) poses."""
-        return self.looks(count)[0]
-
-    def looks(self, count: int) -> Tuple[np.ndarray, np.ndarray]:
+    def samples(self, count: int) -> Tuple[np.ndarray, np.ndarray]:
         """Draw (count, 3) poses and the light's reach (count,) at each."""
         chosen = self._rng.choice(len(self.poses), count, p=self.weights)
         return self.poses[chosen], self.reach[chosen]
@@ -216,8 +218,9 @@ class DockBelief:
         self.odometry = OdometryBuffer()
         self.particles: Optional[DockParticles] = None
         self.walls: Optional[DockParticles] = None
-        # The belief before the marker was seen, and the database's pose.
-        self._believed: Optional[DriftingPoses] = None
+        # The belief before the marker was seen, and the pose of the database; None like particles.
+        self._prior: Optional[DriftingPose] = None
+        self._database: Optional[DriftingPose] = None
         self.visibility: Optional[MarkerVisibility] = None
         self._camera: Optional[PinholeCamera] = None
         self.tracks: List[MarkerTrack] = []
@@ -268,8 +271,9 @@ class DockBelief:
     def _possible(self, count: int) -> np.ndarray:
         """Draw (count, 3) poses of a dock whose marker is not seen, in the robot's frame."""
         of_walls = int(_WALL_SHARE * count)
-        drawn = self.particles.samples(count - of_walls), self.walls.samples(of_walls)
-        return np.concatenate(drawn)
+        particles, _ = self.particles.samples(count - of_walls)
+        walls, _ = self.walls.samples(of_walls)
+        return np.concatenate([particles, walls])
 
     def stands_free(self, radius: float) -> bool:
         """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
@@ -296,7 +300,7 @@ class DockBelief:
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
                 continue
-            if self._believed.pose(_DATABASE).excess(track.likeliest().mean[None].copy())[0] <= 0.0:
+            if self._database.pose.excess(track.likeliest().mean[None].copy())[0] <= 0.0:
                 return track
         return None
 
@@ -315,13 +319,12 @@ class DockBelief:
             drawn = self._dock, tuple(rough.tolist()), self._rng
             self.particles = DockParticles(*drawn)
             self.walls = DockParticles(*drawn, _WALL_PARTICLES)
-            self._believed = DriftingPoses([self.particles.gaussian()] * 2)
+            self._prior = DriftingPose(self.particles.gaussian())
+            self._database = DriftingPose(self.particles.gaussian())
             return
         step = motion_step(before, odometry)
-        self.particles.move(step)
-        self.walls.move(step)
-        for believed in (self._believed, *self.tracks):
-            believed.move(step)
+        for moved in (self.particles, self.walls, self._prior, self._database, *self.tracks):
+            moved.move(step)
 
     def observe(self, observation: Observation) -> None:
         """Take in an image; one older than the memory of the odometry is ignored."""
@@ -351,7 +354,7 @@ class DockBelief:
         """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""
         self.particles.concentrate(estimate, play)
         self.walls.concentrate(estimate, play)
-        self._believed.put(_PRIOR, self.particles.gaussian())
+        self._prior = DriftingPose(self.particles.gaussian())
 
     def forget(self, track: MarkerTrack) -> None:
         """Drop a track that is not where it should be; some particles stay there."""
@@ -364,12 +367,9 @@ class DockBelief:
         self._estimated = None
 
     def _shows_marker(self, sighting: Sighting) -> bool:
-        if not self._dock.marker.is_shown_by(sighting):
-            return False
-        corners = np.asarray(sighting.corners, dtype=float)
-        if corners.shape != (4, 2) or not np.isfinite(corners).all():
-            return False
-        return _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
+        corners = sighting.corners
+        whole = _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
+        return whole and self._dock.marker.is_shown_by(sighting)
 
     def _associate(self, sightings: List[Sighting], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""
@@ -393,12 +393,10 @@ class DockBelief:
         for number, track in owners.items():
             track.see(sightings[number], view)
             track.last_seen = stamp
-        marker, noise = self._dock.marker, self._settings.noise
         for number, sighting in enumerate(sightings):
             if number in owners:
                 continue
-            prior = self._believed.pose(_PRIOR)
-            track = MarkerTrack(sighting, view, marker, prior, noise)
+            track = MarkerTrack(sighting, view, self._dock.marker, self._prior.pose)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:
@@ -421,7 +419,7 @@ def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -
 
     A track that was seen often is preferred to a new one, which fits anything.
     """
-    corners = np.asarray(sighting.corners, dtype=float)
+    corners = sighting.corners
     misfit, predicted = track.nearest(sighting, view)
     if misfit < _FIT:
         return misfit - min(track.frames, _FAMILIAR)

@@ -1,4 +1,4 @@
-"""Database of docks: a YAML file, read and checked."""
+"""Docks: a database that is read from a YAML file, and whether a robot stands in its dock."""
 
 from __future__ import annotations
 
@@ -11,16 +11,21 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 import numpy as np
 import yaml
 
-from bullet_lab.core import parameters
+from bullet_lab.core import parameters, se2
 from bullet_lab.core.parameters import ParameterError, declarations
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.docking.types import Sighting
+from bullet_lab.docking.types import DockingError, Sighting
 from bullet_lab.errors import LabError
 from bullet_lab.vision.dictionaries import simple_name
 
 _FILE_LIMIT = 1_000_000
 # Index of the stream, of those that a seed spawns, that draws the error of a pose.
 _ERROR_STREAM = 1
+
+ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
+
+DOCKED, WALL_CONTACT, INACCURATE = "docked", "wall_contact", "inaccurate"
+"""Verdicts on a docking, besides the names of docking's errors in small letters."""
 
 
 class DatabaseError(LabError):
@@ -116,6 +121,11 @@ class Dock:
     tolerance: DockTolerance
     uncertainty: DockUncertainty
 
+    @property
+    def depth(self) -> float:
+        """Of its walls, m; 0 without."""
+        return 0.0 if self.walls is None else self.walls.depth
+
 
 def drawn_error(uncertainty: DockUncertainty, share: float, seed: int) -> PlanarPose:
     """Draw an error (m, m, rad), uniform within a share of an uncertainty, from a seed.
@@ -205,3 +215,47 @@ def _dock(name: str, content: Any, where: str) -> Dock:
     if dock.walls is not None and dock.staging_distance <= dock.walls.depth:
         raise DatabaseError(f"{staging} outside the walls")
     return dock
+
+
+def docking_errors(
+    robot: Sequence[float], dock: Sequence[float], camera_ahead: float, docked_distance: float
+) -> Dict[str, float]:
+    """Return how far a robot (m, m, rad) is from where it should stand in a dock.
+
+    Args:
+        robot: its true pose.
+        dock: true pose (m, m, rad) of the floor below the marker's face.
+        camera_ahead: m, of the camera from the robot's middle.
+        docked_distance: m, from the camera to the marker's face in a docked robot.
+
+    Returns:
+        By `ERRORS`: positive for too far away, for a robot to the left of the axis, and for one
+        turned to the left.
+    """
+    x, y, yaw = se2.between(np.asarray(dock, dtype=float), np.asarray(robot, dtype=float))
+    camera = x + camera_ahead * math.cos(yaw)
+    return dict(zip(ERRORS, (float(-camera - docked_distance), float(y), math.degrees(yaw))))
+
+
+def largest_errors(tolerance: DockTolerance) -> Dict[str, float]:
+    """Return a tolerance by `ERRORS`, in their units."""
+    return dict(zip(ERRORS, (tolerance.distance, tolerance.lateral, math.degrees(tolerance.yaw))))
+
+
+def judge(
+    reported: DockingError, errors: Mapping[str, float], tolerance: DockTolerance, contacts: int
+) -> str:
+    """Return DOCKED, or what went wrong in one word.
+
+    A docking is a success if the robot reports it (NONE), is right, and has touched nothing.
+
+    >>> tolerance = DockTolerance(0.005, 0.003, 0.007)
+    >>> judge(DockingError.NONE, dict(zip(ERRORS, (0.0, -0.0031, 0.0))), tolerance, 0)
+    'inaccurate'
+    """
+    if contacts:
+        return WALL_CONTACT
+    if reported != DockingError.NONE:
+        return reported.name.lower()
+    most = largest_errors(tolerance)
+    return DOCKED if all(abs(errors[name]) <= most[name] for name in ERRORS) else INACCURATE

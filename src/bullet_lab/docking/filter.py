@@ -18,15 +18,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional, Sequence, Tuple
+from typing import Tuple
 
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose, wrap
-from bullet_lab.docking.odometry import MotionStep
-from bullet_lab.docking.types import CameraMount, PixelNoise
+from bullet_lab.core.se2 import wrap
+from bullet_lab.docking.geometry import Viewpoint, corner_points, extent_of
+from bullet_lab.docking.types import MotionStep, Sighting
 
 STATES = 20
 _OF_MARKER = 5
@@ -48,6 +47,14 @@ _KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001, 0.001])
 _OF_POSE, _OF_ODOMETRY = 3, len(UNKNOWN_ODOMETRY)
 # Probability that a camera, or an odometry, is nominal.
 _AS_KNOWN = 0.7
+# Standard deviation of each corner in one image, px: of any; as a share of the marker's size in the
+# image; and px², divided by that size, as corners of a marker of few pixels per cell are off
+# together with the pattern and the blur.
+_CORNER = 0.1
+_RELATIVE = 0.0015
+_SMALL = 5.0
+# Standard deviations of roll, pitch and yaw of the robot at the moment of the image, rad.
+_ROBOT_TILT = np.array([math.radians(0.15), math.radians(0.15), math.radians(0.03)])
 # Steps of the numerical derivatives: no step first, then one of each state; and of a tilt, rad.
 _NUDGES = 1e-4 * np.eye(_OF_MARKER + 1, _OF_MARKER, -1)
 _TILT = 1e-4
@@ -118,27 +125,20 @@ class GaussianPose:
         return GaussianPose(mean, own - np.outer(gain, own[2]))
 
 
-class DriftingPoses:
-    """Earlier estimates of the dock's pose, moved along by odometry with unknown errors."""
+class DriftingPose:
+    """An earlier estimate of the dock's pose, moved along by odometry with unknown errors."""
 
-    def __init__(self, poses: Sequence[GaussianPose]):
+    def __init__(self, pose: GaussianPose):
         states = _OF_POSE + _OF_ODOMETRY
-        self._x = np.zeros((len(poses), states))
-        self._p = np.zeros((len(poses), states, states))
-        for number, pose in enumerate(poses):
-            self.put(number, pose)
+        self._x, self._p = np.zeros((1, states)), np.zeros((1, states, states))
+        self._x[0, :3] = pose.mean
+        self._p[0, :3, :3] = pose.covariance
+        self._p[0, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
 
-    def put(self, number: int, pose: GaussianPose) -> None:
-        """Replace a pose."""
-        self._x[number, :3], self._x[number, 3:] = pose.mean, 0.0
-        self._p[number] = 0.0
-        self._p[number, :3, :3] = pose.covariance
-        self._p[number, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
-
-    def pose(self, number: int) -> GaussianPose:
-        """Return a pose in the robot's present frame; the odometry may well be nominal."""
-        only = slice(number, number + 1)
-        x, p = _part_as_known(self._x[only], self._p[only], _DRIFTING_ODOMETRY)
+    @property
+    def pose(self) -> GaussianPose:
+        """The pose in the robot's present frame; the odometry may well be nominal."""
+        x, p = _part_as_known(self._x, self._p, _DRIFTING_ODOMETRY)
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
     def move(self, motion: MotionStep) -> None:
@@ -236,81 +236,6 @@ def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Prior) -> Tuple[np.ndarray
     return x, p + right * (1.0 - right) * (off[:, :, None] * off[:, None, :])
 
 
-@dataclass(frozen=True, eq=False)
-class Viewpoint:
-    """A camera as it was when it took an image, seen from the robot as it is now."""
-
-    camera: PinholeCamera
-    mount: CameraMount
-    moved: PlanarPose = (0.0, 0.0, 0.0)  #: the robot then, in its present frame
-
-    def optical(self, points: np.ndarray) -> np.ndarray:
-        """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
-        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
-        x, y = points[..., 0] - self.moved[0], points[..., 1] - self.moved[1]
-        then, optical = np.empty(points.shape), np.empty(points.shape)
-        then[..., 0], then[..., 1] = cos * x + sin * y, cos * y - sin * x
-        then[..., 2] = points[..., 2]
-        there = (then - (self.mount.x, self.mount.y, self.mount.z)) @ self.mount.rotation()
-        optical[..., 0], optical[..., 1] = -there[..., 1], -there[..., 2]
-        optical[..., 2] = there[..., 0]
-        return optical
-
-    def pixels(self, optical: np.ndarray) -> np.ndarray:
-        """Return (..., 2) pixels of (..., 3) points of the optical frame."""
-        return self.camera.project(optical.reshape(-1, 3)).reshape(*optical.shape[:-1], 2)
-
-    @property
-    def origin(self) -> np.ndarray:
-        """Place (3,) of the camera at the time of the image, in the robot's present frame, m."""
-        mount, cos, sin = self.mount, math.cos(self.moved[2]), math.sin(self.moved[2])
-        turned = np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
-        return np.array([*self.moved[:2], 0.0]) + turned
-
-    def line_of_sight(self, corners: np.ndarray, size: float) -> Tuple[np.ndarray, float]:
-        """Return the direction (3,) of a marker in the robot's frame, and its range in m.
-
-        The direction is scaled to unit length on the floor. A slanted marker is narrower than it
-        is tall, so the range comes from its height.
-        """
-        camera, (u, v) = self.camera, np.mean(corners, axis=0)
-        ahead = np.array([1.0, (camera.cx - u) / camera.fx, (camera.cy - v) / camera.fy])
-        ray = self.mount.rotation() @ ahead
-        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
-        ray = np.array([cos * ray[0] - sin * ray[1], sin * ray[0] + cos * ray[1], ray[2]])
-        tall = 0.5 * (np.hypot(*(corners[3] - corners[0])) + np.hypot(*(corners[2] - corners[1])))
-        depth = camera.fy * size / max(float(tall), 1.0)
-        floor = math.hypot(ray[0], ray[1])
-        return ray / floor, depth * floor
-
-
-_ACROSS, _UP = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
-
-
-def corner_points(states: np.ndarray, sizes) -> np.ndarray:
-    """Return the corners of markers in the robot's frame, m.
-
-    For states (..., 5), or longer, and edges of the black square (...), m, they are (..., 4, 3):
-    top left, top right, bottom right and bottom left, as one looks at it.
-
-    >>> corner_points(np.array([2.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
-    array([[ 2. ,  0.1,  0.6],
-           [ 2. , -0.1,  0.6],
-           [ 2. , -0.1,  0.4],
-           [ 2. ,  0.1,  0.4]])
-    """
-    # Copies, since numpy's functions round differently where they take columns of a larger array
-    # to overlap with their result, which depends on where that happens to lie in memory.
-    half = 0.5 * (np.asarray(sizes, dtype=float) * np.exp(states[..., 4].copy()))[..., None]
-    across, up = half * _ACROSS, half * _UP
-    x, y, yaw, height = (states[..., i, None] for i in range(4))
-    yaw = yaw.copy()
-    points = np.empty((*across.shape, 3))
-    points[..., 0], points[..., 1] = x - np.sin(yaw) * across, y + np.cos(yaw) * across
-    points[..., 2] = height + up
-    return points
-
-
 def predict(
     states: np.ndarray, sizes: np.ndarray, view: Viewpoint
 ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -349,50 +274,31 @@ def _camera_turns(turns: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class CornerNoise:
-    """Noise of the corners in one image.
+class Measurement:
+    """The corners of a marker in one image.
 
     Attributes:
-        usual: of any image.
-        deviations: (4, 2) px, by the image itself; None: unknown.
-        repeated: factor of all standard deviations for images that repeat each other.
+        sighting: the marker.
+        view: the camera.
+        repeated: factor of the standard deviations of images that repeat each other.
     """
 
-    usual: PixelNoise
-    deviations: Optional[np.ndarray] = None
+    sighting: Sighting
+    view: Viewpoint
     repeated: float = 1.0
 
-    def covariance(self, extent: float, tilts: np.ndarray) -> np.ndarray:
-        """Return the (n, 8, 8) covariance of the corners of a marker as large as `extent`, px².
+    def covariance(self, tilts: np.ndarray) -> np.ndarray:
+        """Return the (n, 8, 8) covariance of the corners, px².
 
         `tilts` are the (n, 8, 3) derivatives by roll, pitch and yaw.
         """
-        usual = self.usual
-        own = usual.corner**2 + (usual.relative * extent) ** 2 + (usual.small / extent) ** 2
+        extent, deviations = extent_of(self.sighting.corners), self.sighting.deviations
+        own = _CORNER**2 + (_RELATIVE * extent) ** 2 + (_SMALL / extent) ** 2
         each = own * _EYE[:8, :8]
-        if self.deviations is not None:
-            each = each + np.diag(np.square(self.deviations).ravel())
-        spread = tilts * np.array([usual.tilt, usual.tilt, usual.turn])
+        if deviations is not None:
+            each = each + np.diag(np.square(deviations).ravel())
+        spread = tilts * _ROBOT_TILT
         return self.repeated**2 * (each + spread @ spread.transpose(0, 2, 1))
-
-
-def extent_of(corners: np.ndarray) -> float:
-    """Return the size of a marker in the image: its mean diagonal over the root of two, in px.
-
-    >>> round(extent_of(np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 30.0], [0.0, 30.0]])), 9)
-    30.0
-    """
-    diagonals = np.hypot(*(corners[2] - corners[0])), np.hypot(*(corners[3] - corners[1]))
-    return float(np.mean(diagonals)) / math.sqrt(2.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """The corners of a marker in one image."""
-
-    corners: np.ndarray  #: (4, 2) px
-    view: Viewpoint  #: the camera
-    noise: CornerNoise  #: of the corners
 
 
 def innovations(start, x, p, sizes, measured: Measurement):
@@ -409,9 +315,8 @@ def innovations(start, x, p, sizes, measured: Measurement):
         seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
     off = start - x
     off[:, 2] = wrap(off[:, 2])
-    rest = measured.corners.reshape(8) - seen - applied(by_state, off)
-    covariance = measured.noise.covariance(extent_of(measured.corners), tilts)
-    covariance = covariance + by_state @ p @ by_state.transpose(0, 2, 1)
+    rest = measured.sighting.corners.reshape(8) - seen - applied(by_state, off)
+    covariance = measured.covariance(tilts) + by_state @ p @ by_state.transpose(0, 2, 1)
     return rest, by_state, covariance, predicted
 
 

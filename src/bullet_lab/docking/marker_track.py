@@ -25,21 +25,18 @@ from bullet_lab.docking.filter import (
     STATES,
     UNKNOWN_CAMERA,
     UNKNOWN_ODOMETRY,
-    CornerNoise,
     GaussianPose,
     Measurement,
-    Viewpoint,
     applied,
     as_known,
     carried,
-    extent_of,
     innovations,
     predict,
     robust_update,
     squared_distances,
 )
-from bullet_lab.docking.odometry import MotionStep
-from bullet_lab.docking.types import Calibration, Learned, PixelNoise, Sighting
+from bullet_lab.docking.geometry import Viewpoint, extent_of
+from bullet_lab.docking.types import Calibration, Learned, MotionStep, Sighting
 
 SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
 """Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
@@ -132,7 +129,6 @@ class MarkerTrack:
         view: by which camera.
         marker: the real one.
         prior: of the dock's pose in the robot's frame.
-        noise: of the corners in any image.
 
     Attributes:
         frames: images that were taken into account.
@@ -147,9 +143,8 @@ class MarkerTrack:
         view: Viewpoint,
         marker: DockMarker,
         prior: GaussianPose,
-        noise: PixelNoise,
     ):
-        self._size, self._height, self._noise = marker.size, marker.height, noise
+        self._size, self._height = marker.size, marker.height
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
         self._spot: Optional[np.ndarray] = None
@@ -157,9 +152,8 @@ class MarkerTrack:
         self._outliers = 0
         # States, and `as_known` of the real ones: needed many times at each tick.
         self._known: Tuple = (None, ())
-        measured = self._measured(sighting, view)
-        self._extent = extent_of(measured.corners)
-        self._start(measured, prior)
+        self._extent = extent_of(sighting.corners)
+        self._start(sighting, view, prior)
 
     def estimate(self) -> Optional[GaussianPose]:
         """Return the pose if it is real; None if it cannot be."""
@@ -250,16 +244,12 @@ class MarkerTrack:
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def _measured(self, sighting: Sighting, view: Viewpoint, repeated: float = 1.0) -> Measurement:
-        corners = np.asarray(sighting.corners, dtype=float)
-        return Measurement(corners, view, CornerNoise(self._noise, sighting.deviations, repeated))
-
     def nearest(self, sighting: Sighting, view: Viewpoint) -> Tuple[float, np.ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
-        measured = self._measured(sighting, view)
+        measured = Measurement(sighting, view)
         rest, _, covariance, seen = innovations(self._x, self._x, self._p, self._sizes, measured)
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
@@ -275,8 +265,8 @@ class MarkerTrack:
 
         Images from one spot share their errors; after some of them, more count little.
         """
-        self._extent = extent_of(np.asarray(sighting.corners, dtype=float))
-        measured = self._measured(sighting, view, self._repeated_here(self._extent))
+        self._extent = extent_of(sighting.corners)
+        measured = Measurement(sighting, view, self._repeated_here())
         seen = measured, 3, self._likely()
         x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
         if np.min(squares) > _OUTLIER:
@@ -298,7 +288,7 @@ class MarkerTrack:
         away = float(np.hypot(*ray))
         self.found_from = max(self.found_from, away)
         since = -float(ray @ moved) / max(away, 1e-6)
-        self._sizing.see(*self._reach(measured.corners, view), since)
+        self._sizing.see(*self._reach(sighting.corners, view), since)
         self._reduce()
 
     def adopt_yaw(self, yaw: float, variance: float) -> None:
@@ -329,12 +319,12 @@ class MarkerTrack:
         """Return which Gaussians are likely beside the likeliest one, (n,)."""
         return self._weights > _LIKELY * np.max(self._weights)
 
-    def _repeated_here(self, extent: float) -> float:
+    def _repeated_here(self) -> float:
         """Return by how much more images from this spot are off than the first ones."""
         if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
             self._spot, self._spot_frames = np.zeros(2), 0
         self._spot_frames += 1
-        few = _OF_A_SMALL_ONE if extent < _SMALL else _FRAMES_AT_A_SPOT
+        few = _OF_A_SMALL_ONE if self._extent < _SMALL else _FRAMES_AT_A_SPOT
         return max(1.0, self._spot_frames / few)
 
     def _weigh(self) -> None:
@@ -353,9 +343,8 @@ class MarkerTrack:
         self._weights = self._within * shares[self._scale] / np.sum(shares)
         self.real = float(np.sum(self._weights[self._scale == 0]))
 
-    def _start(self, measured: Measurement, prior: GaussianPose) -> None:
-        corners, view = measured.corners, measured.view
-        ray, reach = view.line_of_sight(corners, self._size)
+    def _start(self, sighting: Sighting, view: Viewpoint, prior: GaussianPose) -> None:
+        ray, reach = view.line_of_sight(sighting.corners, self._size)
         count = len(_SLANTS)
         scale = np.repeat(np.arange(len(SCALES)), count)
         slants = np.tile(_SLANTS, len(SCALES))
@@ -375,8 +364,8 @@ class MarkerTrack:
         covariance[:, CORNERS, CORNERS] = OFF_CORNER**2 * np.eye(8)
         covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
         self._scale, self._sizes = scale, sizes
-        fitted = robust_update(states, covariance, sizes, measured, rounds=6)
-        self._x, self._p, squares, _ = fitted
+        measured = Measurement(sighting, view)
+        self._x, self._p, squares, _ = robust_update(states, covariance, sizes, measured, rounds=6)
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)
         logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
@@ -386,7 +375,7 @@ class MarkerTrack:
         self._first = np.minimum(best - np.max(best), 0.0)
         # Before anything is known of its size, nine of ten are real.
         self._first[1:] -= math.log(9.0 * (len(SCALES) - 1))
-        self._sizing = SizeTest(*self._reach(corners, view))
+        self._sizing = SizeTest(*self._reach(sighting.corners, view))
         self.frames = 1
         self._reduce()
 

@@ -18,23 +18,23 @@ from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VE
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.docking.database import Dock
-from bullet_lab.docking.types import Calibration, DockingError, DockingResult
-from bullet_lab.docking.verdict import (
+from bullet_lab.docking.database import (
     DOCKED,
     ERRORS,
     INACCURATE,
+    Dock,
     docking_errors,
     judge,
     largest_errors,
 )
+from bullet_lab.docking.types import Calibration, DockingError, DockingResult
 from bullet_lab.reports import DriveReport, Reading, earliest
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
 # px; the camera's pictures are kept in this size.
 PICTURE_WIDTH = 320
-UNFINISHED = DockingResult(False, DockingError.UNKNOWN, "the docking was not finished")
+UNFINISHED = DockingResult(DockingError.UNKNOWN, "the docking was not finished")
 STATES = {
     "searching": PURPLE,
     "staging": BLUE,
@@ -202,7 +202,7 @@ class DockReport(DriveReport):
 def _calibration_figures(calibration: Calibration | None) -> dict[str, dict[str, float]] | None:
     if calibration is None:
         return None
-    return {name: learned._asdict() for name, learned in vars(calibration).items()}
+    return {name: learned._asdict() for name, learned in calibration._asdict().items()}
 
 
 def _small(picture: np.ndarray) -> np.ndarray:

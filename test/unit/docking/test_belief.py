@@ -5,8 +5,7 @@ import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.filter import extent_of
-from bullet_lab.docking.geometry import MarkerVisibility
+from bullet_lab.docking.geometry import MarkerVisibility, extent_of
 from bullet_lab.docking.types import Observation, Odometry, Sighting
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
@@ -56,7 +55,7 @@ def test_a_place_where_the_marker_was_missed_may_have_walls():
     belief = Lookout().belief
     for _ in range(8):
         belief.particles.add_miss(belief.particles.poses[:, 1] > 0.0, 0.05)
-    to_the_left = belief.particles.samples(400)[:, 1] > 0.0
+    to_the_left = belief.particles.samples(400)[0][:, 1] > 0.0
     assert np.mean(to_the_left) < 0.01
     walls_to_the_left = se2.between(belief.pose, belief.samples(400))[:, 1] > 0.0
     assert 0.01 < np.mean(walls_to_the_left) < 0.05

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from bullet_lab.docking.database import DockTolerance
+from bullet_lab.docking.database import ERRORS, DockTolerance, docking_errors, judge
 from bullet_lab.docking.types import DockingError
-from bullet_lab.docking.verdict import ERRORS, docking_errors, judge
 
 DOCK = (4.0, 0.0, 0.0)
 TOLERANCE = DockTolerance(0.005, 0.003, math.radians(0.4))

@@ -15,7 +15,7 @@ from scipy import stats
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import FileError
-from bullet_lab.docking.verdict import DOCKED, ERRORS
+from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, reported_docked
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES

@@ -18,7 +18,7 @@ from scipy.special import betaincinv
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, draw_plan, new_figure
 from bullet_lab.core.files import FileError, replace_file
-from bullet_lab.docking.verdict import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
+from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.floor_plan import Footprint
 from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES

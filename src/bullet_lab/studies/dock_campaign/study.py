@@ -17,9 +17,8 @@ from typing import Any, Callable, Dict, List, Tuple
 
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import ParameterError, integer, text
-from bullet_lab.docking.verdict import DOCKED, ERRORS
+from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.studies.dock_campaign.compare import compare, read_campaign
-from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
 from bullet_lab.studies.dock_campaign.results import (
     LOG,
     QUANTITIES,
@@ -33,6 +32,7 @@ from bullet_lab.studies.dock_campaign.stress import STRESSES
 from bullet_lab.studies.dock_campaign.trial import (
     ALL,
     EACH,
+    MARKER_POSE,
     NONE,
     DrawSettings,
     crashed_record,

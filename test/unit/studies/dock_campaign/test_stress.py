@@ -15,11 +15,6 @@ from bullet_lab.simulation.world.floor_plan import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.dock_campaign import study
-from bullet_lab.studies.dock_campaign.docking import (
-    CAMERA_FRAME,
-    MARKER_POSE,
-    dock_of,
-)
 from bullet_lab.studies.dock_campaign.stress import (
     STRESSES,
     Stress,
@@ -31,7 +26,14 @@ from bullet_lab.studies.dock_campaign.stress import (
     world_under,
 )
 from bullet_lab.studies.dock_campaign.study import CampaignSettings, run_each
-from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario, run_trial
+from bullet_lab.studies.dock_campaign.trial import (
+    CAMERA_FRAME,
+    MARKER_POSE,
+    DrawSettings,
+    dock_of,
+    draw_scenario,
+    run_trial,
+)
 from bullet_lab.studies.worlds import ROBOT, read_world
 
 FINDER = ResourceFinder.anywhere()

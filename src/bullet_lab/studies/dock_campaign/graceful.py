@@ -5,12 +5,11 @@ pose by the database, waits until it sees the marker, and drives to the filtered
 the smooth control law of J. J. Park and B. Kuipers, "A smooth control law for graceful motion of
 differential wheeled mobile robots in 2D environment", ICRA 2011, as opennav_docking and
 nav2_graceful_controller do. If it loses the dock, or takes too long, it goes back to the staging
-pose by the same law and tries again. Parameters have nav2's names and defaults. The ways to the
+pose by the same law and tries again. Parameters have nav2's names and defaults. The paths to the
 staging pose, the limits of acceleration and the watch over odometry and wheels are those of
 `DockingTask`.
 
-A further controller is a class with the methods of `DockingController` in a file of its own, and a
-line in CONTROLLERS.
+A further controller is a subclass of `WatchedTask` in a file of its own, and a line in CONTROLLERS.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Callable, Dict, List, Optional, Protocol
+from typing import Callable, Dict, List, Optional
 
 import numpy as np
 
@@ -26,50 +25,23 @@ from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.control import PathFollower, clip, turn_command
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
-from bullet_lab.docking.task import DockingTask, WatchedTask
+from bullet_lab.docking.paths import PathFollower, PathPlanner, clip, turn_command
+from bullet_lab.docking.progress import DockingFailureError
+from bullet_lab.docking.task import USUAL, DockingTask, WatchedTask
 from bullet_lab.docking.types import (
+    HALF_WIDTH,
     STANDSTILL,
     CameraMount,
     Command,
     DockingError,
     DockingResult,
-    DockingSettings,
     Observation,
     Odometry,
-    RobotShape,
 )
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_pose import MarkerPose, estimate_pose
-
-
-class DockingController(Protocol):
-    """A docking: takes odometry and images, and returns commands at 20 Hz.
-
-    Its arguments are a dock, the dock's rough pose in the odometry frame, the camera's mount and,
-    by name, `time_limit` (s) and `seed`.
-    """
-
-    @property
-    def result(self) -> Optional[DockingResult]:
-        """How it ended; None before."""
-
-    @property
-    def wants_images(self) -> bool:
-        """Whether an image would be used now."""
-
-    def add_odometry(self, odometry: Odometry) -> None:
-        """Take the next message of odometry."""
-
-    def add_observation(self, observation: Observation) -> None:
-        """Take what was seen in an image."""
-
-    def tick(self, stamp: float) -> Command:
-        """Return the command (m/s, rad/s) for a time in s."""
-
 
 # Of the camera's axes, x ahead and z up, along those of its optical frame.
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -100,7 +72,10 @@ class GracefulSettings:
     undock_linear_tolerance: float = 0.05  #: of the way back to the staging pose
     undock_angular_tolerance: float = 0.05
     max_retries: int = 3
-    gate: float = math.inf  #: from the database's pose, where a detection is none; not nav2's
+
+
+NAV2 = GracefulSettings()
+"""nav2's defaults."""
 
 
 def graceful_command(target, settings: GracefulSettings, backwards: bool = False) -> Command:
@@ -149,29 +124,26 @@ class PoseFilter:
 
 
 class GracefulTask(WatchedTask):
-    """Docks as nav2's docking server does; fed, ticked and made as a `DockingTask`."""
+    """Docks as nav2's docking server does; made as a `DockingTask`."""
 
     def __init__(
         self,
         dock: Dock,
         dock_pose: PlanarPose,
         mount: CameraMount,
-        settings: Optional[GracefulSettings] = None,
-        *,
-        time_limit: float = 300.0,
+        settings: GracefulSettings = NAV2,
         seed: int = 0,
     ):
-        robot = DockingSettings()
         # The belief gets no images: it knows the database only.
-        self._belief = DockBelief(dock, dock_pose, mount, robot, np.random.default_rng(seed))
-        super().__init__("docked", self._belief.odometry, robot, time_limit)
-        self._planner = DockingPlanner(dock, self._belief, mount, RobotShape(), robot, False, 0)
-        self._dock, self._mount, self._law = dock, mount, settings or GracefulSettings()
+        belief = DockBelief(dock, dock_pose, mount, USUAL, np.random.default_rng(seed))
+        super().__init__("docked", belief, USUAL)
+        self._paths = PathPlanner(dock, belief, USUAL, mount.x)
+        self._dock, self._mount, self._law = dock, mount, settings
         self._database = np.array(dock_pose, dtype=float)
         self._staging = se2.compose(dock_pose, (-dock.staging_distance, 0.0, 0.0))
-        ahead = self._law.external_detection_translation_x
+        ahead = settings.external_detection_translation_x
         self._stop = np.array([ahead - dock.docked_distance - mount.x, 0.0, 0.0])
-        self._filter = PoseFilter(self._law.filter_coef, self._law.external_detection_timeout)
+        self._filter = PoseFilter(settings.filter_coef, settings.external_detection_timeout)
         self._detected: Optional[np.ndarray] = None
         self._detected_at = -math.inf
         self._way: Optional[PathFollower] = None
@@ -184,19 +156,16 @@ class GracefulTask(WatchedTask):
         """Whether an image would be used now."""
         return self.result is None and self._phase != self._navigate
 
-    def add_odometry(self, odometry: Odometry) -> None:
-        """Take the next message of odometry; an impossible one ends the docking."""
-        if self.result is not None or not self._accept(odometry):
-            return
+    def _move(self, odometry: Odometry) -> None:
         if self._phase == self._navigate:
             self._belief.add_odometry(odometry)
-            self._belief.stands_free(self._planner.shape.half_width)
+            self._belief.stands_free(HALF_WIDTH)
         else:
-            self._odometry.add(odometry)
+            self._belief.odometry.add(odometry)
 
     def add_observation(self, observation: Observation) -> None:
         """Take the sightings in an image: the one that fits best is the dock."""
-        then = None if self.result is not None else self._odometry.pose_at(observation.stamp)
+        then = self._belief.odometry.pose_at(observation.stamp)
         if then is None:
             return
         expected = self._database if self._filter.pose is None else self._filter.pose
@@ -206,15 +175,13 @@ class GracefulTask(WatchedTask):
                 sighting.corners, self._dock.marker.size, observation.camera, self._mount
             ):
                 found = se2.compose(then, pose)
-                if math.dist(found[:2], self._database[:2]) > self._law.gate:
-                    continue
                 off = found - expected
                 away = math.hypot(off[0], off[1]) + abs(wrap(float(off[2])))
                 if away < best:
                     best, self._detected, self._detected_at = away, found, observation.stamp
 
     def _advance(self, stamp: float) -> Optional[Command]:
-        return None if self._odometry.last is None else self._phase(stamp)
+        return None if self._belief.odometry.last is None else self._phase(stamp)
 
     def _navigate(self, stamp: float) -> Command:
         """Drive to the staging pose."""
@@ -224,7 +191,7 @@ class GracefulTask(WatchedTask):
             if np.linalg.norm(se2.between(pose, staging)) < self._law.dock_prestaging_tolerance:
                 return self._go_on(self._perceive, stamp)
             dock = GaussianPose(se2.between(pose, self._database), np.zeros((3, 3)))
-            way = self._planner.way_to_staging(dock)
+            way = self._paths.way_to_staging(dock)
             if way is None:
                 message = "no safe way to the staging pose"
                 raise DockingFailureError(DockingError.STAGING_FAILED, message)
@@ -285,12 +252,12 @@ class GracefulTask(WatchedTask):
         self._filter.update(self._detected, self._detected_at)
         return True
 
-    def _make_result(self, success: bool, error: DockingError, message: str) -> DockingResult:
+    def _make_result(self, error: DockingError, message: str) -> DockingResult:
         seen = ()
         if self._filter.pose is not None:
             x, y, yaw = se2.between(self._filter.pose, self._belief.pose).tolist()
             seen = -x - self._mount.x, y, yaw
-        return DockingResult(success, error, message, self._retries, *seen)
+        return DockingResult(error, message, self._retries, *seen)
 
 
 def marker_poses(
@@ -315,7 +282,7 @@ def marker_poses(
 
 
 def _planar(pose: MarkerPose, mount: CameraMount) -> np.ndarray:
-    turn = mount.rotation() @ _OPTICAL
+    turn = mount.rotation @ _OPTICAL
     place = turn @ pose.translation + (mount.x, mount.y, mount.z)
     # A docked robot looks into the face, against the marker's z axis.
     ahead = -turn @ pose.rotation[:, 2]
@@ -333,7 +300,7 @@ TUNED = GracefulSettings(
 )
 """Tuned to the docks and the robot of this package, see docs/docking.md."""
 
-CONTROLLERS: Dict[str, Callable[..., DockingController]] = {
+CONTROLLERS: Dict[str, Callable[..., WatchedTask]] = {
     "ours": DockingTask,
     "graceful": functools.partial(GracefulTask, settings=TUNED),
     "graceful_nav2": GracefulTask,
