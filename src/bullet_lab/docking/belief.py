@@ -194,7 +194,15 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 class DockBelief:
     """Belief about the dock's pose, by the robot's odometry and the camera's images.
 
+    Args:
+        dock: what is known of the dock.
+        dock_pose: its rough pose in the odometry frame.
+        mount: where the camera is on the robot.
+        settings: of the docking.
+        rng: draws the particles.
+
     Attributes:
+        dock, mount, settings: as given.
         odometry: the last messages.
         particles: of the dock's pose before its marker was seen; None before the first odometry.
         walls: likewise, but without learning from looks that found nothing: the walls are there
@@ -213,8 +221,8 @@ class DockBelief:
         settings: DockingSettings,
         rng: np.random.Generator,
     ):
-        self._dock, self._mount = dock, mount
-        self._dock_pose, self._settings, self._rng = dock_pose, settings, rng
+        self.dock, self.mount, self.settings = dock, mount, settings
+        self._dock_pose, self._rng = dock_pose, rng
         self.odometry = OdometryBuffer()
         self.particles: Optional[DockParticles] = None
         self.walls: Optional[DockParticles] = None
@@ -306,7 +314,7 @@ class DockBelief:
 
     def cut_off(self, track: MarkerTrack) -> bool:
         """Return whether an edge of an image taken now would cut off a marker's white border."""
-        corners, camera = track.foreseen(Viewpoint(self._camera, self._mount)), self._camera
+        corners, camera = track.foreseen(Viewpoint(self._camera, self.mount)), self._camera
         return not _inside(corners, camera) >= _CUT * extent_of(corners)
 
     def add_odometry(self, odometry: Odometry) -> None:
@@ -316,7 +324,7 @@ class DockBelief:
         self.odometry.add(odometry)
         if before is None:
             rough = se2.between(odometry.pose, self._dock_pose)
-            drawn = self._dock, tuple(rough.tolist()), self._rng
+            drawn = self.dock, tuple(rough.tolist()), self._rng
             self.particles = DockParticles(*drawn)
             self.walls = DockParticles(*drawn, _WALL_PARTICLES)
             self._prior = DriftingPose(self.particles.gaussian())
@@ -332,13 +340,13 @@ class DockBelief:
         if then is None:
             return
         self._estimated = None
-        camera, dock = observation.camera, self._dock
+        camera = observation.camera
         if camera is not self._camera:
-            self._camera = camera
-            self.visibility = MarkerVisibility(dock, camera, self._mount.z, self.farthest(camera))
+            self._camera, height = camera, self.mount.z
+            self.visibility = MarkerVisibility(self.dock, camera, height, self.farthest(camera))
         self.last_image = max(self.last_image, observation.stamp)
         self.images += 1
-        view = Viewpoint(camera, self._mount, tuple(se2.between(self.pose, then).tolist()))
+        view = Viewpoint(camera, self.mount, tuple(se2.between(self.pose, then).tolist()))
         shown = filter(self._shows_marker, observation.sightings)
         self._associate(list(shown), view, observation.stamp)
         copy = self.copy_on_the_wall()
@@ -348,7 +356,7 @@ class DockBelief:
 
     def farthest(self, camera: PinholeCamera) -> float:
         """Return from how far (m) a camera should find the marker."""
-        return camera.fy * self._dock.marker.size / self._settings.smallest_marker
+        return camera.fy * self.dock.marker.size / self.settings.smallest_marker
 
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
         """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""
@@ -369,7 +377,7 @@ class DockBelief:
     def _shows_marker(self, sighting: Sighting) -> bool:
         corners = sighting.corners
         whole = _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
-        return whole and self._dock.marker.is_shown_by(sighting)
+        return whole and self.dock.marker.is_shown_by(sighting)
 
     def _associate(self, sightings: List[Sighting], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""
@@ -396,7 +404,7 @@ class DockBelief:
         for number, sighting in enumerate(sightings):
             if number in owners:
                 continue
-            track = MarkerTrack(sighting, view, self._dock.marker, self._prior.pose)
+            track = MarkerTrack(sighting, view, self.dock.marker, self._prior.pose)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:

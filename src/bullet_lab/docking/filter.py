@@ -23,7 +23,7 @@ from typing import Tuple
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.geometry import Viewpoint, corner_points, extent_of
 from bullet_lab.docking.types import MotionStep, Sighting
 
@@ -88,9 +88,9 @@ class GaussianPose:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
-    def robot(self) -> np.ndarray:
-        """Likeliest pose (3,) of the robot in the dock's frame."""
-        return se2.inverse(self.mean)
+    def robot(self) -> PlanarPose:
+        """Likeliest pose of the robot in the dock's frame."""
+        return tuple(se2.inverse(self.mean).tolist())
 
     @property
     def lateral_deviation(self) -> float:

@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import dijkstra
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import QUIET_ZONE, clearance, wall_boxes
 from bullet_lab.docking.types import (
@@ -210,22 +209,13 @@ def along(first: Point, second: Point, spacing: float) -> np.ndarray:
 
 
 class PathPlanner:
-    """Plans paths that are safe for all the likely poses of the dock.
+    """Plans paths that are safe for all the likely poses of the dock."""
 
-    Args:
-        dock: what is known of the dock.
-        belief: of the dock's pose.
-        settings: of the docking.
-        camera_ahead: m, of the camera before the robot's middle.
-    """
-
-    def __init__(
-        self, dock: Dock, belief: DockBelief, settings: DockingSettings, camera_ahead: float
-    ):
-        self._dock, self._belief, self._ahead = dock, belief, camera_ahead
-        self._boxes = wall_boxes(dock)
+    def __init__(self, belief: DockBelief):
+        self._belief, self._dock = belief, belief.dock
+        self._boxes = wall_boxes(belief.dock)
         # Of the circle that the robot is to have for itself, m.
-        self._radius = TURNING_RADIUS + settings.wall_margin
+        self._radius = TURNING_RADIUS + belief.settings.wall_margin
         self._probes = 0
 
     def costmap(self) -> Costmap:
@@ -283,7 +273,7 @@ class PathPlanner:
         way = None
         if visibility is not None:
             room = self._dock.depth + TURNING_RADIUS + _ROOM_TO_TURN
-            near = min(staging, max(room, 0.9 * visibility.farthest + self._ahead))
+            near = min(staging, max(room, 0.9 * visibility.farthest + self._belief.mount.x))
             way = self._safe_way(estimate, (-near, 0.0, 0.0))
         return way or self._safe_way(estimate, (-staging, 0.0, 0.0))
 

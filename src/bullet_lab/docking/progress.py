@@ -11,19 +11,12 @@ from typing import Optional, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.database import Dock
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.paths import PathPlanner, clip
 from bullet_lab.docking.search import MarkerSearch
-from bullet_lab.docking.types import (
-    STANDSTILL,
-    TURNING_RADIUS,
-    Command,
-    DockingError,
-    DockingSettings,
-)
+from bullet_lab.docking.types import STANDSTILL, TURNING_RADIUS, Command, DockingError
 from bullet_lab.errors import LabError
 
 _MARKER_ANGLE = math.radians(24.0)
@@ -64,75 +57,69 @@ class DockingFailureError(LabError):
 
 
 class DockAxis:
-    """The axis of a dock, and the lane around it, which narrows towards the dock.
+    """The axis of a dock, and the lane around it, which narrows towards the dock."""
 
-    Args:
-        dock: what is known of the dock.
-        settings: of the docking.
-        camera_ahead: m, of the camera before the robot's middle.
-    """
-
-    def __init__(self, dock: Dock, settings: DockingSettings, camera_ahead: float):
-        self._dock, self._walls = dock, dock.walls
-        self._settings, self._ahead = settings, camera_ahead
+    def __init__(self, belief: DockBelief):
+        self._dock, self._walls = belief.dock, belief.dock.walls
+        self._settings, self._ahead = belief.settings, belief.mount.x
         # How far off the axis (m) the robot may be between the walls, turned or not.
         self._corridor = math.inf
-        if dock.walls is not None:
-            free = 0.5 * dock.walls.opening - settings.wall_margin
+        if self._walls is not None:
+            free = 0.5 * self._walls.opening - self._settings.wall_margin
             self._corridor = max(free - TURNING_RADIUS, 0.02)
 
-    def left(self, robot: np.ndarray) -> float:
+    def left(self, robot: PlanarPose) -> float:
         """Return how far a robot has to go along the axis, m."""
-        return -float(robot[0]) - self._dock.docked_distance - self._ahead
+        return -robot[0] - self._dock.docked_distance - self._ahead
 
-    def forwards(self, robot: np.ndarray) -> Command:
+    def forwards(self, robot: PlanarPose) -> Command:
         """Return the command of an approach."""
         left = self.left(robot)
         length = min(max(0.3 * left, 0.10), 0.6)
         most = math.radians(25.0 if left > 0.5 else 5.0 + 40.0 * max(left - 0.1, 0.0))
-        target = -clip(math.atan(float(robot[1]) / length), most)
+        target = -clip(math.atan(robot[1] / length), most)
         target *= min(1.0, max(left, 0.0) / 0.04)
         braking = math.sqrt(2.0 * 0.08 * max(left, 0.0))
         speed = min(self._settings.approach_speed, braking, 0.8 * left + 0.008)
         return self._steer(robot, target, speed)
 
-    def backwards(self, robot: np.ndarray, left: float) -> Command:
+    def backwards(self, robot: PlanarPose, left: float) -> Command:
         """Return the command of a retreat by what is left (m)."""
-        target = clip(math.atan(float(robot[1]) / 0.5), math.radians(15.0))
+        target = clip(math.atan(robot[1] / 0.5), math.radians(15.0))
         braking = math.sqrt(2.0 * 0.2 * max(left, 0.0))
         return self._steer(robot, target, -min(self._settings.approach_speed, braking + 0.02))
 
-    def _steer(self, robot: np.ndarray, target: float, speed: float) -> Command:
+    def _steer(self, robot: PlanarPose, target: float, speed: float) -> Command:
         """Return the command at a speed (m/s) to the heading nearest a target.
 
         The heading keeps the marker in the image.
         """
-        x = float(robot[0]) + self._ahead * math.cos(robot[2])
-        y = float(robot[1]) + self._ahead * math.sin(robot[2])
+        x = robot[0] + self._ahead * math.cos(robot[2])
+        y = robot[1] + self._ahead * math.sin(robot[2])
         bearing = math.atan2(-y, -x)
         heading = bearing + clip(wrap(target - bearing), _MARKER_ANGLE)
-        off = wrap(heading - float(robot[2]))
+        off = wrap(heading - robot[2])
         return speed * max(0.0, 1.0 - abs(off) / 0.35), clip(2.0 * off, 0.5)
 
-    def is_within_walls(self, robot: np.ndarray) -> bool:
+    def is_within_walls(self, robot: PlanarPose) -> bool:
         """Return whether a robot is between the walls or just before them."""
         walls = self._walls
         if walls is None:
             return False
-        return -float(robot[0]) < walls.depth + _ENTRANCE and abs(robot[1]) < 0.5 * walls.opening
+        return -robot[0] < walls.depth + _ENTRANCE and abs(robot[1]) < 0.5 * walls.opening
 
-    def leads_at_an_edge(self, robot: np.ndarray, deviation: float) -> bool:
+    def leads_at_an_edge(self, robot: PlanarPose, deviation: float) -> bool:
         """Return whether going on from a pose would lead to a wall's front edge.
 
         `deviation` is the standard deviation of its distance from the axis, m.
         """
-        walls, before = self._walls, -float(robot[0])
+        walls, before = self._walls, -robot[0]
         if walls is None or not walls.depth < before < walls.depth + _BEFORE_ENTRANCE:
             return False
-        beside = abs(float(robot[1])) + 2.0 * deviation
+        beside = abs(robot[1]) + 2.0 * deviation
         return beside > self._corridor + _EDGE_TOLERANCE + 0.4 * (before - walls.depth)
 
-    def is_in_lane(self, robot: np.ndarray, deviation: float) -> bool:
+    def is_in_lane(self, robot: PlanarPose, deviation: float) -> bool:
         """Return whether a robot can approach from where it is; see `leads_at_an_edge`."""
         left = self.left(robot)
         lane = _NARROWEST + _WIDENING * max(left - _STRAIGHT, 0.0)
@@ -140,13 +127,13 @@ class DockAxis:
             entrance = self._walls.depth + _ENTRANCE - self._dock.docked_distance - self._ahead
             lane = min(lane, self._corridor + _WIDENING_OUTSIDE * max(left - entrance, 0.0))
         # The estimate improves during the approach; the gate aborts it if it does not.
-        beside = abs(float(robot[1])) + min(2.0 * deviation, 0.4 * lane)
+        beside = abs(robot[1]) + min(2.0 * deviation, 0.4 * lane)
         return _LEAST_LEFT < left < _LONGEST and beside < lane
 
-    def check_gate(self, robot: np.ndarray) -> str:
+    def check_gate(self, robot: PlanarPose) -> str:
         """Return why an approach has to be given up; empty if it goes well."""
         settings, left = self._settings, self.left(robot)
-        beside, turned = abs(float(robot[1])), abs(wrap(float(robot[2])))
+        beside, turned = abs(robot[1]), abs(robot[2])
         if left < settings.gate_distance and beside > settings.gate_lateral:
             return f"{1e3 * beside:.0f} mm beside the axis"
         if left < 0.6 * settings.gate_distance and turned > settings.gate_yaw:
@@ -159,27 +146,22 @@ class DockAxis:
 class DockingProgress:
     """Estimates and counters of a docking.
 
-    Args:
-        dock: what is known of the dock.
+    Attributes:
         belief: of the dock's pose.
         settings: speeds and limits.
-        camera_ahead: m, of the camera before the robot's middle.
-
-    Attributes:
+        axis: of the dock.
+        paths: plans the robot's paths.
+        search: for the marker.
         now: stamp of the tick, s.
         retries: how often it retreated to try again.
         unclear: how often an approach was given up as the axis was not known well enough.
         lost_at_the_end: whether the marker was lost at the end of the approach.
     """
 
-    def __init__(
-        self, dock: Dock, belief: DockBelief, settings: DockingSettings, camera_ahead: float
-    ):
-        self.dock, self.belief, self.settings = dock, belief, settings
-        self.camera_ahead = camera_ahead
-        self.axis = DockAxis(dock, settings, camera_ahead)
-        self.paths = PathPlanner(dock, belief, settings, camera_ahead)
-        self.search = MarkerSearch(dock, belief, settings, self.paths, camera_ahead)
+    def __init__(self, belief: DockBelief):
+        self.belief, self.settings = belief, belief.settings
+        self.axis, self.paths = DockAxis(belief), PathPlanner(belief)
+        self.search = MarkerSearch(belief, self.paths)
         self.now = 0.0
         self.retries = self.unclear = self._stagings = self._doubts = 0
         self.lost_at_the_end = False
@@ -212,11 +194,11 @@ class DockingProgress:
         """Return for how long a track was not seen, s."""
         return self.now - track.last_seen
 
-    def is_in_reach(self, robot: np.ndarray) -> bool:
+    def is_in_reach(self, robot: PlanarPose) -> bool:
         """Return whether the marker is near enough to be found, as it was from as far before."""
         track = self.belief.best()
         before = 0.0 if track is None else _AS_FAR * track.found_from
-        reach = math.hypot(float(robot[0]) + self.camera_ahead, float(robot[1]))
+        reach = math.hypot(robot[0] + self.belief.mount.x, robot[1])
         return reach < max(self.belief.visibility.farthest, before)
 
     def count_doubt(self, track: MarkerTrack) -> bool:
@@ -226,7 +208,7 @@ class DockingProgress:
         """
         if track.real >= self.settings.sure or (self._doubts >= _MOST_DOUBTS and track.real > 0.2):
             return False
-        copy, walls = self.belief.copy_on_the_wall(), self.dock.walls
+        copy, walls = self.belief.copy_on_the_wall(), self.belief.dock.walls
         if track.real > 0.5 and copy is not None and walls is not None:
             # If real, it is on the back wall, where a larger copy is.
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
@@ -261,7 +243,7 @@ class DockingProgress:
         """
         deviation = self.belief.best().learned().yaw.deviation
         rounds = min(self.settings.max_retries, _MOST_ROUNDS)
-        return deviation > _UNSURE * self.dock.tolerance.yaw and self.retries < rounds
+        return deviation > _UNSURE * self.belief.dock.tolerance.yaw and self.retries < rounds
 
     def may_drive_blind(self, track: MarkerTrack) -> bool:
         """Return whether to drive the last part of the approach without seeing the marker.
@@ -269,11 +251,11 @@ class DockingProgress:
         It leaves the image of a camera that is pitched, or was lost there before. Odometry is good
         enough for what is left.
         """
-        estimate, tolerance = self.belief.estimate(), self.dock.tolerance
-        along, across = float(estimate.deviations[0]), estimate.lateral_deviation
+        estimate, tolerance = self.belief.estimate(), self.belief.dock.tolerance
+        along, across = estimate.deviations[0], estimate.lateral_deviation
         certain = along < tolerance.distance and across < tolerance.lateral
         return certain and self.is_near and (self.lost_at_the_end or self.belief.cut_off(track))
 
     def limit_to_sight(self, left: float) -> float:
         """Return so much left to go (m), or less where the marker would not be found there."""
-        return min(left, 0.9 * self.belief.visibility.farthest - self.dock.docked_distance)
+        return min(left, 0.9 * self.belief.visibility.farthest - self.belief.dock.docked_distance)

@@ -10,11 +10,10 @@ import numpy as np
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.database import Dock
 from bullet_lab.docking.geometry import MarkerVisibility
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.paths import Costmap, PathPlanner
-from bullet_lab.docking.types import DockingSettings, Point
+from bullet_lab.docking.types import Point
 
 _HEADINGS = np.arange(36) * (math.tau / 36.0)
 # Strides over the costmap's cells. The finer one is used if the coarse one finds no view, as
@@ -59,23 +58,13 @@ class MarkerSearch:
     """Searches for a dock's marker: rates views, and learns from those that found nothing.
 
     Args:
-        dock: what is known of the dock.
         belief: of the dock's pose; looks that find nothing change it.
-        settings: of the docking.
         paths: plans the robot's paths.
-        camera_ahead: m, of the camera before the robot's middle.
     """
 
-    def __init__(
-        self,
-        dock: Dock,
-        belief: DockBelief,
-        settings: DockingSettings,
-        paths: PathPlanner,
-        camera_ahead: float,
-    ):
-        self._dock, self._belief, self._settings, self._paths = dock, belief, settings, paths
-        self._ahead = camera_ahead
+    def __init__(self, belief: DockBelief, paths: PathPlanner):
+        self._belief, self._paths = belief, paths
+        self._ahead = belief.mount.x
         self._far_looks, self._far_range = 0, _FAR
         self._far_visibility: Optional[MarkerVisibility] = None
         # The copy that narrowed the belief last, and in how many images it was then.
@@ -100,7 +89,7 @@ class MarkerSearch:
 
     def add_miss(self) -> None:
         """Learn from a look that found nothing."""
-        looks = [(self._belief.visibility, self._settings.missed, True)]
+        looks = [(self._belief.visibility, self._belief.settings.missed, True)]
         if self._far_visibility is not None and not self._belief.copies_seen():
             looks.append((self._far_visibility, _FAR_MISSED, False))
         particles = self._belief.particles
@@ -119,7 +108,7 @@ class MarkerSearch:
         used, frames = self._cue
         if used is not found or found.frames > 1.3 * frames:
             self._cue = found, found.frames
-            walls = self._dock.walls
+            walls = self._belief.dock.walls
             play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
             self._belief.concentrate(found.likeliest(), max(play, 0.03))
         return True
@@ -132,7 +121,7 @@ class MarkerSearch:
         seen, each look is from nearer than the one before.
         """
         view = self._best_view(self._belief.visibility)
-        walls = self._dock.walls
+        walls = self._belief.dock.walls
         half = 0.0 if walls is None else _WIDEST_PRINT * walls.opening
         while view is None and self._far_looks < _MOST_FAR_LOOKS:
             self._far_looks += 1
@@ -146,7 +135,7 @@ class MarkerSearch:
 
     def _best_view(self, visibility: MarkerVisibility) -> Optional[NextView]:
         """Return the view that finds most for the time it takes, or None; see `next_view`."""
-        costmap, robot, settings = self._paths.costmap(), self._belief.pose, self._settings
+        costmap, robot, settings = self._paths.costmap(), self._belief.pose, self._belief.settings
         docks, reach = self._belief.particles.samples(_SAMPLES)
         docks = se2.compose(robot, docks)
         for stride in _STRIDES:

@@ -12,7 +12,7 @@ from typing import Dict, NamedTuple, Optional, Tuple, Type, Union
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.paths import PathFollower, clip, turn_command
@@ -199,7 +199,7 @@ class Measure(TrackedState):
         self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
     ) -> Step:
         x, y, _ = estimate.mean
-        off = math.atan2(y, x - docking.camera_ahead)
+        off = math.atan2(y, x - docking.belief.mount.x)
         if not self._turned and abs(off) > _FACING:
             return turn_command(off, docking.settings.turn_speed, 0.0)
         self._turned = True
@@ -374,7 +374,7 @@ class Confirm(TrackedState):
     def follow(  # noqa: D102 - inherited
         self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
     ) -> Step:
-        settings, turned = docking.settings, wrap(float(estimate.robot[2]))
+        settings, turned = docking.settings, estimate.robot[2]
         if self._correction is not None:
             # Turn or creep until the estimate is there.
             v, w = self._correction
@@ -386,7 +386,7 @@ class Confirm(TrackedState):
         if self._frames is None or not docking.is_settled():
             self._frames, self._since = track.frames, docking.now
             return STANDSTILL
-        uncertain = float(estimate.deviations[2]) > 0.3 * docking.dock.tolerance.yaw
+        uncertain = estimate.deviations[2] > 0.3 * docking.belief.dock.tolerance.yaw
         patience = settings.unseen_timeout
         waited, seen = docking.now - self._since, track.frames - self._frames
         if min(waited, docking.unseen(track)) > patience and docking.may_drive_blind(track):
@@ -400,9 +400,9 @@ class Confirm(TrackedState):
             return _retry(docking, "the marker is lost before the dock")
         return STANDSTILL
 
-    def _judge(self, docking: DockingProgress, robot: np.ndarray) -> Step:
-        tolerance = docking.dock.tolerance
-        beside, turned = float(robot[1]), wrap(float(robot[2]))
+    def _judge(self, docking: DockingProgress, robot: PlanarPose) -> Step:
+        tolerance = docking.belief.dock.tolerance
+        _, beside, turned = robot
         # The true error may be larger than the measured one: in glare all images from one place
         # are off together. The last try takes the risk.
         share = 1.0 if docking.retries >= docking.settings.max_retries else _SURELY_WITHIN

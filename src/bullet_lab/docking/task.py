@@ -12,7 +12,7 @@ import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.geometry import misfit
@@ -86,15 +86,14 @@ class WatchedTask(ABC):
 
     Args:
         done: what the task is when it has succeeded, in a word.
-        belief: of the dock's pose; has the odometry.
-        settings: speeds and limits.
+        belief: of the dock's pose; has the odometry and the settings.
 
     Attributes:
         result: how it ended; None before.
     """
 
-    def __init__(self, done: str, belief: DockBelief, settings: DockingSettings):
-        self._done, self._belief, self._settings = done, belief, settings
+    def __init__(self, done: str, belief: DockBelief):
+        self._done, self._belief, self._settings = done, belief, belief.settings
         self._command = STANDSTILL
         self._stuck = StuckWatch()
         self._started: Optional[float] = None
@@ -215,9 +214,8 @@ class DockingTask(WatchedTask):
         # Independent of noise that is drawn from the same seed.
         rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
         belief = DockBelief(dock, dock_pose, mount, settings, rng)
-        super().__init__("docked", belief, settings)
-        self._dock, self._mount = dock, mount
-        self._progress = DockingProgress(dock, belief, settings, mount.x)
+        super().__init__("docked", belief)
+        self._progress = DockingProgress(belief)
         self._state: State = Search()
         self._waiting: Deque[Observation] = deque(maxlen=_MOST_WAITING)
         self._wanted_since: Optional[float] = None
@@ -232,8 +230,8 @@ class DockingTask(WatchedTask):
             return
         if observation.camera != self._camera:
             self._camera = observation.camera
-            farthest = self._belief.farthest(self._camera)
-            trouble = misfit(self._dock, self._camera, self._mount, farthest)
+            belief, farthest = self._belief, self._belief.farthest(self._camera)
+            trouble = misfit(belief.dock, self._camera, belief.mount, farthest)
             if trouble:
                 self._end(DockingError.NOT_VALID, trouble)
                 return
@@ -285,8 +283,8 @@ class DockingTask(WatchedTask):
         estimate = self._belief.estimate()
         if estimate is None:
             return _UNKNOWN
-        distance = self._progress.left + self._dock.docked_distance
-        return distance, float(estimate.robot[1]), wrap(float(estimate.robot[2]))
+        _, beside, turned = estimate.robot
+        return self._progress.left + self._belief.dock.docked_distance, beside, turned
 
     @property
     def wants_images(self) -> bool:
@@ -368,10 +366,10 @@ class UndockingTask(WatchedTask):
         self._sees = mount is not None
         mount = mount or CameraMount(0.0, 0.0, 0.0)
         belief = DockBelief(dock, dock_pose, mount, settings, np.random.default_rng(0))
-        super().__init__("undocked", belief, settings)
-        self._distance, self._dock = distance, dock
+        super().__init__("undocked", belief)
+        self._distance = distance
         self._docked = np.array([dock.docked_distance + mount.x, 0.0, 0.0])
-        self._axis = DockAxis(dock, settings, mount.x)
+        self._axis = DockAxis(belief)
         self._start: Optional[PlanarPose] = None
         self._goal: Optional[float] = None
         self.remaining = math.nan
@@ -395,13 +393,13 @@ class UndockingTask(WatchedTask):
             self._start = last.pose
         if best is None:
             # By odometry: it began in a dock.
-            robot = se2.between(self._start, last.pose) - self._docked
+            robot = (se2.between(self._start, last.pose) - self._docked).tolist()
         else:
             robot = best.estimate().robot
         if self._goal is None:
-            far = self._dock.staging_distance if self._distance == 0.0 else 0.0
-            self._goal = far or self._distance - float(robot[0])
-        self.remaining = self._goal + float(robot[0])
+            far = self._belief.dock.staging_distance if self._distance == 0.0 else 0.0
+            self._goal = far or self._distance - robot[0]
+        self.remaining = self._goal + robot[0]
         if self.remaining <= _UNDOCKED:
             self.remaining = 0.0
             self._end(DockingError.NONE, "undocked")

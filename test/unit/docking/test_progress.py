@@ -28,7 +28,7 @@ def docking_at_the_origin(marker_size, corners=None):
         belief.add_odometry(Odometry(stamp, (0.0, 0.0, 0.0)))
         seen = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
         belief.observe(Observation(stamp, standin.CAMERA, seen))
-    return DockingProgress(dock, belief, stand.settings, standin.MOUNT.x)
+    return DockingProgress(belief)
 
 
 @pytest.mark.parametrize("size, before", [(0.2, 3.0), (0.075, 2.45)])
@@ -45,7 +45,7 @@ def test_looks_at_a_marker_from_either_side_of_its_axis_in_turn():
         ends.append(y)
     assert ends[0] == pytest.approx(-ends[1], abs=0.02)
     # In sight between the walls' front edges, with an eighth of the free angle to spare.
-    walls, half = docking.dock.walls, 0.075 * 0.625
+    walls, half = docking.belief.dock.walls, 0.075 * 0.625
     free = math.atan2(0.5 * walls.opening - half, walls.depth)
     assert math.asin(abs(ends[0]) / 5.0) == pytest.approx(0.85 * free, abs=0.01)
 
@@ -75,7 +75,7 @@ def test_a_marker_that_was_found_from_afar_is_missed_from_as_far(monkeypatch):
 def test_no_way_creeps_towards_a_wall_however_short_it_is(monkeypatch):
     docking = docking_at_the_origin(0.2)
     aside = standin.make_dock(standin.Stand((0.0, 0.0, 0.0))).walls.opening / 2.0 + 0.05
-    boxes, radius = wall_boxes(docking.dock), TURNING_RADIUS
+    boxes, radius = wall_boxes(docking.belief.dock), TURNING_RADIUS
     front = float(clearance(np.array([[-5.0, aside]]), boxes)[0])
     dock = np.array([5.0 - front + radius + 0.03, -aside, 0.0])
     monkeypatch.setattr(docking.belief, "samples", lambda count: np.tile(dock, (count, 1)))

@@ -98,9 +98,14 @@ def docking_at(robot, **belief):
         robot=np.array(robot), deviations=np.array([0.0, 0.0, 0.01]), lateral_deviation=0.0
     )
     known = SimpleNamespace(
-        estimate=lambda: estimate, visibility=SimpleNamespace(farthest=5.0), **belief
+        dock=dock,
+        mount=standin.MOUNT,
+        settings=DockingSettings(),
+        estimate=lambda: estimate,
+        visibility=SimpleNamespace(farthest=5.0),
+        **belief,
     )
-    return DockingProgress(dock, known, DockingSettings(), standin.MOUNT.x)
+    return DockingProgress(known)
 
 
 @pytest.mark.parametrize(

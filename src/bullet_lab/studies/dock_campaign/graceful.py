@@ -136,9 +136,8 @@ class GracefulTask(WatchedTask):
     ):
         # The belief gets no images: it knows the database only.
         belief = DockBelief(dock, dock_pose, mount, USUAL, np.random.default_rng(seed))
-        super().__init__("docked", belief, USUAL)
-        self._paths = PathPlanner(dock, belief, USUAL, mount.x)
-        self._dock, self._mount, self._law = dock, mount, settings
+        super().__init__("docked", belief)
+        self._paths, self._law = PathPlanner(belief), settings
         self._database = np.array(dock_pose, dtype=float)
         self._staging = se2.compose(dock_pose, (-dock.staging_distance, 0.0, 0.0))
         ahead = settings.external_detection_translation_x
@@ -170,10 +169,9 @@ class GracefulTask(WatchedTask):
             return
         expected = self._database if self._filter.pose is None else self._filter.pose
         best = math.inf
-        for sighting in filter(self._dock.marker.is_shown_by, observation.sightings):
-            for pose in marker_poses(
-                sighting.corners, self._dock.marker.size, observation.camera, self._mount
-            ):
+        marker, mount = self._belief.dock.marker, self._belief.mount
+        for sighting in filter(marker.is_shown_by, observation.sightings):
+            for pose in marker_poses(sighting.corners, marker.size, observation.camera, mount):
                 found = se2.compose(then, pose)
                 off = found - expected
                 away = math.hypot(off[0], off[1]) + abs(wrap(float(off[2])))
@@ -256,7 +254,7 @@ class GracefulTask(WatchedTask):
         seen = ()
         if self._filter.pose is not None:
             x, y, yaw = se2.between(self._filter.pose, self._belief.pose).tolist()
-            seen = -x - self._mount.x, y, yaw
+            seen = -x - self._belief.mount.x, y, yaw
         return DockingResult(error, message, self._retries, *seen)
 
 
