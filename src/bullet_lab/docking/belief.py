@@ -8,7 +8,6 @@ that did not find the marker.
 from __future__ import annotations
 
 import math
-from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -161,7 +160,7 @@ class DockParticles:
         covariance = (self.weights[:, None] * off).T @ off
         return GaussianPose(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
 
-    def samples(self, count: int) -> Tuple[np.ndarray, np.ndarray]:
+    def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Draw (count, 3) poses and the light's reach (count,) at each."""
         chosen = self._rng.choice(len(self.poses), count, p=self.weights)
         return self.poses[chosen], self.reach[chosen]
@@ -224,30 +223,30 @@ class DockBelief:
         self.dock, self.mount, self.settings = dock, mount, settings
         self._dock_pose, self._rng = dock_pose, rng
         self.odometry = OdometryBuffer()
-        self.particles: Optional[DockParticles] = None
-        self.walls: Optional[DockParticles] = None
+        self.particles: DockParticles | None = None
+        self.walls: DockParticles | None = None
         # The belief before the marker was seen, and the pose of the database; None like particles.
-        self._prior: Optional[DriftingPose] = None
-        self._database: Optional[DriftingPose] = None
-        self.visibility: Optional[MarkerVisibility] = None
-        self._camera: Optional[PinholeCamera] = None
-        self.tracks: List[MarkerTrack] = []
+        self._prior: DriftingPose | None = None
+        self._database: DriftingPose | None = None
+        self.visibility: MarkerVisibility | None = None
+        self._camera: PinholeCamera | None = None
+        self.tracks: list[MarkerTrack] = []
         self.last_image = -math.inf
         self.images = 0
         # Result of `estimate` for the present tracks: it is called many times at each tick.
-        self._estimated: Optional[Tuple[Optional[GaussianPose]]] = None
+        self._estimated: tuple[GaussianPose | None] | None = None
 
     @property
     def pose(self) -> PlanarPose:
         """Of the robot in the odometry frame."""
         return self.odometry.last.pose
 
-    def best(self) -> Optional[MarkerTrack]:
+    def best(self) -> MarkerTrack | None:
         """Return the track to go for; None where none is plausible."""
         plausible = [t for t in self.tracks if t.frames >= 3 and t.real > _HARDLY_REAL]
         return max(plausible, key=lambda track: track.real, default=None)
 
-    def estimate(self) -> Optional[GaussianPose]:
+    def estimate(self) -> GaussianPose | None:
         """Return the dock's pose in the robot's frame; None before the marker was seen.
 
         A small marker shows little of its yaw; a larger copy on the same wall shows more.
@@ -303,7 +302,7 @@ class DockBelief:
         """Return whether a print of the marker was in sight lately."""
         return any(t.frames >= 3 and self.last_image - t.last_seen < 2.0 for t in self.tracks)
 
-    def copy_on_the_wall(self) -> Optional[MarkerTrack]:
+    def copy_on_the_wall(self) -> MarkerTrack | None:
         """Return a copy of the marker where only the dock's back wall can be, or None."""
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
@@ -379,7 +378,7 @@ class DockBelief:
         whole = _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
         return whole and self.dock.marker.is_shown_by(sighting)
 
-    def _associate(self, sightings: List[Sighting], view: Viewpoint, stamp: float) -> None:
+    def _associate(self, sightings: list[Sighting], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""
         pairs = []
         for number, sighting in enumerate(sightings):
@@ -387,7 +386,7 @@ class DockBelief:
                 cost = _association_cost(track, sighting, view)
                 if cost is not None:
                     pairs.append((cost, number, track))
-        owners: Dict[int, MarkerTrack] = {}
+        owners: dict[int, MarkerTrack] = {}
         for _, number, track in sorted(pairs, key=lambda pair: pair[0]):
             if number not in owners and track not in owners.values():
                 owners[number] = track
@@ -416,13 +415,13 @@ def _inside(corners: np.ndarray, camera: PinholeCamera) -> float:
     return float(np.minimum(corners, (camera.width - 1, camera.height - 1) - corners).min())
 
 
-def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:
+def _wall_yaw(copy: MarkerTrack) -> tuple[float, float]:
     """Return the yaw of the wall with a copy, rad, and its variance."""
     likeliest = copy.likeliest()
     return float(likeliest.mean[2]), float(likeliest.covariance[2, 2]) + _SAME_WALL**2
 
 
-def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -> Optional[float]:
+def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -> float | None:
     """Return how badly corners fit a track, None if they are not of it.
 
     A track that was seen often is preferred to a new one, which fits anything.

@@ -6,7 +6,7 @@ import math
 from dataclasses import MISSING, dataclass, fields
 from numbers import Real
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
+from typing import Any, Callable, Mapping, Sequence, Union
 
 import numpy as np
 import yaml
@@ -115,7 +115,7 @@ class Dock:
         MISSING, "m, m, rad", "a list of x and y in m and yaw in degrees", _accept_pose
     )
     marker: DockMarker
-    walls: Optional[DockWalls]
+    walls: DockWalls | None
     staging_distance: float = _number("from the robot to the marker, m", 0.5, 20.0)
     docked_distance: float = _number("from the camera to the marker, m", 0.1, 5.0)
     tolerance: DockTolerance
@@ -147,7 +147,7 @@ _SECTIONS = {
 _KEYS = {"yaw": "yaw_deg"}
 
 
-def read_docks(path: Union[str, Path]) -> Dict[str, Dock]:
+def read_docks(path: Union[str, Path]) -> dict[str, Dock]:
     """Read a dock database; raises DatabaseError naming file, dock and key."""
     try:
         with open(path, encoding="utf-8") as stream:
@@ -157,7 +157,7 @@ def read_docks(path: Union[str, Path]) -> Dict[str, Dock]:
     return parse_docks(text, f"dock database {path}")
 
 
-def parse_docks(text: str, where: str = "dock database") -> Dict[str, Dock]:
+def parse_docks(text: str, where: str = "dock database") -> dict[str, Dock]:
     """Make docks of YAML text; raises DatabaseError."""
     if len(text) > _FILE_LIMIT:
         raise DatabaseError(f"{where}: larger than {_FILE_LIMIT} characters")
@@ -178,7 +178,7 @@ def find_dock(docks: Mapping[str, Dock], name: str) -> Dock:
     return docks[name]
 
 
-def _entries(content: Any, where: str, keys: Sequence[str]) -> List[Any]:
+def _entries(content: Any, where: str, keys: Sequence[str]) -> list[Any]:
     """Return the entries of a mapping that has these keys and no others; `walls` may be missing."""
     if not isinstance(content, dict):
         raise DatabaseError(f"{where}: not a mapping")
@@ -219,7 +219,7 @@ def _dock(name: str, content: Any, where: str) -> Dock:
 
 def docking_errors(
     robot: Sequence[float], dock: Sequence[float], camera_ahead: float, docked_distance: float
-) -> Dict[str, float]:
+) -> dict[str, float]:
     """Return how far a robot (m, m, rad) is from where it should stand in a dock.
 
     Args:
@@ -237,7 +237,7 @@ def docking_errors(
     return dict(zip(ERRORS, (float(-camera - docked_distance), float(y), math.degrees(yaw))))
 
 
-def largest_errors(tolerance: DockTolerance) -> Dict[str, float]:
+def largest_errors(tolerance: DockTolerance) -> dict[str, float]:
     """Return a tolerance by `ERRORS`, in their units."""
     return dict(zip(ERRORS, (tolerance.distance, tolerance.lateral, math.degrees(tolerance.yaw))))
 

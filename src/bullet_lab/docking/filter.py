@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
@@ -163,7 +162,7 @@ def true_steps(step, errors: np.ndarray) -> np.ndarray:
     return steps
 
 
-def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarray, np.ndarray]:
+def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> tuple[np.ndarray, np.ndarray]:
     """Return states (n, i) and covariances (n, i, i) in the robot's frame after a step.
 
     The first three numbers are a pose, the last four the odometry errors.
@@ -193,7 +192,7 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarra
     return x, p
 
 
-def as_known(x: np.ndarray, p: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def as_known(x: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return states (n, 20) and covariances, given that much is probably nominal.
 
     A camera, an odometry and corners are nominal more often than not. By Bayes' rule, with the
@@ -220,7 +219,7 @@ _AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
 _DRIFTING_ODOMETRY = _Prior(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
-def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Prior) -> Tuple[np.ndarray, np.ndarray]:
+def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Prior) -> tuple[np.ndarray, np.ndarray]:
     """Do what `as_known` does for one part of the states."""
     part = of.where
     wide = p[:, part, part] + of.known
@@ -238,7 +237,7 @@ def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Prior) -> Tuple[np.ndarray
 
 def predict(
     states: np.ndarray, sizes: np.ndarray, view: Viewpoint
-) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return where corners of (n, 20) states with sizes (n,) are seen, and its derivatives.
 
     Returns:

@@ -9,7 +9,6 @@ import copy
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
@@ -90,7 +89,7 @@ class Viewpoint:
         turned = np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
         return np.array([*self.moved[:2], 0.0]) + turned
 
-    def line_of_sight(self, corners: np.ndarray, size: float) -> Tuple[np.ndarray, float]:
+    def line_of_sight(self, corners: np.ndarray, size: float) -> tuple[np.ndarray, float]:
         """Return the direction (3,) of a marker in the robot's frame, and its range in m.
 
         The direction is scaled to unit length on the floor. A slanted marker is narrower than it

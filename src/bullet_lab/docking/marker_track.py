@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import Optional, Tuple
 
 import numpy as np
 
@@ -36,7 +35,7 @@ from bullet_lab.docking.filter import (
     squared_distances,
 )
 from bullet_lab.docking.geometry import Viewpoint, extent_of
-from bullet_lab.docking.types import Calibration, Learned, MotionStep, Sighting
+from bullet_lab.docking.types import CalibrationErrors, Learned, MotionStep, Sighting
 
 SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
 """Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
@@ -147,15 +146,15 @@ class MarkerTrack:
         self._size, self._height = marker.size, marker.height
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
-        self._spot: Optional[np.ndarray] = None
+        self._spot: np.ndarray | None = None
         self._spot_frames = 0
         self._outliers = 0
-        # States, and `as_known` of the real ones: needed many times at each tick.
-        self._known: Tuple = (None, ())
+        # Poses and covariances of the real ones, which are needed many times at each tick.
+        self._known: tuple[np.ndarray, np.ndarray] | None = None
         self._extent = extent_of(sighting.corners)
         self._start(sighting, view, prior)
 
-    def estimate(self) -> Optional[GaussianPose]:
+    def estimate(self) -> GaussianPose | None:
         """Return the pose if it is real; None if it cannot be."""
         poses, covariances, weights = self.components()
         if not len(weights):
@@ -171,17 +170,17 @@ class MarkerTrack:
         mean[2] = wrap(float(mean[2]))
         return GaussianPose(mean, covariance)
 
-    def components(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def components(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
         real = self._scale == 0
         weights = self._weights[real]
         total = float(np.sum(weights))
         if total <= 0.0:
             return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
-        if self._known[0] is not self._x:
-            self._known = self._x, as_known(self._x[real], self._p[real])
-        x, p = self._known[1]
-        return x[:, :3].copy(), p[:, :3, :3].copy(), weights / total
+        if self._known is None:
+            x, p = as_known(self._x[real], self._p[real])
+            self._known = x[:, :3].copy(), p[:, :3, :3].copy()
+        return (*self._known, weights / total)
 
     def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw (count, 3) poses of the dock, if it is real."""
@@ -192,7 +191,7 @@ class MarkerTrack:
         drawn[:, 2] = wrap(drawn[:, 2])
         return drawn
 
-    def copies(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def copies(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return where the thing may be (n, 2) in the robot's frame, its size and weights (n,)."""
         return self._x[:, :2].copy(), self._actual_sizes(), self._weights.copy()
 
@@ -209,7 +208,7 @@ class MarkerTrack:
         x, p = as_known(self._x[best, None], self._p[best, None])
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
-    def learned(self) -> Calibration:
+    def learned(self) -> CalibrationErrors:
         """Return camera and odometry errors of the likeliest Gaussian, if it is real."""
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         (x,), (p,) = as_known(self._x[best, None], self._p[best, None])
@@ -217,13 +216,18 @@ class MarkerTrack:
         height = Learned(values[3].value - self._height, values[3].deviation)
         roll, pitch, yaw = values[CAMERA]
         way, turn, drift, _ = values[ODOMETRY]
-        return Calibration(
+        return CalibrationErrors(
             roll, pitch, yaw, height, Learned(math.expm1(way.value), way.deviation), turn, drift
         )
 
     def likeliest_size(self) -> float:
         """Return the likeliest size in m."""
         return float(self._actual_sizes()[np.argmax(self._weights)])
+
+    @property
+    def _sizes(self) -> np.ndarray:
+        """Assumed sizes (n,), m."""
+        return self._size * SCALES[self._scale]
 
     def _actual_sizes(self) -> np.ndarray:
         return self._sizes * np.exp(self._x[:, 4])
@@ -241,16 +245,17 @@ class MarkerTrack:
         beside = float(ray[0] * moved[1] - ray[1] * moved[0])
         self._sizing.travel(-float(ray @ moved), abs(beside), variance)
         self._x, self._p = carried(self._x, self._p, motion)
+        self._known = None
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def nearest(self, sighting: Sighting, view: Viewpoint) -> Tuple[float, np.ndarray]:
+    def nearest(self, sighting: Sighting, view: Viewpoint) -> tuple[float, np.ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
-        measured = Measurement(sighting, view)
-        rest, _, covariance, seen = innovations(self._x, self._x, self._p, self._sizes, measured)
+        given = self._x, self._p, self._sizes, Measurement(sighting, view)
+        rest, _, covariance, seen = innovations(self._x, *given)
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
         return float(squares[best]), seen[best].reshape(4, 2)
@@ -267,14 +272,15 @@ class MarkerTrack:
         """
         self._extent = extent_of(sighting.corners)
         measured = Measurement(sighting, view, self._repeated_here())
-        seen = measured, 3, self._likely()
-        x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
+        likely = self._weights > _LIKELY * np.max(self._weights)
+        seen = self._sizes, measured, 3, likely
+        x, p, squares, logs = robust_update(self._x, self._p, *seen)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
             if self._outliers < _STUBBORN:
                 return
             self._p[:, :3, :3] *= 4.0
-            x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
+            x, p, squares, logs = robust_update(self._x, self._p, *seen)
         else:
             self._outliers = 0
         self.frames += 1
@@ -309,15 +315,11 @@ class MarkerTrack:
         self._within[real] = real == best
         self._reduce()
 
-    def _reach(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, float]:
+    def _reach(self, corners: np.ndarray, view: Viewpoint) -> tuple[float, float]:
         """Return the seeming range in m and its standard deviation."""
         _, reach = view.line_of_sight(corners, self._size)
         pixels = view.camera.fy * self._size / reach
         return reach, reach * _EDGE / max(pixels, 1.0)
-
-    def _likely(self) -> np.ndarray:
-        """Return which Gaussians are likely beside the likeliest one, (n,)."""
-        return self._weights > _LIKELY * np.max(self._weights)
 
     def _repeated_here(self) -> float:
         """Return by how much more images from this spot are off than the first ones."""
@@ -363,7 +365,7 @@ class MarkerTrack:
         covariance[:, CAMERA, CAMERA] = np.diag(UNKNOWN_CAMERA**2)
         covariance[:, CORNERS, CORNERS] = OFF_CORNER**2 * np.eye(8)
         covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
-        self._scale, self._sizes = scale, sizes
+        self._scale = scale
         measured = Measurement(sighting, view)
         self._x, self._p, squares, _ = robust_update(states, covariance, sizes, measured, rounds=6)
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
@@ -393,6 +395,7 @@ class MarkerTrack:
 
     def _reduce(self) -> None:
         """Merge Gaussians that have become the same and drop the weakest of each size."""
+        self._known = None
         self._weigh()
         keep, rivals_of = [], defaultdict(list)
         spreads = 0.7 * np.sqrt(np.diagonal(self._p, axis1=1, axis2=2)) + 1e-5
@@ -413,6 +416,5 @@ class MarkerTrack:
         likely = [s for s in rivals_of if np.sum(self._weights[self._scale == s]) > _LEAST_SHARE]
         keep = [k for k in keep if self._scale[k] in likely]
         self._x, self._p = self._x[keep], self._p[keep]
-        self._scale, self._sizes = self._scale[keep], self._sizes[keep]
-        self._within = self._within[keep]
+        self._scale, self._within = self._scale[keep], self._within[keep]
         self._weigh()

@@ -7,7 +7,7 @@ touch. Dijkstra's algorithm finds the cheapest paths, which are straightened aft
 from __future__ import annotations
 
 import math
-from typing import List, Optional, Sequence, Tuple
+from typing import Sequence
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -158,7 +158,7 @@ class Costmap:
         """Return the largest share of docks that a robot at any of (n, 2) points would touch."""
         return float(np.max(self.touch.ravel()[self._index(points)], initial=0.0))
 
-    def path(self, goal: Sequence[float]) -> Optional[List[Point]]:
+    def path(self, goal: Sequence[float]) -> list[Point] | None:
         """Return way points from the robot to a goal, both included; None if it is off the map."""
         off = np.asarray(goal[:2]) - self._low
         if np.any(off < 0.0) or np.any(off > self.cell * (np.array(self._shape) - 1)):
@@ -173,7 +173,7 @@ class Costmap:
             way.append(self._robot)
         return self._straighten(way[::-1])
 
-    def _straighten(self, way: List[Point]) -> List[Point]:
+    def _straighten(self, way: list[Point]) -> list[Point]:
         """Leave out points where the straight way costs hardly more."""
         costs = [0.0]
         for first, second in zip(way, way[1:]):
@@ -264,7 +264,7 @@ class PathPlanner:
         travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
         return points[(travelled > begin) & (travelled < 1.6)]
 
-    def way_to_staging(self, estimate: GaussianPose) -> Optional[List[Point]]:
+    def way_to_staging(self, estimate: GaussianPose) -> list[Point] | None:
         """Return a safe path to a point on the axis before the dock; None if there is none.
 
         The point is near enough to find the marker, or else at the database's distance.
@@ -277,7 +277,7 @@ class PathPlanner:
             way = self._safe_way(estimate, (-near, 0.0, 0.0))
         return way or self._safe_way(estimate, (-staging, 0.0, 0.0))
 
-    def way_aside(self, estimate: GaussianPose, to_the_left: bool) -> Optional[List[Point]]:
+    def way_aside(self, estimate: GaussianPose, to_the_left: bool) -> list[Point] | None:
         """Return a safe path to the same distance, but beside the axis; None if there is none.
 
         A flat marker looks narrower with the square of the viewing angle: on its axis, that shows
@@ -298,7 +298,7 @@ class PathPlanner:
                 return way
         return None
 
-    def _safe_way(self, estimate: GaussianPose, there: PlanarPose) -> Optional[List[Point]]:
+    def _safe_way(self, estimate: GaussianPose, there: PlanarPose) -> list[Point] | None:
         """Return a safe path to a pose in the dock's frame; None if there is none."""
         costmap = self.costmap()
         goal = se2.compose(self._belief.pose, se2.compose(estimate.mean, there))
@@ -330,12 +330,12 @@ class PathFollower:
     """
 
     def __init__(self, way: Sequence[Point], settings: DockingSettings):
-        self._way: List[Point] = list(way)
+        self._way: list[Point] = list(way)
         self._settings = settings
         self._turning = True
 
     @property
-    def left(self) -> Tuple[Point, ...]:
+    def left(self) -> tuple[Point, ...]:
         """The points still to be driven to."""
         return tuple(self._way[1:])
 

@@ -6,7 +6,6 @@ Poses of the robot against the dock are (x m, y m, yaw rad) in the dock's frame.
 from __future__ import annotations
 
 import math
-from typing import Optional, Tuple
 
 import numpy as np
 
@@ -165,8 +164,8 @@ class DockingProgress:
         self.now = 0.0
         self.retries = self.unclear = self._stagings = self._doubts = 0
         self.lost_at_the_end = False
-        self._at_rest_since: Optional[float] = None
-        self._noted: Tuple[Optional[MarkerTrack], int] = (None, 0)
+        self._at_rest_since: float | None = None
+        self._noted: tuple[MarkerTrack | None, int] = (None, 0)
 
     def note_command(self, command: Command) -> None:
         """Note the command (m/s, rad/s) that is in force now."""

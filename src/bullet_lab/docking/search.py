@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import List, NamedTuple, Optional, Tuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,7 +50,7 @@ _FAR_MISSED = 0.3
 class NextView(NamedTuple):
     """A place to look from, in the odometry frame."""
 
-    way: List[Point]  #: points (m, m) to drive along; a single one for a turn on the spot
+    way: list[Point]  #: points (m, m) to drive along; a single one for a turn on the spot
     heading: float  #: rad, to look at
 
 
@@ -66,9 +66,9 @@ class MarkerSearch:
         self._belief, self._paths = belief, paths
         self._ahead = belief.mount.x
         self._far_looks, self._far_range = 0, _FAR
-        self._far_visibility: Optional[MarkerVisibility] = None
+        self._far_visibility: MarkerVisibility | None = None
         # The copy that narrowed the belief last, and in how many images it was then.
-        self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
+        self._cue: tuple[MarkerTrack | None, int] = (None, 0)
 
     def chance_to_see(self) -> float:
         """Return the probability that an image taken now would show the marker, or its copy."""
@@ -113,7 +113,7 @@ class MarkerSearch:
             self._belief.concentrate(found.likeliest(), max(play, 0.03))
         return True
 
-    def next_view(self) -> Optional[NextView]:
+    def next_view(self) -> NextView | None:
         """Return where to look next; None if nothing can be seen from a safe place.
 
         If the marker is too far to be found, look for a larger print, whose size shows on the way.
@@ -133,7 +133,7 @@ class MarkerSearch:
                 self._far_range = _FAR
         return view
 
-    def _best_view(self, visibility: MarkerVisibility) -> Optional[NextView]:
+    def _best_view(self, visibility: MarkerVisibility) -> NextView | None:
         """Return the view that finds most for the time it takes, or None; see `next_view`."""
         costmap, robot, settings = self._paths.costmap(), self._belief.pose, self._belief.settings
         docks, reach = self._belief.particles.samples(_SAMPLES)
@@ -183,7 +183,7 @@ class MarkerSearch:
 
     def _first_safe(
         self, points: np.ndarray, costmap: Costmap, worth: np.ndarray
-    ) -> Optional[NextView]:
+    ) -> NextView | None:
         """Return the best view with a safe path; the robot is at the first point."""
         headings = np.argmax(worth, axis=1)
         # Each place once: the next best headings there are refused for the same path.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Dict, NamedTuple, Optional, Tuple, Type, Union
+from typing import NamedTuple, Tuple, Union
 
 import numpy as np
 
@@ -52,16 +52,16 @@ class State(ABC):
         """Return whether an image would be used now."""
         return True
 
-    def plan(self) -> Tuple[Point, ...]:
+    def plan(self) -> tuple[Point, ...]:
         """Return points that are still to be driven to, in the odometry frame."""
         return ()
 
 
-class Search(State):
+class LookForMarker(State):
     """Looks for the marker at rest, and decides where to look next."""
 
     def __init__(self):
-        self._since: Optional[int] = None
+        self._since: int | None = None
 
     def wants_images(self, docking: DockingProgress) -> bool:  # noqa: D102 - inherited
         return docking.is_settled()
@@ -93,14 +93,14 @@ class Search(State):
         return Outcome("not seen", (PathFollower(view.way, docking.settings), view.heading))
 
 
-class Drive(State):
+class DriveAlong(State):
     """Drives along a path as long as it is safe."""
 
     def __init__(self, way: PathFollower):
         self._way = way
         self._checked = -math.inf
 
-    def plan(self) -> Tuple[Point, ...]:  # noqa: D102 - inherited
+    def plan(self) -> tuple[Point, ...]:  # noqa: D102 - inherited
         return self._way.left
 
     def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
@@ -112,7 +112,7 @@ class Drive(State):
         return Outcome("arrived") if command == STANDSTILL else command
 
 
-class DriveToView(Drive):
+class DriveToView(DriveAlong):
     """Drives to a place, turns to a heading (rad) and looks."""
 
     def __init__(self, way: PathFollower, heading: float):
@@ -133,7 +133,7 @@ class DriveToView(Drive):
         return Outcome("arrived") if command == STANDSTILL else command
 
 
-class DriveToStaging(Drive):
+class DriveToStaging(DriveAlong):
     """Drives to the point before the dock."""
 
     state = DockingState.STAGING
@@ -145,7 +145,7 @@ class DriveToStaging(Drive):
         return Outcome("lost") if docking.belief.estimate() is None else super().step(docking)
 
 
-class Probe(State):
+class ProbeSize(State):
     """Drives a little (m; negative: back), to see how the size of a print changes.
 
     While `searching`, it ends as soon as the marker is found.
@@ -153,7 +153,7 @@ class Probe(State):
 
     def __init__(self, way: float, searching: bool = True):
         self._way, self._searching = way, searching
-        self._start: Optional[np.ndarray] = None
+        self._start: np.ndarray | None = None
 
     def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
         pose = np.asarray(docking.belief.pose)
@@ -187,7 +187,7 @@ class Measure(TrackedState):
     state = DockingState.MEASURING
 
     def __init__(self):
-        self._track: Optional[MarkerTrack] = None
+        self._track: MarkerTrack | None = None
         self._frames = 0
         self._turned = False
         self._waited = 0.0
@@ -262,7 +262,7 @@ def _back_out(docking: DockingProgress, further: float) -> Outcome:
     return Outcome("bad start", (target, in_sight))
 
 
-def _look_aside(docking: DockingProgress, estimate: GaussianPose) -> Optional[Outcome]:
+def _look_aside(docking: DockingProgress, estimate: GaussianPose) -> Outcome | None:
     """Return the drive to a place beside the axis; None if another approach may do.
 
     An approach has shown before that the yaw is not visible from the axis.
@@ -292,7 +292,7 @@ class Approach(TrackedState):
     state = DockingState.APPROACHING
 
     def __init__(self):
-        self._held: Optional[float] = None
+        self._held: float | None = None
         self._entered = False
 
     def follow(  # noqa: D102 - inherited
@@ -337,7 +337,7 @@ class Retreat(TrackedState):
 
     def __init__(self, left: float, in_sight: bool = True):
         self._target, self._in_sight = left, in_sight
-        self._since: Optional[float] = None
+        self._since: float | None = None
 
     def follow(  # noqa: D102 - inherited
         self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
@@ -366,9 +366,9 @@ class Confirm(TrackedState):
     state = DockingState.MEASURING
 
     def __init__(self):
-        self._frames: Optional[int] = None
+        self._frames: int | None = None
         self._since = 0.0
-        self._correction: Optional[Command] = None
+        self._correction: Command | None = None
         self._corrections = 0
 
     def follow(  # noqa: D102 - inherited
@@ -432,18 +432,18 @@ class Docked(State):
         return STANDSTILL
 
 
-TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
-    Search: {"seen": Measure, "not seen": DriveToView, "size unknown": Probe},
-    DriveToView: {"seen": Measure, "arrived": Search, "not safe": Search},
-    Probe: {"done": Search},
+TRANSITIONS: dict[type[State], dict[str, type[State]]] = {
+    LookForMarker: {"seen": Measure, "not seen": DriveToView, "size unknown": ProbeSize},
+    DriveToView: {"seen": Measure, "arrived": LookForMarker, "not safe": LookForMarker},
+    ProbeSize: {"done": LookForMarker},
     Measure: {
         "in the lane": Approach,
         "off the lane": DriveToStaging,
         "bad start": BackOut,
-        "size unknown": Probe,
-        "lost": Search,
+        "size unknown": ProbeSize,
+        "lost": LookForMarker,
     },
-    DriveToStaging: {"arrived": Measure, "not safe": Measure, "lost": Search},
+    DriveToStaging: {"arrived": Measure, "not safe": Measure, "lost": LookForMarker},
     Approach: {
         "arrived": Confirm,
         "failed": Retreat,
@@ -456,4 +456,4 @@ TRANSITIONS: Dict[Type[State], Dict[str, Type[State]]] = {
     Confirm: {"within tolerance": Docked, "failed": Retreat, "lost": Measure},
     Docked: {},
 }
-"""The state that follows each one, by its outcome. The first is `Search`."""
+"""The state that follows each one, by its outcome. The first is `LookForMarker`."""

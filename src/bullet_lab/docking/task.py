@@ -6,7 +6,6 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import replace
-from typing import Deque, Optional, Tuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from bullet_lab.docking.database import Dock
 from bullet_lab.docking.geometry import misfit
 from bullet_lab.docking.paths import clip
 from bullet_lab.docking.progress import DockAxis, DockingFailureError, DockingProgress
-from bullet_lab.docking.states import TRANSITIONS, Outcome, Search, State
+from bullet_lab.docking.states import TRANSITIONS, LookForMarker, Outcome, State
 from bullet_lab.docking.types import (
     HALF_WIDTH,
     STANDSTILL,
@@ -60,7 +59,7 @@ class StuckWatch:
 
     def __init__(self):
         # Seconds, distance and turn by the command, distance and turn by the odometry.
-        self._past: Deque[Tuple[float, float, float, float, float]] = deque()
+        self._past: deque[tuple[float, float, float, float, float]] = deque()
 
     def add(self, command: Command, step: MotionStep, seconds: float) -> None:
         """Take a step of the odometry in so many seconds, and the command (m/s, rad/s) then."""
@@ -96,9 +95,9 @@ class WatchedTask(ABC):
         self._done, self._belief, self._settings = done, belief, belief.settings
         self._command = STANDSTILL
         self._stuck = StuckWatch()
-        self._started: Optional[float] = None
+        self._started: float | None = None
         self._last_tick = 0.0
-        self.result: Optional[DockingResult] = None
+        self.result: DockingResult | None = None
 
     def add_odometry(self, odometry: Odometry) -> None:
         """Take the next message of odometry; an impossible one ends the task."""
@@ -137,7 +136,7 @@ class WatchedTask(ABC):
         return self._command
 
     @abstractmethod
-    def _advance(self, stamp: float) -> Optional[Command]:
+    def _advance(self, stamp: float) -> Command | None:
         """Return the command to go for, None to stop at once; may end the task."""
 
     def _move(self, odometry: Odometry) -> None:
@@ -216,10 +215,10 @@ class DockingTask(WatchedTask):
         belief = DockBelief(dock, dock_pose, mount, settings, rng)
         super().__init__("docked", belief)
         self._progress = DockingProgress(belief)
-        self._state: State = Search()
-        self._waiting: Deque[Observation] = deque(maxlen=_MOST_WAITING)
-        self._wanted_since: Optional[float] = None
-        self._camera: Optional[PinholeCamera] = None
+        self._state: State = LookForMarker()
+        self._waiting: deque[Observation] = deque(maxlen=_MOST_WAITING)
+        self._wanted_since: float | None = None
+        self._camera: PinholeCamera | None = None
 
     def add_observation(self, observation: Observation) -> None:
         """Take the sightings in an image; they are used once odometry has come that far.
@@ -265,12 +264,12 @@ class DockingTask(WatchedTask):
         return self._progress.retries
 
     @property
-    def plan(self) -> Tuple[Point, ...]:
+    def plan(self) -> tuple[Point, ...]:
         """The points (m, m) still to be driven to, in the odometry frame."""
         return self._state.plan()
 
     @property
-    def dock_pose(self) -> Optional[PlanarPose]:
+    def dock_pose(self) -> PlanarPose | None:
         """The dock's pose in the odometry frame, None before the marker was seen."""
         estimate = self._belief.estimate()
         if estimate is None:
@@ -278,7 +277,7 @@ class DockingTask(WatchedTask):
         return tuple(se2.compose(self._belief.pose, estimate.mean).tolist())
 
     @property
-    def place(self) -> Tuple[float, float, float]:
+    def place(self) -> tuple[float, float, float]:
         """Distance, lateral offset and yaw of the robot as in DockingResult; NaN: unknown."""
         estimate = self._belief.estimate()
         if estimate is None:
@@ -301,7 +300,7 @@ class DockingTask(WatchedTask):
             self._progress.note_command(command)
         return command
 
-    def _advance(self, stamp: float) -> Optional[Command]:
+    def _advance(self, stamp: float) -> Command | None:
         if self._belief.visibility is None:
             return None
         target = self._ask_states()
@@ -359,7 +358,7 @@ class UndockingTask(WatchedTask):
         distance: float,
         dock: Dock,
         dock_pose: PlanarPose,
-        mount: Optional[CameraMount],
+        mount: CameraMount | None,
         settings: DockingSettings = USUAL,
     ):
         settings = replace(settings, time_limit=_UNDOCKING_LIMIT)
@@ -370,8 +369,8 @@ class UndockingTask(WatchedTask):
         self._distance = distance
         self._docked = np.array([dock.docked_distance + mount.x, 0.0, 0.0])
         self._axis = DockAxis(belief)
-        self._start: Optional[PlanarPose] = None
-        self._goal: Optional[float] = None
+        self._start: PlanarPose | None = None
+        self._goal: float | None = None
         self.remaining = math.nan
 
     @property
@@ -384,7 +383,7 @@ class UndockingTask(WatchedTask):
         if self.wants_images and self._belief.odometry.last is not None:
             self._belief.observe(observation)
 
-    def _advance(self, stamp: float) -> Optional[Command]:
+    def _advance(self, stamp: float) -> Command | None:
         best, last = self._belief.best(), self._belief.odometry.last
         looking = self._sees and stamp - self._started <= _LOOK_SECONDS
         if last is None or (best is None and looking):

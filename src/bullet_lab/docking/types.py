@@ -11,7 +11,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Deque, NamedTuple, Optional, Tuple
+from typing import NamedTuple, Tuple
 
 import numpy as np
 
@@ -82,14 +82,14 @@ class Odometry:
 
     stamp: float
     pose: PlanarPose
-    twist_covariance: Optional[np.ndarray] = None
+    twist_covariance: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class MotionStep:
     """A step of the robot in its frame before it: (dx m, dy m, dyaw rad) and (3, 3) covariance."""
 
-    step: Tuple[float, float, float]
+    step: tuple[float, float, float]
     covariance: np.ndarray
 
 
@@ -114,10 +114,10 @@ class OdometryBuffer:
     """Poses of the last seconds, to know where the robot was when an image was taken."""
 
     def __init__(self):
-        self._past: Deque[Odometry] = deque()
+        self._past: deque[Odometry] = deque()
 
     @property
-    def last(self) -> Optional[Odometry]:
+    def last(self) -> Odometry | None:
         """The newest message."""
         return self._past[-1] if self._past else None
 
@@ -127,7 +127,7 @@ class OdometryBuffer:
         while odometry.stamp - self._past[0].stamp > _MEMORY and len(self._past) > 2:
             self._past.popleft()
 
-    def pose_at(self, stamp: float) -> Optional[PlanarPose]:
+    def pose_at(self, stamp: float) -> PlanarPose | None:
         """Return the pose at a time (s), interpolated; the newest after it, None before all."""
         if not self._past or stamp < self._past[0].stamp - 1e-6:
             return None
@@ -182,7 +182,7 @@ class Sighting:
     id: int
     dictionary: str
     corners: np.ndarray
-    deviations: Optional[np.ndarray] = None
+    deviations: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +191,7 @@ class Observation:
 
     stamp: float
     camera: PinholeCamera
-    sightings: Tuple[Sighting, ...] = ()
+    sightings: tuple[Sighting, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class Learned(NamedTuple):
     deviation: float
 
 
-class Calibration(NamedTuple):
+class CalibrationErrors(NamedTuple):
     """Estimated errors of camera and odometry, each against its nominal value."""
 
     roll: Learned  #: rad, of the camera about the direction it looks in
@@ -270,7 +270,7 @@ class DockingResult:
     distance: float = math.nan  #: m, camera to marker along the dock's axis
     lateral: float = math.nan  #: m, of the robot from the axis, left positive
     yaw: float = math.nan  #: rad, of the robot against the axis
-    calibration: Optional[Calibration] = None  #: None if the marker was not found
+    calibration: CalibrationErrors | None = None  #: None if the marker was not found
 
     @property
     def success(self) -> bool:

@@ -11,7 +11,7 @@ import pytest
 from bullet_lab.docking import states
 from bullet_lab.docking.database import DockTolerance
 from bullet_lab.docking.progress import DockingFailureError, DockingProgress
-from bullet_lab.docking.states import TRANSITIONS, Confirm, Docked, Outcome, Search, State
+from bullet_lab.docking.states import TRANSITIONS, Confirm, Docked, LookForMarker, Outcome, State
 from bullet_lab.docking.task import DockingTask
 from bullet_lab.docking.types import STANDSTILL, DockingSettings
 
@@ -30,10 +30,10 @@ def test_every_state_is_in_the_table_and_reached():
     subclasses, waiting = set(), [State]
     while waiting:
         below = waiting.pop().__subclasses__()
-        subclasses |= {state for state in below if state.step is not states.Drive.step}
+        subclasses |= {state for state in below if state.step is not states.DriveAlong.step}
         waiting += below
-    subclasses -= {states.Drive, states.TrackedState}
-    assert set(TRANSITIONS) == subclasses == reached(Search)
+    subclasses -= {states.DriveAlong, states.TrackedState}
+    assert set(TRANSITIONS) == subclasses == reached(LookForMarker)
 
 
 @pytest.mark.parametrize("state", [state for state in TRANSITIONS if state is not Docked])
@@ -73,7 +73,7 @@ def test_dockings_end_by_names_of_the_table(monkeypatch):
     for seed in (100, 103):
         assert standin.run(standin.random_stand(seed)).result.success
     assert {name for state, name in seen if name not in TRANSITIONS[state]} == set()
-    assert {state for state, _ in seen} >= {Search, states.Measure, states.Confirm}
+    assert {state for state, _ in seen} >= {LookForMarker, states.Measure, states.Confirm}
 
 
 def recorded(step, seen):

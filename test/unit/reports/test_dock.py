@@ -10,7 +10,7 @@ from bullet_lab.reports import Reading
 from bullet_lab.reports.dock import (
     STATES,
     DockReport,
-    Sampler,
+    EvenSample,
     Station,
     docking_figure,
     strip_figure,
@@ -134,7 +134,7 @@ def test_what_an_earlier_docking_has_left_goes(tmp_path):
 
 @pytest.mark.parametrize("seen", [0, 1, 3, 8, 9, 31, 32, 33, 500])
 def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
-    sampler = Sampler(8)
+    sampler = EvenSample(8)
     for number in range(seen):
         sampler.add(number)
     chosen = sampler.chosen()

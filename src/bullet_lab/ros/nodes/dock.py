@@ -43,7 +43,7 @@ from bullet_lab.docking.database import Dock, UnknownDockError, find_dock, read_
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.task import USUAL, DockingTask, UndockingTask
 from bullet_lab.docking.types import (
-    Calibration,
+    CalibrationErrors,
     CameraMount,
     DockingError,
     DockingResult,
@@ -233,7 +233,7 @@ def result_message(goal: DockGoal | UndockGoal, result: DockingResult) -> DockRe
     head = (result.success, int(result.error), result.message)
     if isinstance(goal, UndockGoal):
         return UndockResult(*head)
-    learned = result.calibration or [Learned(math.nan, math.nan)] * len(Calibration._fields)
+    learned = result.calibration or [Learned(math.nan, math.nan)] * len(CalibrationErrors._fields)
     calibration = DockCalibration(*itertools.chain(*learned))
     place = (result.distance, result.lateral, result.yaw)
     return DockResult(*head, result.retries, *place, calibration)
@@ -243,8 +243,8 @@ def docking_result(message: DockResult) -> DockingResult:
     """Convert a message of the action dock into a result."""
     _, error, words, *place, learned = (getattr(message, name) for name in DockResult.__slots__)
     numbers = [getattr(learned, name) for name in DockCalibration.__slots__]
-    # Value and deviation of each field of `Calibration`, in the same order.
-    calibration = Calibration(*map(Learned, numbers[::2], numbers[1::2]))
+    # Value and deviation of each field of `CalibrationErrors`, in the same order.
+    calibration = CalibrationErrors(*map(Learned, numbers[::2], numbers[1::2]))
     found = None if math.isnan(calibration.roll.value) else calibration
     return DockingResult(DockingError(error), words, *place, found)
 

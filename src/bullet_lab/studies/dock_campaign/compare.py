@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ class ComparisonError(LabError):
     """Two campaigns cannot be compared."""
 
 
-def read_campaign(path: Path) -> Tuple[str, Dict[str, Any], Dict[int, Record]]:
+def read_campaign(path: Path) -> tuple[str, dict[str, Any], dict[int, Record]]:
     """Read the log of a campaign; raises FileError or ComparisonError.
 
     Returns:
@@ -46,7 +46,7 @@ def read_campaign(path: Path) -> Tuple[str, Dict[str, Any], Dict[int, Record]]:
         raise ComparisonError(f"{path} is not the log of a finished campaign") from None
 
 
-def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
+def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     """Compare the campaign of a folder with another one; write table, figure and numbers.
 
     Args:
@@ -86,7 +86,7 @@ def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
     return describe(names, columns, paired)
 
 
-def share(hits: int, trials: int) -> Dict[str, Any]:
+def share(hits: int, trials: int) -> dict[str, Any]:
     """Return a share in per cent with Clopper and Pearson's interval.
 
     >>> {end: round(value, 2) for end, value in share(199, 200).items()}
@@ -100,7 +100,7 @@ def share(hits: int, trials: int) -> Dict[str, Any]:
     }
 
 
-def quantile(values: Sequence[float], part: float) -> Dict[str, Any]:
+def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
     """Return a quantile with an interval from two order statistics, for any distribution.
 
     An end for which there are too few values is None; without values, all are None.
@@ -122,36 +122,27 @@ def quantile(values: Sequence[float], part: float) -> Dict[str, Any]:
     }
 
 
-def _off(record: Record) -> float:
-    return math.hypot(record["distance_error_m"], record["lateral_error_m"])
-
-
-QUANTILES = (("median", 0.5), ("99 %", 0.99))
-
-
-def figures_of(records: Sequence[Record]) -> Dict[str, Any]:
+def figures_of(records: Sequence[Record]) -> dict[str, Any]:
     """Return the figures of one controller by name, each with its interval."""
-    count, at_dock = len(records), reported_docked(records)
-    figures: Dict[str, Any] = {
-        "docked within the dock's tolerance (%)": share(
-            sum(record["result"] == DOCKED for record in records), count
-        ),
-        "docked within nav2's 50 mm (%)": share(
-            sum(_off(record) <= NAV2_THRESHOLD for record in at_dock), count
-        ),
-        "said to be docked (%)": share(len(at_dock), count),
-        "with a contact (%)": share(sum(bool(r["wall_contacts"]) for r in records), count),
-        "with a retry (%)": share(sum(bool(r["retries"]) for r in records), count),
+    at_dock = reported_docked(records)
+    off = [math.hypot(r["distance_error_m"], r["lateral_error_m"]) for r in at_dock]
+    hits = {
+        "docked within the dock's tolerance (%)": [r["result"] == DOCKED for r in records],
+        "docked within nav2's 50 mm (%)": [away <= NAV2_THRESHOLD for away in off],
+        "said to be docked (%)": [True for _ in at_dock],
+        "with a contact (%)": [bool(r["wall_contacts"]) for r in records],
+        "with a retry (%)": [bool(r["retries"]) for r in records],
     }
+    figures: dict[str, Any] = {name: share(sum(of), len(records)) for name, of in hits.items()}
     for column, (name, unit, factor) in QUANTITIES.items():
         values = [factor * abs(record[column]) for record in at_dock]
-        for label, part in QUANTILES:
+        for label, part in (("median", 0.5), ("99 %", 0.99)):
             figures[f"{name}, {label} ({unit})"] = quantile(values, part)
     figures["failures"] = dict(sorted(Counter(r["result"] for r in records).items()))
     return figures
 
 
-def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[str, Any]:
+def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[str, Any]:
     """Return who docked in the same scenarios, and the differences where both did.
 
     The p-value is that of McNemar's exact test; differences are the second minus the first.
@@ -175,14 +166,16 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[st
     }
 
 
-def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> List[List[Any]]:
+def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
     """Return the rows of the table: figure, and value, low and high of each controller."""
     ends = ("value", "low", "high")
-    rows: List[List[Any]] = [["figure", *(f"{name} {end}" for name in names for end in ends)]]
-    for figure in columns[0]:
-        if figure != "failures":
-            rows.append([figure, *(column[figure][end] for column in columns for end in ends)])
-    return rows
+    head = ["figure", *(f"{name} {end}" for name in names for end in ends)]
+    rows = [
+        [figure, *(column[figure][end] for column in columns for end in ends)]
+        for figure in columns[0]
+        if figure != "failures"
+    ]
+    return [head, *rows]
 
 
 def _shown(figure: Mapping[str, Any]) -> str:
@@ -194,7 +187,7 @@ def _shown(figure: Mapping[str, Any]) -> str:
 
 def describe(
     names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
-) -> List[str]:
+) -> list[str]:
     """Return the comparison as lines for the user, with intervals of 95 %."""
     lines = [f"{'':40}{names[0]:>24}{names[1]:>24}"]
     for figure in columns[0]:

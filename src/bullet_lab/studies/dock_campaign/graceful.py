@@ -17,7 +17,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Callable, Dict, List, Optional
+from typing import Callable
 
 import numpy as np
 
@@ -110,7 +110,7 @@ class PoseFilter:
     def __init__(self, coefficient: float, timeout: float):
         self._coefficient, self._timeout = coefficient, timeout
         self._stamp = -math.inf
-        self.pose: Optional[np.ndarray] = None
+        self.pose: np.ndarray | None = None
 
     def update(self, measured: np.ndarray, stamp: float) -> None:
         """Take the newest detection (again); it starts anew after a gap in time (s)."""
@@ -143,10 +143,10 @@ class GracefulTask(WatchedTask):
         ahead = settings.external_detection_translation_x
         self._stop = np.array([ahead - dock.docked_distance - mount.x, 0.0, 0.0])
         self._filter = PoseFilter(settings.filter_coef, settings.external_detection_timeout)
-        self._detected: Optional[np.ndarray] = None
+        self._detected: np.ndarray | None = None
         self._detected_at = -math.inf
-        self._way: Optional[PathFollower] = None
-        self._phase: Callable[[float], Optional[Command]] = self._navigate
+        self._way: PathFollower | None = None
+        self._phase: Callable[[float], Command | None] = self._navigate
         self._since = 0.0
         self._retries = 0
 
@@ -178,7 +178,7 @@ class GracefulTask(WatchedTask):
                 if away < best:
                     best, self._detected, self._detected_at = away, found, observation.stamp
 
-    def _advance(self, stamp: float) -> Optional[Command]:
+    def _advance(self, stamp: float) -> Command | None:
         return None if self._belief.odometry.last is None else self._phase(stamp)
 
     def _navigate(self, stamp: float) -> Command:
@@ -208,7 +208,7 @@ class GracefulTask(WatchedTask):
             raise DockingFailureError(DockingError.NOT_DETECTED, message)
         return STANDSTILL
 
-    def _approach(self, stamp: float) -> Optional[Command]:
+    def _approach(self, stamp: float) -> Command | None:
         """Drive at the dock by the control law."""
         pose, law = self._belief.pose, self._law
         docked = se2.compose(self._filter.pose, self._stop)
@@ -239,7 +239,7 @@ class GracefulTask(WatchedTask):
             raise DockingFailureError(DockingError.CONTROL_FAILED, message)
         return graceful_command(target, law, backwards=True)
 
-    def _go_on(self, phase: Callable[[float], Optional[Command]], stamp: float) -> Command:
+    def _go_on(self, phase: Callable[[float], Command | None], stamp: float) -> Command:
         self._phase, self._since = phase, stamp
         return STANDSTILL
 
@@ -260,7 +260,7 @@ class GracefulTask(WatchedTask):
 
 def marker_poses(
     corners: np.ndarray, size: float, camera: PinholeCamera, mount: CameraMount
-) -> List[np.ndarray]:
+) -> list[np.ndarray]:
     """Return the poses (3,) that a dock may have in the robot's frame by one image of its marker.
 
     Two where the image leaves open which of a flat marker's poses it is; none where it shows none.
@@ -298,7 +298,7 @@ TUNED = GracefulSettings(
 )
 """Tuned to the docks and the robot of this package, see docs/docking.md."""
 
-CONTROLLERS: Dict[str, Callable[..., WatchedTask]] = {
+CONTROLLERS: dict[str, Callable[..., WatchedTask]] = {
     "ours": DockingTask,
     "graceful": functools.partial(GracefulTask, settings=TUNED),
     "graceful_nav2": GracefulTask,

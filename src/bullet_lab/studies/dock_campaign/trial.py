@@ -6,7 +6,7 @@ import functools
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Deque, Dict, NamedTuple, Optional, Tuple
+from typing import Any, Callable, NamedTuple
 
 import numpy as np
 
@@ -135,22 +135,22 @@ class DrawSettings(Settings):
     """Values that scenarios are drawn from, each with equal probability."""
 
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
-    worlds: Tuple[str, ...] = choices(WORLDS, "worlds to draw from", WORLDS)
-    lights: Tuple[str, ...] = choices(
+    worlds: tuple[str, ...] = choices(WORLDS, "worlds to draw from", WORLDS)
+    lights: tuple[str, ...] = choices(
         LIGHTS, "lights to draw from; default is the world's own", LIGHTS
     )
-    odometry: Tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
+    odometry: tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
     controller: str = choice(
         "ours", "the controller under test; it does not change the random draws", [*CONTROLLERS]
     )
-    stress: Tuple[str, ...] = choices(
+    stress: tuple[str, ...] = choices(
         (NONE,),
         "perturbations to apply together; each: one campaign for each of them, and for all",
         (NONE, ALL, EACH, *STRESSES),
     )
 
     @property
-    def stresses(self) -> Tuple[str, ...]:
+    def stresses(self) -> tuple[str, ...]:
         """Names of the stresses that are drawn."""
         return tuple(STRESSES) if ALL in self.stress else self.stress
 
@@ -194,12 +194,12 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
 
 
 @functools.lru_cache(maxsize=None)
-def obstacles(world: str) -> Tuple[Footprint, ...]:
+def obstacles(world: str) -> tuple[Footprint, ...]:
     """Return the obstacles of the robot in a world of the package, by its name."""
     return footprints(read_world(world), below=ROBOT_HEIGHT)
 
 
-def _draw_start(rng: np.random.Generator, walls: Tuple[Footprint, ...]) -> PlanarPose:
+def _draw_start(rng: np.random.Generator, walls: tuple[Footprint, ...]) -> PlanarPose:
     dock_x, dock_y, _ = MARKER_POSE
     distance = rng.uniform(NEAREST, FARTHEST)
     for _ in range(_MOST_ATTEMPTS):
@@ -229,7 +229,7 @@ class DockingOutcome(NamedTuple):
     """
 
     result: DockingResult
-    errors: Dict[str, float]
+    errors: dict[str, float]
     wall_contacts: int
     sim_time_s: float
     end: PlanarPose
@@ -246,11 +246,11 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
     world = lit_world(scenario.world, scenario.light)
     world = world_under(scenario.stress, world, MARKER_POSE, dock)
     with Simulation(world, scenario.image_seed) as simulation:
-        return _Drive(scenario, dock, simulation).run()
+        return _SimulatedDocking(scenario, dock, simulation).run()
 
 
 @functools.lru_cache(maxsize=None)
-def _docks() -> Dict[str, Dock]:
+def _docks() -> dict[str, Dock]:
     return read_docks(ResourceFinder.anywhere().find(DATABASE))
 
 
@@ -265,7 +265,7 @@ def dock_of(scenario: DockingScenario) -> Dock:
     return replace(_docks()[scenario.dock], pose=(x, y, wrap(yaw)))
 
 
-class _Drive:
+class _SimulatedDocking:
     """A docking in progress."""
 
     def __init__(self, scenario: DockingScenario, dock: Dock, simulation: Simulation):
@@ -293,9 +293,9 @@ class _Drive:
             stress.known_dock(dock), dock.pose, self._mount, seed=scenario.odometry_seed
         )
         self._images = self._contacts = 0
-        self._delayed: Deque[Tuple[float, Observation]] = deque()
+        self._delayed: deque[tuple[float, Observation]] = deque()
         self._touching = False
-        self._odometry: Optional[OdometrySample] = None
+        self._odometry: OdometrySample | None = None
         self._stamp = 0.0
 
     def run(self) -> DockingOutcome:
@@ -423,7 +423,7 @@ def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
     }
 
 
-def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
+def _drawn(index: int, scenario: DockingScenario) -> dict[str, Any]:
     x, y, yaw = scenario.start
     error_x, error_y, error_yaw = scenario.dock_error
     dock = dock_of(scenario)

@@ -14,7 +14,7 @@ from sensor_msgs.msg import CameraInfo
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.progress import DockingFailureError
-from bullet_lab.docking.types import Calibration, DockingError, DockingResult, Learned
+from bullet_lab.docking.types import CalibrationErrors, DockingError, DockingResult, Learned
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import CameraGeometryError
 from bullet_lab.ros.messages.poses import InputError
@@ -149,7 +149,7 @@ def test_corners_stay_numbers():
 
 
 @pytest.mark.parametrize(
-    "calibration", [None, Calibration(*(Learned(i, 0.1 * i) for i in range(7)))]
+    "calibration", [None, CalibrationErrors(*(Learned(i, 0.1 * i) for i in range(7)))]
 )
 def test_a_result_comes_as_it_was_sent(calibration):
     result = DockingResult(

@@ -17,7 +17,7 @@ from bullet_lab.docking.database import ERRORS
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.studies.dock_campaign.results import DockLogError
 from bullet_lab.studies.dock_campaign.study import (
-    CampaignSettings,
+    DockCampaignSettings,
     describe,
     main,
     run_campaign,
@@ -85,7 +85,7 @@ def stopping_after(count):
 
 
 def campaign(folder, run=in_order, dockings=30, trial=fake_trial, **draw):
-    settings = CampaignSettings(**draw, dockings=dockings)
+    settings = DockCampaignSettings(**draw, dockings=dockings)
     return run_campaign(folder, settings, run, trial)
 
 
@@ -273,7 +273,7 @@ def test_killed_it_leaves_nothing_behind_and_goes_on_with_what_it_has(reference,
 @pytest.mark.parametrize("count", [0, 1_000_001])
 def test_impossible_numbers_of_dockings_are_refused(count):
     with pytest.raises(ParameterError, match="dockings is"):
-        CampaignSettings(dockings=count)
+        DockCampaignSettings(dockings=count)
 
 
 @pytest.mark.parametrize(
