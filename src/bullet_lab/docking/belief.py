@@ -145,10 +145,14 @@ class DockParticles:
         count = int(share * len(self.poses))
         keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
         drawn = poses[self._rng.integers(len(poses), size=count)]
-        self.poses = np.concatenate([self.poses[keep], drawn])
-        self._errors = np.concatenate([self._errors[keep], self._errors[: len(drawn)]])
-        self.reach = np.concatenate([self.reach[keep], self.reach[: len(drawn)]])
-        self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
+        self._take(np.concatenate([keep, np.arange(count)]))
+        self.poses[len(keep) :] = drawn
+
+    def _take(self, chosen: np.ndarray) -> None:
+        """Keep the particles of these indices (n,), with equal weights."""
+        self.poses, self._errors = self.poses[chosen], self._errors[chosen]
+        self.reach = self.reach[chosen]
+        self.weights = np.full(len(chosen), 1.0 / len(chosen))
 
     def gaussian(self) -> GaussianPose:
         """Return mean and covariance, widened a little."""
@@ -178,10 +182,8 @@ class DockParticles:
             return
         places = (np.arange(count) + self._rng.uniform()) / count
         chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), count - 1)
-        jitter = self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
-        self.poses, self._errors = self.poses[chosen] + jitter, self._errors[chosen]
-        self.reach = self.reach[chosen]
-        self.weights = np.full(count, 1.0 / count)
+        self._take(chosen)
+        self.poses += self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

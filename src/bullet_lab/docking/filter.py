@@ -137,7 +137,7 @@ class DriftingPose:
     @property
     def pose(self) -> GaussianPose:
         """The pose in the robot's present frame; the odometry may well be nominal."""
-        x, p = _part_as_known(self._x, self._p, _DRIFTING_ODOMETRY)
+        x, p = as_known(self._x, self._p, (_DRIFTING_ODOMETRY,))
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
     def move(self, motion: MotionStep) -> None:
@@ -192,18 +192,6 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> tuple[np.ndarra
     return x, p
 
 
-def as_known(x: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return states (n, 20) and covariances, given that much is probably nominal.
-
-    A camera, an odometry and corners are nominal more often than not. By Bayes' rule, with the
-    density ratio of Savage and Dickey (J. M. Dickey, Annals of Mathematical Statistics 42, 1971)
-    for the images, each is nominal with some probability; mean and covariance are of both cases.
-    """
-    for part in (_CORNER_PART, _CAMERA_PART, _ODOMETRY_PART):
-        x, p = _part_as_known(x, p, part)
-    return x, p
-
-
 class _Prior:
     """A part of the states, with its standard deviations if nominal and if not."""
 
@@ -212,27 +200,36 @@ class _Prior:
         self.log_unknown = np.sum(np.log(unknown))
 
 
-_CORNER_PART = _Prior(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER))
-_CAMERA_PART = _Prior(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
-_ODOMETRY_PART = _Prior(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_PRIORS = (
+    _Prior(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER)),
+    _Prior(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA),
+    _Prior(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY),
+)
 _AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
 _DRIFTING_ODOMETRY = _Prior(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
-def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Prior) -> tuple[np.ndarray, np.ndarray]:
-    """Do what `as_known` does for one part of the states."""
-    part = of.where
-    wide = p[:, part, part] + of.known
-    gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
-    logs = of.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
-    logs = logs - 0.5 * squared_distances(x[:, part], wide)
-    logs = np.minimum(np.maximum(logs, -50.0), 50.0)
-    right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))
-    off = -applied(gain, x[:, part])
-    x = x + right[:, None] * off
-    right = right[:, None, None]
-    p = p - right * (gain @ p[:, part])
-    return x, p + right * (1.0 - right) * (off[:, :, None] * off[:, None, :])
+def as_known(x: np.ndarray, p: np.ndarray, priors=_PRIORS) -> tuple[np.ndarray, np.ndarray]:
+    """Return states (n, i) and covariances, given that much is probably nominal.
+
+    A camera, an odometry and corners are nominal more often than not. By Bayes' rule, with the
+    density ratio of Savage and Dickey (J. M. Dickey, Annals of Mathematical Statistics 42, 1971)
+    for the images, each is nominal with some probability; mean and covariance are of both cases.
+    """
+    for prior in priors:
+        part = prior.where
+        wide = p[:, part, part] + prior.known
+        gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
+        logs = prior.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
+        logs = logs - 0.5 * squared_distances(x[:, part], wide)
+        logs = np.minimum(np.maximum(logs, -50.0), 50.0)
+        right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))
+        off = -applied(gain, x[:, part])
+        x = x + right[:, None] * off
+        right = right[:, None, None]
+        p = p - right * (gain @ p[:, part])
+        p = p + right * (1.0 - right) * (off[:, :, None] * off[:, None, :])
+    return x, p
 
 
 def predict(
@@ -336,7 +333,7 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=()):
+def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=None):
     """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
     Args:
@@ -345,7 +342,7 @@ def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hid
         sizes: (n,) m.
         measured: the corners.
         rounds: most linearisations.
-        hidden: indices of corners that do not count.
+        hidden: index of a corner that does not count.
 
     Returns:
         States (n, 20), covariances (n, 20, 20), squared Mahalanobis distances of the corners (n,)
@@ -354,9 +351,9 @@ def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hid
     x = start
     for number in range(rounds):
         rest, by_state, covariance, _ = innovations(start, x, p, sizes, measured)
-        for corner in hidden:
-            covariance[:, 2 * corner, 2 * corner] += _HIDDEN**2
-            covariance[:, 2 * corner + 1, 2 * corner + 1] += _HIDDEN**2
+        if hidden is not None:
+            pixel = [2 * hidden, 2 * hidden + 1]
+            covariance[:, pixel, pixel] += _HIDDEN**2
         gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
         before, x = x, start + applied(gain, rest)
         x[:, 2] = wrap(x[:, 2])
@@ -382,7 +379,7 @@ def robust_update(start, p, sizes, measured: Measurement, rounds: int = 3, judge
         return whole
     limit = _EXPLAINED * least
     for corner in range(4):
-        without = iterated_update(*given, hidden=(corner,))
+        without = iterated_update(*given, hidden=corner)
         found = np.min(without[2][judges])
         if found < min(least, limit):
             best, least = without, found

@@ -16,7 +16,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.types import CameraMount
+from bullet_lab.docking.types import CameraMount, Point
 
 # Largest angle between the line of sight and the dock's axis, and px that the marker should be
 # away from the image's edges.
@@ -85,9 +85,13 @@ class Viewpoint:
     @property
     def origin(self) -> np.ndarray:
         """Place (3,) of the camera at the time of the image, in the robot's present frame, m."""
-        mount, cos, sin = self.mount, math.cos(self.moved[2]), math.sin(self.moved[2])
-        turned = np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
-        return np.array([*self.moved[:2], 0.0]) + turned
+        x, y = self._turn(self.mount.x, self.mount.y)
+        return np.array([self.moved[0] + x, self.moved[1] + y, self.mount.z])
+
+    def _turn(self, x: float, y: float) -> Point:
+        """Turn a direction of the robot then into its present frame."""
+        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
+        return cos * x - sin * y, sin * x + cos * y
 
     def line_of_sight(self, corners: np.ndarray, size: float) -> tuple[np.ndarray, float]:
         """Return the direction (3,) of a marker in the robot's frame, and its range in m.
@@ -97,13 +101,12 @@ class Viewpoint:
         """
         camera, (u, v) = self.camera, np.mean(corners, axis=0)
         ahead = np.array([1.0, (camera.cx - u) / camera.fx, (camera.cy - v) / camera.fy])
-        ray = self.mount.rotation @ ahead
-        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
-        ray = np.array([cos * ray[0] - sin * ray[1], sin * ray[0] + cos * ray[1], ray[2]])
+        *flat, rise = self.mount.rotation @ ahead
+        x, y = self._turn(*flat)
         tall = 0.5 * (np.hypot(*(corners[3] - corners[0])) + np.hypot(*(corners[2] - corners[1])))
         depth = camera.fy * size / max(float(tall), 1.0)
-        floor = math.hypot(ray[0], ray[1])
-        return ray / floor, depth * floor
+        floor = math.hypot(x, y)
+        return np.array([x, y, rise]) / floor, depth * floor
 
 
 _ACROSS, _UP = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])

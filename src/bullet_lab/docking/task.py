@@ -96,7 +96,7 @@ class WatchedTask(ABC):
         self._command = STANDSTILL
         self._stuck = StuckWatch()
         self._started: float | None = None
-        self._last_tick = 0.0
+        self._now = 0.0
         self.result: DockingResult | None = None
 
     def add_odometry(self, odometry: Odometry) -> None:
@@ -118,11 +118,11 @@ class WatchedTask(ABC):
         if self.result is not None:
             return STANDSTILL
         if self._started is None:
-            self._started, self._last_tick = stamp, stamp - 0.05
-        seconds, self._last_tick = min(max(stamp - self._last_tick, 0.0), 0.2), stamp
+            self._started, self._now = stamp, stamp - 0.05
+        seconds, self._now = min(max(stamp - self._now, 0.0), 0.2), stamp
         try:
-            self._check(stamp)
-            target = self._advance(stamp)
+            self._check()
+            target = self._advance()
         except DockingFailureError as failure:
             self._end(failure.error, str(failure))
             return STANDSTILL
@@ -136,7 +136,7 @@ class WatchedTask(ABC):
         return self._command
 
     @abstractmethod
-    def _advance(self, stamp: float) -> Command | None:
+    def _advance(self) -> Command | None:
         """Return the command to go for, None to stop at once; may end the task."""
 
     def _move(self, odometry: Odometry) -> None:
@@ -169,14 +169,13 @@ class WatchedTask(ABC):
         self._stuck.add(self._command, step, seconds)
         return True
 
-    def _check(self, stamp: float) -> None:
+    def _check(self) -> None:
         """Raise DockingFailureError if the task cannot go on."""
         limit, last = self._settings.time_limit, self._belief.odometry.last
-        if stamp - self._started > limit:
-            raise DockingFailureError(
-                DockingError.TIMED_OUT, f"not {self._done} after {limit:g} s"
-            )
-        quiet = stamp - (self._started if last is None else last.stamp)
+        if self._now - self._started > limit:
+            message = f"not {self._done} after {limit:g} s"
+            raise DockingFailureError(DockingError.TIMED_OUT, message)
+        quiet = self._now - (self._started if last is None else last.stamp)
         if quiet > self._settings.odometry_timeout:
             raise DockingFailureError(DockingError.ODOMETRY_LOST, f"no odometry for {quiet:.1f} s")
         if self._stuck.is_stuck():
@@ -300,7 +299,7 @@ class DockingTask(WatchedTask):
             self._progress.note_command(command)
         return command
 
-    def _advance(self, stamp: float) -> Command | None:
+    def _advance(self) -> Command | None:
         if self._belief.visibility is None:
             return None
         target = self._ask_states()
@@ -319,14 +318,14 @@ class DockingTask(WatchedTask):
             self._state = following(*result.arguments)
         return STANDSTILL
 
-    def _check(self, stamp: float) -> None:
-        super()._check(stamp)
+    def _check(self) -> None:
+        super()._check()
         if not self.wants_images:
             self._wanted_since = None
             return
         if self._wanted_since is None:
-            self._wanted_since = stamp
-        quiet = stamp - max(self._wanted_since, self._belief.last_image)
+            self._wanted_since = self._now
+        quiet = self._now - max(self._wanted_since, self._belief.last_image)
         if quiet > self._settings.image_timeout:
             raise DockingFailureError(DockingError.CAMERA_LOST, f"no image for {quiet:.1f} s")
 
@@ -383,9 +382,9 @@ class UndockingTask(WatchedTask):
         if self.wants_images and self._belief.odometry.last is not None:
             self._belief.observe(observation)
 
-    def _advance(self, stamp: float) -> Command | None:
+    def _advance(self) -> Command | None:
         best, last = self._belief.best(), self._belief.odometry.last
-        looking = self._sees and stamp - self._started <= _LOOK_SECONDS
+        looking = self._sees and self._now - self._started <= _LOOK_SECONDS
         if last is None or (best is None and looking):
             return None
         if self._start is None:

@@ -146,7 +146,7 @@ class GracefulTask(WatchedTask):
         self._detected: np.ndarray | None = None
         self._detected_at = -math.inf
         self._way: PathFollower | None = None
-        self._phase: Callable[[float], Command | None] = self._navigate
+        self._phase: Callable[[], Command | None] = self._navigate
         self._since = 0.0
         self._retries = 0
 
@@ -178,16 +178,16 @@ class GracefulTask(WatchedTask):
                 if away < best:
                     best, self._detected, self._detected_at = away, found, observation.stamp
 
-    def _advance(self, stamp: float) -> Command | None:
-        return None if self._belief.odometry.last is None else self._phase(stamp)
+    def _advance(self) -> Command | None:
+        return None if self._belief.odometry.last is None else self._phase()
 
-    def _navigate(self, stamp: float) -> Command:
+    def _navigate(self) -> Command:
         """Drive to the staging pose."""
         pose, staging = self._belief.pose, self._staging
         if self._way is None:
             # As there, metres and radians together.
             if np.linalg.norm(se2.between(pose, staging)) < self._law.dock_prestaging_tolerance:
-                return self._go_on(self._perceive, stamp)
+                return self._go_on(self._perceive)
             dock = GaussianPose(se2.between(pose, self._database), np.zeros((3, 3)))
             way = self._paths.way_to_staging(dock)
             if way is None:
@@ -197,55 +197,55 @@ class GracefulTask(WatchedTask):
         command = self._way.command(pose)
         if command == STANDSTILL:
             command = turn_command(wrap(float(staging[2]) - pose[2]), self._settings.turn_speed)
-        return self._go_on(self._perceive, stamp) if command == STANDSTILL else command
+        return self._go_on(self._perceive) if command == STANDSTILL else command
 
-    def _perceive(self, stamp: float) -> Command:
+    def _perceive(self) -> Command:
         """Wait for the marker."""
-        if self._refine(stamp):
-            return self._go_on(self._approach, stamp)
-        if stamp - self._since > self._law.initial_perception_timeout:
+        if self._refine():
+            return self._go_on(self._approach)
+        if self._now - self._since > self._law.initial_perception_timeout:
             message = "the marker is not seen from the staging pose"
             raise DockingFailureError(DockingError.NOT_DETECTED, message)
         return STANDSTILL
 
-    def _approach(self, stamp: float) -> Command | None:
+    def _approach(self) -> Command | None:
         """Drive at the dock by the control law."""
         pose, law = self._belief.pose, self._law
         docked = se2.compose(self._filter.pose, self._stop)
         if math.dist(pose[:2], docked[:2]) < law.docking_threshold:
             self._end(DockingError.NONE, "docked")
             return None
-        if not self._refine(stamp):
-            return self._retry(DockingError.NOT_DETECTED, "the marker is lost", stamp)
-        if stamp - self._since > law.dock_approach_timeout:
-            return self._retry(DockingError.CONTROL_FAILED, "the dock is not reached", stamp)
+        if not self._refine():
+            return self._retry(DockingError.NOT_DETECTED, "the marker is lost")
+        if self._now - self._since > law.dock_approach_timeout:
+            return self._retry(DockingError.CONTROL_FAILED, "the dock is not reached")
         aim = self._stop + (law.backward_projection, 0.0, 0.0)
         return graceful_command(se2.between(pose, se2.compose(self._filter.pose, aim)), law)
 
-    def _retry(self, error: DockingError, trouble: str, stamp: float) -> Command:
+    def _retry(self, error: DockingError, trouble: str) -> Command:
         if self._retries >= self._law.max_retries:
             raise DockingFailureError(error, f"gave up: {trouble}")
         self._retries += 1
-        return self._go_on(self._reset, stamp)
+        return self._go_on(self._reset)
 
-    def _reset(self, stamp: float) -> Command:
+    def _reset(self) -> Command:
         """Drive back to the staging pose by the control law."""
         law, target = self._law, se2.between(self._belief.pose, self._staging)
         there = math.hypot(target[0], target[1]) < law.undock_linear_tolerance
         if there and abs(target[2]) < law.undock_angular_tolerance:
-            return self._go_on(self._approach, stamp)
-        if stamp - self._since > law.dock_approach_timeout:
+            return self._go_on(self._approach)
+        if self._now - self._since > law.dock_approach_timeout:
             message = "the staging pose is not reached again"
             raise DockingFailureError(DockingError.CONTROL_FAILED, message)
         return graceful_command(target, law, backwards=True)
 
-    def _go_on(self, phase: Callable[[float], Command | None], stamp: float) -> Command:
-        self._phase, self._since = phase, stamp
+    def _go_on(self, phase: Callable[[], Command | None]) -> Command:
+        self._phase, self._since = phase, self._now
         return STANDSTILL
 
-    def _refine(self, stamp: float) -> bool:
+    def _refine(self) -> bool:
         """Filter the newest detection into the dock's pose; return whether there is one."""
-        if stamp - self._detected_at > self._law.external_detection_timeout:
+        if self._now - self._detected_at > self._law.external_detection_timeout:
             return False
         self._filter.update(self._detected, self._detected_at)
         return True

@@ -280,34 +280,29 @@ class _SimulatedDocking:
         self._camera.settings = replace(
             self._camera.settings, noise_stddev=scenario.image_noise, blur=scenario.image_blur
         )
-        std = scenario.odometry_std if scenario.odometry == "noisy_odom" else 0.0
-        self._noise = NoisyPath(ReportRule(std), scenario.odometry_seed)
+        self._noise = NoisyPath(ReportRule(scenario.odometry_std), scenario.odometry_seed)
         self._known_camera = stress.known_camera(self._camera.camera)
         self._reported = StressedOdometry(stress, np.random.default_rng((stress.seed, 1)))
         self._mount = self._known_mount()
-        marker = dock.marker
-        self._dictionary = marker.dictionary
-        name = dictionary_named(marker.dictionary).name
-        self._detector = MarkerDetector(DetectorSettings(dictionary=name, ids=(marker.id,)))
+        name = dictionary_named(dock.marker.dictionary).name
+        self._detector = MarkerDetector(DetectorSettings(dictionary=name, ids=(dock.marker.id,)))
         self._task = CONTROLLERS[scenario.controller](
             stress.known_dock(dock), dock.pose, self._mount, seed=scenario.odometry_seed
         )
         self._images = self._contacts = 0
         self._delayed: deque[tuple[float, Observation]] = deque()
         self._touching = False
-        self._odometry: OdometrySample | None = None
         self._stamp = 0.0
 
     def run(self) -> DockingOutcome:
         """Drive to the end."""
         simulation = self._simulation
         simulation.run_until(_SETTLE_STEPS)
-        self._robot.listen("odom", self._keep_odometry)
+        self._robot.listen("odom", self._add_odometry)
         simulation.every(CONTACT_RATE, self._check_contact)
         next_image = simulation.seconds
         while self._task.result is None:
             simulation.run_until(simulation.step + TICK_STEPS)
-            self._add_odometry()
             if simulation.seconds >= next_image - 1e-9:
                 next_image += 1.0 / IMAGE_RATE
                 if self._task.wants_images:
@@ -326,14 +321,8 @@ class _SimulatedDocking:
             self._task.result, errors, self._contacts, seconds, end, renderer
         )
 
-    def _keep_odometry(self, sample: OdometrySample) -> None:
-        self._odometry = sample
-
-    def _add_odometry(self) -> None:
-        """Give the newest odometry to the task, with stress and noise."""
-        sample, self._odometry = self._odometry, None
-        if sample is None:
-            return
+    def _add_odometry(self, sample: OdometrySample) -> None:
+        """Give odometry to the task, with stress and noise."""
         x, y, _ = sample.pose.position
         noisy = self._noise.update(*self._reported.update((x, y, sample.pose.yaw)))
         seconds = sample.step / 1000.0 - self._stamp
@@ -352,7 +341,7 @@ class _SimulatedDocking:
         image = camera.take(simulation.step)
         found = self._detector.detect(grey(image, "rgb8"), camera.camera).markers
         sightings = tuple(
-            Sighting(m.id, self._dictionary, m.corners, m.deviations) for m in found
+            Sighting(m.id, self._dock.marker.dictionary, m.corners, m.deviations) for m in found
         )
         # The same object for all images, as it is one camera.
         observation = Observation(simulation.seconds, self._known_camera, sightings)
