@@ -44,6 +44,8 @@ _WALL_SHARE = 0.05
 _MARGIN = 1.1
 # Relative standard deviation of the size of a copy.
 _SIZE_PLAY = 0.05
+# Size in the image at which the marker should be found, px.
+_FOUND_SIZE = 18.0
 # Least size of a sighting and least distance from the edge of the image, px.
 _SMALLEST = 6.0
 _BORDER = 3.0
@@ -357,7 +359,7 @@ class DockBelief:
 
     def farthest(self, camera: PinholeCamera) -> float:
         """Return from how far (m) a camera should find the marker."""
-        return camera.fy * self.dock.marker.size / self.settings.smallest_marker
+        return camera.fy * self.dock.marker.size / _FOUND_SIZE
 
     def concentrate(self, estimate: GaussianPose, play: float) -> None:
         """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""

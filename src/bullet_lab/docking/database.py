@@ -6,7 +6,7 @@ import math
 from dataclasses import MISSING, dataclass, fields
 from numbers import Real
 from pathlib import Path
-from typing import Any, Callable, Mapping, Sequence, Union
+from typing import Any, Callable, Collection, Mapping, Sequence
 
 import numpy as np
 import yaml
@@ -147,7 +147,7 @@ _SECTIONS = {
 _KEYS = {"yaw": "yaw_deg"}
 
 
-def read_docks(path: Union[str, Path]) -> dict[str, Dock]:
+def read_docks(path: str | Path) -> dict[str, Dock]:
     """Read a dock database; raises DatabaseError naming file, dock and key."""
     try:
         with open(path, encoding="utf-8") as stream:
@@ -165,7 +165,8 @@ def parse_docks(text: str, where: str = "dock database") -> dict[str, Dock]:
         content = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise DatabaseError(f"{where}: no YAML: {error}") from None
-    (docks,) = _entries(content, where, ["docks"])
+    _check_keys(content, where, ["docks"])
+    docks = content["docks"]
     if not isinstance(docks, dict) or not docks or not all(isinstance(key, str) for key in docks):
         raise DatabaseError(f"{where}: docks is no mapping from names to docks")
     return {name: _dock(name, docks[name], f"{where}: docks: {name}") for name in docks}
@@ -178,8 +179,8 @@ def find_dock(docks: Mapping[str, Dock], name: str) -> Dock:
     return docks[name]
 
 
-def _entries(content: Any, where: str, keys: Sequence[str]) -> list[Any]:
-    """Return the entries of a mapping that has these keys and no others; `walls` may be missing."""
+def _check_keys(content: Any, where: str, keys: Collection[str]) -> None:
+    """Check that a mapping has these keys and no others; `walls` may be missing."""
     if not isinstance(content, dict):
         raise DatabaseError(f"{where}: not a mapping")
     for key in keys:
@@ -188,22 +189,25 @@ def _entries(content: Any, where: str, keys: Sequence[str]) -> list[Any]:
     for key in content:
         if key not in keys:
             raise DatabaseError(f"{where}: unknown key {key}")
-    return [content.get(key) for key in keys]
 
 
 def _read(kind: type, content: Any, where: str, **values: Any) -> Any:
     """Make a dataclass of a mapping and of the values of its fields that are known already."""
-    names = [entry.name for entry in fields(kind) if entry.name != "name"]
+    names = [entry.name for entry in fields(kind) if entry.name not in values]
+    keys = {_KEYS.get(name, name): name for name in names}
+    _check_keys(content, where, keys)
     declared = declarations(kind)
-    for name, value in zip(names, _entries(content, where, [_KEYS.get(n, n) for n in names])):
+    for key, name in keys.items():
+        value = content.get(key)
         if name in declared:
             try:
-                values[name] = declared[name].read(value, _KEYS.get(name, name))
+                values[name] = declared[name].read(value, key)
             except ParameterError as error:
                 raise DatabaseError(f"{where}: {error}") from None
+        elif name == "walls" and value is None:
+            values[name] = None
         else:
-            absent = name == "walls" and value is None
-            values[name] = None if absent else _read(_SECTIONS[name], value, f"{where}: {name}")
+            values[name] = _read(_SECTIONS[name], value, f"{where}: {name}")
     return kind(**values)
 
 

@@ -357,14 +357,15 @@ class MarkerTrack:
         states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
         states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
         states[:, 3] = np.where(scale == 0, self._height, eye[2] + distance * ray[2])
-        covariance = np.zeros((len(scale), STATES, STATES))
-        covariance[:, 0, 0] = covariance[:, 1, 1] = (0.3 * distance + 0.05) ** 2
-        covariance[:, 2, 2] = _START_DEVIATION**2
-        covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
-        covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
-        covariance[:, CAMERA, CAMERA] = np.diag(UNKNOWN_CAMERA**2)
-        covariance[:, CORNERS, CORNERS] = OFF_CORNER**2 * np.eye(8)
-        covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
+        deviations = np.empty_like(states)
+        deviations[:, :2] = 0.3 * distance[:, None] + 0.05
+        deviations[:, 2] = _START_DEVIATION
+        deviations[:, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE)
+        deviations[:, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE)
+        deviations[:, CAMERA] = UNKNOWN_CAMERA
+        deviations[:, CORNERS] = OFF_CORNER
+        deviations[:, ODOMETRY] = UNKNOWN_ODOMETRY
+        covariance = deviations[:, None] ** 2 * np.eye(STATES)
         self._scale = scale
         measured = Measurement(sighting, view)
         self._x, self._p, squares, _ = robust_update(states, covariance, sizes, measured, rounds=6)

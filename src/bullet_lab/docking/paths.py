@@ -51,6 +51,12 @@ _ROOM_TO_TURN = 0.17
 # walls begin to hide it, and most, rad.
 _ASIDE = 0.85
 _FARTHEST_ASIDE = math.radians(35.0)
+ACCELERATION = 0.5
+"""Of the wheels' mean, m/s²."""
+
+WALL_MARGIN = 0.04
+"""Distance that is kept between robot and walls, m."""
+
 # Turns on the spot: rad/s for each rad that is left, slowest rad/s, and rad at which they are done.
 _TURN_GAIN = 2.5
 _SLOWEST_TURN = 0.06
@@ -215,7 +221,7 @@ class PathPlanner:
         self._belief, self._dock = belief, belief.dock
         self._boxes = wall_boxes(belief.dock)
         # Of the circle that the robot is to have for itself, m.
-        self._radius = TURNING_RADIUS + belief.settings.wall_margin
+        self._radius = TURNING_RADIUS + WALL_MARGIN
         self._probes = 0
 
     def costmap(self) -> Costmap:
@@ -361,7 +367,7 @@ class PathFollower:
             self._turning = abs(off) > 0.06
             if self._turning:
                 return turn_command(off, self._settings.turn_speed, 0.0)
-        speed = min(self._settings.drive_speed, math.sqrt(0.6 * self._settings.acceleration * left))
+        speed = min(self._settings.drive_speed, math.sqrt(0.6 * ACCELERATION * left))
         return speed * math.cos(off), clip(2.0 * off, 0.7 * self._settings.turn_speed)
 
 

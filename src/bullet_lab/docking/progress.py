@@ -13,7 +13,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.paths import PathPlanner, clip
+from bullet_lab.docking.paths import WALL_MARGIN, PathPlanner, clip
 from bullet_lab.docking.search import MarkerSearch
 from bullet_lab.docking.types import STANDSTILL, TURNING_RADIUS, Command, DockingError
 from bullet_lab.errors import LabError
@@ -33,6 +33,20 @@ _WIDENING_OUTSIDE = 0.3
 # Least and most distance left to go at which an approach begins, m.
 _LEAST_LEFT = 0.05
 _LONGEST = 4.5
+# Distance left to go below which the gate counts; distance from the axis, m, and yaw against it,
+# rad, at which it aborts the approach.
+_GATE = 0.40
+_GATE_BESIDE = 0.025
+_GATE_TURNED = math.radians(6.0)
+# From standstill to the first image that counts, s.
+_SETTLE_SECONDS = 0.3
+MEASURE_FRAMES = 4
+"""Images at rest before a decision."""
+
+# Drives to the staging point.
+_MOST_STAGINGS = 10
+# Probability of being the real marker that is needed to drive in.
+_SURE = 0.9
 # After so many doubts whether a track is real, a small probability is enough.
 _MOST_DOUBTS = 3
 # Standard deviation of the yaw, as a share of the tolerance, above which the robot drives in once
@@ -64,7 +78,7 @@ class DockAxis:
         # How far off the axis (m) the robot may be between the walls, turned or not.
         self._corridor = math.inf
         if self._walls is not None:
-            free = 0.5 * self._walls.opening - self._settings.wall_margin
+            free = 0.5 * self._walls.opening - WALL_MARGIN
             self._corridor = max(free - TURNING_RADIUS, 0.02)
 
     def left(self, robot: PlanarPose) -> float:
@@ -131,11 +145,11 @@ class DockAxis:
 
     def check_gate(self, robot: PlanarPose) -> str:
         """Return why an approach has to be given up; empty if it goes well."""
-        settings, left = self._settings, self.left(robot)
+        left = self.left(robot)
         beside, turned = abs(robot[1]), abs(robot[2])
-        if left < settings.gate_distance and beside > settings.gate_lateral:
+        if left < _GATE and beside > _GATE_BESIDE:
             return f"{1e3 * beside:.0f} mm beside the axis"
-        if left < 0.6 * settings.gate_distance and turned > settings.gate_yaw:
+        if left < 0.6 * _GATE and turned > _GATE_TURNED:
             return f"{math.degrees(turned):.1f} degrees against the axis"
         if self.is_within_walls(robot) and beside > self._corridor:
             return "too near the walls"
@@ -177,7 +191,7 @@ class DockingProgress:
     def is_settled(self) -> bool:
         """Return whether the robot has stood for so long that images count."""
         resting = 0.0 if self._at_rest_since is None else self.now - self._at_rest_since
-        return resting >= self.settings.settle_time
+        return resting >= _SETTLE_SECONDS
 
     @property
     def left(self) -> float:
@@ -205,7 +219,7 @@ class DockingProgress:
 
         After a few doubts, less certainty is asked for.
         """
-        if track.real >= self.settings.sure or (self._doubts >= _MOST_DOUBTS and track.real > 0.2):
+        if track.real >= _SURE or (self._doubts >= _MOST_DOUBTS and track.real > 0.2):
             return False
         copy, walls = self.belief.copy_on_the_wall(), self.belief.dock.walls
         if track.real > 0.5 and copy is not None and walls is not None:
@@ -221,12 +235,12 @@ class DockingProgress:
         track = self.belief.best()
         known, frames = self._noted
         self._noted = track, track.frames
-        return track is not known or track.frames - frames >= self.settings.measure_frames
+        return track is not known or track.frames - frames >= MEASURE_FRAMES
 
     def count_staging(self, message: str) -> None:
         """Count a drive for a better start; after the last one, raise DockingFailureError."""
         self._stagings += 1
-        if self._stagings > self.settings.max_stagings:
+        if self._stagings > _MOST_STAGINGS:
             raise DockingFailureError(DockingError.STAGING_FAILED, message)
 
     def count_retry(self, trouble: str) -> None:

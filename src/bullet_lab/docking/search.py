@@ -41,6 +41,8 @@ _FAR = 4.5
 # Once something was seen, each range is this part of the one before, but not less, m.
 _NEARER = 0.87
 _NEAREST = 2.6
+# Probability that a look misses a marker that it should find.
+_MISSED = 0.25
 # Half the width of the largest print, as a share of the walls' opening, and the probability that a
 # look misses it.
 _WIDEST_PRINT = 0.42
@@ -89,7 +91,7 @@ class MarkerSearch:
 
     def add_miss(self) -> None:
         """Learn from a look that found nothing."""
-        looks = [(self._belief.visibility, self._belief.settings.missed, True)]
+        looks = [(self._belief.visibility, _MISSED, True)]
         if self._far_visibility is not None and not self._belief.copies_seen():
             looks.append((self._far_visibility, _FAR_MISSED, False))
         particles = self._belief.particles

@@ -16,10 +16,17 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.paths import PathFollower, clip, turn_command
-from bullet_lab.docking.progress import DockingFailureError, DockingProgress
+from bullet_lab.docking.progress import MEASURE_FRAMES, DockingFailureError, DockingProgress
 from bullet_lab.docking.types import STANDSTILL, Command, DockingError, DockingState, Point
 
 _CHECK_SECONDS = 0.5
+# Images of a look, and at rest for the confirmation.
+_LOOK_FRAMES = 3
+_FINAL_FRAMES = 5
+# Without the marker while driving at it, s.
+_UNSEEN = 1.2
+# Share of the prior below which the marker is held to be missing.
+_GIVE_UP_MASS = 0.004
 _FACING = math.radians(12.0)
 # Of the approach: m, left to go; and of the confirmation: m/s, rad/s, and how often.
 _THERE = 0.0008
@@ -67,19 +74,19 @@ class LookForMarker(State):
         return docking.is_settled()
 
     def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
-        belief, frames = docking.belief, docking.settings.look_frames
+        belief = docking.belief
         if belief.best() is not None:
             return Outcome("seen")
         if self._since is None or not docking.is_settled():
             self._since = belief.images
-        enough = belief.images - self._since >= (3 * frames if belief.pending() else frames)
+        enough = belief.images - self._since >= (3 if belief.pending() else 1) * _LOOK_FRAMES
         return self._elsewhere(docking) if enough and docking.is_settled() else STANDSTILL
 
     def _elsewhere(self, docking: DockingProgress) -> Outcome:
         docking.search.add_miss()
         if not docking.settings.search:
             raise DockingFailureError(DockingError.NOT_DETECTED, "the marker is not in sight")
-        if docking.belief.particles.mass < docking.settings.give_up_mass:
+        if docking.belief.particles.mass < _GIVE_UP_MASS:
             message = "the marker is not found in the search region"
             raise DockingFailureError(DockingError.NOT_DETECTED, message)
         if docking.belief.copies_seen() and not docking.search.use_cue():
@@ -206,12 +213,11 @@ class Measure(TrackedState):
         if track is not self._track or not docking.is_settled():
             self._track, self._frames, self._waited = track, track.frames, docking.now
             return STANDSTILL
-        if track.frames - self._frames >= docking.settings.measure_frames:
+        if track.frames - self._frames >= MEASURE_FRAMES:
             return decide(docking)
-        patience = docking.settings.unseen_timeout
         # Images came, but none with the marker.
-        missing = docking.belief.last_image - max(track.last_seen, self._waited) > patience
-        if docking.now - self._waited <= 2.0 * patience or not missing:
+        missing = docking.belief.last_image - max(track.last_seen, self._waited) > _UNSEEN
+        if docking.now - self._waited <= 2.0 * _UNSEEN or not missing:
             return STANDSTILL
         if not docking.is_in_reach(estimate.robot):
             return decide(docking)
@@ -299,12 +305,11 @@ class Approach(TrackedState):
         self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
     ) -> Step:
         robot = estimate.robot
-        patience = docking.settings.unseen_timeout
-        missing = docking.unseen(track) > patience and docking.is_in_reach(robot)
+        missing = docking.unseen(track) > _UNSEEN and docking.is_in_reach(robot)
         if missing and not docking.may_drive_blind(track):
             # Wait at rest for it to be seen again.
             self._held = docking.now if self._held is None else self._held
-            if docking.now - self._held <= patience:
+            if docking.now - self._held <= _UNSEEN:
                 return STANDSTILL
             if not docking.is_near:
                 return Outcome("lost")
@@ -349,7 +354,7 @@ class Retreat(TrackedState):
         unseen = min(docking.unseen(track), docking.now - self._since)
         if left <= 0.0:
             return Outcome("arrived")
-        if self._in_sight and unseen > 2.0 * docking.settings.unseen_timeout:
+        if self._in_sight and unseen > 2.0 * _UNSEEN:
             return Outcome("lost")
         return docking.axis.backwards(estimate.robot, left)
 
@@ -374,7 +379,7 @@ class Confirm(TrackedState):
     def follow(  # noqa: D102 - inherited
         self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
     ) -> Step:
-        settings, turned = docking.settings, estimate.robot[2]
+        _, _, turned = estimate.robot
         if self._correction is not None:
             # Turn or creep until the estimate is there.
             v, w = self._correction
@@ -387,15 +392,14 @@ class Confirm(TrackedState):
             self._frames, self._since = track.frames, docking.now
             return STANDSTILL
         uncertain = estimate.deviations[2] > 0.3 * docking.belief.dock.tolerance.yaw
-        patience = settings.unseen_timeout
         waited, seen = docking.now - self._since, track.frames - self._frames
-        if min(waited, docking.unseen(track)) > patience and docking.may_drive_blind(track):
+        if min(waited, docking.unseen(track)) > _UNSEEN and docking.may_drive_blind(track):
             return self._judge(docking, estimate.robot)
         # In poor light, or when images get lost, it does not wait for all of them.
-        late = waited > 5.0 * patience
-        if seen >= settings.final_frames * (3 if uncertain and not late else 1):
+        late = waited > 5.0 * _UNSEEN
+        if seen >= _FINAL_FRAMES * (3 if uncertain and not late else 1):
             return self._judge(docking, estimate.robot)
-        if late and (docking.unseen(track) > 2.0 * patience or waited > 10.0 * patience):
+        if late and (docking.unseen(track) > 2.0 * _UNSEEN or waited > 10.0 * _UNSEEN):
             docking.lost_at_the_end = True
             return _retry(docking, "the marker is lost before the dock")
         return STANDSTILL

@@ -15,7 +15,7 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.geometry import misfit
-from bullet_lab.docking.paths import clip
+from bullet_lab.docking.paths import ACCELERATION, clip
 from bullet_lab.docking.progress import DockAxis, DockingFailureError, DockingProgress
 from bullet_lab.docking.states import TRANSITIONS, LookForMarker, Outcome, State
 from bullet_lab.docking.types import (
@@ -39,6 +39,10 @@ USUAL = DockingSettings()
 
 _UNKNOWN = (math.nan, math.nan, math.nan)
 _MOST_WAITING = 50
+_TURN_ACCELERATION = 2.0  # rad/s²
+# Without odometry, and without any image while they are wanted, s.
+_ODOMETRY_TIMEOUT = 1.0
+_IMAGE_TIMEOUT = 3.0
 # States that may follow each other in one tick.
 _MOST_TRANSITIONS = 3
 # Of an undocking: its time limit, s to look for the marker before it, and m from the goal at which
@@ -101,7 +105,13 @@ class WatchedTask(ABC):
 
     def add_odometry(self, odometry: Odometry) -> None:
         """Take the next message of odometry; an impossible one ends the task."""
-        if self.result is None and self._accept(odometry):
+        if self.result is not None:
+            return
+        last = self._belief.odometry.last
+        trouble = self._find_trouble(last, odometry)
+        if trouble:
+            self._end(DockingError.ODOMETRY_LOST, trouble)
+        elif last is None or odometry.stamp > last.stamp:
             self._move(odometry)
 
     @abstractmethod
@@ -129,8 +139,7 @@ class WatchedTask(ABC):
         if target is None:
             self._command = STANDSTILL
         else:
-            limits = self._settings.acceleration, self._settings.turn_acceleration
-            parts = zip(self._command, target, limits)
+            parts = zip(self._command, target, (ACCELERATION, _TURN_ACCELERATION))
             v, w = (now + clip(aim - now, limit * seconds) for now, aim, limit in parts)
             self._command = (v, w)
         return self._command
@@ -143,31 +152,26 @@ class WatchedTask(ABC):
         """Follow odometry that was accepted."""
         self._belief.add_odometry(odometry)
 
-    def _accept(self, odometry: Odometry) -> bool:
-        """Return whether a message of odometry is usable; an impossible one ends the task."""
-        before, settings = self._belief.odometry.last, self._settings
+    def _find_trouble(self, before: Odometry | None, odometry: Odometry) -> str:
+        """Return why a message of odometry is impossible; empty if it is not.
+
+        Compares the commands with it as well.
+        """
         if not all(map(math.isfinite, odometry.pose)):
-            self._end(DockingError.ODOMETRY_LOST, "odometry is not finite")
-            return False
-        if before is None:
-            return True
-        seconds = odometry.stamp - before.stamp
+            return "odometry is not finite"
+        seconds = 0.0 if before is None else odometry.stamp - before.stamp
         if seconds <= 0.0:
-            if seconds < -0.5:
-                self._end(DockingError.ODOMETRY_LOST, "odometry went back in time")
-            return False
+            return "odometry went back in time" if seconds < -0.5 else ""
         step = motion_step(before, odometry)
         distance, turn = math.hypot(step.step[0], step.step[1]), abs(step.step[2])
         spread = 6.0 * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
-        if distance > 1.5 * settings.drive_speed * seconds + 0.08 + spread[0] + spread[1]:
-            self._end(DockingError.ODOMETRY_LOST, f"odometry jumped by {distance:.2f} m")
-            return False
-        if turn > 1.5 * settings.turn_speed * seconds + 0.12 + spread[2]:
-            jump = f"odometry jumped by {math.degrees(turn):.0f} degrees"
-            self._end(DockingError.ODOMETRY_LOST, jump)
-            return False
+        farthest = 1.5 * self._settings.drive_speed * seconds + 0.08 + spread[0] + spread[1]
+        if distance > farthest:
+            return f"odometry jumped by {distance:.2f} m"
+        if turn > 1.5 * self._settings.turn_speed * seconds + 0.12 + spread[2]:
+            return f"odometry jumped by {math.degrees(turn):.0f} degrees"
         self._stuck.add(self._command, step, seconds)
-        return True
+        return ""
 
     def _check(self) -> None:
         """Raise DockingFailureError if the task cannot go on."""
@@ -176,7 +180,7 @@ class WatchedTask(ABC):
             message = f"not {self._done} after {limit:g} s"
             raise DockingFailureError(DockingError.TIMED_OUT, message)
         quiet = self._now - (self._started if last is None else last.stamp)
-        if quiet > self._settings.odometry_timeout:
+        if quiet > _ODOMETRY_TIMEOUT:
             raise DockingFailureError(DockingError.ODOMETRY_LOST, f"no odometry for {quiet:.1f} s")
         if self._stuck.is_stuck():
             message = "the robot does not move as commanded"
@@ -326,7 +330,7 @@ class DockingTask(WatchedTask):
         if self._wanted_since is None:
             self._wanted_since = self._now
         quiet = self._now - max(self._wanted_since, self._belief.last_image)
-        if quiet > self._settings.image_timeout:
+        if quiet > _IMAGE_TIMEOUT:
             raise DockingFailureError(DockingError.CAMERA_LOST, f"no image for {quiet:.1f} s")
 
     def _make_result(self, error: DockingError, message: str) -> DockingResult:

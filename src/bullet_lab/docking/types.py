@@ -196,32 +196,14 @@ class Observation:
 
 @dataclass(frozen=True)
 class DockingSettings:
-    """Speeds, patience and limits; lengths in m, angles in rad, times in s."""
+    """Speeds in m/s and rad/s, and limits."""
 
     search: bool = True  #: for the marker where it is not seen at once
     drive_speed: float = 0.4  #: in the open
     approach_speed: float = 0.25  #: on the dock's axis
     turn_speed: float = 0.8  #: on the spot
-    acceleration: float = 0.5  #: of the wheels' mean, m/s²
-    turn_acceleration: float = 2.0  #: rad/s²
-    settle_time: float = 0.3  #: from standstill to the first image that counts
-    look_frames: int = 3  #: images of a look
-    measure_frames: int = 4  #: images at rest before a decision
-    final_frames: int = 5  #: images at rest for the confirmation
     max_retries: int = 5  #: retreats from the last metre before it gives up
-    max_stagings: int = 10  #: drives to the staging point
-    time_limit: float = 300.0  #: of all
-    image_timeout: float = 3.0  #: without any image while they are wanted
-    unseen_timeout: float = 1.2  #: without the marker while driving at it
-    odometry_timeout: float = 1.0  #: without odometry
-    gate_distance: float = 0.40  #: left to go, below which the gate counts
-    gate_lateral: float = 0.025  #: beside the axis, aborts
-    gate_yaw: float = math.radians(6.0)  #: against the axis, aborts
-    wall_margin: float = 0.04  #: kept between robot and walls
-    smallest_marker: float = 18.0  #: px in the image at which the marker should be found
-    missed: float = 0.25  #: probability that a look misses a marker that it should find
-    give_up_mass: float = 0.004  #: share of the prior below which the marker is held to be missing
-    sure: float = 0.9  #: probability of being the real marker that is needed to drive in
+    time_limit: float = 300.0  #: of all, s
 
 
 class Learned(NamedTuple):

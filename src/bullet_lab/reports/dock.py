@@ -220,11 +220,10 @@ class EvenSample:
     def add(self, item: Any) -> None:
         """Take the next item."""
         if self.seen % self._stride == 0:
-            if len(self._kept) >= 4 * self._count:
+            self._kept.append(item)
+            if len(self._kept) > 4 * self._count:
                 self._kept = self._kept[::2]
                 self._stride *= 2
-            if self.seen % self._stride == 0:
-                self._kept.append(item)
         self.seen += 1
         self._last = item
 

@@ -11,6 +11,7 @@ import pytest
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import clearance, wall_boxes
+from bullet_lab.docking.paths import WALL_MARGIN
 from bullet_lab.docking.progress import DockingProgress
 from bullet_lab.docking.types import TURNING_RADIUS, Observation, Odometry, Sighting
 
@@ -56,7 +57,7 @@ def test_a_print_of_unknown_size_does_not_hang_where_the_robot_stands():
     docking = docking_at_the_origin(0.075, (320.0, 180.0) + square)
     rows = docking.belief.obstacles()
     away = np.hypot(rows[:, 0], rows[:, 1]) - rows[:, 2]
-    turning = TURNING_RADIUS + docking.settings.wall_margin
+    turning = TURNING_RADIUS + WALL_MARGIN
     assert np.min(away) < turning
     # Of thirteen sizes the four that would be in the robot's way at once do not count.
     assert docking.paths.costmap().risk(np.array([[0.15, 0.0]])) < 3.0 / 13.0

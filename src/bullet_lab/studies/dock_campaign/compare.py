@@ -22,6 +22,9 @@ from bullet_lab.studies.dock_campaign.trial import TOLERANCES
 from bullet_lab.studies.results import Record, panels, write_results
 
 CONFIDENCE = 0.95
+ENDS = ("value", "low", "high")
+"""Names of a figure and of the ends of its interval."""
+
 NAV2_THRESHOLD = 0.05
 """nav2's `docking_threshold`, m: within it a robot counts as docked, with any heading."""
 
@@ -93,11 +96,8 @@ def share(hits: int, trials: int) -> dict[str, Any]:
     {'value': 99.5, 'low': 97.25, 'high': 99.99}
     """
     interval = stats.binomtest(hits, trials).proportion_ci(CONFIDENCE, method="exact")
-    return {
-        "value": 100.0 * hits / trials,
-        "low": 100.0 * float(interval.low),
-        "high": 100.0 * float(interval.high),
-    }
+    low, high = map(float, interval)
+    return {"value": 100.0 * hits / trials, "low": 100.0 * low, "high": 100.0 * high}
 
 
 def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
     {'value': 50.5, 'low': 40.0, 'high': 61.0}
     """
     if not len(values):
-        return dict.fromkeys(("value", "low", "high"))
+        return dict.fromkeys(ENDS)
     ordered, count = np.sort(np.asarray(values, dtype=float)), len(values)
     outside = 0.5 * (1.0 - CONFIDENCE)
     low = int(stats.binom.ppf(outside, count, part))
@@ -168,10 +168,9 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[st
 
 def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
     """Return the rows of the table: figure, and value, low and high of each controller."""
-    ends = ("value", "low", "high")
-    head = ["figure", *(f"{name} {end}" for name in names for end in ends)]
+    head = ["figure", *(f"{name} {end}" for name in names for end in ENDS)]
     rows = [
-        [figure, *(column[figure][end] for column in columns for end in ends)]
+        [figure, *(column[figure][end] for column in columns for end in ENDS)]
         for figure in columns[0]
         if figure != "failures"
     ]
@@ -179,9 +178,7 @@ def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> li
 
 
 def _shown(figure: Mapping[str, Any]) -> str:
-    value, low, high = (
-        "?" if figure[end] is None else f"{figure[end]:.3g}" for end in ("value", "low", "high")
-    )
+    value, low, high = ("?" if figure[end] is None else f"{figure[end]:.3g}" for end in ENDS)
     return f"{value} [{low}, {high}]"
 
 
@@ -242,9 +239,7 @@ def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str
     shares = [figure for figure in columns[0] if figure.endswith("(%)")]
     rows = np.arange(len(shares))[::-1]
     for number, (name, column, colour) in enumerate(zip(names, columns, COLOURS)):
-        values, low, high = (
-            np.array([column[figure][end] for figure in shares]) for end in ("value", "low", "high")
-        )
+        values, low, high = (np.array([column[figure][end] for figure in shares]) for end in ENDS)
         axes.barh(
             rows + 0.15 - 0.3 * number, values, 0.28, color=colour, label=name,
             xerr=(values - low, high - values), error_kw={"ecolor": BLACK, "capsize": 2},
