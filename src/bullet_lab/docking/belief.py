@@ -43,7 +43,7 @@ _WALL_SHARE = 0.05
 # The database may be wrong by somewhat more than its uncertainty.
 _MARGIN = 1.1
 # Relative standard deviation of the size of a copy.
-_SIZE_PLAY = 0.05
+_SIZE_DEVIATION = 0.05
 # Size in the image at which the marker should be found, px.
 _FOUND_SIZE = 18.0
 # Least size of a sighting and least distance from the edge of the image, px.
@@ -120,7 +120,7 @@ class DockParticles:
             self._learn(np.where(free, 1.0, 1e-6), counts=False)
         return bool(np.any(free))
 
-    def add_miss(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
+    def add_failed_look(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
         """Learn from a look that found nothing.
 
         Args:
@@ -130,15 +130,15 @@ class DockParticles:
         """
         self._learn(1.0 - (1.0 - missed) * expected, counts)
 
-    def concentrate(self, estimate: GaussianPose, play: float) -> None:
+    def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Move the particles to a pose, with so much more uncertainty to either side, m."""
         count = len(self.poses)
         # The size of the copy, and so its distance, is known to some per cent only.
         covariance = estimate.covariance + np.diag([0.02, 0.01, 0.012]) ** 2
-        covariance[:2, :2] += np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_PLAY**2
+        covariance[:2, :2] += np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_DEVIATION**2
         drawn = estimate.mean + self._rng.standard_normal((count, 3)) @ _root(covariance).T
         beside = np.zeros((count, 3))
-        beside[:, 1] = self._rng.uniform(-play, play, count)
+        beside[:, 1] = self._rng.uniform(-margin, margin, count)
         self.poses = se2.compose(drawn, beside)
         self.weights = np.full(count, 1.0 / count)
 
@@ -273,10 +273,10 @@ class DockBelief:
         if best is None:
             drawn = self._possible(count)
         else:
-            doubtful = int(round(count * min(1.0 - best.real, 0.5))) if best.real < 0.9 else 0
-            drawn = best.samples(self._rng, count - doubtful)
-            if doubtful:
-                drawn = np.concatenate([drawn, self._possible(doubtful)])
+            others = int(round(count * min(1.0 - best.real, 0.5))) if best.real < 0.9 else 0
+            drawn = best.samples(self._rng, count - others)
+            if others:
+                drawn = np.concatenate([drawn, self._possible(others)])
         return se2.compose(self.pose, drawn)
 
     def _possible(self, count: int) -> np.ndarray:
@@ -317,7 +317,7 @@ class DockBelief:
 
     def cut_off(self, track: MarkerTrack) -> bool:
         """Return whether an edge of an image taken now would cut off a marker's white border."""
-        corners, camera = track.foreseen(Viewpoint(self._camera, self.mount)), self._camera
+        corners, camera = track.predict_corners(Viewpoint(self._camera, self.mount)), self._camera
         return not _inside(corners, camera) >= _CUT * extent_of(corners)
 
     def add_odometry(self, odometry: Odometry) -> None:
@@ -361,10 +361,10 @@ class DockBelief:
         """Return from how far (m) a camera should find the marker."""
         return camera.fy * self.dock.marker.size / _FOUND_SIZE
 
-    def concentrate(self, estimate: GaussianPose, play: float) -> None:
+    def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""
-        self.particles.concentrate(estimate, play)
-        self.walls.concentrate(estimate, play)
+        self.particles.concentrate(estimate, margin)
+        self.walls.concentrate(estimate, margin)
         self._prior = DriftingPose(self.particles.gaussian())
 
     def forget(self, track: MarkerTrack) -> None:

@@ -113,11 +113,11 @@ class GaussianPose:
         """
         off = wrap(yaw - float(self.mean[2]))
         own = self.covariance
-        doubt = off * off / (4.0 * (float(own[2, 2]) + variance))
-        if doubt > 1.0:
+        excess = off * off / (4.0 * (float(own[2, 2]) + variance))
+        if excess > 1.0:
             if variance > own[2, 2]:
                 return self
-            own = own * doubt
+            own = own * excess
         gain = own[:, 2] / (own[2, 2] + variance)
         mean = self.mean + gain * off
         mean[2] = wrap(float(mean[2]))

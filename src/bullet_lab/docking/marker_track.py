@@ -42,7 +42,7 @@ SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5
 
 _WINDOW = 0.22
 # Relative standard deviation of each size; the real one is known well.
-_PLAY = np.where(SCALES == 1.0, 0.02, 0.08)
+_SIZE_DEVIATIONS = np.where(SCALES == 1.0, 0.02, 0.08)
 _ODOMETRY_SCALE = 0.04
 # Noise of the height in the image, which shows the range, px.
 _EDGE = 0.35
@@ -106,7 +106,7 @@ class SizeTest:
             self._variance
             + SCALES**2 * (deviation**2 + self._deviation**2)
             + (_ODOMETRY_SCALE * away) ** 2
-            + (_PLAY * expected) ** 2
+            + (_SIZE_DEVIATIONS * expected) ** 2
             + 1e-6
         )
         square = (away - expected) ** 2 / variance
@@ -260,7 +260,7 @@ class MarkerTrack:
         best = int(np.argmin(squares))
         return float(squares[best]), seen[best].reshape(4, 2)
 
-    def foreseen(self, view: Viewpoint) -> np.ndarray:
+    def predict_corners(self, view: Viewpoint) -> np.ndarray:
         """Return where the corners (4, 2) would be seen, if it is real; NaN if behind."""
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)

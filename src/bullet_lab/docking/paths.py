@@ -335,9 +335,8 @@ class PathFollower:
     `way` are points (m, m) in the odometry frame, the first where the robot stands.
     """
 
-    def __init__(self, way: Sequence[Point], settings: DockingSettings):
+    def __init__(self, way: Sequence[Point]):
         self._way: list[Point] = list(way)
-        self._settings = settings
         self._turning = True
 
     @property
@@ -345,30 +344,29 @@ class PathFollower:
         """The points still to be driven to."""
         return tuple(self._way[1:])
 
-    def command(self, pose: PlanarPose) -> Command:
+    def command(self, pose: PlanarPose, settings: DockingSettings) -> Command:
         """Return the command for the present pose; zero when there."""
         while len(self._way) > 1:
-            start, end = self._way[0], self._way[1]
+            start, end = self._way[:2]
             direction = math.atan2(end[1] - start[1], end[0] - start[0])
-            length = math.dist(start, end)
-            cos, sin = math.cos(direction), math.sin(direction)
+            length, cos, sin = math.dist(start, end), math.cos(direction), math.sin(direction)
             done = cos * (pose[0] - start[0]) + sin * (pose[1] - start[1])
             if length - done > _ARRIVED:
-                aim = min(done + _LOOKAHEAD, length)
-                target = (start[0] + aim * cos, start[1] + aim * sin)
-                return self._steer(pose, target, length - done)
+                break
             self._way.pop(0)
             self._turning = True
-        return STANDSTILL
-
-    def _steer(self, pose: PlanarPose, target: Point, left: float) -> Command:
-        off = wrap(math.atan2(target[1] - pose[1], target[0] - pose[0]) - pose[2])
+        else:
+            return STANDSTILL
+        aim = min(done + _LOOKAHEAD, length)
+        x, y = start[0] + aim * cos, start[1] + aim * sin
+        off = wrap(math.atan2(y - pose[1], x - pose[0]) - pose[2])
         if self._turning or abs(off) > 0.6:
             self._turning = abs(off) > 0.06
             if self._turning:
-                return turn_command(off, self._settings.turn_speed, 0.0)
-        speed = min(self._settings.drive_speed, math.sqrt(0.6 * ACCELERATION * left))
-        return speed * math.cos(off), clip(2.0 * off, 0.7 * self._settings.turn_speed)
+                return turn_command(off, settings.turn_speed, 0.0)
+        braking = math.sqrt(0.6 * ACCELERATION * (length - done))
+        speed = min(settings.drive_speed, braking)
+        return speed * math.cos(off), clip(2.0 * off, 0.7 * settings.turn_speed)
 
 
 def clip(value: float, limit: float) -> float:

@@ -47,8 +47,8 @@ MEASURE_FRAMES = 4
 _MOST_STAGINGS = 10
 # Probability of being the real marker that is needed to drive in.
 _SURE = 0.9
-# After so many doubts whether a track is real, a small probability is enough.
-_MOST_DOUBTS = 3
+# After so many rejected tracks, a small probability of being real is enough.
+_MOST_REJECTIONS = 3
 # Standard deviation of the yaw, as a share of the tolerance, above which the robot drives in once
 # more, and how often at most.
 _UNSURE = 0.4
@@ -176,7 +176,7 @@ class DockingProgress:
         self.axis, self.paths = DockAxis(belief), PathPlanner(belief)
         self.search = MarkerSearch(belief, self.paths)
         self.now = 0.0
-        self.retries = self.unclear = self._stagings = self._doubts = 0
+        self.retries = self.unclear = self._stagings = self._rejections = 0
         self.lost_at_the_end = False
         self._at_rest_since: float | None = None
         self._noted: tuple[MarkerTrack | None, int] = (None, 0)
@@ -214,12 +214,12 @@ class DockingProgress:
         reach = math.hypot(robot[0] + self.belief.mount.x, robot[1])
         return reach < max(self.belief.visibility.farthest, before)
 
-    def count_doubt(self, track: MarkerTrack) -> bool:
+    def reject_track(self, track: MarkerTrack) -> bool:
         """Return whether a track is too uncertain to follow it between the walls, and count that.
 
-        After a few doubts, less certainty is asked for.
+        After a few rejections, less certainty is needed.
         """
-        if track.real >= _SURE or (self._doubts >= _MOST_DOUBTS and track.real > 0.2):
+        if track.real >= _SURE or (self._rejections >= _MOST_REJECTIONS and track.real > 0.2):
             return False
         copy, walls = self.belief.copy_on_the_wall(), self.belief.dock.walls
         if track.real > 0.5 and copy is not None and walls is not None:
@@ -227,7 +227,7 @@ class DockingProgress:
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
             if off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening:
                 return False
-        self._doubts += 1
+        self._rejections += 1
         return True
 
     def note_images(self) -> bool:

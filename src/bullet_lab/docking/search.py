@@ -89,7 +89,7 @@ class MarkerSearch:
         """Return the camera's poses (..., 3) against docks (..., 3) in the robot's frame."""
         return se2.between(docks, (self._ahead, 0.0, 0.0))
 
-    def add_miss(self) -> None:
+    def add_failed_look(self) -> None:
         """Learn from a look that found nothing."""
         looks = [(self._belief.visibility, _MISSED, True)]
         if self._far_visibility is not None and not self._belief.copies_seen():
@@ -97,7 +97,7 @@ class MarkerSearch:
         particles = self._belief.particles
         for visibility, missed, counts in looks:
             expected = visibility.found(self._cameras(particles.poses), particles.reach)
-            particles.add_miss(expected, missed, counts)
+            particles.add_failed_look(expected, missed, counts)
 
     def use_cue(self) -> bool:
         """Narrow the belief by a copy on the dock's back wall, and return whether there is one.
@@ -111,8 +111,8 @@ class MarkerSearch:
         if used is not found or found.frames > 1.3 * frames:
             self._cue = found, found.frames
             walls = self._belief.dock.walls
-            play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
-            self._belief.concentrate(found.likeliest(), max(play, 0.03))
+            margin = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
+            self._belief.concentrate(found.likeliest(), max(margin, 0.03))
         return True
 
     def next_view(self) -> NextView | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple, Tuple, Union
+from typing import NamedTuple, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class LookForMarker(State):
         return self._elsewhere(docking) if enough and docking.is_settled() else STANDSTILL
 
     def _elsewhere(self, docking: DockingProgress) -> Outcome:
-        docking.search.add_miss()
+        docking.search.add_failed_look()
         if not docking.settings.search:
             raise DockingFailureError(DockingError.NOT_DETECTED, "the marker is not in sight")
         if docking.belief.particles.mass < _GIVE_UP_MASS:
@@ -97,14 +97,14 @@ class LookForMarker(State):
         if view is None:
             message = "no safe place to look for the marker from"
             raise DockingFailureError(DockingError.NOT_DETECTED, message)
-        return Outcome("not seen", (PathFollower(view.way, docking.settings), view.heading))
+        return Outcome("not seen", view)
 
 
 class DriveAlong(State):
     """Drives along a path as long as it is safe."""
 
-    def __init__(self, way: PathFollower):
-        self._way = way
+    def __init__(self, way: Sequence[Point]):
+        self._way = PathFollower(way)
         self._checked = -math.inf
 
     def plan(self) -> tuple[Point, ...]:  # noqa: D102 - inherited
@@ -115,14 +115,14 @@ class DriveAlong(State):
             self._checked = docking.now
             if not docking.paths.is_safe(self._way.left):
                 return Outcome("not safe")
-        command = self._way.command(docking.belief.pose)
+        command = self._way.command(docking.belief.pose, docking.settings)
         return Outcome("arrived") if command == STANDSTILL else command
 
 
 class DriveToView(DriveAlong):
     """Drives to a place, turns to a heading (rad) and looks."""
 
-    def __init__(self, way: PathFollower, heading: float):
+    def __init__(self, way: Sequence[Point], heading: float):
         super().__init__(way)
         self._heading = heading
 
@@ -230,7 +230,7 @@ def decide(docking: DockingProgress) -> Outcome:
     estimate, track = docking.belief.estimate(), docking.belief.best()
     robot = estimate.robot
     within = docking.axis.is_within_walls(robot)
-    if within and docking.count_doubt(track):
+    if within and docking.reject_track(track):
         return _back_out(docking, 0.35)
     if docking.axis.is_in_lane(robot, estimate.lateral_deviation):
         return Outcome("in the lane")
@@ -239,7 +239,7 @@ def decide(docking: DockingProgress) -> Outcome:
     docking.count_staging("the point before the dock is not reached")
     way = docking.paths.way_to_staging(estimate)
     if way is not None:
-        return Outcome("off the lane", (PathFollower(way, docking.settings),))
+        return Outcome("off the lane", (way,))
     if not docking.note_images():
         # It was not seen on the last such drive: search for a place that sees it.
         docking.belief.forget(track)
@@ -283,7 +283,7 @@ def _look_aside(docking: DockingProgress, estimate: GaussianPose) -> Outcome | N
     if way is None:
         return None
     docking.count_staging("no way into the dock is found")
-    return Outcome("unclear", (PathFollower(way, docking.settings),))
+    return Outcome("unclear", (way,))
 
 
 def _retry(docking: DockingProgress, trouble: str) -> Outcome:
@@ -327,7 +327,7 @@ class Approach(TrackedState):
             return _look_aside(docking, estimate) or _back_out(docking, 0.5)
         if docking.axis.is_within_walls(robot) and not self._entered:
             self._entered = True
-            if docking.count_doubt(track):
+            if docking.reject_track(track):
                 return _back_out(docking, 0.35)
         return docking.axis.forwards(robot)
 

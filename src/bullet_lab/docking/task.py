@@ -27,7 +27,6 @@ from bullet_lab.docking.types import (
     DockingResult,
     DockingSettings,
     DockingState,
-    MotionStep,
     Observation,
     Odometry,
     Point,
@@ -65,9 +64,10 @@ class StuckWatch:
         # Seconds, distance and turn by the command, distance and turn by the odometry.
         self._past: deque[tuple[float, float, float, float, float]] = deque()
 
-    def add(self, command: Command, step: MotionStep, seconds: float) -> None:
-        """Take a step of the odometry in so many seconds, and the command (m/s, rad/s) then."""
-        distance, _, turn = map(abs, step.step)
+    def add(self, command: Command, before: Odometry, after: Odometry) -> None:
+        """Take two messages of odometry, and the command (m/s, rad/s) in between."""
+        distance, _, turn = np.abs(se2.between(before.pose, after.pose)).tolist()
+        seconds = after.stamp - before.stamp
         v, w = (abs(part) * seconds for part in command)
         self._past.append((seconds, v, w, distance, turn))
         while sum(entry[0] for entry in self._past) > _SECONDS:
@@ -111,7 +111,10 @@ class WatchedTask(ABC):
         trouble = self._find_trouble(last, odometry)
         if trouble:
             self._end(DockingError.ODOMETRY_LOST, trouble)
-        elif last is None or odometry.stamp > last.stamp:
+        elif last is None:
+            self._move(odometry)
+        elif odometry.stamp > last.stamp:
+            self._stuck.add(self._command, last, odometry)
             self._move(odometry)
 
     @abstractmethod
@@ -153,10 +156,7 @@ class WatchedTask(ABC):
         self._belief.add_odometry(odometry)
 
     def _find_trouble(self, before: Odometry | None, odometry: Odometry) -> str:
-        """Return why a message of odometry is impossible; empty if it is not.
-
-        Compares the commands with it as well.
-        """
+        """Return why a message of odometry is impossible; empty if it is not."""
         if not all(map(math.isfinite, odometry.pose)):
             return "odometry is not finite"
         seconds = 0.0 if before is None else odometry.stamp - before.stamp
@@ -170,7 +170,6 @@ class WatchedTask(ABC):
             return f"odometry jumped by {distance:.2f} m"
         if turn > 1.5 * self._settings.turn_speed * seconds + 0.12 + spread[2]:
             return f"odometry jumped by {math.degrees(turn):.0f} degrees"
-        self._stuck.add(self._command, step, seconds)
         return ""
 
     def _check(self) -> None:

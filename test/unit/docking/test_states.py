@@ -218,7 +218,7 @@ def test_a_marker_that_is_lost_near_the_dock_is_not_searched_anew(left, certain,
     """Something has come before it; what is known of the dock is known all the same."""
     docking, state = at_the_dock(5.0, left), states.Approach()
     docking.may_drive_blind = lambda track: certain and docking.lost_at_the_end
-    docking.count_doubt = lambda track: False
+    docking.reject_track = lambda track: False
     assert state.step(docking) == STANDSTILL
     docking.now = 2.0
     step = state.step(docking)

@@ -193,8 +193,8 @@ class GracefulTask(WatchedTask):
             if way is None:
                 message = "no safe way to the staging pose"
                 raise DockingFailureError(DockingError.STAGING_FAILED, message)
-            self._way = PathFollower(way, self._settings)
-        command = self._way.command(pose)
+            self._way = PathFollower(way)
+        command = self._way.command(pose, self._settings)
         if command == STANDSTILL:
             command = turn_command(wrap(float(staging[2]) - pose[2]), self._settings.turn_speed)
         return self._go_on(self._perceive) if command == STANDSTILL else command
