@@ -25,7 +25,7 @@ ROS_NEEDS=(catkin_pkg netifaces pycryptodomex python-gnupg PyYAML rospkg)
 NEED_TF2=(
   --ignore=test/unit/ros/gazebo/test_client.py
   --ignore=test/unit/ros/nodes/test_bad_parameters.py
-  --ignore=test/unit/ros/nodes/test_dock_messages.py
+  --ignore=test/unit/ros/nodes/test_dock_node.py
   --deselect=test/unit/ros/launcher/test_jobs.py::test_every_shipped_job_has_the_common_arguments_and_sound_defaults
 )
 

@@ -18,7 +18,7 @@ from typing import Any, Dict
 
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.dock_campaign.study import (
-    CampaignSettings,
+    DockCampaignSettings,
     describe,
     run_campaign,
 )
@@ -29,7 +29,7 @@ LEAST_FACTOR = 18.0
 
 def measure(dockings: int, seed: int) -> Dict[str, Any]:
     """Run a campaign and return its figures."""
-    settings = CampaignSettings(seed=seed, dockings=dockings)
+    settings = DockCampaignSettings(seed=seed, dockings=dockings)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         summary = run_campaign(Path(folder), settings, workers(), tell=print)

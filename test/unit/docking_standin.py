@@ -66,7 +66,6 @@ class Stand:
     std: float = 0.0
     seed: int = 0
     lag: float = 0.04
-    time_limit: float = 300.0
     obstacles: Tuple[Tuple[float, float, float, float], ...] = ()
     camera: CameraMount = MOUNT  #: where it really is
     odometry: SystematicErrors = SystematicErrors()
@@ -145,7 +144,7 @@ def see_print(robot, shown: Print, stand: Stand, rng) -> Optional[np.ndarray]:
     )  # fmt: skip
     dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
     there = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, points[:, 2] - mount.z])
-    ahead, left, rise = (there @ mount.rotation()).T
+    ahead, left, rise = (there @ mount.rotation).T
     tilt = rng.normal(0.0, stand.tilt) if stand.tilt else 0.0
     rise = rise - tilt * ahead
     if np.min(ahead) < 0.05:
@@ -179,14 +178,7 @@ def run(stand: Stand, limit_contact: bool = True, controller: Callable = Docking
     """Dock once; `controller` is fed and made as a DockingTask."""
     rng = np.random.default_rng((stand.seed, 77))
     dock = make_dock(stand)
-    task = controller(
-        dock,
-        dock.pose,
-        MOUNT,
-        settings=stand.settings,
-        time_limit=stand.time_limit,
-        seed=stand.seed,
-    )
+    task = controller(dock, dock.pose, MOUNT, settings=stand.settings, seed=stand.seed)
     noise = NoisyPath(make_rule(stand.model, stand.std), stand.seed)
     told, waiting = SystematicPath(stand.odometry), []
     pose = np.asarray(stand.start, dtype=float)
@@ -197,7 +189,7 @@ def run(stand: Stand, limit_contact: bool = True, controller: Callable = Docking
     least, next_image, before = math.inf, 0.0, None
     while task.result is None:
         noisy = noise.update(*told.update(*pose).pose)
-        odometry = Odometry(t, noisy.pose, (v, w), noisy.motion_covariance / TICK**2)
+        odometry = Odometry(t, noisy.pose, noisy.motion_covariance / TICK**2)
         task.add_odometry(odometry)
         in_dock = se2.between(stand.dock, pose)
         truth.append((t, *pose.tolist()))

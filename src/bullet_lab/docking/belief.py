@@ -8,7 +8,6 @@ that did not find the marker.
 from __future__ import annotations
 
 import math
-from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -16,18 +15,25 @@ from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.filter import (
-    UNKNOWN_ODOMETRY,
-    DriftingPoses,
-    GaussianPose,
+from bullet_lab.docking.filter import UNKNOWN_ODOMETRY, DriftingPose, GaussianPose, true_steps
+from bullet_lab.docking.geometry import (
+    MarkerVisibility,
     Viewpoint,
+    clearance,
     extent_of,
-    true_steps,
+    wall_boxes,
 )
-from bullet_lab.docking.geometry import MarkerVisibility, clearance, wall_boxes
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.odometry import MotionStep, OdometryBuffer, motion_step
-from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
+from bullet_lab.docking.types import (
+    CameraMount,
+    DockingSettings,
+    MotionStep,
+    Observation,
+    Odometry,
+    OdometryBuffer,
+    Sighting,
+    motion_step,
+)
 
 PARTICLES = 600
 # Number of the particles that no failed look makes less likely, and their share of the possible
@@ -37,7 +43,9 @@ _WALL_SHARE = 0.05
 # The database may be wrong by somewhat more than its uncertainty.
 _MARGIN = 1.1
 # Relative standard deviation of the size of a copy.
-_SIZE_PLAY = 0.05
+_SIZE_DEVIATION = 0.05
+# Size in the image at which the marker should be found, px.
+_FOUND_SIZE = 18.0
 # Least size of a sighting and least distance from the edge of the image, px.
 _SMALLEST = 6.0
 _BORDER = 3.0
@@ -57,7 +65,6 @@ _REACHES = (0.0, 0.15, 1.0), (0.35, 0.7, 1.15)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 # Standard deviation of the difference in yaw of two prints on one wall, rad.
 _SAME_WALL = 0.015
-_PRIOR, _DATABASE = 0, 1
 
 
 class DockParticles:
@@ -70,7 +77,7 @@ class DockParticles:
     Attributes:
         poses: (n, 3).
         weights: (n,).
-        reach: (n,) of the light, as `MarkerVisibility.in_reach` takes it.
+        reach: (n,) of the light, as `MarkerVisibility.found` takes it.
         mass: share of the prior that is left.
     """
 
@@ -80,7 +87,7 @@ class DockParticles:
         self._rng = rng
         self._boxes = wall_boxes(dock)
         # Farther from the dock's origin there is no wall, m.
-        self._reach = math.hypot(
+        self._extent = math.hypot(
             *np.abs(self._boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0)
         )
         # The uncertainty is along the axes of the frame that the pose is given in, which may be
@@ -106,14 +113,14 @@ class DockParticles:
 
     def stands_free(self, radius: float) -> bool:
         """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
-        if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._reach + radius) ** 2:
+        if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._extent + radius) ** 2:
             return True
         free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
         if not np.all(free):
             self._learn(np.where(free, 1.0, 1e-6), counts=False)
         return bool(np.any(free))
 
-    def add_miss(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
+    def add_failed_look(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
         """Learn from a look that found nothing.
 
         Args:
@@ -123,15 +130,15 @@ class DockParticles:
         """
         self._learn(1.0 - (1.0 - missed) * expected, counts)
 
-    def concentrate(self, estimate: GaussianPose, play: float) -> None:
+    def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Move the particles to a pose, with so much more uncertainty to either side, m."""
         count = len(self.poses)
         # The size of the copy, and so its distance, is known to some per cent only.
         covariance = estimate.covariance + np.diag([0.02, 0.01, 0.012]) ** 2
-        covariance[:2, :2] += np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_PLAY**2
+        covariance[:2, :2] += np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_DEVIATION**2
         drawn = estimate.mean + self._rng.standard_normal((count, 3)) @ _root(covariance).T
         beside = np.zeros((count, 3))
-        beside[:, 1] = self._rng.uniform(-play, play, count)
+        beside[:, 1] = self._rng.uniform(-margin, margin, count)
         self.poses = se2.compose(drawn, beside)
         self.weights = np.full(count, 1.0 / count)
 
@@ -140,10 +147,14 @@ class DockParticles:
         count = int(share * len(self.poses))
         keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
         drawn = poses[self._rng.integers(len(poses), size=count)]
-        self.poses = np.concatenate([self.poses[keep], drawn])
-        self._errors = np.concatenate([self._errors[keep], self._errors[: len(drawn)]])
-        self.reach = np.concatenate([self.reach[keep], self.reach[: len(drawn)]])
-        self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
+        self._take(np.concatenate([keep, np.arange(count)]))
+        self.poses[len(keep) :] = drawn
+
+    def _take(self, chosen: np.ndarray) -> None:
+        """Keep the particles of these indices (n,), with equal weights."""
+        self.poses, self._errors = self.poses[chosen], self._errors[chosen]
+        self.reach = self.reach[chosen]
+        self.weights = np.full(len(chosen), 1.0 / len(chosen))
 
     def gaussian(self) -> GaussianPose:
         """Return mean and covariance, widened a little."""
@@ -155,11 +166,7 @@ class DockParticles:
         covariance = (self.weights[:, None] * off).T @ off
         return GaussianPose(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
 
-    def samples(self, count: int) -> np.ndarray:
-        """Draw (count, 3) poses."""
-        return self.looks(count)[0]
-
-    def looks(self, count: int) -> Tuple[np.ndarray, np.ndarray]:
+    def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Draw (count, 3) poses and the light's reach (count,) at each."""
         chosen = self._rng.choice(len(self.poses), count, p=self.weights)
         return self.poses[chosen], self.reach[chosen]
@@ -177,10 +184,8 @@ class DockParticles:
             return
         places = (np.arange(count) + self._rng.uniform()) / count
         chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), count - 1)
-        jitter = self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
-        self.poses, self._errors = self.poses[chosen] + jitter, self._errors[chosen]
-        self.reach = self.reach[chosen]
-        self.weights = np.full(count, 1.0 / count)
+        self._take(chosen)
+        self.poses += self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
@@ -192,7 +197,15 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 class DockBelief:
     """Belief about the dock's pose, by the robot's odometry and the camera's images.
 
+    Args:
+        dock: what is known of the dock.
+        dock_pose: its rough pose in the odometry frame.
+        mount: where the camera is on the robot.
+        settings: of the docking.
+        rng: draws the particles.
+
     Attributes:
+        dock, mount, settings: as given.
         odometry: the last messages.
         particles: of the dock's pose before its marker was seen; None before the first odometry.
         walls: likewise, but without learning from looks that found nothing: the walls are there
@@ -211,32 +224,33 @@ class DockBelief:
         settings: DockingSettings,
         rng: np.random.Generator,
     ):
-        self._dock, self._mount = dock, mount
-        self._dock_pose, self._settings, self._rng = dock_pose, settings, rng
+        self.dock, self.mount, self.settings = dock, mount, settings
+        self._dock_pose, self._rng = dock_pose, rng
         self.odometry = OdometryBuffer()
-        self.particles: Optional[DockParticles] = None
-        self.walls: Optional[DockParticles] = None
-        # The belief before the marker was seen, and the database's pose.
-        self._believed: Optional[DriftingPoses] = None
-        self.visibility: Optional[MarkerVisibility] = None
-        self._camera: Optional[PinholeCamera] = None
-        self.tracks: List[MarkerTrack] = []
+        self.particles: DockParticles | None = None
+        self.walls: DockParticles | None = None
+        # The belief before the marker was seen, and the pose of the database; None like particles.
+        self._prior: DriftingPose | None = None
+        self._database: DriftingPose | None = None
+        self.visibility: MarkerVisibility | None = None
+        self._camera: PinholeCamera | None = None
+        self.tracks: list[MarkerTrack] = []
         self.last_image = -math.inf
         self.images = 0
         # Result of `estimate` for the present tracks: it is called many times at each tick.
-        self._estimated: Optional[Tuple[Optional[GaussianPose]]] = None
+        self._estimated: tuple[GaussianPose | None] | None = None
 
     @property
     def pose(self) -> PlanarPose:
         """Of the robot in the odometry frame."""
         return self.odometry.last.pose
 
-    def best(self) -> Optional[MarkerTrack]:
+    def best(self) -> MarkerTrack | None:
         """Return the track to go for; None where none is plausible."""
         plausible = [t for t in self.tracks if t.frames >= 3 and t.real > _HARDLY_REAL]
         return max(plausible, key=lambda track: track.real, default=None)
 
-    def estimate(self) -> Optional[GaussianPose]:
+    def estimate(self) -> GaussianPose | None:
         """Return the dock's pose in the robot's frame; None before the marker was seen.
 
         A small marker shows little of its yaw; a larger copy on the same wall shows more.
@@ -259,17 +273,18 @@ class DockBelief:
         if best is None:
             drawn = self._possible(count)
         else:
-            doubtful = int(round(count * min(1.0 - best.real, 0.5))) if best.real < 0.9 else 0
-            drawn = best.samples(self._rng, count - doubtful)
-            if doubtful:
-                drawn = np.concatenate([drawn, self._possible(doubtful)])
+            others = int(round(count * min(1.0 - best.real, 0.5))) if best.real < 0.9 else 0
+            drawn = best.samples(self._rng, count - others)
+            if others:
+                drawn = np.concatenate([drawn, self._possible(others)])
         return se2.compose(self.pose, drawn)
 
     def _possible(self, count: int) -> np.ndarray:
         """Draw (count, 3) poses of a dock whose marker is not seen, in the robot's frame."""
         of_walls = int(_WALL_SHARE * count)
-        drawn = self.particles.samples(count - of_walls), self.walls.samples(of_walls)
-        return np.concatenate(drawn)
+        particles, _ = self.particles.samples(count - of_walls)
+        walls, _ = self.walls.samples(of_walls)
+        return np.concatenate([particles, walls])
 
     def stands_free(self, radius: float) -> bool:
         """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
@@ -291,18 +306,18 @@ class DockBelief:
         """Return whether a print of the marker was in sight lately."""
         return any(t.frames >= 3 and self.last_image - t.last_seen < 2.0 for t in self.tracks)
 
-    def copy_on_the_wall(self) -> Optional[MarkerTrack]:
+    def copy_on_the_wall(self) -> MarkerTrack | None:
         """Return a copy of the marker where only the dock's back wall can be, or None."""
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
                 continue
-            if self._believed.pose(_DATABASE).excess(track.likeliest().mean[None].copy())[0] <= 0.0:
+            if self._database.pose.excess(track.likeliest().mean[None].copy())[0] <= 0.0:
                 return track
         return None
 
     def cut_off(self, track: MarkerTrack) -> bool:
         """Return whether an edge of an image taken now would cut off a marker's white border."""
-        corners, camera = track.foreseen(Viewpoint(self._camera, self._mount)), self._camera
+        corners, camera = track.predict_corners(Viewpoint(self._camera, self.mount)), self._camera
         return not _inside(corners, camera) >= _CUT * extent_of(corners)
 
     def add_odometry(self, odometry: Odometry) -> None:
@@ -312,16 +327,15 @@ class DockBelief:
         self.odometry.add(odometry)
         if before is None:
             rough = se2.between(odometry.pose, self._dock_pose)
-            drawn = self._dock, tuple(rough.tolist()), self._rng
+            drawn = self.dock, tuple(rough.tolist()), self._rng
             self.particles = DockParticles(*drawn)
             self.walls = DockParticles(*drawn, _WALL_PARTICLES)
-            self._believed = DriftingPoses([self.particles.gaussian()] * 2)
+            self._prior = DriftingPose(self.particles.gaussian())
+            self._database = DriftingPose(self.particles.gaussian())
             return
         step = motion_step(before, odometry)
-        self.particles.move(step)
-        self.walls.move(step)
-        for believed in (self._believed, *self.tracks):
-            believed.move(step)
+        for moved in (self.particles, self.walls, self._prior, self._database, *self.tracks):
+            moved.move(step)
 
     def observe(self, observation: Observation) -> None:
         """Take in an image; one older than the memory of the odometry is ignored."""
@@ -329,13 +343,13 @@ class DockBelief:
         if then is None:
             return
         self._estimated = None
-        camera, dock = observation.camera, self._dock
+        camera = observation.camera
         if camera is not self._camera:
-            self._camera = camera
-            self.visibility = MarkerVisibility(dock, camera, self._mount.z, self.farthest(camera))
+            self._camera, height = camera, self.mount.z
+            self.visibility = MarkerVisibility(self.dock, camera, height, self.farthest(camera))
         self.last_image = max(self.last_image, observation.stamp)
         self.images += 1
-        view = Viewpoint(camera, self._mount, tuple(se2.between(self.pose, then).tolist()))
+        view = Viewpoint(camera, self.mount, tuple(se2.between(self.pose, then).tolist()))
         shown = filter(self._shows_marker, observation.sightings)
         self._associate(list(shown), view, observation.stamp)
         copy = self.copy_on_the_wall()
@@ -345,13 +359,13 @@ class DockBelief:
 
     def farthest(self, camera: PinholeCamera) -> float:
         """Return from how far (m) a camera should find the marker."""
-        return camera.fy * self._dock.marker.size / self._settings.smallest_marker
+        return camera.fy * self.dock.marker.size / _FOUND_SIZE
 
-    def concentrate(self, estimate: GaussianPose, play: float) -> None:
+    def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""
-        self.particles.concentrate(estimate, play)
-        self.walls.concentrate(estimate, play)
-        self._believed.put(_PRIOR, self.particles.gaussian())
+        self.particles.concentrate(estimate, margin)
+        self.walls.concentrate(estimate, margin)
+        self._prior = DriftingPose(self.particles.gaussian())
 
     def forget(self, track: MarkerTrack) -> None:
         """Drop a track that is not where it should be; some particles stay there."""
@@ -364,14 +378,11 @@ class DockBelief:
         self._estimated = None
 
     def _shows_marker(self, sighting: Sighting) -> bool:
-        if not self._dock.marker.is_shown_by(sighting):
-            return False
-        corners = np.asarray(sighting.corners, dtype=float)
-        if corners.shape != (4, 2) or not np.isfinite(corners).all():
-            return False
-        return _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
+        corners = sighting.corners
+        whole = _inside(corners, self._camera) >= _BORDER and extent_of(corners) >= _SMALLEST
+        return whole and self.dock.marker.is_shown_by(sighting)
 
-    def _associate(self, sightings: List[Sighting], view: Viewpoint, stamp: float) -> None:
+    def _associate(self, sightings: list[Sighting], view: Viewpoint, stamp: float) -> None:
         """Give each sighting to the track that it fits best, or begin a new one with it."""
         pairs = []
         for number, sighting in enumerate(sightings):
@@ -379,7 +390,7 @@ class DockBelief:
                 cost = _association_cost(track, sighting, view)
                 if cost is not None:
                     pairs.append((cost, number, track))
-        owners: Dict[int, MarkerTrack] = {}
+        owners: dict[int, MarkerTrack] = {}
         for _, number, track in sorted(pairs, key=lambda pair: pair[0]):
             if number not in owners and track not in owners.values():
                 owners[number] = track
@@ -393,12 +404,10 @@ class DockBelief:
         for number, track in owners.items():
             track.see(sightings[number], view)
             track.last_seen = stamp
-        marker, noise = self._dock.marker, self._settings.noise
         for number, sighting in enumerate(sightings):
             if number in owners:
                 continue
-            prior = self._believed.pose(_PRIOR)
-            track = MarkerTrack(sighting, view, marker, prior, noise)
+            track = MarkerTrack(sighting, view, self.dock.marker, self._prior.pose)
             track.last_seen = stamp
             self.tracks.append(track)
             if len(self.tracks) > _MOST_TRACKS:
@@ -410,18 +419,18 @@ def _inside(corners: np.ndarray, camera: PinholeCamera) -> float:
     return float(np.minimum(corners, (camera.width - 1, camera.height - 1) - corners).min())
 
 
-def _wall_yaw(copy: MarkerTrack) -> Tuple[float, float]:
+def _wall_yaw(copy: MarkerTrack) -> tuple[float, float]:
     """Return the yaw of the wall with a copy, rad, and its variance."""
     likeliest = copy.likeliest()
     return float(likeliest.mean[2]), float(likeliest.covariance[2, 2]) + _SAME_WALL**2
 
 
-def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -> Optional[float]:
+def _association_cost(track: MarkerTrack, sighting: Sighting, view: Viewpoint) -> float | None:
     """Return how badly corners fit a track, None if they are not of it.
 
     A track that was seen often is preferred to a new one, which fits anything.
     """
-    corners = np.asarray(sighting.corners, dtype=float)
+    corners = sighting.corners
     misfit, predicted = track.nearest(sighting, view)
     if misfit < _FIT:
         return misfit - min(track.frames, _FAMILIAR)

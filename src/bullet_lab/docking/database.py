@@ -1,4 +1,4 @@
-"""Database of docks: a YAML file, read and checked."""
+"""Docks: a database that is read from a YAML file, and whether a robot stands in its dock."""
 
 from __future__ import annotations
 
@@ -6,21 +6,26 @@ import math
 from dataclasses import MISSING, dataclass, fields
 from numbers import Real
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
+from typing import Any, Callable, Collection, Mapping, Sequence
 
 import numpy as np
 import yaml
 
-from bullet_lab.core import parameters
+from bullet_lab.core import parameters, se2
 from bullet_lab.core.parameters import ParameterError, declarations
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.docking.types import Sighting
+from bullet_lab.docking.types import DockingError, Sighting
 from bullet_lab.errors import LabError
 from bullet_lab.vision.dictionaries import simple_name
 
 _FILE_LIMIT = 1_000_000
 # Index of the stream, of those that a seed spawns, that draws the error of a pose.
 _ERROR_STREAM = 1
+
+ERRORS = ("distance_error_m", "lateral_error_m", "yaw_error_deg")
+
+DOCKED, WALL_CONTACT, INACCURATE = "docked", "wall_contact", "inaccurate"
+"""Verdicts on a docking, besides the names of docking's errors in small letters."""
 
 
 class DatabaseError(LabError):
@@ -110,11 +115,16 @@ class Dock:
         MISSING, "m, m, rad", "a list of x and y in m and yaw in degrees", _accept_pose
     )
     marker: DockMarker
-    walls: Optional[DockWalls]
+    walls: DockWalls | None
     staging_distance: float = _number("from the robot to the marker, m", 0.5, 20.0)
     docked_distance: float = _number("from the camera to the marker, m", 0.1, 5.0)
     tolerance: DockTolerance
     uncertainty: DockUncertainty
+
+    @property
+    def depth(self) -> float:
+        """Of its walls, m; 0 without."""
+        return 0.0 if self.walls is None else self.walls.depth
 
 
 def drawn_error(uncertainty: DockUncertainty, share: float, seed: int) -> PlanarPose:
@@ -137,7 +147,7 @@ _SECTIONS = {
 _KEYS = {"yaw": "yaw_deg"}
 
 
-def read_docks(path: Union[str, Path]) -> Dict[str, Dock]:
+def read_docks(path: str | Path) -> dict[str, Dock]:
     """Read a dock database; raises DatabaseError naming file, dock and key."""
     try:
         with open(path, encoding="utf-8") as stream:
@@ -147,7 +157,7 @@ def read_docks(path: Union[str, Path]) -> Dict[str, Dock]:
     return parse_docks(text, f"dock database {path}")
 
 
-def parse_docks(text: str, where: str = "dock database") -> Dict[str, Dock]:
+def parse_docks(text: str, where: str = "dock database") -> dict[str, Dock]:
     """Make docks of YAML text; raises DatabaseError."""
     if len(text) > _FILE_LIMIT:
         raise DatabaseError(f"{where}: larger than {_FILE_LIMIT} characters")
@@ -155,7 +165,8 @@ def parse_docks(text: str, where: str = "dock database") -> Dict[str, Dock]:
         content = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise DatabaseError(f"{where}: no YAML: {error}") from None
-    (docks,) = _entries(content, where, ["docks"])
+    _check_keys(content, where, ["docks"])
+    docks = content["docks"]
     if not isinstance(docks, dict) or not docks or not all(isinstance(key, str) for key in docks):
         raise DatabaseError(f"{where}: docks is no mapping from names to docks")
     return {name: _dock(name, docks[name], f"{where}: docks: {name}") for name in docks}
@@ -168,8 +179,8 @@ def find_dock(docks: Mapping[str, Dock], name: str) -> Dock:
     return docks[name]
 
 
-def _entries(content: Any, where: str, keys: Sequence[str]) -> List[Any]:
-    """Return the entries of a mapping that has these keys and no others; `walls` may be missing."""
+def _check_keys(content: Any, where: str, keys: Collection[str]) -> None:
+    """Check that a mapping has these keys and no others; `walls` may be missing."""
     if not isinstance(content, dict):
         raise DatabaseError(f"{where}: not a mapping")
     for key in keys:
@@ -178,22 +189,25 @@ def _entries(content: Any, where: str, keys: Sequence[str]) -> List[Any]:
     for key in content:
         if key not in keys:
             raise DatabaseError(f"{where}: unknown key {key}")
-    return [content.get(key) for key in keys]
 
 
 def _read(kind: type, content: Any, where: str, **values: Any) -> Any:
     """Make a dataclass of a mapping and of the values of its fields that are known already."""
-    names = [entry.name for entry in fields(kind) if entry.name != "name"]
+    names = [entry.name for entry in fields(kind) if entry.name not in values]
+    keys = {_KEYS.get(name, name): name for name in names}
+    _check_keys(content, where, keys)
     declared = declarations(kind)
-    for name, value in zip(names, _entries(content, where, [_KEYS.get(n, n) for n in names])):
+    for key, name in keys.items():
+        value = content.get(key)
         if name in declared:
             try:
-                values[name] = declared[name].read(value, _KEYS.get(name, name))
+                values[name] = declared[name].read(value, key)
             except ParameterError as error:
                 raise DatabaseError(f"{where}: {error}") from None
+        elif name == "walls" and value is None:
+            values[name] = None
         else:
-            absent = name == "walls" and value is None
-            values[name] = None if absent else _read(_SECTIONS[name], value, f"{where}: {name}")
+            values[name] = _read(_SECTIONS[name], value, f"{where}: {name}")
     return kind(**values)
 
 
@@ -205,3 +219,47 @@ def _dock(name: str, content: Any, where: str) -> Dock:
     if dock.walls is not None and dock.staging_distance <= dock.walls.depth:
         raise DatabaseError(f"{staging} outside the walls")
     return dock
+
+
+def docking_errors(
+    robot: Sequence[float], dock: Sequence[float], camera_ahead: float, docked_distance: float
+) -> dict[str, float]:
+    """Return how far a robot (m, m, rad) is from where it should stand in a dock.
+
+    Args:
+        robot: its true pose.
+        dock: true pose (m, m, rad) of the floor below the marker's face.
+        camera_ahead: m, of the camera from the robot's middle.
+        docked_distance: m, from the camera to the marker's face in a docked robot.
+
+    Returns:
+        By `ERRORS`: positive for too far away, for a robot to the left of the axis, and for one
+        turned to the left.
+    """
+    x, y, yaw = se2.between(np.asarray(dock, dtype=float), np.asarray(robot, dtype=float))
+    camera = x + camera_ahead * math.cos(yaw)
+    return dict(zip(ERRORS, (float(-camera - docked_distance), float(y), math.degrees(yaw))))
+
+
+def largest_errors(tolerance: DockTolerance) -> dict[str, float]:
+    """Return a tolerance by `ERRORS`, in their units."""
+    return dict(zip(ERRORS, (tolerance.distance, tolerance.lateral, math.degrees(tolerance.yaw))))
+
+
+def judge(
+    reported: DockingError, errors: Mapping[str, float], tolerance: DockTolerance, contacts: int
+) -> str:
+    """Return DOCKED, or what went wrong in one word.
+
+    A docking is a success if the robot reports it (NONE), is right, and has touched nothing.
+
+    >>> tolerance = DockTolerance(0.005, 0.003, 0.007)
+    >>> judge(DockingError.NONE, dict(zip(ERRORS, (0.0, -0.0031, 0.0))), tolerance, 0)
+    'inaccurate'
+    """
+    if contacts:
+        return WALL_CONTACT
+    if reported != DockingError.NONE:
+        return reported.name.lower()
+    most = largest_errors(tolerance)
+    return DOCKED if all(abs(errors[name]) <= most[name] for name in ERRORS) else INACCURATE

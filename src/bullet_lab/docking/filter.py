@@ -18,15 +18,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, wrap
-from bullet_lab.docking.odometry import MotionStep
-from bullet_lab.docking.types import CameraMount, PixelNoise
+from bullet_lab.docking.geometry import Viewpoint, corner_points, extent_of
+from bullet_lab.docking.types import MotionStep, Sighting
 
 STATES = 20
 _OF_MARKER = 5
@@ -48,6 +46,14 @@ _KNOWN_ODOMETRY = np.array([0.003, 0.003, 0.001, 0.001])
 _OF_POSE, _OF_ODOMETRY = 3, len(UNKNOWN_ODOMETRY)
 # Probability that a camera, or an odometry, is nominal.
 _AS_KNOWN = 0.7
+# Standard deviation of each corner in one image, px: of any; as a share of the marker's size in the
+# image; and px², divided by that size, as corners of a marker of few pixels per cell are off
+# together with the pattern and the blur.
+_CORNER = 0.1
+_RELATIVE = 0.0015
+_SMALL = 5.0
+# Standard deviations of roll, pitch and yaw of the robot at the moment of the image, rad.
+_ROBOT_TILT = np.array([math.radians(0.15), math.radians(0.15), math.radians(0.03)])
 # Steps of the numerical derivatives: no step first, then one of each state; and of a tilt, rad.
 _NUDGES = 1e-4 * np.eye(_OF_MARKER + 1, _OF_MARKER, -1)
 _TILT = 1e-4
@@ -81,9 +87,9 @@ class GaussianPose:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
-    def robot(self) -> np.ndarray:
-        """Likeliest pose (3,) of the robot in the dock's frame."""
-        return se2.inverse(self.mean)
+    def robot(self) -> PlanarPose:
+        """Likeliest pose of the robot in the dock's frame."""
+        return tuple(se2.inverse(self.mean).tolist())
 
     @property
     def lateral_deviation(self) -> float:
@@ -107,38 +113,31 @@ class GaussianPose:
         """
         off = wrap(yaw - float(self.mean[2]))
         own = self.covariance
-        doubt = off * off / (4.0 * (float(own[2, 2]) + variance))
-        if doubt > 1.0:
+        excess = off * off / (4.0 * (float(own[2, 2]) + variance))
+        if excess > 1.0:
             if variance > own[2, 2]:
                 return self
-            own = own * doubt
+            own = own * excess
         gain = own[:, 2] / (own[2, 2] + variance)
         mean = self.mean + gain * off
         mean[2] = wrap(float(mean[2]))
         return GaussianPose(mean, own - np.outer(gain, own[2]))
 
 
-class DriftingPoses:
-    """Earlier estimates of the dock's pose, moved along by odometry with unknown errors."""
+class DriftingPose:
+    """An earlier estimate of the dock's pose, moved along by odometry with unknown errors."""
 
-    def __init__(self, poses: Sequence[GaussianPose]):
+    def __init__(self, pose: GaussianPose):
         states = _OF_POSE + _OF_ODOMETRY
-        self._x = np.zeros((len(poses), states))
-        self._p = np.zeros((len(poses), states, states))
-        for number, pose in enumerate(poses):
-            self.put(number, pose)
+        self._x, self._p = np.zeros((1, states)), np.zeros((1, states, states))
+        self._x[0, :3] = pose.mean
+        self._p[0, :3, :3] = pose.covariance
+        self._p[0, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
 
-    def put(self, number: int, pose: GaussianPose) -> None:
-        """Replace a pose."""
-        self._x[number, :3], self._x[number, 3:] = pose.mean, 0.0
-        self._p[number] = 0.0
-        self._p[number, :3, :3] = pose.covariance
-        self._p[number, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
-
-    def pose(self, number: int) -> GaussianPose:
-        """Return a pose in the robot's present frame; the odometry may well be nominal."""
-        only = slice(number, number + 1)
-        x, p = _part_as_known(self._x[only], self._p[only], _DRIFTING_ODOMETRY)
+    @property
+    def pose(self) -> GaussianPose:
+        """The pose in the robot's present frame; the odometry may well be nominal."""
+        x, p = as_known(self._x, self._p, (_DRIFTING_ODOMETRY,))
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
     def move(self, motion: MotionStep) -> None:
@@ -163,7 +162,7 @@ def true_steps(step, errors: np.ndarray) -> np.ndarray:
     return steps
 
 
-def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarray, np.ndarray]:
+def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> tuple[np.ndarray, np.ndarray]:
     """Return states (n, i) and covariances (n, i, i) in the robot's frame after a step.
 
     The first three numbers are a pose, the last four the odometry errors.
@@ -193,18 +192,6 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> Tuple[np.ndarra
     return x, p
 
 
-def as_known(x: np.ndarray, p: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return states (n, 20) and covariances, given that much is probably nominal.
-
-    A camera, an odometry and corners are nominal more often than not. By Bayes' rule, with the
-    density ratio of Savage and Dickey (J. M. Dickey, Annals of Mathematical Statistics 42, 1971)
-    for the images, each is nominal with some probability; mean and covariance are of both cases.
-    """
-    for part in (_CORNER_PART, _CAMERA_PART, _ODOMETRY_PART):
-        x, p = _part_as_known(x, p, part)
-    return x, p
-
-
 class _Prior:
     """A part of the states, with its standard deviations if nominal and if not."""
 
@@ -213,107 +200,41 @@ class _Prior:
         self.log_unknown = np.sum(np.log(unknown))
 
 
-_CORNER_PART = _Prior(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER))
-_CAMERA_PART = _Prior(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA)
-_ODOMETRY_PART = _Prior(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_PRIORS = (
+    _Prior(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER)),
+    _Prior(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA),
+    _Prior(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY),
+)
 _AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
 _DRIFTING_ODOMETRY = _Prior(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
-def _part_as_known(x: np.ndarray, p: np.ndarray, of: _Prior) -> Tuple[np.ndarray, np.ndarray]:
-    """Do what `as_known` does for one part of the states."""
-    part = of.where
-    wide = p[:, part, part] + of.known
-    gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
-    logs = of.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
-    logs = logs - 0.5 * squared_distances(x[:, part], wide)
-    logs = np.minimum(np.maximum(logs, -50.0), 50.0)
-    right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))
-    off = -applied(gain, x[:, part])
-    x = x + right[:, None] * off
-    right = right[:, None, None]
-    p = p - right * (gain @ p[:, part])
-    return x, p + right * (1.0 - right) * (off[:, :, None] * off[:, None, :])
+def as_known(x: np.ndarray, p: np.ndarray, priors=_PRIORS) -> tuple[np.ndarray, np.ndarray]:
+    """Return states (n, i) and covariances, given that much is probably nominal.
 
-
-@dataclass(frozen=True, eq=False)
-class Viewpoint:
-    """A camera as it was when it took an image, seen from the robot as it is now."""
-
-    camera: PinholeCamera
-    mount: CameraMount
-    moved: PlanarPose = (0.0, 0.0, 0.0)  #: the robot then, in its present frame
-
-    def optical(self, points: np.ndarray) -> np.ndarray:
-        """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
-        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
-        x, y = points[..., 0] - self.moved[0], points[..., 1] - self.moved[1]
-        then, optical = np.empty(points.shape), np.empty(points.shape)
-        then[..., 0], then[..., 1] = cos * x + sin * y, cos * y - sin * x
-        then[..., 2] = points[..., 2]
-        there = (then - (self.mount.x, self.mount.y, self.mount.z)) @ self.mount.rotation()
-        optical[..., 0], optical[..., 1] = -there[..., 1], -there[..., 2]
-        optical[..., 2] = there[..., 0]
-        return optical
-
-    def pixels(self, optical: np.ndarray) -> np.ndarray:
-        """Return (..., 2) pixels of (..., 3) points of the optical frame."""
-        return self.camera.project(optical.reshape(-1, 3)).reshape(*optical.shape[:-1], 2)
-
-    @property
-    def origin(self) -> np.ndarray:
-        """Place (3,) of the camera at the time of the image, in the robot's present frame, m."""
-        mount, cos, sin = self.mount, math.cos(self.moved[2]), math.sin(self.moved[2])
-        turned = np.array([cos * mount.x - sin * mount.y, sin * mount.x + cos * mount.y, mount.z])
-        return np.array([*self.moved[:2], 0.0]) + turned
-
-    def line_of_sight(self, corners: np.ndarray, size: float) -> Tuple[np.ndarray, float]:
-        """Return the direction (3,) of a marker in the robot's frame, and its range in m.
-
-        The direction is scaled to unit length on the floor. A slanted marker is narrower than it
-        is tall, so the range comes from its height.
-        """
-        camera, (u, v) = self.camera, np.mean(corners, axis=0)
-        ahead = np.array([1.0, (camera.cx - u) / camera.fx, (camera.cy - v) / camera.fy])
-        ray = self.mount.rotation() @ ahead
-        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
-        ray = np.array([cos * ray[0] - sin * ray[1], sin * ray[0] + cos * ray[1], ray[2]])
-        tall = 0.5 * (np.hypot(*(corners[3] - corners[0])) + np.hypot(*(corners[2] - corners[1])))
-        depth = camera.fy * size / max(float(tall), 1.0)
-        floor = math.hypot(ray[0], ray[1])
-        return ray / floor, depth * floor
-
-
-_ACROSS, _UP = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
-
-
-def corner_points(states: np.ndarray, sizes) -> np.ndarray:
-    """Return the corners of markers in the robot's frame, m.
-
-    For states (..., 5), or longer, and edges of the black square (...), m, they are (..., 4, 3):
-    top left, top right, bottom right and bottom left, as one looks at it.
-
-    >>> corner_points(np.array([2.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
-    array([[ 2. ,  0.1,  0.6],
-           [ 2. , -0.1,  0.6],
-           [ 2. , -0.1,  0.4],
-           [ 2. ,  0.1,  0.4]])
+    A camera, an odometry and corners are nominal more often than not. By Bayes' rule, with the
+    density ratio of Savage and Dickey (J. M. Dickey, Annals of Mathematical Statistics 42, 1971)
+    for the images, each is nominal with some probability; mean and covariance are of both cases.
     """
-    # Copies, since numpy's functions round differently where they take columns of a larger array
-    # to overlap with their result, which depends on where that happens to lie in memory.
-    half = 0.5 * (np.asarray(sizes, dtype=float) * np.exp(states[..., 4].copy()))[..., None]
-    across, up = half * _ACROSS, half * _UP
-    x, y, yaw, height = (states[..., i, None] for i in range(4))
-    yaw = yaw.copy()
-    points = np.empty((*across.shape, 3))
-    points[..., 0], points[..., 1] = x - np.sin(yaw) * across, y + np.cos(yaw) * across
-    points[..., 2] = height + up
-    return points
+    for prior in priors:
+        part = prior.where
+        wide = p[:, part, part] + prior.known
+        gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
+        logs = prior.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
+        logs = logs - 0.5 * squared_distances(x[:, part], wide)
+        logs = np.minimum(np.maximum(logs, -50.0), 50.0)
+        right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))
+        off = -applied(gain, x[:, part])
+        x = x + right[:, None] * off
+        right = right[:, None, None]
+        p = p - right * (gain @ p[:, part])
+        p = p + right * (1.0 - right) * (off[:, :, None] * off[:, None, :])
+    return x, p
 
 
 def predict(
     states: np.ndarray, sizes: np.ndarray, view: Viewpoint
-) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return where corners of (n, 20) states with sizes (n,) are seen, and its derivatives.
 
     Returns:
@@ -349,50 +270,31 @@ def _camera_turns(turns: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class CornerNoise:
-    """Noise of the corners in one image.
+class Measurement:
+    """The corners of a marker in one image.
 
     Attributes:
-        usual: of any image.
-        deviations: (4, 2) px, by the image itself; None: unknown.
-        repeated: factor of all standard deviations for images that repeat each other.
+        sighting: the marker.
+        view: the camera.
+        repeated: factor of the standard deviations of images that repeat each other.
     """
 
-    usual: PixelNoise
-    deviations: Optional[np.ndarray] = None
+    sighting: Sighting
+    view: Viewpoint
     repeated: float = 1.0
 
-    def covariance(self, extent: float, tilts: np.ndarray) -> np.ndarray:
-        """Return the (n, 8, 8) covariance of the corners of a marker as large as `extent`, px².
+    def covariance(self, tilts: np.ndarray) -> np.ndarray:
+        """Return the (n, 8, 8) covariance of the corners, px².
 
         `tilts` are the (n, 8, 3) derivatives by roll, pitch and yaw.
         """
-        usual = self.usual
-        own = usual.corner**2 + (usual.relative * extent) ** 2 + (usual.small / extent) ** 2
+        extent, deviations = extent_of(self.sighting.corners), self.sighting.deviations
+        own = _CORNER**2 + (_RELATIVE * extent) ** 2 + (_SMALL / extent) ** 2
         each = own * _EYE[:8, :8]
-        if self.deviations is not None:
-            each = each + np.diag(np.square(self.deviations).ravel())
-        spread = tilts * np.array([usual.tilt, usual.tilt, usual.turn])
+        if deviations is not None:
+            each = each + np.diag(np.square(deviations).ravel())
+        spread = tilts * _ROBOT_TILT
         return self.repeated**2 * (each + spread @ spread.transpose(0, 2, 1))
-
-
-def extent_of(corners: np.ndarray) -> float:
-    """Return the size of a marker in the image: its mean diagonal over the root of two, in px.
-
-    >>> round(extent_of(np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 30.0], [0.0, 30.0]])), 9)
-    30.0
-    """
-    diagonals = np.hypot(*(corners[2] - corners[0])), np.hypot(*(corners[3] - corners[1]))
-    return float(np.mean(diagonals)) / math.sqrt(2.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """The corners of a marker in one image."""
-
-    corners: np.ndarray  #: (4, 2) px
-    view: Viewpoint  #: the camera
-    noise: CornerNoise  #: of the corners
 
 
 def innovations(start, x, p, sizes, measured: Measurement):
@@ -409,9 +311,8 @@ def innovations(start, x, p, sizes, measured: Measurement):
         seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
     off = start - x
     off[:, 2] = wrap(off[:, 2])
-    rest = measured.corners.reshape(8) - seen - applied(by_state, off)
-    covariance = measured.noise.covariance(extent_of(measured.corners), tilts)
-    covariance = covariance + by_state @ p @ by_state.transpose(0, 2, 1)
+    rest = measured.sighting.corners.reshape(8) - seen - applied(by_state, off)
+    covariance = measured.covariance(tilts) + by_state @ p @ by_state.transpose(0, 2, 1)
     return rest, by_state, covariance, predicted
 
 
@@ -432,7 +333,7 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=()):
+def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=None):
     """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
     Args:
@@ -441,7 +342,7 @@ def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hid
         sizes: (n,) m.
         measured: the corners.
         rounds: most linearisations.
-        hidden: indices of corners that do not count.
+        hidden: index of a corner that does not count.
 
     Returns:
         States (n, 20), covariances (n, 20, 20), squared Mahalanobis distances of the corners (n,)
@@ -450,9 +351,9 @@ def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hid
     x = start
     for number in range(rounds):
         rest, by_state, covariance, _ = innovations(start, x, p, sizes, measured)
-        for corner in hidden:
-            covariance[:, 2 * corner, 2 * corner] += _HIDDEN**2
-            covariance[:, 2 * corner + 1, 2 * corner + 1] += _HIDDEN**2
+        if hidden is not None:
+            pixel = [2 * hidden, 2 * hidden + 1]
+            covariance[:, pixel, pixel] += _HIDDEN**2
         gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
         before, x = x, start + applied(gain, rest)
         x[:, 2] = wrap(x[:, 2])
@@ -478,7 +379,7 @@ def robust_update(start, p, sizes, measured: Measurement, rounds: int = 3, judge
         return whole
     limit = _EXPLAINED * least
     for corner in range(4):
-        without = iterated_update(*given, hidden=(corner,))
+        without = iterated_update(*given, hidden=corner)
         found = np.min(without[2][judges])
         if found < min(least, limit):
             best, least = without, found

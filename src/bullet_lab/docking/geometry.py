@@ -1,4 +1,4 @@
-"""Geometry of a dock: walls as boxes on the floor, and the places that see its marker.
+"""Geometry of a dock: its walls on the floor, its marker in an image, and from where it is seen.
 
 In the dock's frame the marker's face is at x = 0, and a robot before it has x < 0 and yaw 0.
 """
@@ -8,14 +8,15 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.filter import Viewpoint, corner_points
-from bullet_lab.docking.types import CameraMount
+from bullet_lab.docking.types import CameraMount, Point
 
 # Largest angle between the line of sight and the dock's axis, and px that the marker should be
 # away from the image's edges.
@@ -55,6 +56,94 @@ def clearance(points, boxes: np.ndarray) -> np.ndarray:
         dy = np.maximum(np.maximum(y_min - y, y - y_max), 0.0)
         nearest = np.minimum(nearest, np.hypot(dx, dy))
     return nearest
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoint:
+    """A camera as it was when it took an image, seen from the robot as it is now."""
+
+    camera: PinholeCamera
+    mount: CameraMount
+    moved: PlanarPose = (0.0, 0.0, 0.0)  #: the robot then, in its present frame
+
+    def optical(self, points: np.ndarray) -> np.ndarray:
+        """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
+        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
+        x, y = points[..., 0] - self.moved[0], points[..., 1] - self.moved[1]
+        then, optical = np.empty(points.shape), np.empty(points.shape)
+        then[..., 0], then[..., 1] = cos * x + sin * y, cos * y - sin * x
+        then[..., 2] = points[..., 2]
+        there = (then - (self.mount.x, self.mount.y, self.mount.z)) @ self.mount.rotation
+        optical[..., 0], optical[..., 1] = -there[..., 1], -there[..., 2]
+        optical[..., 2] = there[..., 0]
+        return optical
+
+    def pixels(self, optical: np.ndarray) -> np.ndarray:
+        """Return (..., 2) pixels of (..., 3) points of the optical frame."""
+        return self.camera.project(optical.reshape(-1, 3)).reshape(*optical.shape[:-1], 2)
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Place (3,) of the camera at the time of the image, in the robot's present frame, m."""
+        x, y = self._turn(self.mount.x, self.mount.y)
+        return np.array([self.moved[0] + x, self.moved[1] + y, self.mount.z])
+
+    def _turn(self, x: float, y: float) -> Point:
+        """Turn a direction of the robot then into its present frame."""
+        cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
+        return cos * x - sin * y, sin * x + cos * y
+
+    def line_of_sight(self, corners: np.ndarray, size: float) -> tuple[np.ndarray, float]:
+        """Return the direction (3,) of a marker in the robot's frame, and its range in m.
+
+        The direction is scaled to unit length on the floor. A slanted marker is narrower than it
+        is tall, so the range comes from its height.
+        """
+        camera, (u, v) = self.camera, np.mean(corners, axis=0)
+        ahead = np.array([1.0, (camera.cx - u) / camera.fx, (camera.cy - v) / camera.fy])
+        *flat, rise = self.mount.rotation @ ahead
+        x, y = self._turn(*flat)
+        tall = 0.5 * (np.hypot(*(corners[3] - corners[0])) + np.hypot(*(corners[2] - corners[1])))
+        depth = camera.fy * size / max(float(tall), 1.0)
+        floor = math.hypot(x, y)
+        return np.array([x, y, rise]) / floor, depth * floor
+
+
+_ACROSS, _UP = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
+
+
+def corner_points(states: np.ndarray, sizes) -> np.ndarray:
+    """Return the corners of markers in the robot's frame, m.
+
+    For states (..., 5), or longer, and edges of the black square (...), m, they are (..., 4, 3):
+    top left, top right, bottom right and bottom left, as one looks at it.
+
+    >>> corner_points(np.array([2.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
+    array([[ 2. ,  0.1,  0.6],
+           [ 2. , -0.1,  0.6],
+           [ 2. , -0.1,  0.4],
+           [ 2. ,  0.1,  0.4]])
+    """
+    # Copies, since numpy's functions round differently where they take columns of a larger array
+    # to overlap with their result, which depends on where that happens to lie in memory.
+    half = 0.5 * (np.asarray(sizes, dtype=float) * np.exp(states[..., 4].copy()))[..., None]
+    across, up = half * _ACROSS, half * _UP
+    x, y, yaw, height = (states[..., i, None] for i in range(4))
+    yaw = yaw.copy()
+    points = np.empty((*across.shape, 3))
+    points[..., 0], points[..., 1] = x - np.sin(yaw) * across, y + np.cos(yaw) * across
+    points[..., 2] = height + up
+    return points
+
+
+def extent_of(corners: np.ndarray) -> float:
+    """Return the size of a marker in the image: its mean diagonal over the root of two, in px.
+
+    >>> round(extent_of(np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 30.0], [0.0, 30.0]])), 9)
+    30.0
+    """
+    diagonals = np.hypot(*(corners[2] - corners[0])), np.hypot(*(corners[3] - corners[1]))
+    return float(np.mean(diagonals)) / math.sqrt(2.0)
 
 
 def whole_in_image(
@@ -139,17 +228,13 @@ class MarkerVisibility:
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
         return self.unobstructed(x, y) & (off < self.half_angle(np.hypot(x, y)))
 
-    def in_reach(self, distance, reach) -> np.ndarray:
-        """Return whether a marker is found at distances (m) in light that has `reach`.
+    def found(self, cameras: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """Return whether (..., 3) cameras in the dock's frame should find the marker in a light.
 
-        That is the share of the range of good light up to which it is. Shapes broadcast.
+        `reach` (...) is the share of the range of good light up to which it is found.
         """
-        return np.asarray(distance) < np.asarray(reach) * self.farthest
-
-    def found(self, cameras: np.ndarray, reach) -> np.ndarray:
-        """Return whether (..., 3) cameras in the dock's frame should find the marker in a light."""
         distance = np.hypot(cameras[..., 0], cameras[..., 1])
-        return self.visible(cameras) & self.in_reach(distance, reach)
+        return self.visible(cameras) & (distance < reach * self.farthest)
 
     def half_angle(self, distance) -> np.ndarray:
         """Return how far off the image's middle (rad) a marker at a distance (m) is whole."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import Optional, Tuple
 
 import numpy as np
 
@@ -25,28 +24,25 @@ from bullet_lab.docking.filter import (
     STATES,
     UNKNOWN_CAMERA,
     UNKNOWN_ODOMETRY,
-    CornerNoise,
     GaussianPose,
     Measurement,
-    Viewpoint,
     applied,
     as_known,
     carried,
-    extent_of,
     innovations,
     predict,
     robust_update,
     squared_distances,
 )
-from bullet_lab.docking.odometry import MotionStep
-from bullet_lab.docking.types import Calibration, Learned, PixelNoise, Sighting
+from bullet_lab.docking.geometry import Viewpoint, extent_of
+from bullet_lab.docking.types import CalibrationErrors, Learned, MotionStep, Sighting
 
 SCALES = np.array([1.0, 0.35, 0.45, 0.6, 0.8, 1.25, 1.6, 2.1, 2.8, 3.7, 5.0, 6.5, 8.5, 11.0])
 """Sizes that are thought possible, as multiples of the marker's; the first is the real one."""
 
 _WINDOW = 0.22
 # Relative standard deviation of each size; the real one is known well.
-_PLAY = np.where(SCALES == 1.0, 0.02, 0.08)
+_SIZE_DEVIATIONS = np.where(SCALES == 1.0, 0.02, 0.08)
 _ODOMETRY_SCALE = 0.04
 # Noise of the height in the image, which shows the range, px.
 _EDGE = 0.35
@@ -110,7 +106,7 @@ class SizeTest:
             self._variance
             + SCALES**2 * (deviation**2 + self._deviation**2)
             + (_ODOMETRY_SCALE * away) ** 2
-            + (_PLAY * expected) ** 2
+            + (_SIZE_DEVIATIONS * expected) ** 2
             + 1e-6
         )
         square = (away - expected) ** 2 / variance
@@ -132,7 +128,6 @@ class MarkerTrack:
         view: by which camera.
         marker: the real one.
         prior: of the dock's pose in the robot's frame.
-        noise: of the corners in any image.
 
     Attributes:
         frames: images that were taken into account.
@@ -147,21 +142,19 @@ class MarkerTrack:
         view: Viewpoint,
         marker: DockMarker,
         prior: GaussianPose,
-        noise: PixelNoise,
     ):
-        self._size, self._height, self._noise = marker.size, marker.height, noise
+        self._size, self._height = marker.size, marker.height
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
-        self._spot: Optional[np.ndarray] = None
+        self._spot: np.ndarray | None = None
         self._spot_frames = 0
         self._outliers = 0
-        # States, and `as_known` of the real ones: needed many times at each tick.
-        self._known: Tuple = (None, ())
-        measured = self._measured(sighting, view)
-        self._extent = extent_of(measured.corners)
-        self._start(measured, prior)
+        # Poses and covariances of the real ones, which are needed many times at each tick.
+        self._known: tuple[np.ndarray, np.ndarray] | None = None
+        self._extent = extent_of(sighting.corners)
+        self._start(sighting, view, prior)
 
-    def estimate(self) -> Optional[GaussianPose]:
+    def estimate(self) -> GaussianPose | None:
         """Return the pose if it is real; None if it cannot be."""
         poses, covariances, weights = self.components()
         if not len(weights):
@@ -177,17 +170,17 @@ class MarkerTrack:
         mean[2] = wrap(float(mean[2]))
         return GaussianPose(mean, covariance)
 
-    def components(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def components(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
         real = self._scale == 0
         weights = self._weights[real]
         total = float(np.sum(weights))
         if total <= 0.0:
             return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
-        if self._known[0] is not self._x:
-            self._known = self._x, as_known(self._x[real], self._p[real])
-        x, p = self._known[1]
-        return x[:, :3].copy(), p[:, :3, :3].copy(), weights / total
+        if self._known is None:
+            x, p = as_known(self._x[real], self._p[real])
+            self._known = x[:, :3].copy(), p[:, :3, :3].copy()
+        return (*self._known, weights / total)
 
     def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw (count, 3) poses of the dock, if it is real."""
@@ -198,7 +191,7 @@ class MarkerTrack:
         drawn[:, 2] = wrap(drawn[:, 2])
         return drawn
 
-    def copies(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def copies(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return where the thing may be (n, 2) in the robot's frame, its size and weights (n,)."""
         return self._x[:, :2].copy(), self._actual_sizes(), self._weights.copy()
 
@@ -215,7 +208,7 @@ class MarkerTrack:
         x, p = as_known(self._x[best, None], self._p[best, None])
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
-    def learned(self) -> Calibration:
+    def learned(self) -> CalibrationErrors:
         """Return camera and odometry errors of the likeliest Gaussian, if it is real."""
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         (x,), (p,) = as_known(self._x[best, None], self._p[best, None])
@@ -223,13 +216,18 @@ class MarkerTrack:
         height = Learned(values[3].value - self._height, values[3].deviation)
         roll, pitch, yaw = values[CAMERA]
         way, turn, drift, _ = values[ODOMETRY]
-        return Calibration(
+        return CalibrationErrors(
             roll, pitch, yaw, height, Learned(math.expm1(way.value), way.deviation), turn, drift
         )
 
     def likeliest_size(self) -> float:
         """Return the likeliest size in m."""
         return float(self._actual_sizes()[np.argmax(self._weights)])
+
+    @property
+    def _sizes(self) -> np.ndarray:
+        """Assumed sizes (n,), m."""
+        return self._size * SCALES[self._scale]
 
     def _actual_sizes(self) -> np.ndarray:
         return self._sizes * np.exp(self._x[:, 4])
@@ -247,25 +245,22 @@ class MarkerTrack:
         beside = float(ray[0] * moved[1] - ray[1] * moved[0])
         self._sizing.travel(-float(ray @ moved), abs(beside), variance)
         self._x, self._p = carried(self._x, self._p, motion)
+        self._known = None
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def _measured(self, sighting: Sighting, view: Viewpoint, repeated: float = 1.0) -> Measurement:
-        corners = np.asarray(sighting.corners, dtype=float)
-        return Measurement(corners, view, CornerNoise(self._noise, sighting.deviations, repeated))
-
-    def nearest(self, sighting: Sighting, view: Viewpoint) -> Tuple[float, np.ndarray]:
+    def nearest(self, sighting: Sighting, view: Viewpoint) -> tuple[float, np.ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
         """
-        measured = self._measured(sighting, view)
-        rest, _, covariance, seen = innovations(self._x, self._x, self._p, self._sizes, measured)
+        given = self._x, self._p, self._sizes, Measurement(sighting, view)
+        rest, _, covariance, seen = innovations(self._x, *given)
         squares = squared_distances(rest, covariance)
         best = int(np.argmin(squares))
         return float(squares[best]), seen[best].reshape(4, 2)
 
-    def foreseen(self, view: Viewpoint) -> np.ndarray:
+    def predict_corners(self, view: Viewpoint) -> np.ndarray:
         """Return where the corners (4, 2) would be seen, if it is real; NaN if behind."""
         best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
         return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)
@@ -275,16 +270,17 @@ class MarkerTrack:
 
         Images from one spot share their errors; after some of them, more count little.
         """
-        self._extent = extent_of(np.asarray(sighting.corners, dtype=float))
-        measured = self._measured(sighting, view, self._repeated_here(self._extent))
-        seen = measured, 3, self._likely()
-        x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
+        self._extent = extent_of(sighting.corners)
+        measured = Measurement(sighting, view, self._repeated_here())
+        likely = self._weights > _LIKELY * np.max(self._weights)
+        seen = self._sizes, measured, 3, likely
+        x, p, squares, logs = robust_update(self._x, self._p, *seen)
         if np.min(squares) > _OUTLIER:
             self._outliers += 1
             if self._outliers < _STUBBORN:
                 return
             self._p[:, :3, :3] *= 4.0
-            x, p, squares, logs = robust_update(self._x, self._p, self._sizes, *seen)
+            x, p, squares, logs = robust_update(self._x, self._p, *seen)
         else:
             self._outliers = 0
         self.frames += 1
@@ -298,7 +294,7 @@ class MarkerTrack:
         away = float(np.hypot(*ray))
         self.found_from = max(self.found_from, away)
         since = -float(ray @ moved) / max(away, 1e-6)
-        self._sizing.see(*self._reach(measured.corners, view), since)
+        self._sizing.see(*self._reach(sighting.corners, view), since)
         self._reduce()
 
     def adopt_yaw(self, yaw: float, variance: float) -> None:
@@ -319,22 +315,18 @@ class MarkerTrack:
         self._within[real] = real == best
         self._reduce()
 
-    def _reach(self, corners: np.ndarray, view: Viewpoint) -> Tuple[float, float]:
+    def _reach(self, corners: np.ndarray, view: Viewpoint) -> tuple[float, float]:
         """Return the seeming range in m and its standard deviation."""
         _, reach = view.line_of_sight(corners, self._size)
         pixels = view.camera.fy * self._size / reach
         return reach, reach * _EDGE / max(pixels, 1.0)
 
-    def _likely(self) -> np.ndarray:
-        """Return which Gaussians are likely beside the likeliest one, (n,)."""
-        return self._weights > _LIKELY * np.max(self._weights)
-
-    def _repeated_here(self, extent: float) -> float:
+    def _repeated_here(self) -> float:
         """Return by how much more images from this spot are off than the first ones."""
         if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
             self._spot, self._spot_frames = np.zeros(2), 0
         self._spot_frames += 1
-        few = _OF_A_SMALL_ONE if extent < _SMALL else _FRAMES_AT_A_SPOT
+        few = _OF_A_SMALL_ONE if self._extent < _SMALL else _FRAMES_AT_A_SPOT
         return max(1.0, self._spot_frames / few)
 
     def _weigh(self) -> None:
@@ -353,9 +345,8 @@ class MarkerTrack:
         self._weights = self._within * shares[self._scale] / np.sum(shares)
         self.real = float(np.sum(self._weights[self._scale == 0]))
 
-    def _start(self, measured: Measurement, prior: GaussianPose) -> None:
-        corners, view = measured.corners, measured.view
-        ray, reach = view.line_of_sight(corners, self._size)
+    def _start(self, sighting: Sighting, view: Viewpoint, prior: GaussianPose) -> None:
+        ray, reach = view.line_of_sight(sighting.corners, self._size)
         count = len(_SLANTS)
         scale = np.repeat(np.arange(len(SCALES)), count)
         slants = np.tile(_SLANTS, len(SCALES))
@@ -366,17 +357,18 @@ class MarkerTrack:
         states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
         states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
         states[:, 3] = np.where(scale == 0, self._height, eye[2] + distance * ray[2])
-        covariance = np.zeros((len(scale), STATES, STATES))
-        covariance[:, 0, 0] = covariance[:, 1, 1] = (0.3 * distance + 0.05) ** 2
-        covariance[:, 2, 2] = _START_DEVIATION**2
-        covariance[:, 3, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE) ** 2
-        covariance[:, 4, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE) ** 2
-        covariance[:, CAMERA, CAMERA] = np.diag(UNKNOWN_CAMERA**2)
-        covariance[:, CORNERS, CORNERS] = OFF_CORNER**2 * np.eye(8)
-        covariance[:, ODOMETRY, ODOMETRY] = np.diag(UNKNOWN_ODOMETRY**2)
-        self._scale, self._sizes = scale, sizes
-        fitted = robust_update(states, covariance, sizes, measured, rounds=6)
-        self._x, self._p, squares, _ = fitted
+        deviations = np.empty_like(states)
+        deviations[:, :2] = 0.3 * distance[:, None] + 0.05
+        deviations[:, 2] = _START_DEVIATION
+        deviations[:, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE)
+        deviations[:, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE)
+        deviations[:, CAMERA] = UNKNOWN_CAMERA
+        deviations[:, CORNERS] = OFF_CORNER
+        deviations[:, ODOMETRY] = UNKNOWN_ODOMETRY
+        covariance = deviations[:, None] ** 2 * np.eye(STATES)
+        self._scale = scale
+        measured = Measurement(sighting, view)
+        self._x, self._p, squares, _ = robust_update(states, covariance, sizes, measured, rounds=6)
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)
         logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
@@ -386,7 +378,7 @@ class MarkerTrack:
         self._first = np.minimum(best - np.max(best), 0.0)
         # Before anything is known of its size, nine of ten are real.
         self._first[1:] -= math.log(9.0 * (len(SCALES) - 1))
-        self._sizing = SizeTest(*self._reach(corners, view))
+        self._sizing = SizeTest(*self._reach(sighting.corners, view))
         self.frames = 1
         self._reduce()
 
@@ -404,6 +396,7 @@ class MarkerTrack:
 
     def _reduce(self) -> None:
         """Merge Gaussians that have become the same and drop the weakest of each size."""
+        self._known = None
         self._weigh()
         keep, rivals_of = [], defaultdict(list)
         spreads = 0.7 * np.sqrt(np.diagonal(self._p, axis1=1, axis2=2)) + 1e-5
@@ -424,6 +417,5 @@ class MarkerTrack:
         likely = [s for s in rivals_of if np.sum(self._weights[self._scale == s]) > _LEAST_SHARE]
         keep = [k for k in keep if self._scale[k] in likely]
         self._x, self._p = self._x[keep], self._p[keep]
-        self._scale, self._sizes = self._scale[keep], self._sizes[keep]
-        self._within = self._within[keep]
+        self._scale, self._within = self._scale[keep], self._within[keep]
         self._weigh()

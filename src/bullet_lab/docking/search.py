@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Callable, List, Optional, Tuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.costmap import Costmap
-from bullet_lab.docking.database import Dock
 from bullet_lab.docking.geometry import MarkerVisibility
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.types import DockingSettings, Point
+from bullet_lab.docking.paths import Costmap, PathPlanner
+from bullet_lab.docking.types import Point
 
 _HEADINGS = np.arange(36) * (math.tau / 36.0)
 # Strides over the costmap's cells. The finer one is used if the coarse one finds no view, as
@@ -43,56 +41,63 @@ _FAR = 4.5
 # Once something was seen, each range is this part of the one before, but not less, m.
 _NEARER = 0.87
 _NEAREST = 2.6
+# Probability that a look misses a marker that it should find.
+_MISSED = 0.25
 # Half the width of the largest print, as a share of the walls' opening, and the probability that a
 # look misses it.
 _WIDEST_PRINT = 0.42
 _FAR_MISSED = 0.3
 
 
-@dataclass(frozen=True)
-class NextView:
+class NextView(NamedTuple):
     """A place to look from, in the odometry frame."""
 
-    way: List[Point]  #: points (m, m) to drive along; a single one for a turn on the spot
+    way: list[Point]  #: points (m, m) to drive along; a single one for a turn on the spot
     heading: float  #: rad, to look at
-    probability: float  #: that the marker is found from there
 
 
 class MarkerSearch:
     """Searches for a dock's marker: rates views, and learns from those that found nothing.
 
     Args:
-        dock: what is known of the dock.
         belief: of the dock's pose; looks that find nothing change it.
-        settings: of the docking.
-        ahead: m, of the camera before the robot's middle.
+        paths: plans the robot's paths.
     """
 
-    def __init__(self, dock: Dock, belief: DockBelief, settings: DockingSettings, ahead: float):
-        self._dock, self._belief, self._settings = dock, belief, settings
-        self._ahead = ahead
-        self._camera = np.array([ahead, 0.0, 0.0])
+    def __init__(self, belief: DockBelief, paths: PathPlanner):
+        self._belief, self._paths = belief, paths
+        self._ahead = belief.mount.x
         self._far_looks, self._far_range = 0, _FAR
-        self._far_visibility: Optional[MarkerVisibility] = None
+        self._far_visibility: MarkerVisibility | None = None
         # The copy that narrowed the belief last, and in how many images it was then.
-        self._cue: Tuple[Optional[MarkerTrack], int] = (None, 0)
+        self._cue: tuple[MarkerTrack | None, int] = (None, 0)
 
     def chance_to_see(self) -> float:
         """Return the probability that an image taken now would show the marker, or its copy."""
         particles = self._belief.particles
         visibility = self._far_visibility or self._belief.visibility
-        visible = visibility.visible(se2.between(particles.poses, self._camera))
-        return float(particles.weights @ visible)
+        return float(particles.weights @ visibility.visible(self._cameras(particles.poses)))
 
-    def add_miss(self) -> None:
+    def expects_marker(self) -> bool:
+        """Return whether an image taken now should show the marker that was seen before."""
+        estimate = self._belief.estimate()
+        if estimate is None:
+            return False
+        return bool(self._belief.visibility.visible(self._cameras(estimate.mean)))
+
+    def _cameras(self, docks: np.ndarray) -> np.ndarray:
+        """Return the camera's poses (..., 3) against docks (..., 3) in the robot's frame."""
+        return se2.between(docks, (self._ahead, 0.0, 0.0))
+
+    def add_failed_look(self) -> None:
         """Learn from a look that found nothing."""
-        looks = [(self._belief.visibility, self._settings.missed, True)]
+        looks = [(self._belief.visibility, _MISSED, True)]
         if self._far_visibility is not None and not self._belief.copies_seen():
             looks.append((self._far_visibility, _FAR_MISSED, False))
         particles = self._belief.particles
         for visibility, missed, counts in looks:
-            cameras = se2.between(particles.poses, self._camera)
-            particles.add_miss(visibility.found(cameras, particles.reach), missed, counts)
+            expected = visibility.found(self._cameras(particles.poses), particles.reach)
+            particles.add_failed_look(expected, missed, counts)
 
     def use_cue(self) -> bool:
         """Narrow the belief by a copy on the dock's back wall, and return whether there is one.
@@ -105,46 +110,35 @@ class MarkerSearch:
         used, frames = self._cue
         if used is not found or found.frames > 1.3 * frames:
             self._cue = found, found.frames
-            walls = self._dock.walls
-            play = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
-            self._belief.concentrate(found.likeliest(), max(play, 0.03))
+            walls = self._belief.dock.walls
+            margin = 0.1 if walls is None else 0.5 * (walls.opening - found.likeliest_size())
+            self._belief.concentrate(found.likeliest(), max(margin, 0.03))
         return True
 
-    def next_view(
-        self, costmap: Callable[[], Costmap], is_safe: Callable[[List[Point]], bool]
-    ) -> Optional[NextView]:
+    def next_view(self) -> NextView | None:
         """Return where to look next; None if nothing can be seen from a safe place.
 
         If the marker is too far to be found, look for a larger print, whose size shows on the way.
         The walls hide a larger print on the back wall sooner than the marker. Once something was
         seen, each look is from nearer than the one before.
-
-        Args:
-            costmap: makes a costmap of the floor.
-            is_safe: returns whether the robot may drive along a way.
         """
-        view = self._next_view(self._belief.visibility, costmap(), is_safe)
-        walls = self._dock.walls
+        view = self._best_view(self._belief.visibility)
+        walls = self._belief.dock.walls
         half = 0.0 if walls is None else _WIDEST_PRINT * walls.opening
         while view is None and self._far_looks < _MOST_FAR_LOOKS:
             self._far_looks += 1
             if self._belief.copies_seen():
                 self._far_range = max(_NEARER * self._far_range, _NEAREST)
             self._far_visibility = self._belief.visibility.up_to(self._far_range, half)
-            view = self._next_view(self._far_visibility, costmap(), is_safe)
+            view = self._best_view(self._far_visibility)
             if view is None:
                 self._far_range = _FAR
         return view
 
-    def _next_view(
-        self,
-        visibility: MarkerVisibility,
-        costmap: Costmap,
-        is_safe: Callable[[List[Point]], bool],
-    ) -> Optional[NextView]:
+    def _best_view(self, visibility: MarkerVisibility) -> NextView | None:
         """Return the view that finds most for the time it takes, or None; see `next_view`."""
-        robot, settings = self._belief.pose, self._settings
-        docks, reach = self._belief.particles.looks(_SAMPLES)
+        costmap, robot, settings = self._paths.costmap(), self._belief.pose, self._belief.settings
+        docks, reach = self._belief.particles.samples(_SAMPLES)
         docks = se2.compose(robot, docks)
         for stride in _STRIDES:
             points = costmap.points[::stride, ::stride].reshape(-1, 2)
@@ -158,7 +152,7 @@ class MarkerSearch:
             seconds = costs / settings.drive_speed
             seconds = seconds + np.where(costs > 0.0, _START_SECONDS, turning[None])
             found = self._probabilities(points, docks, reach, visibility)
-            view = _best_view(points, costmap, found, seconds, is_safe)
+            view = self._first_safe(points, costmap, _worth(found, seconds))
             if view is not None:
                 return view
         return None
@@ -180,7 +174,7 @@ class MarkerSearch:
         eyes = points[:, None] + to_dock * ahead[..., None]
         flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
         x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
-        found = visibility.unobstructed(x, y) & visibility.in_reach(np.hypot(x, y), reach)
+        found = visibility.unobstructed(x, y) & (np.hypot(x, y) < reach * visibility.farthest)
         bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
         aside = visibility.half_angle(distance) - _EDGE
         shares = [
@@ -189,26 +183,26 @@ class MarkerSearch:
         ]
         return np.stack(shares, axis=1)
 
+    def _first_safe(
+        self, points: np.ndarray, costmap: Costmap, worth: np.ndarray
+    ) -> NextView | None:
+        """Return the best view with a safe path; the robot is at the first point."""
+        headings = np.argmax(worth, axis=1)
+        # Each place once: the next best headings there are refused for the same path.
+        for place in np.argsort(-worth.max(axis=1))[:_MOST_PLACES]:
+            heading = headings[place]
+            if worth[place, heading] <= 0.0:
+                return None
+            way = costmap.path(points[place]) if place else [tuple(points[0].tolist())]
+            if way is not None and self._paths.is_safe(way):
+                return NextView(way, float(_HEADINGS[heading]))
+        return None
 
-def _best_view(
-    points: np.ndarray,
-    costmap: Costmap,
-    found: np.ndarray,
-    seconds: np.ndarray,
-    is_safe: Callable[[List[Point]], bool],
-) -> Optional[NextView]:
-    """Return the view of most probability per time; the robot is at the first point."""
+
+def _worth(found: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Return the probability per time of views (n, 36), 0 where the probability is small."""
     # Of headings with the same probability, the one with the likely place in the middle is best.
     smooth = (np.roll(found, 1, axis=1) + found + np.roll(found, -1, axis=1)) / 3.0
     worth = (found + 0.05 * smooth) / (_LOOK_SECONDS + seconds)
     worth[found < _LEAST_PROBABILITY] = 0.0
-    headings = np.argmax(worth, axis=1)
-    # Each place once: the next best headings there are refused for the same path.
-    for place in np.argsort(-worth.max(axis=1))[:_MOST_PLACES]:
-        heading = headings[place]
-        if worth[place, heading] <= 0.0:
-            return None
-        way = costmap.path(points[place]) if place else [tuple(points[0].tolist())]
-        if way is not None and is_safe(way):
-            return NextView(way, float(_HEADINGS[heading]), float(found[place, heading]))
-    return None
+    return worth

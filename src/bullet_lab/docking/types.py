@@ -1,4 +1,4 @@
-"""Inputs, outputs and settings of docking, as plain data.
+"""Inputs, outputs and settings of docking, as plain data; and steps between odometry messages.
 
 Planar poses are (x m, y m, yaw rad). The pose of a dock is that of the point of the floor below
 its marker's face, with the yaw of a robot that stands in it.
@@ -8,18 +8,35 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field
+from collections import deque
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Optional, Tuple
+from typing import NamedTuple, Tuple
 
 import numpy as np
 
+from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 
 Point = Tuple[float, float]
 Command = Tuple[float, float]
 STANDSTILL: Command = (0.0, 0.0)
+
+HALF_WIDTH = 0.20
+"""Half the edge of the robot, a square about the middle of its axle, m."""
+
+TURNING_RADIUS = float(np.hypot(HALF_WIDTH, HALF_WIDTH))
+"""Radius of the circle that the robot needs to turn on the spot, m."""
+
+# Variances by distance and turn of wheels that slip, added to those of the odometry.
+_ALONG = 0.004**2  # m²/m
+_TURN_BY_DISTANCE = 0.004**2  # rad²/m
+_TURN_BY_TURN = 0.006**2  # rad²/rad
+_ACROSS_BY_DISTANCE = 0.0015**2  # m²/m
+_ACROSS_BY_TURN = 0.002**2  # m²/rad
+# Odometry that is kept, s.
+_MEMORY = 3.0
 
 
 class DockingState(IntEnum):
@@ -57,7 +74,7 @@ class DockingError(IntEnum):
 
 @dataclass(frozen=True)
 class Odometry:
-    """One message of odometry: stamp in s, pose in the odometry frame, m/s ahead and rad/s.
+    """One message of odometry: stamp in s, and pose in the odometry frame.
 
     `twist_covariance` is (3, 3) of (vx, vy, wz) over the time since the message before; zeros or
     None: unknown.
@@ -65,8 +82,67 @@ class Odometry:
 
     stamp: float
     pose: PlanarPose
-    velocity: Command = STANDSTILL
-    twist_covariance: Optional[np.ndarray] = None
+    twist_covariance: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class MotionStep:
+    """A step of the robot in its frame before it: (dx m, dy m, dyaw rad) and (3, 3) covariance."""
+
+    step: tuple[float, float, float]
+    covariance: np.ndarray
+
+
+def motion_step(before: Odometry, after: Odometry) -> MotionStep:
+    """Return the step between two messages of odometry.
+
+    >>> motion_step(Odometry(0.0, (1.0, 0.0, 0.0)), Odometry(0.1, (1.5, 0.0, 0.0))).step
+    (0.5, 0.0, 0.0)
+    """
+    step = tuple(se2.between(before.pose, after.pose).tolist())
+    distance, turn = math.hypot(step[0], step[1]), abs(step[2])
+    along = _ALONG * distance
+    across = _ACROSS_BY_DISTANCE * distance + _ACROSS_BY_TURN * turn
+    rotation = _TURN_BY_DISTANCE * distance + _TURN_BY_TURN * turn
+    covariance = np.diag([along, across, rotation])
+    if after.twist_covariance is not None:
+        covariance = covariance + after.twist_covariance * (after.stamp - before.stamp) ** 2
+    return MotionStep(step, covariance)
+
+
+class OdometryBuffer:
+    """Poses of the last seconds, to know where the robot was when an image was taken."""
+
+    def __init__(self):
+        self._past: deque[Odometry] = deque()
+
+    @property
+    def last(self) -> Odometry | None:
+        """The newest message."""
+        return self._past[-1] if self._past else None
+
+    def add(self, odometry: Odometry) -> None:
+        """Take the next message."""
+        self._past.append(odometry)
+        while odometry.stamp - self._past[0].stamp > _MEMORY and len(self._past) > 2:
+            self._past.popleft()
+
+    def pose_at(self, stamp: float) -> PlanarPose | None:
+        """Return the pose at a time (s), interpolated; the newest after it, None before all."""
+        if not self._past or stamp < self._past[0].stamp - 1e-6:
+            return None
+        after = self._past[-1]
+        if stamp >= after.stamp:
+            return after.pose
+        for before in reversed(self._past):
+            if before.stamp <= stamp + 1e-9:
+                break
+            after = before
+        if after is before:
+            return before.pose
+        part = min(max((stamp - before.stamp) / (after.stamp - before.stamp), 0.0), 1.0)
+        step = se2.between(before.pose, after.pose)
+        return tuple(se2.compose(before.pose, part * step).tolist())
 
 
 @dataclass(frozen=True)
@@ -80,23 +156,19 @@ class CameraMount:
     pitch: float = 0.0
     yaw: float = 0.0
 
+    @functools.cached_property
     def rotation(self) -> np.ndarray:
-        """Return the (3, 3) matrix that turns directions of the camera into base_footprint."""
-        return _rotation(self.roll, self.pitch, self.yaw).copy()
-
-
-@functools.lru_cache(maxsize=16)
-def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    sr, cr = np.sin(roll), np.cos(roll)
-    sp, cp = np.sin(pitch), np.cos(pitch)
-    sy, cy = np.sin(yaw), np.cos(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+        """The (3, 3) matrix that turns directions of the camera into base_footprint."""
+        sr, cr = np.sin(self.roll), np.cos(self.roll)
+        sp, cp = np.sin(self.pitch), np.cos(self.pitch)
+        sy, cy = np.sin(self.yaw), np.cos(self.yaw)
+        return np.array(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +182,7 @@ class Sighting:
     id: int
     dictionary: str
     corners: np.ndarray
-    deviations: Optional[np.ndarray] = None
+    deviations: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,64 +191,19 @@ class Observation:
 
     stamp: float
     camera: PinholeCamera
-    sightings: Tuple[Sighting, ...] = ()
-
-
-@dataclass(frozen=True)
-class PixelNoise:
-    """Uncertainty of the corners in one image, as standard deviations."""
-
-    corner: float = 0.1  #: px, of each corner, on its own
-    relative: float = 0.0015  #: as part of the marker's size in the image, added to it
-    #: px², divided by the size in the image and added too: corners of a marker of few pixels per
-    #: cell are off together with the pattern and the blur
-    small: float = 5.0
-    tilt: float = math.radians(0.15)  #: rad, pitch and roll of the robot, for all corners together
-    turn: float = math.radians(0.03)  #: rad, of its yaw at the moment of the image
+    sightings: tuple[Sighting, ...] = ()
 
 
 @dataclass(frozen=True)
 class DockingSettings:
-    """Speeds, patience and limits; lengths in m, angles in rad, times in s."""
+    """Speeds in m/s and rad/s, and limits."""
 
+    search: bool = True  #: for the marker where it is not seen at once
     drive_speed: float = 0.4  #: in the open
     approach_speed: float = 0.25  #: on the dock's axis
     turn_speed: float = 0.8  #: on the spot
-    acceleration: float = 0.5  #: of the wheels' mean, m/s²
-    turn_acceleration: float = 2.0  #: rad/s²
-    settle_time: float = 0.3  #: from standstill to the first image that counts
-    look_frames: int = 3  #: images of a look
-    measure_frames: int = 4  #: images at rest before a decision
-    final_frames: int = 5  #: images at rest for the confirmation
     max_retries: int = 5  #: retreats from the last metre before it gives up
-    max_stagings: int = 10  #: drives to the staging point
-    time_limit: float = 300.0  #: of all
-    image_timeout: float = 3.0  #: without any image while they are wanted
-    unseen_timeout: float = 1.2  #: without the marker while driving at it
-    odometry_timeout: float = 1.0  #: without odometry
-    gate_distance: float = 0.40  #: left to go, below which the gate counts
-    gate_lateral: float = 0.025  #: beside the axis, aborts
-    gate_yaw: float = math.radians(6.0)  #: against the axis, aborts
-    wall_margin: float = 0.04  #: kept between robot and walls
-    smallest_marker: float = 18.0  #: px in the image at which the marker should be found
-    missed: float = 0.25  #: probability that a look misses a marker that it should find
-    give_up_mass: float = 0.004  #: share of the prior below which the marker is held to be missing
-    sure: float = 0.9  #: probability of being the real marker that is needed to drive in
-    noise: PixelNoise = field(default_factory=PixelNoise)  #: of the marker's corners in the image
-
-
-@dataclass(frozen=True)
-class RobotShape:
-    """Extents about the middle of the axle, in m."""
-
-    front: float = 0.20
-    rear: float = 0.20
-    half_width: float = 0.20
-
-    @property
-    def turning_radius(self) -> float:
-        """Radius of the circle that the robot needs to turn on the spot."""
-        return float(np.hypot(max(self.front, self.rear), self.half_width))
+    time_limit: float = 300.0  #: of all, s
 
 
 class Learned(NamedTuple):
@@ -186,8 +213,7 @@ class Learned(NamedTuple):
     deviation: float
 
 
-@dataclass(frozen=True)
-class Calibration:
+class CalibrationErrors(NamedTuple):
     """Estimated errors of camera and odometry, each against its nominal value."""
 
     roll: Learned  #: rad, of the camera about the direction it looks in
@@ -220,26 +246,15 @@ class Calibration:
 class DockingResult:
     """Result of a docking, with the estimates at the end; NaN: unknown."""
 
-    success: bool
     error: DockingError  #: NONE after a success
     message: str  #: one line for the user
     retries: int = 0  #: how often it retreated to try again
     distance: float = math.nan  #: m, camera to marker along the dock's axis
     lateral: float = math.nan  #: m, of the robot from the axis, left positive
     yaw: float = math.nan  #: rad, of the robot against the axis
-    calibration: Optional[Calibration] = None  #: None if the marker was not found
+    calibration: CalibrationErrors | None = None  #: None if the marker was not found
 
-
-@dataclass(frozen=True)
-class DockingStatus:
-    """Progress of a docking; distance, lateral and yaw as in DockingResult."""
-
-    state: DockingState
-    distance: float
-    lateral: float
-    yaw: float
-    retries: int
-    wants_images: bool  #: an image would be used now
-    dock_pose: Optional[PlanarPose]  #: in the odometry frame, None before the marker was seen
-    plan: Tuple[Point, ...]  #: points (m, m) still to be driven to, in the odometry frame
-    detail: str  #: one line for humans
+    @property
+    def success(self) -> bool:
+        """Whether the robot has docked or undocked."""
+        return self.error == DockingError.NONE

@@ -18,23 +18,23 @@ from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VE
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.docking.database import Dock
-from bullet_lab.docking.types import Calibration, DockingError, DockingResult
-from bullet_lab.docking.verdict import (
+from bullet_lab.docking.database import (
     DOCKED,
     ERRORS,
     INACCURATE,
+    Dock,
     docking_errors,
     judge,
     largest_errors,
 )
+from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.reports import DriveReport, Reading, earliest
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
 # px; the camera's pictures are kept in this size.
 PICTURE_WIDTH = 320
-UNFINISHED = DockingResult(False, DockingError.UNKNOWN, "the docking was not finished")
+UNFINISHED = DockingResult(DockingError.UNKNOWN, "the docking was not finished")
 STATES = {
     "searching": PURPLE,
     "staging": BLUE,
@@ -99,7 +99,7 @@ class DockReport(DriveReport):
         }
         self.sent = False
         self.result: DockingResult | None = None
-        self._frames = Sampler(pictures)
+        self._frames = EvenSample(pictures)
         self._states: list[StateChange] = []
         self._plan: Sequence[tuple[float, float]] = ()
         self._touched: Reading | None = None
@@ -137,6 +137,7 @@ class DockReport(DriveReport):
         contacts = sum(touches.values())
         errors = self._errors()
         verdict = judge(result.error, errors, dock.tolerance, contacts)
+        learned = result.calibration and result.calibration._asdict()
         return {
             "finished": self.until is not None,
             "docked": verdict == DOCKED,
@@ -149,7 +150,7 @@ class DockReport(DriveReport):
             "wall_contacts": contacts,
             "touched": dict(touches),
             "retries": result.retries if self.result else None,
-            "calibration": _calibration_figures(result.calibration),
+            "calibration": learned and {name: one._asdict() for name, one in learned.items()},
             "images": self._frames.seen,
             **run,
         }
@@ -199,12 +200,6 @@ class DockReport(DriveReport):
         return before[-1] if before else "at rest"
 
 
-def _calibration_figures(calibration: Calibration | None) -> dict[str, dict[str, float]] | None:
-    if calibration is None:
-        return None
-    return {name: learned._asdict() for name, learned in vars(calibration).items()}
-
-
 def _small(picture: np.ndarray) -> np.ndarray:
     """Return a picture (h, w, 3) in BGR as a small one in RGB."""
     height = round(PICTURE_WIDTH * picture.shape[0] / picture.shape[1])
@@ -212,7 +207,7 @@ def _small(picture: np.ndarray) -> np.ndarray:
     return cv2.resize(coloured, (PICTURE_WIDTH, height), interpolation=cv2.INTER_AREA)
 
 
-class Sampler:
+class EvenSample:
     """Keeps `count` of many items, spread evenly, and the last one; `seen` is their number."""
 
     def __init__(self, count: int):
@@ -225,11 +220,10 @@ class Sampler:
     def add(self, item: Any) -> None:
         """Take the next item."""
         if self.seen % self._stride == 0:
-            if len(self._kept) >= 4 * self._count:
+            self._kept.append(item)
+            if len(self._kept) > 4 * self._count:
                 self._kept = self._kept[::2]
                 self._stride *= 2
-            if self.seen % self._stride == 0:
-                self._kept.append(item)
         self.seen += 1
         self._last = item
 

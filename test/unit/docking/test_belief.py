@@ -5,8 +5,7 @@ import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.filter import extent_of
-from bullet_lab.docking.geometry import MarkerVisibility
+from bullet_lab.docking.geometry import MarkerVisibility, extent_of
 from bullet_lab.docking.types import Observation, Odometry, Sighting
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
@@ -45,7 +44,7 @@ def test_the_same_look_again_tells_no_more_where_it_may_be_too_dark():
     camera = np.tile((-0.85 * visibility.farthest, 0.0, 0.0), (len(particles.poses), 1))
     left = []
     for _ in range(6):
-        particles.add_miss(visibility.found(camera, particles.reach), 0.25)
+        particles.add_failed_look(visibility.found(camera, particles.reach), 0.25)
         left.append(particles.mass)
     # It would be found in good light from there, so what is left is darker.
     assert 0.3 < left[-1] < left[0] < 0.6
@@ -55,8 +54,8 @@ def test_the_same_look_again_tells_no_more_where_it_may_be_too_dark():
 def test_a_place_where_the_marker_was_missed_may_have_walls():
     belief = Lookout().belief
     for _ in range(8):
-        belief.particles.add_miss(belief.particles.poses[:, 1] > 0.0, 0.05)
-    to_the_left = belief.particles.samples(400)[:, 1] > 0.0
+        belief.particles.add_failed_look(belief.particles.poses[:, 1] > 0.0, 0.05)
+    to_the_left = belief.particles.samples(400)[0][:, 1] > 0.0
     assert np.mean(to_the_left) < 0.01
     walls_to_the_left = se2.between(belief.pose, belief.samples(400))[:, 1] > 0.0
     assert 0.01 < np.mean(walls_to_the_left) < 0.05

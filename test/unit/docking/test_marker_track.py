@@ -9,10 +9,10 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
-from bullet_lab.docking.filter import CAMERA, STATES, GaussianPose, Viewpoint, predict
+from bullet_lab.docking.filter import CAMERA, STATES, GaussianPose, predict
+from bullet_lab.docking.geometry import Viewpoint
 from bullet_lab.docking.marker_track import MarkerTrack, SizeTest
-from bullet_lab.docking.odometry import motion_step
-from bullet_lab.docking.types import Odometry, PixelNoise, Sighting
+from bullet_lab.docking.types import Odometry, Sighting, motion_step
 
 DOCK = np.array([4.0, 0.0, 0.0])
 MARKER = standin.Print()
@@ -53,7 +53,7 @@ def drive(
     believed = se2.between(pose, DOCK) if prior is None else prior
     first = change(look(pose, rng, shown, stand))
     marker, prior = QUIET.marker, GaussianPose(believed, WIDE)
-    track = MarkerTrack(shown_at(first), view, marker, prior, PixelNoise())
+    track = MarkerTrack(shown_at(first), view, marker, prior)
     for step, said in zip(steps, told or steps):
         pose = se2.compose(pose, step)
         track.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(0.2, tuple(said))))
@@ -243,7 +243,7 @@ def test_a_small_marker_takes_over_the_yaw_of_a_larger_one():
     pose = np.array([2.5, 0.0, 0.0])
     marker = replace(QUIET.marker, size=0.075)
     first = shown_at(look(pose, rng, small))
-    track = MarkerTrack(first, VIEW, marker, believed, PixelNoise())
+    track = MarkerTrack(first, VIEW, marker, believed)
     yaw = track.estimate().mean[2]
     track.adopt_yaw(yaw, 0.015**2)
     assert track.estimate().mean[2] == pytest.approx(yaw)

@@ -10,7 +10,7 @@ from bullet_lab.reports import Reading
 from bullet_lab.reports.dock import (
     STATES,
     DockReport,
-    Sampler,
+    EvenSample,
     Station,
     docking_figure,
     strip_figure,
@@ -61,7 +61,7 @@ def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
     assert report.until == 30 * STEP
     report.take("bullet_lab/touched", Reading(30 * STEP, (), {}))
     assert not report.is_complete()
-    report.result = DockingResult(True, DockingError.NONE, "docked", 1)
+    report.result = DockingResult(DockingError.NONE, "docked", 1)
     assert report.is_complete()
     # After the end, and no part of it.
     report.take("bullet_lab/touched", Reading(31 * STEP, (), {"wall": 3}))
@@ -85,7 +85,7 @@ def test_docked_is_within_the_docks_tolerance_and_without_a_contact(report, end,
     drive(report, 40, end)
     report.take("dock/finished", Reading(20 * STEP))
     report.take("bullet_lab/touched", Reading(29 * STEP, (), touched))
-    report.result = DockingResult(True, DockingError.NONE, "docked", 0)
+    report.result = DockingResult(DockingError.NONE, "docked", 0)
     summary = report.summary(True, RUN)
     assert report.line(summary).startswith(line)
     assert report.has_failed(summary)
@@ -96,7 +96,7 @@ def test_a_docking_that_fails_and_one_that_is_broken_off(report):
     assert (summary["finished"], summary["error_name"]) == (False, "UNKNOWN")
     assert summary["retries"] is None
     assert not report.has_failed(summary)
-    report.result = DockingResult(False, DockingError.BLOCKED, "a wall", 2)
+    report.result = DockingResult(DockingError.BLOCKED, "a wall", 2)
     report.take("dock/finished", Reading(20 * STEP))
     summary = report.summary(True, RUN)
     assert report.line(summary) == "not docked: a wall (BLOCKED)"
@@ -134,7 +134,7 @@ def test_what_an_earlier_docking_has_left_goes(tmp_path):
 
 @pytest.mark.parametrize("seen", [0, 1, 3, 8, 9, 31, 32, 33, 500])
 def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
-    sampler = Sampler(8)
+    sampler = EvenSample(8)
     for number in range(seen):
         sampler.add(number)
     chosen = sampler.chosen()

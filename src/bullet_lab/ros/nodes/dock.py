@@ -19,12 +19,16 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
-from typing import Any, Callable, NamedTuple
+import itertools
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Callable
 
+import numpy as np
 import rospy
 import tf2_ros
 from actionlib import ServerGoalHandle
+from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Twist, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
@@ -34,56 +38,56 @@ from std_msgs.msg import Header, Time
 from bullet_lab.core.parameters import ParameterError, integer, number, text
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.docking.database import (
-    Dock,
-    DockTolerance,
-    UnknownDockError,
-    find_dock,
-    read_docks,
-)
-from bullet_lab.docking.task import DockingTask, UndockingTask
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.docking.database import Dock, UnknownDockError, find_dock, read_docks
+from bullet_lab.docking.progress import DockingFailureError
+from bullet_lab.docking.task import USUAL, DockingTask, UndockingTask
 from bullet_lab.docking.types import (
+    CalibrationErrors,
     CameraMount,
     DockingError,
     DockingResult,
     DockingSettings,
-    DockingStatus,
+    Learned,
     Observation,
-    PlanarPose,
+    Odometry,
+    Sighting,
 )
 from bullet_lab.errors import LabError
 from bullet_lab.msg import (
     DockAction,
+    DockCalibration,
+    DockFeedback,
     DockGoal,
+    DockResult,
     MarkerDetectionArray,
     UndockAction,
+    UndockFeedback,
     UndockGoal,
+    UndockResult,
 )
-from bullet_lab.ros.messages.poses import InputError, stamped_pose
+from bullet_lab.ros.messages import images
+from bullet_lab.ros.messages.poses import InputError, pose_of, stamped_pose
 from bullet_lab.ros.node.driving import GoalServer, StoppableSender
 from bullet_lab.ros.node.lock_step import rate
 from bullet_lab.ros.node.node import node
+from bullet_lab.ros.node.odometry import planar_pose
 from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
 from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
-from bullet_lab.ros.nodes.dock_messages import (
-    GoalError,
-    NotYetError,
-    camera_of,
-    check_dock_goal,
-    check_undock_goal,
-    dock_feedback,
-    dock_result,
-    mount_of,
-    odometry_of,
-    rough_pose,
-    sightings_of,
-    status_of,
-    undock_feedback,
-    undock_result,
-)
 from bullet_lab.simulation.world.resources import ResourceFinder
 
-USUAL = DockingSettings()
+# Indices of vx, vy and wz in the 6x6 covariances of ROS (REP 103).
+_PLANAR = (0, 1, 5)
+# Pose of the optical frame in the camera's frame, x ahead and z up (REP 103).
+OPTICAL = Pose.from_rpy((0.0, 0.0, 0.0), (-math.pi / 2, 0.0, -math.pi / 2))
+# rad; a dock on the floor is upright, and a larger tilt is a mistake.
+LARGEST_TILT = 0.2
+# m.
+LONGEST_UNDOCK = 10.0
+# Ends of a goal; after other errors it is aborted.
+_ENDS = {DockingError.NONE: GoalStatus.SUCCEEDED, DockingError.PREEMPTED: GoalStatus.PREEMPTED}
+
+Lookup = Callable[[str, str], Pose]
 
 
 @dataclass(frozen=True)
@@ -100,15 +104,11 @@ class DockParameters:
     camera_info: str = text("mycamera/camera_info", "topic of the camera's calibration")
     base_frame: str = text("base_footprint", "frame of the robot on the floor")
     dock_frame: str = text("dock", "frame of the dock on TF; empty: not published")
-    rate: float = number(
-        20.0, "commands per simulated second", minimum=10.0, maximum=100.0
-    )
+    rate: float = number(20.0, "commands per simulated second", minimum=10.0, maximum=100.0)
     odom_rate: float = number(
         20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
     )
-    image_rate: float = number(
-        30.0, "lock step: images per second", above=0.0, maximum=1000.0
-    )
+    image_rate: float = number(30.0, "lock step: images per second", above=0.0, maximum=1000.0)
     patience: float = number(
         3.0, "s to wait for odometry, camera and transforms at the start", above=0.0
     )
@@ -116,24 +116,11 @@ class DockParameters:
     max_retries: int = integer(
         USUAL.max_retries, "how often to retreat and try again", minimum=0, maximum=1000
     )
-    drive_speed: float = number(
-        USUAL.drive_speed, "m/s, far from the dock", above=0.0, maximum=1.0
-    )
+    drive_speed: float = number(USUAL.drive_speed, "m/s, far from the dock", above=0.0, maximum=1.0)
     approach_speed: float = number(
         USUAL.approach_speed, "m/s on the dock's axis", above=0.0, maximum=1.0
     )
-    turn_speed: float = number(
-        USUAL.turn_speed, "rad/s on the spot", above=0.0, maximum=2.0
-    )
-    tolerance_distance: float = number(
-        0.0, "m, of the docked pose along the axis; 0: that of the database", minimum=0.0
-    )
-    tolerance_lateral: float = number(
-        0.0, "m, across the axis; 0: that of the database", minimum=0.0
-    )
-    tolerance_yaw: float = number(
-        0.0, "rad, of the yaw; 0: that of the database", minimum=0.0
-    )
+    turn_speed: float = number(USUAL.turn_speed, "rad/s on the spot", above=0.0, maximum=2.0)
     seed: int = integer(0, "of the random draws of docking", minimum=0)
 
     def settings(self) -> DockingSettings:
@@ -142,7 +129,7 @@ class DockParameters:
         return replace(USUAL, **{name: getattr(self, name) for name in names})
 
     def database(self) -> dict[str, Dock]:
-        """Return the docks, with the frames and tolerances of this node.
+        """Return the docks, with the frames of this node.
 
         Raises:
             ParameterError: they cannot be read, or ~dock is not one of them.
@@ -154,25 +141,116 @@ class DockParameters:
         if self.dock not in docks:
             known = ", ".join(sorted(docks))
             raise ParameterError(f"~dock is '{self.dock}': it must be one of {known}")
-        tolerances = (self.tolerance_distance, self.tolerance_lateral, self.tolerance_yaw)
-        for name, dock in docks.items():
-            own = replace(dock, frame=own_frame(dock.frame))
-            docks[name] = with_tolerances(own, *tolerances)
-        return docks
+        return {name: replace(dock, frame=own_frame(dock.frame)) for name, dock in docks.items()}
 
 
-def with_tolerances(dock: Dock, *tolerances: float) -> Dock:
-    """Return a dock with other tolerances (m along its axis, m across, rad); 0 changes nothing."""
-    pairs = zip(tolerances, astuple(dock.tolerance))
-    return replace(dock, tolerance=DockTolerance(*(given or own for given, own in pairs)))
+def odometry_of(message: OdometryMessage) -> tuple[str, Odometry]:
+    """Return the frame and the content of a message of odometry; raises OdometryError."""
+    covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)
+    planar = covariance[np.ix_(_PLANAR, _PLANAR)]
+    stamp = message.header.stamp.to_sec()
+    return message.header.frame_id, Odometry(stamp, planar_pose(message), planar)
+
+
+def camera_of(message: CameraInfo) -> tuple[str, PinholeCamera]:
+    """Return the frame and the camera of raw images; raises CameraGeometryError."""
+    camera = images.camera_of(message, message.width, message.height)
+    return message.header.frame_id, camera
+
+
+def sightings_of(message: MarkerDetectionArray) -> tuple[float, tuple[Sighting, ...]]:
+    """Return the stamp and the markers in an image whose corners and deviations are finite."""
+    found = []
+    for detection in message.detections:
+        corners = np.array(detection.corners, dtype=float).reshape(4, 2)
+        deviations = np.array(detection.deviations, dtype=float).reshape(4, 2)
+        if np.isfinite((corners, deviations)).all():
+            found.append(Sighting(detection.id, detection.dictionary, corners, deviations))
+    return message.header.stamp.to_sec(), tuple(found)
+
+
+def mount_of(optical: Pose) -> CameraMount:
+    """Return the pose of the camera on the robot, from that of its optical frame."""
+    mount = optical * OPTICAL.inverse()
+    return CameraMount(*mount.position, *mount.rpy())
+
+
+class NotYetError(DockingFailureError):
+    """A message or transform that a goal needs has not come yet."""
+
+
+def check_goal(goal: DockGoal | UndockGoal) -> None:
+    """Raise DockingFailureError for an invalid goal of either action."""
+    trouble = ""
+    if isinstance(goal, UndockGoal):
+        if not 0.0 <= goal.distance <= LONGEST_UNDOCK:
+            trouble = f"distance is {goal.distance:g} m; it must be from 0 to {LONGEST_UNDOCK:g} m"
+    elif goal.max_retries < -1:
+        trouble = f"max_retries is {goal.max_retries}; it must be -1 or more"
+    elif goal.dock_pose.header.frame_id:
+        _pose_given(goal)
+    elif not goal.dock_id:
+        trouble = "neither dock_id nor the frame of dock_pose is set"
+    if trouble:
+        raise DockingFailureError(DockingError.NOT_VALID, trouble)
+
+
+def _pose_given(goal: DockGoal) -> Pose:
+    pose = goal.dock_pose.pose
+    try:
+        return pose_of(pose.position, pose.orientation)
+    except InputError as error:
+        raise DockingFailureError(DockingError.NOT_VALID, f"dock_pose is {error}") from None
+
+
+def rough_pose(goal: DockGoal, dock: Dock, frame: str, lookup: Lookup) -> PlanarPose:
+    """Return the rough pose of the dock in the odometry frame.
+
+    It is that of the goal, if it has a frame, or that of the database. `lookup` returns the pose of
+    its second frame in its first, or raises LabError.
+
+    Raises:
+        DockingFailureError: the dock is not upright.
+        NotYetError: no transform to the frame of the pose has come yet.
+    """
+    if goal.dock_pose.header.frame_id:
+        given, pose = goal.dock_pose.header.frame_id, _pose_given(goal)
+    else:
+        x, y, yaw = dock.pose
+        given, pose = dock.frame, Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+    if given.lstrip("/") != frame.lstrip("/"):
+        try:
+            pose = lookup(frame, given) * pose
+        except LabError as error:
+            raise NotYetError(DockingError.NOT_VALID, str(error)) from None
+    if pose.rotate((0.0, 0.0, 1.0))[2] < math.cos(LARGEST_TILT):
+        raise DockingFailureError(DockingError.NOT_VALID, "the pose of the dock is not upright")
+    return pose.position[0], pose.position[1], pose.yaw
+
+
+def result_message(goal: DockGoal | UndockGoal, result: DockingResult) -> DockResult | UndockResult:
+    """Return a result as a message of the action of a goal."""
+    head = (result.success, int(result.error), result.message)
+    if isinstance(goal, UndockGoal):
+        return UndockResult(*head)
+    learned = result.calibration or [Learned(math.nan, math.nan)] * len(CalibrationErrors._fields)
+    calibration = DockCalibration(*itertools.chain(*learned))
+    place = (result.distance, result.lateral, result.yaw)
+    return DockResult(*head, result.retries, *place, calibration)
+
+
+def docking_result(message: DockResult) -> DockingResult:
+    """Convert a message of the action dock into a result."""
+    _, error, words, *place, learned = (getattr(message, name) for name in DockResult.__slots__)
+    numbers = [getattr(learned, name) for name in DockCalibration.__slots__]
+    # Value and deviation of each field of `CalibrationErrors`, in the same order.
+    calibration = CalibrationErrors(*map(Learned, numbers[::2], numbers[1::2]))
+    found = None if math.isnan(calibration.roll.value) else calibration
+    return DockingResult(DockingError(error), words, *place, found)
 
 
 class DockTopics:
-    """Publishes ~dock_pose, ~plan and, on /tf, the frame of the dock.
-
-    Args:
-        child: name of the dock's frame on TF; empty for none.
-    """
+    """Publishes ~dock_pose, ~plan and, on /tf, the frame of the dock if it has a name, `child`."""
 
     def __init__(self, child: str):
         self._child = child
@@ -181,47 +259,25 @@ class DockTopics:
         self._tf = tf2_ros.TransformBroadcaster() if child else None
         self._shown: Any = None
 
-    def publish(self, stamp: rospy.Time, frame: str, status: DockingStatus) -> None:
+    def publish(self, stamp: rospy.Time, frame: str, task: DockingTask) -> None:
         """Publish the pose of the dock, if it is known, and the planned path if it has changed."""
-        if status.dock_pose is not None:
-            message = stamped_pose(stamp, frame, status.dock_pose)
+        dock, plan = task.dock_pose, task.plan
+        if dock is not None:
+            message = stamped_pose(stamp, frame, dock)
             self._pose.publish(message)
             if self._tf is not None:
-                self._tf.sendTransform(self._transform(message))
-        if status.plan != self._shown:
-            self._shown = status.plan
-            poses = [stamped_pose(stamp, frame, (x, y, 0.0)) for x, y in status.plan]
+                place = Vector3(message.pose.position.x, message.pose.position.y, 0.0)
+                transform = Transform(place, message.pose.orientation)
+                self._tf.sendTransform(TransformStamped(message.header, self._child, transform))
+        if plan != self._shown:
+            self._shown = plan
+            poses = [stamped_pose(stamp, frame, (x, y, 0.0)) for x, y in plan]
             self._plan.publish(Path(Header(0, stamp, frame), poses))
 
-    def _transform(self, pose: PoseStamped) -> TransformStamped:
-        place = Vector3(pose.pose.position.x, pose.pose.position.y, 0.0)
-        transform = Transform(place, pose.pose.orientation)
-        return TransformStamped(pose.header, self._child, transform)
 
-
-class Action(NamedTuple):
-    """One of the two actions of the node.
-
-    Attributes:
-        server: of the action.
-        needs_camera: whether a task needs the pose of the camera.
-        check: raises GoalError for an invalid goal.
-        make_task: returns the task for a goal and a camera, or raises GoalError.
-        feedback: returns the action's feedback for a task.
-        result: returns the action's result.
-    """
-
-    server: GoalServer
-    needs_camera: bool
-    check: Callable[[Any], None]
-    make_task: Callable[[Any, CameraMount | None], DockingTask | UndockingTask]
-    feedback: Callable[[Any], Any]
-    result: Callable[[DockingResult], Any]
-
-
-def _queue(topic: str, kind: type, read: Callable[[Any], Any], rate: float) -> MessageQueue:
-    """Return a queue of the messages of a topic, each as its header and its content."""
-    return MessageQueue(topic, kind, lambda message: (message.header, read(message)), rate)
+def _missing(queue: MessageQueue) -> str:
+    """Return why a queue has no messages."""
+    return f"{queue.topic}: {queue.trouble or 'no messages'}"
 
 
 class DockNode:
@@ -236,12 +292,15 @@ class DockNode:
         self._docks = parameters.database()
         self._settings = parameters.settings()
         self._base_frame = own_frame(parameters.base_frame)
-        self._odometry = _queue(parameters.odom, OdometryMessage, odometry_of, parameters.odom_rate)
-        self._camera_info = _queue(
-            parameters.camera_info, CameraInfo, camera_of, parameters.image_rate
+        images_per_second = parameters.image_rate
+        self._odometry = MessageQueue(
+            parameters.odom, OdometryMessage, odometry_of, parameters.odom_rate
         )
-        self._detections = _queue(
-            parameters.detections, MarkerDetectionArray, sightings_of, parameters.image_rate
+        self._camera_info = MessageQueue(
+            parameters.camera_info, CameraInfo, camera_of, images_per_second
+        )
+        self._detections = MessageQueue(
+            parameters.detections, MarkerDetectionArray, sightings_of, images_per_second
         )
         self._queues = (self._odometry, self._camera_info, self._detections)
         self._commands = publisher(parameters.cmd_vel, Twist)
@@ -254,26 +313,22 @@ class DockNode:
         # The frame of the camera, and its calibration.
         self._camera: tuple[str, PinholeCamera] | None = None
         self._last_dock: PlanarPose | None = None
-        # The action whose goal is pursued, the goal, and the task once its messages have come.
-        self._action: Action | None = None
+        # The server of the goal that is pursued, the goal, and the task once messages have come.
+        self._server: GoalServer | None = None
         self._goal: Any = None
-        self._task: Any = None
+        self._task: DockingTask | UndockingTask | None = None
         self._begun = 0.0
         callbacks = (self._stop_for_new_goal, self._sender.stop)
-        docking = GoalServer("dock", DockAction, *callbacks)
-        undocking = GoalServer("undock", UndockAction, *callbacks)
-        self._actions = (
-            Action(docking, True, check_dock_goal, self._docking, dock_feedback, dock_result),
-            Action(
-                undocking, False, check_undock_goal, self._undocking, undock_feedback, undock_result
-            ),
+        self._servers = (
+            GoalServer("dock", DockAction, *callbacks),
+            GoalServer("undock", UndockAction, *callbacks),
         )
 
     def run(self) -> None:
         """Serve until ROS shuts down."""
         ticks = rate(self._parameters.rate, self._is_connected, "odometry, camera and the bridge")
-        for action in self._actions:
-            action.server.start()
+        for server in self._servers:
+            server.start()
         last = ticks.now
         while not rospy.is_shutdown():
             ticks.sleep()
@@ -283,15 +338,12 @@ class DockNode:
             self._tick(ticks.now)
 
     def _is_connected(self) -> bool:
-        return self._commands.has_connections() and all(
-            queue.is_connected() for queue in self._queues
-        )
+        has_input = all(queue.is_connected() for queue in self._queues)
+        return has_input and self._commands.has_connections()
 
     def _stop_for_new_goal(self, _: ServerGoalHandle) -> None:
-        if self._action is not None:
+        if self._server is not None:
             self._sender.stop()
-
-    # The loop
 
     def _tick(self, now: rospy.Time) -> None:
         ticket = self._sender.ticket()
@@ -300,7 +352,7 @@ class DockNode:
             queue.wait(now)
         odometry = self._take_odometry(now)
         observations = self._take_observations(now)
-        if self._action is None:
+        if self._server is None:
             return
         try:
             if self._task is None and not self._start(now):
@@ -311,8 +363,8 @@ class DockNode:
                 self._task.add_observation(observation)
             command = self._task.tick(now.to_sec())
         except LabError as error:
-            reason = error.error if isinstance(error, GoalError) else DockingError.UNKNOWN
-            self._end(now, DockingResult(False, reason, str(error)))
+            reason = error.error if isinstance(error, DockingFailureError) else DockingError.UNKNOWN
+            self._end(now, DockingResult(reason, str(error)))
             return
         self._sender.send(command, ticket)
         self._show(now)
@@ -321,130 +373,124 @@ class DockNode:
 
     def _handle_requests(self, now: rospy.Time) -> None:
         """Accept new goals, the newest last, and end a cancelled goal."""
-        new = [one for one in self._actions if one.server.is_new_goal_available()]
-        for action in sorted(new, key=lambda one: one.server.next_goal.get_goal_id().stamp):
+        new = [one for one in self._servers if one.is_new_goal_available()]
+        for server in sorted(new, key=lambda one: one.next_goal.get_goal_id().stamp):
             self._preempt("replaced by another goal", now)
-            self._accept(action, now)
-        if self._action is not None and self._action.server.is_cancelled:
+            self._accept(server, now)
+        if self._server is not None and self._server.is_cancelled:
             self._preempt("cancelled on request", now)
 
-    def _accept(self, action: Action, now: rospy.Time) -> None:
-        self._action = action
-        self._goal = action.server.accept_new_goal()
+    def _accept(self, server: GoalServer, now: rospy.Time) -> None:
+        self._server, self._goal = server, server.accept_new_goal()
         self._task = None
         self._begun = now.to_sec()
-        try:
-            action.check(self._goal)
-        except GoalError as error:
-            self._end(now, DockingResult(False, error.error, str(error)))
-            return
         opened = [queue.open() for queue in self._queues]
         if any(opened):
             self._frame, self._camera = "", None
 
     def _preempt(self, why: str, now: rospy.Time) -> None:
-        if self._action is not None:
-            self._end(now, DockingResult(False, DockingError.PREEMPTED, why))
+        if self._server is not None:
+            self._end(now, DockingResult(DockingError.PREEMPTED, why))
 
-    def _take_odometry(self, now: rospy.Time) -> list:
+    def _take_odometry(self, now: rospy.Time) -> list[Odometry]:
         taken = self._odometry.take(now)
         if taken:
-            self._frame = taken[-1][0].frame_id
-        return [message for _, message in taken]
+            self._frame, _ = taken[-1]
+        return [odometry for _, odometry in taken]
 
     def _take_observations(self, now: rospy.Time) -> list[Observation]:
-        cameras = self._camera_info.take(now)
+        cameras, taken = self._camera_info.take(now), self._detections.take(now)
         if cameras:
-            header, camera = cameras[-1]
-            self._camera = (header.frame_id, camera)
-        taken = self._detections.take(now)
+            self._camera = cameras[-1]
         if self._camera is None:
             return []
-        camera = self._camera[1]
-        return [Observation(header.stamp.to_sec(), camera, seen) for header, seen in taken]
+        return [Observation(stamp, self._camera[1], seen) for stamp, seen in taken]
 
     def _start(self, now: rospy.Time) -> bool:
-        """Make the task once its messages have come; raises GoalError after ~patience."""
+        """Make the task once its messages have come; raises DockingFailureError."""
+        check_goal(self._goal)
         may_wait = now.to_sec() - self._begun < self._parameters.patience
         try:
             if not self._frame:
-                what = self._odometry.trouble or "no messages"
-                raise NotYetError(DockingError.ODOMETRY_LOST, f"{self._odometry.topic}: {what}")
-            mount = self._mount(may_wait or self._action.needs_camera)
-            self._task = self._action.make_task(self._goal, mount)
+                raise NotYetError(DockingError.ODOMETRY_LOST, _missing(self._odometry))
+            if isinstance(self._goal, DockGoal):
+                self._task = self._docking(self._goal)
+            else:
+                self._task = self._undocking(self._goal, may_wait)
         except NotYetError:
             if may_wait:
                 return False
             raise
         return True
 
-    def _mount(self, needed: bool) -> CameraMount | None:
-        """Return the pose of the camera on the robot; None if it is unknown and not needed."""
-        try:
-            if self._camera is None:
-                what = self._camera_info.trouble or "no messages"
-                raise InputError(f"{self._camera_info.topic}: {what}")
-            return mount_of(self._lookup(self._base_frame, self._camera[0]))
-        except (FrameError, InputError) as error:
-            if needed:
-                raise NotYetError(DockingError.CAMERA_LOST, str(error)) from None
-            return None
-
-    def _docking(self, goal: DockGoal, mount: CameraMount | None) -> DockingTask:
-        """Return the task that drives into a dock; raises GoalError."""
+    def _docking(self, goal: DockGoal) -> DockingTask:
+        """Return the task that drives into a dock; raises DockingFailureError."""
+        mount = self._mount()
         try:
             dock = find_dock(self._docks, goal.dock_id or self._parameters.dock)
         except UnknownDockError as error:
-            raise GoalError(DockingError.NOT_IN_DATABASE, str(error)) from None
-        return DockingTask(
-            dock,
-            rough_pose(goal, dock, self._frame, self._lookup),
-            mount,
-            self._settings,
-            search=goal.search,
-            max_retries=goal.max_retries,
-            seed=self._parameters.seed,
-        )
+            raise DockingFailureError(DockingError.NOT_IN_DATABASE, str(error)) from None
+        retries = self._settings.max_retries if goal.max_retries < 0 else goal.max_retries
+        settings = replace(self._settings, search=goal.search, max_retries=retries)
+        pose = rough_pose(goal, dock, self._frame, self._lookup)
+        return DockingTask(dock, pose, mount, settings, self._parameters.seed)
 
-    def _undocking(self, goal: UndockGoal, mount: CameraMount | None) -> UndockingTask:
+    def _undocking(self, goal: UndockGoal, may_wait: bool) -> UndockingTask:
         """Return the task that drives backwards out of a dock, on its axis if it is visible."""
+        try:
+            mount = self._mount()
+        except NotYetError:
+            if may_wait:
+                raise
+            mount = None
         dock = self._docks[self._parameters.dock]
         pose = self._last_dock or rough_pose(DockGoal(), dock, self._frame, self._lookup)
-        return UndockingTask(
-            goal.distance, dock=dock, dock_pose=pose, mount=mount, settings=self._settings
-        )
+        return UndockingTask(goal.distance, dock, pose, mount, self._settings)
+
+    def _mount(self) -> CameraMount:
+        """Return the pose of the camera on the robot; raises NotYetError."""
+        try:
+            if self._camera is None:
+                raise InputError(_missing(self._camera_info))
+            return mount_of(self._lookup(self._base_frame, self._camera[0]))
+        except (FrameError, InputError) as error:
+            raise NotYetError(DockingError.CAMERA_LOST, str(error)) from None
 
     def _lookup(self, target: str, source: str) -> Pose:
         return self._frames.pose_in(target, source, wait=False)
 
     def _show(self, now: rospy.Time) -> None:
-        self._action.server.tell(self._action.feedback(self._task), now)
-        if isinstance(self._task, DockingTask):
-            status = self._task.status
-            self._topics.publish(now, self._frame, status)
-            self._last_dock = status.dock_pose or self._last_dock
+        """Publish how it goes."""
+        task = self._task
+        if isinstance(task, UndockingTask):
+            self._server.tell(UndockFeedback(task.remaining), now)
+            return
+        self._server.tell(DockFeedback(int(task.state), *task.place, task.retries), now)
+        self._topics.publish(now, self._frame, task)
+        self._last_dock = task.dock_pose or self._last_dock
 
     def _end(self, now: rospy.Time, result: DockingResult) -> None:
         """Stop the robot and report the result."""
-        action, self._action = self._action, None
+        server, self._server = self._server, None
         self._sender.stop()
         for queue in self._queues:
             queue.close()
         log = rospy.loginfo if result.success else rospy.logwarn
-        log("%s: %s (%s)", action.server.name, result.message, result.error.name)
-        action.server.end(status_of(result), action.result(result), result.message)
+        log("%s: %s (%s)", server.name, result.message, result.error.name)
+        status = _ENDS.get(result.error, GoalStatus.ABORTED)
+        server.end(status, result_message(self._goal, result), result.message)
         self._finished.publish(Time(now))
 
     def _time_was_set_back(self) -> None:
         for queue in self._queues:
             queue.clear()
-        for action in self._actions:
-            action.server.forget_cancels()
+        for server in self._servers:
+            server.forget_cancels()
         self._frames.clear()
         self._last_dock = None
-        if self._action is not None:
+        if self._server is not None:
             message = "simulated time was set back"
-            self._end(rospy.Time(0), DockingResult(False, DockingError.UNKNOWN, message))
+            self._end(rospy.Time(0), DockingResult(DockingError.UNKNOWN, message))
 
 
 @node

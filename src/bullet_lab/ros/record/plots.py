@@ -33,7 +33,7 @@ from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.transforms import own_frame
-from bullet_lab.ros.nodes.dock_messages import docking_result
+from bullet_lab.ros.nodes.dock import docking_result
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParameters, robot_names
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters

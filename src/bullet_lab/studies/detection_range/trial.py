@@ -16,8 +16,7 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Box, Link, Model, World
-from bullet_lab.simulation.world.description import footprints
+from bullet_lab.simulation.world.description import Box, Link, Model, World, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.worlds import DEFAULT_LIGHT, ROBOT, lit_world

@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,13 +15,16 @@ from scipy import stats
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import FileError
-from bullet_lab.docking.verdict import DOCKED, ERRORS
+from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, reported_docked
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
 from bullet_lab.studies.results import Record, panels, write_results
 
 CONFIDENCE = 0.95
+ENDS = ("value", "low", "high")
+"""Names of a figure and of the ends of its interval."""
+
 NAV2_THRESHOLD = 0.05
 """nav2's `docking_threshold`, m: within it a robot counts as docked, with any heading."""
 
@@ -30,7 +33,7 @@ class ComparisonError(LabError):
     """Two campaigns cannot be compared."""
 
 
-def read_campaign(path: Path) -> Tuple[str, Dict[str, Any], Dict[int, Record]]:
+def read_campaign(path: Path) -> tuple[str, dict[str, Any], dict[int, Record]]:
     """Read the log of a campaign; raises FileError or ComparisonError.
 
     Returns:
@@ -46,7 +49,7 @@ def read_campaign(path: Path) -> Tuple[str, Dict[str, Any], Dict[int, Record]]:
         raise ComparisonError(f"{path} is not the log of a finished campaign") from None
 
 
-def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
+def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     """Compare the campaign of a folder with another one; write table, figure and numbers.
 
     Args:
@@ -86,21 +89,18 @@ def compare(folder: Path, beside: Path, dockings: int) -> List[str]:
     return describe(names, columns, paired)
 
 
-def share(hits: int, trials: int) -> Dict[str, Any]:
+def share(hits: int, trials: int) -> dict[str, Any]:
     """Return a share in per cent with Clopper and Pearson's interval.
 
     >>> {end: round(value, 2) for end, value in share(199, 200).items()}
     {'value': 99.5, 'low': 97.25, 'high': 99.99}
     """
     interval = stats.binomtest(hits, trials).proportion_ci(CONFIDENCE, method="exact")
-    return {
-        "value": 100.0 * hits / trials,
-        "low": 100.0 * float(interval.low),
-        "high": 100.0 * float(interval.high),
-    }
+    low, high = map(float, interval)
+    return {"value": 100.0 * hits / trials, "low": 100.0 * low, "high": 100.0 * high}
 
 
-def quantile(values: Sequence[float], part: float) -> Dict[str, Any]:
+def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
     """Return a quantile with an interval from two order statistics, for any distribution.
 
     An end for which there are too few values is None; without values, all are None.
@@ -110,7 +110,7 @@ def quantile(values: Sequence[float], part: float) -> Dict[str, Any]:
     {'value': 50.5, 'low': 40.0, 'high': 61.0}
     """
     if not len(values):
-        return dict.fromkeys(("value", "low", "high"))
+        return dict.fromkeys(ENDS)
     ordered, count = np.sort(np.asarray(values, dtype=float)), len(values)
     outside = 0.5 * (1.0 - CONFIDENCE)
     low = int(stats.binom.ppf(outside, count, part))
@@ -122,36 +122,27 @@ def quantile(values: Sequence[float], part: float) -> Dict[str, Any]:
     }
 
 
-def _off(record: Record) -> float:
-    return math.hypot(record["distance_error_m"], record["lateral_error_m"])
-
-
-QUANTILES = (("median", 0.5), ("99 %", 0.99))
-
-
-def figures_of(records: Sequence[Record]) -> Dict[str, Any]:
+def figures_of(records: Sequence[Record]) -> dict[str, Any]:
     """Return the figures of one controller by name, each with its interval."""
-    count, at_dock = len(records), reported_docked(records)
-    figures: Dict[str, Any] = {
-        "docked within the dock's tolerance (%)": share(
-            sum(record["result"] == DOCKED for record in records), count
-        ),
-        "docked within nav2's 50 mm (%)": share(
-            sum(_off(record) <= NAV2_THRESHOLD for record in at_dock), count
-        ),
-        "said to be docked (%)": share(len(at_dock), count),
-        "with a contact (%)": share(sum(bool(r["wall_contacts"]) for r in records), count),
-        "with a retry (%)": share(sum(bool(r["retries"]) for r in records), count),
+    at_dock = reported_docked(records)
+    off = [math.hypot(r["distance_error_m"], r["lateral_error_m"]) for r in at_dock]
+    hits = {
+        "docked within the dock's tolerance (%)": [r["result"] == DOCKED for r in records],
+        "docked within nav2's 50 mm (%)": [away <= NAV2_THRESHOLD for away in off],
+        "said to be docked (%)": [True for _ in at_dock],
+        "with a contact (%)": [bool(r["wall_contacts"]) for r in records],
+        "with a retry (%)": [bool(r["retries"]) for r in records],
     }
+    figures: dict[str, Any] = {name: share(sum(of), len(records)) for name, of in hits.items()}
     for column, (name, unit, factor) in QUANTITIES.items():
         values = [factor * abs(record[column]) for record in at_dock]
-        for label, part in QUANTILES:
+        for label, part in (("median", 0.5), ("99 %", 0.99)):
             figures[f"{name}, {label} ({unit})"] = quantile(values, part)
     figures["failures"] = dict(sorted(Counter(r["result"] for r in records).items()))
     return figures
 
 
-def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[str, Any]:
+def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[str, Any]:
     """Return who docked in the same scenarios, and the differences where both did.
 
     The p-value is that of McNemar's exact test; differences are the second minus the first.
@@ -175,26 +166,25 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Dict[st
     }
 
 
-def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> List[List[Any]]:
+def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
     """Return the rows of the table: figure, and value, low and high of each controller."""
-    ends = ("value", "low", "high")
-    rows: List[List[Any]] = [["figure", *(f"{name} {end}" for name in names for end in ends)]]
-    for figure in columns[0]:
-        if figure != "failures":
-            rows.append([figure, *(column[figure][end] for column in columns for end in ends)])
-    return rows
+    head = ["figure", *(f"{name} {end}" for name in names for end in ENDS)]
+    rows = [
+        [figure, *(column[figure][end] for column in columns for end in ENDS)]
+        for figure in columns[0]
+        if figure != "failures"
+    ]
+    return [head, *rows]
 
 
 def _shown(figure: Mapping[str, Any]) -> str:
-    value, low, high = (
-        "?" if figure[end] is None else f"{figure[end]:.3g}" for end in ("value", "low", "high")
-    )
+    value, low, high = ("?" if figure[end] is None else f"{figure[end]:.3g}" for end in ENDS)
     return f"{value} [{low}, {high}]"
 
 
 def describe(
     names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
-) -> List[str]:
+) -> list[str]:
     """Return the comparison as lines for the user, with intervals of 95 %."""
     lines = [f"{'':40}{names[0]:>24}{names[1]:>24}"]
     for figure in columns[0]:
@@ -249,9 +239,7 @@ def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str
     shares = [figure for figure in columns[0] if figure.endswith("(%)")]
     rows = np.arange(len(shares))[::-1]
     for number, (name, column, colour) in enumerate(zip(names, columns, COLOURS)):
-        values, low, high = (
-            np.array([column[figure][end] for figure in shares]) for end in ("value", "low", "high")
-        )
+        values, low, high = (np.array([column[figure][end] for figure in shares]) for end in ENDS)
         axes.barh(
             rows + 0.15 - 0.3 * number, values, 0.28, color=colour, label=name,
             xerr=(values - low, high - values), error_kw={"ecolor": BLACK, "capsize": 2},

@@ -9,7 +9,7 @@ import math
 import os
 from collections import Counter
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
+from typing import Any, Iterable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, draw_plan, new_figure
 from bullet_lab.core.files import FileError, replace_file
-from bullet_lab.docking.verdict import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
+from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Footprint
 from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
@@ -46,7 +46,7 @@ def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
     return clopper_pearson(successes, trials, 1.0 - confidence)[0]
 
 
-def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
+def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
     """Return the figures of a campaign for summary.json: rates, errors and contacts.
 
     The errors are magnitudes, of all robots that report that they have docked, within the dock's
@@ -82,20 +82,16 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
     }
 
 
-def error_figures(values: Sequence[float]) -> Dict[str, Any]:
+def error_figures(values: Sequence[float]) -> dict[str, float | None]:
     """Return median, 95 and 99 % quantiles and maximum of magnitudes; None if there are none."""
+    names, sizes = ("median", "p95", "p99", "max"), np.abs(values)
     if not values:
-        return dict.fromkeys(("median", "p95", "p99", "max"))
-    sizes = np.abs(values)
-    return {
-        "median": float(np.median(sizes)),
-        "p95": float(np.quantile(sizes, 0.95)),
-        "p99": float(np.quantile(sizes, 0.99)),
-        "max": float(sizes.max()),
-    }
+        return dict.fromkeys(names)
+    figures = (np.median(sizes), *np.quantile(sizes, (0.95, 0.99)), sizes.max())
+    return dict(zip(names, map(float, figures)))
 
 
-def stress_row(name: str, summary: Mapping[str, Any]) -> Dict[str, Any]:
+def stress_row(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return the row of a stress from the summary of its campaign."""
     counts = Counter(summary["failures"])
     wrong = counts[WALL_CONTACT] + counts[INACCURATE] + counts[CRASHED]
@@ -115,7 +111,7 @@ def stress_row(name: str, summary: Mapping[str, Any]) -> Dict[str, Any]:
     }
 
 
-def stress_lines(rows: Sequence[Mapping[str, Any]]) -> List[str]:
+def stress_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the table of stresses as lines for the user."""
     lines = [f"{'stress':9s} docked      contacts  median / max: distance, lateral mm; yaw deg"]
     for row in rows:
@@ -131,12 +127,12 @@ def stress_lines(rows: Sequence[Mapping[str, Any]]) -> List[str]:
     return lines
 
 
-def reported_docked(records: Sequence[Record]) -> List[Record]:
+def reported_docked(records: Sequence[Record]) -> list[Record]:
     """Return the dockings after which the robot reports that it has docked."""
     return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
 
 
-def _shares(records: Sequence[Record], name: str) -> Dict[str, Any]:
+def _shares(records: Sequence[Record], name: str) -> dict[str, Any]:
     """Return "docked of all" for each value of a column."""
     total = Counter(record[name] for record in records)
     docked = Counter(record[name] for record in records if record["result"] == DOCKED)
@@ -177,7 +173,7 @@ class DockLog:
     def __init__(self, path: Path, parameters: Mapping[str, Any]):
         self._path = path
         self._header = _line({"campaign": parameters})
-        self.records: Dict[int, Record] = {}
+        self.records: dict[int, Record] = {}
         try:
             # Unbuffered, so that a line is in the file even if this process is killed.
             self._file = path.open("a+b", buffering=0)
@@ -195,10 +191,9 @@ class DockLog:
         self.records[record["index"]] = record
 
     def sort(self) -> None:
-        """Sort the lines by index and close the file; raises FileError."""
+        """Sort the lines by index; nothing is appended after that. Raises FileError."""
         lines = [self._header, *(_line(self.records[index]) for index in sorted(self.records))]
         replace_file(self._path, lambda part: part.write_bytes(b"".join(lines)))
-        self.close()
 
     def close(self) -> None:
         """Close the file."""
@@ -244,7 +239,7 @@ class DockLog:
             f"({', '.join(differences)}): choose another folder, or remove it"
         )
 
-    def _parse(self, line: bytes, number: int) -> Dict[str, Any]:
+    def _parse(self, line: bytes, number: int) -> dict[str, Any]:
         try:
             values = json.loads(line, parse_constant=_finite, parse_float=_finite)
         except ValueError:
@@ -319,8 +314,8 @@ def _draw_robots(
     axes: Axes,
     records: Sequence[Record],
     name: str,
-    start_style: Tuple[str, float],
-    end_style: Tuple[str, float, str],
+    start_style: tuple[str, float],
+    end_style: tuple[str, float, str],
 ) -> None:
     """Draw the starts and ends of dockings; styles are colour, size and marker."""
     if not records:
@@ -343,7 +338,7 @@ def _poses(records: Sequence[Record], which: str) -> np.ndarray:
     return poses * [1.0, 1.0, math.radians(1.0)]
 
 
-def _ticks(poses: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def _ticks(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return x and y of a broken line with a short piece in the heading of each pose."""
     x, y, yaw = poses.T
     gap = np.full_like(x, np.nan)

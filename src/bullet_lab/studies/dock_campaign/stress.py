@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Callable, Dict, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.database import Dock, DockTolerance
-from bullet_lab.docking.types import Calibration
+from bullet_lab.docking.types import CalibrationErrors
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 from bullet_lab.simulation.world.description import Link, Model, Visual, World
 from bullet_lab.simulation.world.shapes import Box
@@ -106,7 +106,7 @@ class Stress:
         size = dock.marker.size / (1.0 + self.size_error)
         return replace(dock, marker=replace(dock.marker, size=size))
 
-    def costs(self, docked_distance: float) -> Tuple[float, float, float]:
+    def costs(self, docked_distance: float) -> tuple[float, float, float]:
         """Return the errors of a docked robot that it cannot observe: m, m and degrees.
 
         They are along the axis, across it, and in yaw. A relative error of the print or of the
@@ -120,18 +120,19 @@ class Stress:
 
     def allowed(self, tolerance: DockTolerance, docked_distance: float) -> DockTolerance:
         """Return a dock's tolerance plus these costs."""
-        along, across, yaw = self.costs(docked_distance)
-        turned = tolerance.yaw + math.radians(yaw)
-        return DockTolerance(tolerance.distance + along, tolerance.lateral + across, turned)
+        along, across, _ = self.costs(docked_distance)
+        return DockTolerance(
+            tolerance.distance + along, tolerance.lateral + across, tolerance.yaw
+        )
 
 
 Draw = Callable[[np.random.Generator], Dict[str, Any]]
 
 
-def _uniform(*limits: Tuple[str, float]) -> Draw:
+def _uniform(*limits: tuple[str, float]) -> Draw:
     """Return a function that draws fields, each uniformly within ± a limit."""
 
-    def draw(rng: np.random.Generator) -> Dict[str, Any]:
+    def draw(rng: np.random.Generator) -> dict[str, Any]:
         return {name: limit * rng.uniform(-1.0, 1.0) for name, limit in limits}
 
     return draw
@@ -141,7 +142,7 @@ def _fixed(**values: float) -> Draw:
     return lambda rng: values
 
 
-def _corner(rng: np.random.Generator) -> Dict[str, Any]:
+def _corner(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "hidden_corner": int(rng.integers(4)),
         "cover": rng.uniform(*COVER),
@@ -154,7 +155,7 @@ _TURNS = tuple(
     (f"mount_{axis}_deg", math.degrees(MOUNT_TURN)) for axis in ("roll", "pitch", "yaw")
 )
 
-STRESSES: Dict[str, Draw] = {
+STRESSES: dict[str, Draw] = {
     "pose": _uniform(
         ("dock_x_m", FARTHEST_DOCK), ("dock_y_m", FARTHEST_DOCK), ("dock_yaw_deg", 180.0)
     ),
@@ -174,7 +175,7 @@ here, so that new ones must come last."""
 
 def draw_stress(names: Sequence[str], seed: int, index: int) -> Stress:
     """Return the stress of an index; the draws of a name do not depend on the other names."""
-    values: Dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for number, (name, draw) in enumerate(STRESSES.items()):
         sequence = np.random.SeedSequence(seed, spawn_key=(index, number))
         if name in names:
@@ -183,12 +184,12 @@ def draw_stress(names: Sequence[str], seed: int, index: int) -> Stress:
     return Stress(**values, seed=int(sequence.generate_state(1)[0])) if values else Stress()
 
 
-def stress_columns(stress: Stress) -> Dict[str, Any]:
+def stress_columns(stress: Stress) -> dict[str, Any]:
     """Return the columns of a record with the values that were drawn."""
     return {name: value for name, value in asdict(stress).items() if name != "seed"}
 
 
-def found_columns(calibration: Optional[Calibration]) -> Dict[str, Any]:
+def found_columns(calibration: CalibrationErrors | None) -> dict[str, Any]:
     """Return the columns of a record with the errors that docking estimated; empty for None."""
     columns = {}
     for name, unit, scale in (
@@ -262,7 +263,7 @@ class StressedOdometry:
             )
         )
         self._rate, self._rng = stress.slips_per_m, rng
-        self._before: Optional[PlanarPose] = None
+        self._before: PlanarPose | None = None
         self._reported: PlanarPose = (0.0, 0.0, 0.0)
         self._until_slip, self._slip_left = self._next_slip(), 0.0
         self._slip = (0.0, 0.0)
@@ -283,7 +284,7 @@ class StressedOdometry:
         self._reported = tuple(se2.compose(self._reported, step).tolist())
         return self._reported
 
-    def _slip_of(self, distance: float) -> Tuple[float, float]:
+    def _slip_of(self, distance: float) -> tuple[float, float]:
         """Return the share of distance and the turn (rad/m) that a slip adds to some metres."""
         if self._slip_left > 0.0:
             self._slip_left -= distance

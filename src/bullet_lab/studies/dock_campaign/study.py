@@ -8,18 +8,18 @@ Example:
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import time
 from collections import Counter
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable
 
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import ParameterError, integer, text
-from bullet_lab.docking.verdict import DOCKED, ERRORS
+from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.studies.dock_campaign.compare import compare, read_campaign
-from bullet_lab.studies.dock_campaign.docking import MARKER_POSE
 from bullet_lab.studies.dock_campaign.results import (
     LOG,
     QUANTITIES,
@@ -33,6 +33,7 @@ from bullet_lab.studies.dock_campaign.stress import STRESSES
 from bullet_lab.studies.dock_campaign.trial import (
     ALL,
     EACH,
+    MARKER_POSE,
     NONE,
     DrawSettings,
     crashed_record,
@@ -50,12 +51,12 @@ Trial = Callable[[DrawSettings, int], Record]
 
 
 @dataclass(frozen=True)
-class CampaignSettings(DrawSettings):
+class DockCampaignSettings(DrawSettings):
     """Dockings of the indices from 0 on."""
 
     dockings: int = integer(200, "number of dockings", 1, MOST_DOCKINGS)
 
-    def drawn_from(self) -> Dict[str, Any]:
+    def drawn_from(self) -> dict[str, Any]:
         """Return the parameters that determine the outcome of each docking, by name."""
         return {entry.name: getattr(self, entry.name) for entry in fields(DrawSettings)}
 
@@ -69,11 +70,11 @@ class ComparisonSettings(Settings):
 
 def run_campaign(
     folder: Path,
-    settings: CampaignSettings,
+    settings: DockCampaignSettings,
     run: Run,
     trial: Trial = run_trial,
     tell: Tell = silent,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Run the dockings that a campaign's log lacks; write log, table, figure and summary.json.
 
     The same settings give the same files, with any workers and after any interruptions, except
@@ -82,14 +83,10 @@ def run_campaign(
     Raises:
         LabError: the folder holds another campaign or cannot be written to, or no worker is left.
     """
-    log = DockLog(make_folder(folder) / LOG, settings.drawn_from())
-    try:
+    with contextlib.closing(DockLog(make_folder(folder) / LOG, settings.drawn_from())) as log:
         seconds, new = _run_missing(log, settings, run, trial, tell)
-    except BaseException:
-        log.close()
-        raise
+        log.sort()
     records = [log.records[index] for index in range(settings.dockings)]
-    log.sort()
     simulated = sum(record["sim_time_s"] or 0.0 for record in new)
     summary = {
         "job": "dock_campaign",
@@ -114,35 +111,33 @@ def run_campaign(
 
 
 def _run_missing(
-    log: DockLog, settings: CampaignSettings, run: Run, trial: Trial, tell: Tell
-) -> Tuple[float, List[Record]]:
+    log: DockLog, settings: DockCampaignSettings, run: Run, trial: Trial, tell: Tell
+) -> tuple[float, list[Record]]:
     """Run the dockings that the log lacks; return the seconds it took, and the new records."""
-    known = [log.records[i] for i in range(settings.dockings) if i in log.records]
-    missing = [index for index in range(settings.dockings) if index not in log.records]
-    new: List[Record] = []
+    count = settings.dockings
+    missing = [index for index in range(count) if index not in log.records]
     if not missing:
-        return 0.0, new
-    if known:
-        tell(f"continuing after {len(known)} of {settings.dockings} dockings")
-    results = Counter(record["result"] == DOCKED for record in known)
+        return 0.0, []
+    done = count - len(missing)
+    if done:
+        tell(f"continuing after {done} of {count} dockings")
+    results = Counter(r["result"] == DOCKED for i, r in log.records.items() if i < count)
 
     def counts() -> str:
         return f"docked {results[True]}, failed {results[False]}"
 
-    start, done = time.monotonic(), len(known)
-    with progress("docking", settings.dockings, tell, done, unit="docking", counts=counts) as note:
+    start = time.monotonic()
+    with progress("docking", count, tell, done, unit="docking", counts=counts) as note:
         for index, result in run(functools.partial(trial, settings), missing):
             if isinstance(result, TaskLostError):
                 result = crashed_record(settings, index, str(result))
             log.append(result)
-            new.append(result)
             results[result["result"] == DOCKED] += 1
             note()
-    return time.monotonic() - start, new
+    return time.monotonic() - start, [log.records[index] for index in missing]
 
 
-
-def describe(summary: Dict[str, Any]) -> List[str]:
+def describe(summary: dict[str, Any]) -> list[str]:
     """Return the main figures of a campaign as lines for the user."""
     lines = [
         f"{summary['docked']} of {summary['dockings']} docked within their dock's tolerance"
@@ -172,11 +167,11 @@ def describe(summary: Dict[str, Any]) -> List[str]:
 
 def run_each(
     folder: Path,
-    settings: CampaignSettings,
+    settings: DockCampaignSettings,
     run: Run,
     trial: Trial = run_trial,
     tell: Tell = silent,
-) -> List[str]:
+) -> list[str]:
     """Run a campaign without stress, under each stress, and under all, each in its own folder.
 
     An index has the same start in all of them. Writes a table and summary.json of all; returns
@@ -198,11 +193,11 @@ def run_each(
 
 def _run(
     folder: Path,
-    settings: CampaignSettings,
+    settings: DockCampaignSettings,
     cluster: ClusterSettings,
     comparison: ComparisonSettings,
     tell: Tell,
-) -> List[str]:
+) -> list[str]:
     # A missing file shows here, instead of in each worker or after the campaign.
     draw_scenario(settings, 0)
     if comparison.beside:
@@ -218,7 +213,7 @@ def _run(
     return lines
 
 
-SETTINGS = (CampaignSettings, ClusterSettings, ComparisonSettings)
+SETTINGS = (DockCampaignSettings, ClusterSettings, ComparisonSettings)
 main = functools.partial(
     run_from, "dock_campaign", __doc__, SETTINGS, _run, short=[("-n", "dockings")]
 )

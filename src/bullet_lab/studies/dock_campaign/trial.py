@@ -1,38 +1,64 @@
-"""A docking of a campaign: a random scenario, run by a worker, and its record."""
+"""A docking of a campaign: a random scenario, its run in the simulation, and its record."""
 
 from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
-from typing import Any, Callable, Dict, Tuple
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any, Callable, NamedTuple
 
 import numpy as np
 
+from bullet_lab.core import se2
 from bullet_lab.core.parameters import choice, choices, integer
-from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.docking.controllers import CONTROLLERS
-from bullet_lab.docking.types import DockingError
-from bullet_lab.docking.verdict import ERRORS, judge, largest_errors
-from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Footprint, footprints
-from bullet_lab.studies.dock_campaign.docking import (
-    MARKER_POSE,
-    TURNING_RADIUS,
-    DockingOutcome,
-    DockingScenario,
-    dock_of,
-    run_docking,
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.docking.database import (
+    ERRORS,
+    Dock,
+    docking_errors,
+    judge,
+    largest_errors,
+    read_docks,
 )
+from bullet_lab.docking.types import CameraMount, DockingResult, Observation, Odometry, Sighting
+from bullet_lab.errors import LabError
+from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
+from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Footprint, Model, footprints
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.urdf import read_urdf_file
+from bullet_lab.studies.dock_campaign.graceful import CONTROLLERS
 from bullet_lab.studies.dock_campaign.stress import (
     STRESSES,
+    Stress,
+    StressedOdometry,
     draw_stress,
     found_columns,
+    robot_under,
     stress_columns,
+    world_under,
 )
 from bullet_lab.studies.results import Record
 from bullet_lab.studies.study import MOST_SEED, Settings
-from bullet_lab.studies.worlds import LIGHTS, read_world
+from bullet_lab.studies.worlds import LIGHTS, ROBOT, lit_world, read_world
+from bullet_lab.vision.dictionaries import dictionary_named
+from bullet_lab.vision.images import grey
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
+
+MARKER_POSE: PlanarPose = (4.0, 0.0, 0.0)
+"""True pose of the dock in all worlds of the package."""
+
+DATABASE = "package://bullet_lab/config/docks.yaml"
+FLOOR = "ground_plane"
+CAMERA_FRAME = "camera_link"
+IMAGE_RATE = 5.0
+TICK_STEPS = 50
+CONTACT_RATE = 100.0
+TURNING_RADIUS = 0.29
 
 WORLDS = ("docking", "docking_dots", "docking_nested", "docking_decoy")
 DOCKS = {"docking_nested": "nested_dock"}
@@ -50,7 +76,53 @@ LARGEST_ODOMETRY_STD = 0.1
 LARGEST_IMAGE_NOISE = 0.02
 LARGEST_BLUR = 1.0
 
+CRASHED = "crashed"
+"""Result of a docking that did not end, beside those of `judge`."""
+
+TOLERANCES = {name: name.replace("error", "tolerance") for name in ERRORS}
+"""Names of the columns with the dock's own tolerances, by those of the errors."""
+
+COSTS = {name: name.replace("error", "cost") for name in ERRORS}
+"""Names of the columns with the cost of the stress, which is added to the tolerance."""
+
 _MOST_ATTEMPTS = 10_000
+_SETTLE_STEPS = 100
+
+
+@dataclass(frozen=True)
+class DockingScenario:
+    """Conditions of a docking.
+
+    Attributes:
+        world: name of a world of the package.
+        light: name of its light, one of `worlds.LIGHTS`.
+        start: of the robot in the world, m, m, rad.
+        dock: its name in the database.
+        dock_error: error of the dock's pose in the database, along the world's axes: m, m, rad.
+        odometry: "odom" or "noisy_odom".
+        odometry_std: of noisy_odom, by the report's rule.
+        odometry_seed: of the noise.
+        image_noise: standard deviation as a share of white.
+        image_blur: standard deviation in px.
+        image_seed: of the image noise.
+        controller: the one of `CONTROLLERS` under test.
+        stress: perturbations to apply. `start` and `dock_error` hold for the dock's pose in the
+            world's file.
+    """
+
+    world: str
+    light: str
+    start: PlanarPose
+    dock: str
+    dock_error: PlanarPose
+    odometry: str
+    odometry_std: float
+    odometry_seed: int
+    image_noise: float
+    image_blur: float
+    image_seed: int
+    controller: str
+    stress: Stress
 
 
 class ScenarioError(LabError):
@@ -62,22 +134,22 @@ class DrawSettings(Settings):
     """Values that scenarios are drawn from, each with equal probability."""
 
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
-    worlds: Tuple[str, ...] = choices(WORLDS, "worlds to draw from", WORLDS)
-    lights: Tuple[str, ...] = choices(
+    worlds: tuple[str, ...] = choices(WORLDS, "worlds to draw from", WORLDS)
+    lights: tuple[str, ...] = choices(
         LIGHTS, "lights to draw from; default is the world's own", LIGHTS
     )
-    odometry: Tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
+    odometry: tuple[str, ...] = choices(ODOMETRY, "odometry to draw from", ODOMETRY)
     controller: str = choice(
         "ours", "the controller under test; it does not change the random draws", [*CONTROLLERS]
     )
-    stress: Tuple[str, ...] = choices(
+    stress: tuple[str, ...] = choices(
         (NONE,),
         "perturbations to apply together; each: one campaign for each of them, and for all",
         (NONE, ALL, EACH, *STRESSES),
     )
 
     @property
-    def stresses(self) -> Tuple[str, ...]:
+    def stresses(self) -> tuple[str, ...]:
         """Names of the stresses that are drawn."""
         return tuple(STRESSES) if ALL in self.stress else self.stress
 
@@ -121,12 +193,12 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
 
 
 @functools.lru_cache(maxsize=None)
-def obstacles(world: str) -> Tuple[Footprint, ...]:
+def obstacles(world: str) -> tuple[Footprint, ...]:
     """Return the obstacles of the robot in a world of the package, by its name."""
     return footprints(read_world(world), below=ROBOT_HEIGHT)
 
 
-def _draw_start(rng: np.random.Generator, walls: Tuple[Footprint, ...]) -> PlanarPose:
+def _draw_start(rng: np.random.Generator, walls: tuple[Footprint, ...]) -> PlanarPose:
     dock_x, dock_y, _ = MARKER_POSE
     distance = rng.uniform(NEAREST, FARTHEST)
     for _ in range(_MOST_ATTEMPTS):
@@ -142,14 +214,165 @@ def _clearance(wall: Footprint) -> float:
     return TURNING_RADIUS if wall.name == DOCK_MODEL else UNKNOWN_CLEARANCE
 
 
-CRASHED = "crashed"
-"""Result of a docking that did not end, beside those of `judge`."""
+class DockingOutcome(NamedTuple):
+    """What came of a docking.
 
-TOLERANCES = {name: name.replace("error", "tolerance") for name in ERRORS}
-"""Names of the columns with the dock's own tolerances, by those of the errors."""
+    Attributes:
+        result: as the robot reports it.
+        errors: of the robot at rest by the simulator's truth, see `docking_errors`.
+        wall_contacts: number of times that the robot began to touch anything but the floor.
+        sim_time_s: until the end.
+        end: x, y (m) and yaw (rad) of the robot at that time, for the dock's pose in the world's
+            file.
+        renderer: driver that drew the images; empty if there were none.
+    """
 
-COSTS = {name: name.replace("error", "cost") for name in ERRORS}
-"""Names of the columns with the cost of the stress, which is added to the tolerance."""
+    result: DockingResult
+    errors: dict[str, float]
+    wall_contacts: int
+    sim_time_s: float
+    end: PlanarPose
+    renderer: str
+
+
+def run_docking(scenario: DockingScenario) -> DockingOutcome:
+    """Dock once.
+
+    Raises:
+        LabError: a world, dock or file of the scenario does not exist.
+    """
+    dock = dock_of(scenario)
+    world = lit_world(scenario.world, scenario.light)
+    world = world_under(scenario.stress, world, MARKER_POSE, dock)
+    with Simulation(world, scenario.image_seed) as simulation:
+        return _SimulatedDocking(scenario, dock, simulation).run()
+
+
+@functools.lru_cache(maxsize=None)
+def _docks() -> dict[str, Dock]:
+    return read_docks(ResourceFinder.anywhere().find(DATABASE))
+
+
+@functools.lru_cache(maxsize=None)
+def _robot() -> Model:
+    return read_urdf_file(ResourceFinder.anywhere().find(ROBOT))
+
+
+def dock_of(scenario: DockingScenario) -> Dock:
+    """Return the dock from the database, at its true pose plus the scenario's error of it."""
+    x, y, yaw = (a + b for a, b in zip(scenario.stress.dock, scenario.dock_error))
+    return replace(_docks()[scenario.dock], pose=(x, y, wrap(yaw)))
+
+
+class _SimulatedDocking:
+    """A docking in progress."""
+
+    def __init__(self, scenario: DockingScenario, dock: Dock, simulation: Simulation):
+        self._dock, self._simulation = dock, simulation
+        self._stress = stress = scenario.stress
+        self._rng = np.random.default_rng((stress.seed, 0))
+        x, y, yaw = _moved(scenario.start, MARKER_POSE, stress.dock)
+        robot = robot_under(stress, _robot(), CAMERA_FRAME)
+        place = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+        self._robot = simulation.add(robot, pose=place)
+        self._camera = next(d for d in self._robot.plugins if isinstance(d, Camera))
+        self._camera.settings = replace(
+            self._camera.settings, noise_stddev=scenario.image_noise, blur=scenario.image_blur
+        )
+        self._noise = NoisyPath(ReportRule(scenario.odometry_std), scenario.odometry_seed)
+        self._known_camera = stress.known_camera(self._camera.camera)
+        self._reported = StressedOdometry(stress, np.random.default_rng((stress.seed, 1)))
+        self._mount = self._known_mount()
+        name = dictionary_named(dock.marker.dictionary).name
+        self._detector = MarkerDetector(DetectorSettings(dictionary=name, ids=(dock.marker.id,)))
+        self._task = CONTROLLERS[scenario.controller](
+            stress.known_dock(dock), dock.pose, self._mount, seed=scenario.odometry_seed
+        )
+        self._images = self._contacts = 0
+        self._delayed: deque[tuple[float, Observation]] = deque()
+        self._touching = False
+        self._stamp = 0.0
+
+    def run(self) -> DockingOutcome:
+        """Drive to the end."""
+        simulation = self._simulation
+        simulation.run_until(_SETTLE_STEPS)
+        self._robot.listen("odom", self._add_odometry)
+        simulation.every(CONTACT_RATE, self._check_contact)
+        next_image = simulation.seconds
+        while self._task.result is None:
+            simulation.run_until(simulation.step + TICK_STEPS)
+            if simulation.seconds >= next_image - 1e-9:
+                next_image += 1.0 / IMAGE_RATE
+                if self._task.wants_images:
+                    self._take_image()
+            while self._delayed and self._delayed[0][0] <= simulation.seconds + 1e-9:
+                self._task.add_observation(self._delayed.popleft()[1])
+            v, w = self._task.tick(simulation.seconds)
+            self._robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
+        seconds, end = simulation.seconds, _moved(self._pose(), self._stress.dock, MARKER_POSE)
+        simulation.run_for(0.5)
+        errors = docking_errors(
+            self._pose(), self._stress.dock, self._mount.x, self._dock.docked_distance
+        )
+        renderer = simulation.renderer().driver if self._images else ""
+        return DockingOutcome(
+            self._task.result, errors, self._contacts, seconds, end, renderer
+        )
+
+    def _add_odometry(self, sample: OdometrySample) -> None:
+        """Give odometry to the task, with stress and noise."""
+        x, y, _ = sample.pose.position
+        noisy = self._noise.update(*self._reported.update((x, y, sample.pose.yaw)))
+        seconds = sample.step / 1000.0 - self._stamp
+        self._stamp = sample.step / 1000.0
+        covariance = noisy.motion_covariance / seconds**2 if seconds > 0.0 else None
+        self._task.add_odometry(Odometry(self._stamp, noisy.pose, covariance))
+
+    def _take_image(self) -> None:
+        """Take an image, and keep what is detected in it until its delay is over."""
+        simulation, camera, stress = self._simulation, self._camera, self._stress
+        # Both are drawn for each image, so that one stress does not change the draws of another.
+        delay, lost = stress.latest_image_s * self._rng.uniform(), self._rng.uniform()
+        self._images += 1
+        if lost < stress.dropped:
+            return
+        image = camera.take(simulation.step)
+        found = self._detector.detect(grey(image, "rgb8"), camera.camera).markers
+        sightings = tuple(
+            Sighting(m.id, self._dock.marker.dictionary, m.corners, m.deviations) for m in found
+        )
+        # The same object for all images, as it is one camera.
+        observation = Observation(simulation.seconds, self._known_camera, sightings)
+        self._delayed.append((simulation.seconds + delay, observation))
+
+    def _check_contact(self, step: int) -> None:
+        touching = any(other != FLOOR for other in self._simulation.contacts(self._robot.name))
+        if touching and not self._touching:
+            self._contacts += 1
+        self._touching = touching
+
+    def _pose(self) -> PlanarPose:
+        pose = self._robot.pose()
+        return pose.position[0], pose.position[1], pose.yaw
+
+    def _known_mount(self) -> CameraMount:
+        """Return the pose of the camera on the robot, as docking knows it."""
+        place = self._robot.pose().inverse() * self._camera.pose() * self._stress.mount.inverse()
+        return CameraMount(*place.position, *place.rpy())
+
+
+def _moved(pose: PlanarPose, before: PlanarPose, after: PlanarPose) -> PlanarPose:
+    """Return a pose after a motion that takes one frame to another."""
+    if before == after:
+        return pose
+    return tuple(se2.compose(after, se2.between(before, pose)).tolist())
+
+
+_MEASURED = (
+    *(*ERRORS, "wall_contacts", "retries", "sim_time_s"),
+    *("end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
+)
 
 
 def run_trial(
@@ -163,41 +386,32 @@ def run_trial(
         outcome = dock(scenario)
     except Exception as error:  # one docking must not end the campaign
         return crashed_record(settings, index, f"{type(error).__name__}: {error}")
-    x, y, yaw = (float(value) for value in outcome.end)
-    errors = {name: float(getattr(outcome, name)) for name in ERRORS}
+    result, errors, contacts, seconds, (x, y, yaw), renderer = outcome
     known = dock_of(scenario)
     tolerance = scenario.stress.allowed(known.tolerance, known.docked_distance)
-    reported = DockingError[outcome.error_name]
+    end = x, y, math.degrees(yaw)
+    measured = *errors.values(), contacts, result.retries, seconds, *end, renderer
     return {
         **_drawn(index, scenario),
-        "result": judge(reported, errors, tolerance, outcome.wall_contacts),
-        "message": outcome.message,
-        **errors,
-        "wall_contacts": int(outcome.wall_contacts),
-        "retries": int(outcome.retries),
-        "sim_time_s": float(outcome.sim_time_s),
-        "end_x_m": x,
-        "end_y_m": y,
-        "end_yaw_deg": math.degrees(yaw),
-        "renderer": outcome.renderer,
-        **found_columns(outcome.calibration),
+        "result": judge(result.error, errors, tolerance, contacts),
+        "message": result.message,
+        **dict(zip(_MEASURED, measured)),
+        **found_columns(result.calibration),
     }
-
-
-_MEASURED = (
-    *(*ERRORS, "wall_contacts", "retries"),
-    *("sim_time_s", "end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
-    *found_columns(None),
-)
 
 
 def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
     """Return the record of a docking that did not end."""
-    drawn, message = _drawn(index, draw_scenario(settings, index)), " ".join(why.split())
-    return {**drawn, "result": CRASHED, "message": message, **dict.fromkeys(_MEASURED)}
+    return {
+        **_drawn(index, draw_scenario(settings, index)),
+        "result": CRASHED,
+        "message": " ".join(why.split()),
+        **dict.fromkeys(_MEASURED),
+        **found_columns(None),
+    }
 
 
-def _drawn(index: int, scenario: DockingScenario) -> Dict[str, Any]:
+def _drawn(index: int, scenario: DockingScenario) -> dict[str, Any]:
     x, y, yaw = scenario.start
     error_x, error_y, error_yaw = scenario.dock_error
     dock = dock_of(scenario)

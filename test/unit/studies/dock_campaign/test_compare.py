@@ -19,13 +19,13 @@ from bullet_lab.studies.dock_campaign.compare import (
     share,
 )
 from bullet_lab.studies.dock_campaign.results import LOG, DockLog
-from bullet_lab.studies.dock_campaign.study import CampaignSettings
+from bullet_lab.studies.dock_campaign.study import DockCampaignSettings
 from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario
 
 
 def logged(folder, dockings, **draw):
     folder.mkdir()
-    settings = CampaignSettings(dockings=dockings, **draw)
+    settings = DockCampaignSettings(dockings=dockings, **draw)
     log = DockLog(folder / LOG, settings.drawn_from())
     for index in range(dockings):
         log.append(fake_trial(settings, index))

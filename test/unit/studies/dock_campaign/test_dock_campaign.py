@@ -13,15 +13,21 @@ import psutil
 import pytest
 
 from bullet_lab.core.parameters import ParameterError
-from bullet_lab.studies.dock_campaign.docking import DockingOutcome
+from bullet_lab.docking.database import ERRORS
+from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.studies.dock_campaign.results import DockLogError
 from bullet_lab.studies.dock_campaign.study import (
-    CampaignSettings,
+    DockCampaignSettings,
     describe,
     main,
     run_campaign,
 )
-from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario, run_trial
+from bullet_lab.studies.dock_campaign.trial import (
+    DockingOutcome,
+    DrawSettings,
+    draw_scenario,
+    run_trial,
+)
 from bullet_lab.studies.workers import TaskLostError, WorkersError, workers
 
 FILES = ("dockings.jsonl", "campaign.csv", "campaign.png")
@@ -35,17 +41,18 @@ def outcome_of(scenario, **values):
     end = (3.44 + distance, lateral, np.radians(yaw)) if docked else scenario.start
     said = {
         "error_name": "NONE" if docked else "NOT_DETECTED",
-        "message": "",
         "distance_error_m": distance,
         "lateral_error_m": lateral,
         "yaw_error_deg": yaw,
         "wall_contacts": 0,
-        "retries": 0,
         "sim_time_s": float(rng.uniform(30.0, 60.0)),
-        "end": end,
-        "renderer": "egl",
+        "calibration": None,
+        **values,
     }
-    return DockingOutcome(**{**said, **values})
+    error = DockingError[said["error_name"]]
+    result = DockingResult(error, "", calibration=said["calibration"])
+    errors = {name: said[name] for name in ERRORS}
+    return DockingOutcome(result, errors, said["wall_contacts"], said["sim_time_s"], end, "egl")
 
 
 def fake_trial(settings, index):
@@ -78,7 +85,7 @@ def stopping_after(count):
 
 
 def campaign(folder, run=in_order, dockings=30, trial=fake_trial, **draw):
-    settings = CampaignSettings(**draw, dockings=dockings)
+    settings = DockCampaignSettings(**draw, dockings=dockings)
     return run_campaign(folder, settings, run, trial)
 
 
@@ -266,7 +273,7 @@ def test_killed_it_leaves_nothing_behind_and_goes_on_with_what_it_has(reference,
 @pytest.mark.parametrize("count", [0, 1_000_001])
 def test_impossible_numbers_of_dockings_are_refused(count):
     with pytest.raises(ParameterError, match="dockings is"):
-        CampaignSettings(dockings=count)
+        DockCampaignSettings(dockings=count)
 
 
 @pytest.mark.parametrize(

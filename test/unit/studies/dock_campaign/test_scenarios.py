@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.parameters import ParameterError
-from bullet_lab.studies.dock_campaign.docking import MARKER_POSE, TURNING_RADIUS
 from bullet_lab.studies.dock_campaign.trial import (
     DATABASE_ERROR,
     FARTHEST,
     LARGEST_BLUR,
     LARGEST_IMAGE_NOISE,
     LARGEST_ODOMETRY_STD,
+    MARKER_POSE,
     NEAREST,
+    TURNING_RADIUS,
     UNKNOWN_CLEARANCE,
     WIDEST,
     WORLDS,

@@ -10,16 +10,11 @@ from test_dock_campaign import assert_same_results, fake_trial, in_order, outcom
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.docking.types import Calibration, Learned
+from bullet_lab.docking.types import CalibrationErrors, Learned
 from bullet_lab.simulation.world.description import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.dock_campaign import study
-from bullet_lab.studies.dock_campaign.docking import (
-    CAMERA_FRAME,
-    MARKER_POSE,
-    dock_of,
-)
 from bullet_lab.studies.dock_campaign.stress import (
     STRESSES,
     Stress,
@@ -30,8 +25,15 @@ from bullet_lab.studies.dock_campaign.stress import (
     stress_columns,
     world_under,
 )
-from bullet_lab.studies.dock_campaign.study import CampaignSettings, run_each
-from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario, run_trial
+from bullet_lab.studies.dock_campaign.study import DockCampaignSettings, run_each
+from bullet_lab.studies.dock_campaign.trial import (
+    CAMERA_FRAME,
+    MARKER_POSE,
+    DrawSettings,
+    dock_of,
+    draw_scenario,
+    run_trial,
+)
 from bullet_lab.studies.worlds import ROBOT, read_world
 
 FINDER = ResourceFinder.anywhere()
@@ -131,14 +133,14 @@ def test_what_the_stress_costs_is_added_to_the_tolerance():
 
 
 def _outcome(scenario, over):
-    learned = Calibration(*(Learned(math.radians(1.0), 0.001) for _ in range(7)))
+    learned = CalibrationErrors(*(Learned(math.radians(1.0), 0.001) for _ in range(7)))
     beside = abs(scenario.stress.mount_y_m) + over
     said = {"error_name": "NONE", "distance_error_m": 0.0, "yaw_error_deg": 0.0}
     return outcome_of(scenario, **said, lateral_error_m=beside, calibration=learned)
 
 
 def test_nothing_found_leaves_the_same_columns():
-    learned = Calibration(*(Learned(0.0, 1.0) for _ in range(7)))
+    learned = CalibrationErrors(*(Learned(0.0, 1.0) for _ in range(7)))
     assert list(found_columns(None)) == list(found_columns(learned))
     assert set(found_columns(None).values()) == {None}
 
@@ -163,7 +165,7 @@ def test_slips_tell_more_way_than_there_is():
 @pytest.mark.long
 def test_each_stress_has_its_campaign_and_a_row_of_one_table(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "STRESSES", {"mount": STRESSES["mount"]})
-    settings = CampaignSettings(dockings=4, stress=("each",))
+    settings = DockCampaignSettings(dockings=4, stress=("each",))
     lines = run_each(tmp_path / "a", settings, in_order, fake_trial)
     assert len(lines) == 4
     run_each(tmp_path / "b", settings, shuffled, fake_trial)

@@ -1,4 +1,4 @@
-"""Tests of where the planner lets a robot go."""
+"""Tests of where a docking lets a robot go and look."""
 
 import math
 from dataclasses import replace
@@ -11,14 +11,15 @@ import pytest
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import clearance, wall_boxes
-from bullet_lab.docking.planner import DockingPlanner
-from bullet_lab.docking.types import Observation, Odometry, RobotShape, Sighting
+from bullet_lab.docking.paths import WALL_MARGIN
+from bullet_lab.docking.progress import DockingProgress
+from bullet_lab.docking.types import TURNING_RADIUS, Observation, Odometry, Sighting
 
 KNOWN = GaussianPose(np.array([5.0, 0.0, 0.0]), 1e-6 * np.eye(3))
 
 
-def planner_at_the_origin(marker_size, corners=None):
-    """A planner that has taken a few images, of a print or of nothing."""
+def docking_at_the_origin(marker_size, corners=None):
+    """A docking that has taken a few images, of a print or of nothing."""
     marker = replace(standin.Stand((0.0, 0.0, 0.0)).marker, size=marker_size)
     stand = standin.Stand((0.0, 0.0, 0.0), dock=(5.0, 0.0, 0.0), marker=marker)
     dock, rng = standin.make_dock(stand), np.random.default_rng(1)
@@ -28,25 +29,24 @@ def planner_at_the_origin(marker_size, corners=None):
         belief.add_odometry(Odometry(stamp, (0.0, 0.0, 0.0)))
         seen = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
         belief.observe(Observation(stamp, standin.CAMERA, seen))
-    shape = RobotShape()
-    return DockingPlanner(dock, belief, standin.MOUNT, shape, stand.settings, True, 5)
+    return DockingProgress(belief)
 
 
 @pytest.mark.parametrize("size, before", [(0.2, 3.0), (0.075, 2.45)])
 def test_stages_where_the_marker_is_found_but_clear_of_the_walls(size, before):
-    way = planner_at_the_origin(size).way_to_staging(KNOWN)
+    way = docking_at_the_origin(size).paths.way_to_staging(KNOWN)
     assert way[-1] == pytest.approx((5.0 - before, 0.0), abs=0.02)
 
 
 def test_looks_at_a_marker_from_either_side_of_its_axis_in_turn():
-    planner, ends = planner_at_the_origin(0.075), []
-    for planner.unclear in (2, 3):
-        x, y = planner.way_aside(KNOWN)[-1]
+    docking, ends = docking_at_the_origin(0.075), []
+    for to_the_left in (False, True):
+        x, y = docking.paths.way_aside(KNOWN, to_the_left)[-1]
         assert math.hypot(x - 5.0, y) == pytest.approx(5.0, abs=0.02)
         ends.append(y)
     assert ends[0] == pytest.approx(-ends[1], abs=0.02)
     # In sight between the walls' front edges, with an eighth of the free angle to spare.
-    walls, half = planner.dock.walls, 0.075 * 0.625
+    walls, half = docking.belief.dock.walls, 0.075 * 0.625
     free = math.atan2(0.5 * walls.opening - half, walls.depth)
     assert math.asin(abs(ends[0]) / 5.0) == pytest.approx(0.85 * free, abs=0.01)
 
@@ -54,45 +54,45 @@ def test_looks_at_a_marker_from_either_side_of_its_axis_in_turn():
 def test_a_print_of_unknown_size_does_not_hang_where_the_robot_stands():
     # Too high for the marker: a copy, small and right before the camera or large and far away.
     square = np.array([[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0]])
-    planner = planner_at_the_origin(0.075, (320.0, 180.0) + square)
-    rows = planner.belief.obstacles()
+    docking = docking_at_the_origin(0.075, (320.0, 180.0) + square)
+    rows = docking.belief.obstacles()
     away = np.hypot(rows[:, 0], rows[:, 1]) - rows[:, 2]
-    turning = planner.shape.turning_radius + planner.settings.wall_margin
+    turning = TURNING_RADIUS + WALL_MARGIN
     assert np.min(away) < turning
     # Of thirteen sizes the four that would be in the robot's way at once do not count.
-    assert planner.costmap().risk(np.array([[0.15, 0.0]])) < 3.0 / 13.0
-    assert planner.probing_way() < 0.0
+    assert docking.paths.costmap().risk(np.array([[0.15, 0.0]])) < 3.0 / 13.0
+    assert docking.paths.choose_probe() < 0.0
 
 
 def test_a_marker_that_was_found_from_afar_is_missed_from_as_far(monkeypatch):
     # Small as it is, it should be found from 2.1 m on.
-    planner, robot = planner_at_the_origin(0.075), np.array([-2.6, 0.0, 0.0])
-    assert not planner.in_reach(robot)
-    monkeypatch.setattr(planner.belief, "best", lambda: SimpleNamespace(found_from=2.9))
-    assert planner.in_reach(robot)
-    assert not planner.in_reach(np.array([-3.2, 0.0, 0.0]))
+    docking, robot = docking_at_the_origin(0.075), np.array([-2.6, 0.0, 0.0])
+    assert not docking.is_in_reach(robot)
+    monkeypatch.setattr(docking.belief, "best", lambda: SimpleNamespace(found_from=2.9))
+    assert docking.is_in_reach(robot)
+    assert not docking.is_in_reach(np.array([-3.2, 0.0, 0.0]))
 
 
 def test_no_way_creeps_towards_a_wall_however_short_it_is(monkeypatch):
-    planner = planner_at_the_origin(0.2)
+    docking = docking_at_the_origin(0.2)
     aside = standin.make_dock(standin.Stand((0.0, 0.0, 0.0))).walls.opening / 2.0 + 0.05
-    boxes, radius = wall_boxes(planner.dock), planner.shape.turning_radius
+    boxes, radius = wall_boxes(docking.belief.dock), TURNING_RADIUS
     front = float(clearance(np.array([[-5.0, aside]]), boxes)[0])
     dock = np.array([5.0 - front + radius + 0.03, -aside, 0.0])
-    monkeypatch.setattr(planner.belief, "samples", lambda count: np.tile(dock, (count, 1)))
-    assert not planner.still_safe(((0.1, 0.0),))
-    assert planner.still_safe(((-0.1, 0.0), (-1.0, 0.0)))
+    monkeypatch.setattr(docking.belief, "samples", lambda count: np.tile(dock, (count, 1)))
+    assert not docking.paths.is_safe(((0.1, 0.0),))
+    assert docking.paths.is_safe(((-0.1, 0.0), (-1.0, 0.0)))
 
 
 def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
-    planner, refused = planner_at_the_origin(0.075), []
-    best = planner.next_view()
+    docking, refused = docking_at_the_origin(0.075), []
+    best = docking.search.next_view()
     assert len(best.way) > 1
     there = best.way[-1]
-    monkeypatch.setattr(planner, "still_safe", lambda way: math.dist(way[-1], there) > 0.5)
-    assert math.dist(planner.next_view().way[-1], there) > 0.5
-    monkeypatch.setattr(planner, "still_safe", refused.append)
-    assert planner.next_view() is None
+    monkeypatch.setattr(docking.paths, "is_safe", lambda way: math.dist(way[-1], there) > 0.5)
+    assert math.dist(docking.search.next_view().way[-1], there) > 0.5
+    monkeypatch.setattr(docking.paths, "is_safe", refused.append)
+    assert docking.search.next_view() is None
     ends = [tuple(way[-1]) for way in refused]
     assert len(ends) > 40
     # One after the other, each place is asked for once, whatever the headings there.

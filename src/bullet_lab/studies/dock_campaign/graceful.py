@@ -5,12 +5,11 @@ pose by the database, waits until it sees the marker, and drives to the filtered
 the smooth control law of J. J. Park and B. Kuipers, "A smooth control law for graceful motion of
 differential wheeled mobile robots in 2D environment", ICRA 2011, as opennav_docking and
 nav2_graceful_controller do. If it loses the dock, or takes too long, it goes back to the staging
-pose by the same law and tries again. Parameters have nav2's names and defaults. The ways to the
+pose by the same law and tries again. Parameters have nav2's names and defaults. The paths to the
 staging pose, the limits of acceleration and the watch over odometry and wheels are those of
 `DockingTask`.
 
-A further controller is a class with the methods of `DockingController` in a file of its own, and a
-line in CONTROLLERS.
+A further controller is a subclass of `WatchedTask` in a file of its own, and a line in CONTROLLERS.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Callable, Dict, List, Optional, Protocol
+from typing import Callable
 
 import numpy as np
 
@@ -26,50 +25,23 @@ from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.control import PathFollower, clip, turn_command
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.planner import DockingFailureError, DockingPlanner
-from bullet_lab.docking.task import DockingTask, WatchedTask
+from bullet_lab.docking.paths import PathFollower, PathPlanner, clip, turn_command
+from bullet_lab.docking.progress import DockingFailureError
+from bullet_lab.docking.task import USUAL, DockingTask, WatchedTask
 from bullet_lab.docking.types import (
+    HALF_WIDTH,
     STANDSTILL,
     CameraMount,
     Command,
     DockingError,
     DockingResult,
-    DockingSettings,
     Observation,
     Odometry,
-    RobotShape,
 )
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_pose import MarkerPose, estimate_pose
-
-
-class DockingController(Protocol):
-    """A docking: takes odometry and images, and returns commands at 20 Hz.
-
-    Its arguments are a dock, the dock's rough pose in the odometry frame, the camera's mount and,
-    by name, `time_limit` (s) and `seed`.
-    """
-
-    @property
-    def result(self) -> Optional[DockingResult]:
-        """How it ended; None before."""
-
-    @property
-    def wants_images(self) -> bool:
-        """Whether an image would be used now."""
-
-    def add_odometry(self, odometry: Odometry) -> None:
-        """Take the next message of odometry."""
-
-    def add_observation(self, observation: Observation) -> None:
-        """Take what was seen in an image."""
-
-    def tick(self, stamp: float) -> Command:
-        """Return the command (m/s, rad/s) for a time in s."""
-
 
 # Of the camera's axes, x ahead and z up, along those of its optical frame.
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -100,7 +72,10 @@ class GracefulSettings:
     undock_linear_tolerance: float = 0.05  #: of the way back to the staging pose
     undock_angular_tolerance: float = 0.05
     max_retries: int = 3
-    gate: float = math.inf  #: from the database's pose, where a detection is none; not nav2's
+
+
+NAV2 = GracefulSettings()
+"""nav2's defaults."""
 
 
 def graceful_command(target, settings: GracefulSettings, backwards: bool = False) -> Command:
@@ -135,7 +110,7 @@ class PoseFilter:
     def __init__(self, coefficient: float, timeout: float):
         self._coefficient, self._timeout = coefficient, timeout
         self._stamp = -math.inf
-        self.pose: Optional[np.ndarray] = None
+        self.pose: np.ndarray | None = None
 
     def update(self, measured: np.ndarray, stamp: float) -> None:
         """Take the newest detection (again); it starts anew after a gap in time (s)."""
@@ -149,33 +124,29 @@ class PoseFilter:
 
 
 class GracefulTask(WatchedTask):
-    """Docks as nav2's docking server does; fed, ticked and made as a `DockingTask`."""
+    """Docks as nav2's docking server does; made as a `DockingTask`."""
 
     def __init__(
         self,
         dock: Dock,
         dock_pose: PlanarPose,
         mount: CameraMount,
-        settings: Optional[GracefulSettings] = None,
-        *,
-        time_limit: float = 300.0,
+        settings: GracefulSettings = NAV2,
         seed: int = 0,
     ):
-        robot = DockingSettings()
         # The belief gets no images: it knows the database only.
-        self._belief = DockBelief(dock, dock_pose, mount, robot, np.random.default_rng(seed))
-        super().__init__("docked", self._belief.odometry, robot, time_limit)
-        self._planner = DockingPlanner(dock, self._belief, mount, RobotShape(), robot, False, 0)
-        self._dock, self._mount, self._law = dock, mount, settings or GracefulSettings()
+        belief = DockBelief(dock, dock_pose, mount, USUAL, np.random.default_rng(seed))
+        super().__init__("docked", belief)
+        self._paths, self._law = PathPlanner(belief), settings
         self._database = np.array(dock_pose, dtype=float)
         self._staging = se2.compose(dock_pose, (-dock.staging_distance, 0.0, 0.0))
-        ahead = self._law.external_detection_translation_x
+        ahead = settings.external_detection_translation_x
         self._stop = np.array([ahead - dock.docked_distance - mount.x, 0.0, 0.0])
-        self._filter = PoseFilter(self._law.filter_coef, self._law.external_detection_timeout)
-        self._detected: Optional[np.ndarray] = None
+        self._filter = PoseFilter(settings.filter_coef, settings.external_detection_timeout)
+        self._detected: np.ndarray | None = None
         self._detected_at = -math.inf
-        self._way: Optional[PathFollower] = None
-        self._phase: Callable[[float], Optional[Command]] = self._navigate
+        self._way: PathFollower | None = None
+        self._phase: Callable[[], Command | None] = self._navigate
         self._since = 0.0
         self._retries = 0
 
@@ -184,118 +155,112 @@ class GracefulTask(WatchedTask):
         """Whether an image would be used now."""
         return self.result is None and self._phase != self._navigate
 
-    def add_odometry(self, odometry: Odometry) -> None:
-        """Take the next message of odometry; an impossible one ends the docking."""
-        if self.result is not None or not self._accept(odometry):
-            return
+    def _move(self, odometry: Odometry) -> None:
         if self._phase == self._navigate:
             self._belief.add_odometry(odometry)
-            self._belief.stands_free(self._planner.shape.half_width)
+            self._belief.stands_free(HALF_WIDTH)
         else:
-            self._odometry.add(odometry)
+            self._belief.odometry.add(odometry)
 
     def add_observation(self, observation: Observation) -> None:
         """Take the sightings in an image: the one that fits best is the dock."""
-        then = None if self.result is not None else self._odometry.pose_at(observation.stamp)
+        then = self._belief.odometry.pose_at(observation.stamp)
         if then is None:
             return
         expected = self._database if self._filter.pose is None else self._filter.pose
         best = math.inf
-        for sighting in filter(self._dock.marker.is_shown_by, observation.sightings):
-            for pose in marker_poses(
-                sighting.corners, self._dock.marker.size, observation.camera, self._mount
-            ):
+        marker, mount = self._belief.dock.marker, self._belief.mount
+        for sighting in filter(marker.is_shown_by, observation.sightings):
+            for pose in marker_poses(sighting.corners, marker.size, observation.camera, mount):
                 found = se2.compose(then, pose)
-                if math.dist(found[:2], self._database[:2]) > self._law.gate:
-                    continue
                 off = found - expected
                 away = math.hypot(off[0], off[1]) + abs(wrap(float(off[2])))
                 if away < best:
                     best, self._detected, self._detected_at = away, found, observation.stamp
 
-    def _advance(self, stamp: float) -> Optional[Command]:
-        return None if self._odometry.last is None else self._phase(stamp)
+    def _advance(self) -> Command | None:
+        return None if self._belief.odometry.last is None else self._phase()
 
-    def _navigate(self, stamp: float) -> Command:
+    def _navigate(self) -> Command:
         """Drive to the staging pose."""
         pose, staging = self._belief.pose, self._staging
         if self._way is None:
             # As there, metres and radians together.
             if np.linalg.norm(se2.between(pose, staging)) < self._law.dock_prestaging_tolerance:
-                return self._go_on(self._perceive, stamp)
+                return self._go_on(self._perceive)
             dock = GaussianPose(se2.between(pose, self._database), np.zeros((3, 3)))
-            way = self._planner.way_to_staging(dock)
+            way = self._paths.way_to_staging(dock)
             if way is None:
                 message = "no safe way to the staging pose"
                 raise DockingFailureError(DockingError.STAGING_FAILED, message)
-            self._way = PathFollower(way, self._settings)
-        command = self._way.command(pose)
+            self._way = PathFollower(way)
+        command = self._way.command(pose, self._settings)
         if command == STANDSTILL:
             command = turn_command(wrap(float(staging[2]) - pose[2]), self._settings.turn_speed)
-        return self._go_on(self._perceive, stamp) if command == STANDSTILL else command
+        return self._go_on(self._perceive) if command == STANDSTILL else command
 
-    def _perceive(self, stamp: float) -> Command:
+    def _perceive(self) -> Command:
         """Wait for the marker."""
-        if self._refine(stamp):
-            return self._go_on(self._approach, stamp)
-        if stamp - self._since > self._law.initial_perception_timeout:
+        if self._refine():
+            return self._go_on(self._approach)
+        if self._now - self._since > self._law.initial_perception_timeout:
             message = "the marker is not seen from the staging pose"
             raise DockingFailureError(DockingError.NOT_DETECTED, message)
         return STANDSTILL
 
-    def _approach(self, stamp: float) -> Optional[Command]:
+    def _approach(self) -> Command | None:
         """Drive at the dock by the control law."""
         pose, law = self._belief.pose, self._law
         docked = se2.compose(self._filter.pose, self._stop)
         if math.dist(pose[:2], docked[:2]) < law.docking_threshold:
             self._end(DockingError.NONE, "docked")
             return None
-        if not self._refine(stamp):
-            return self._retry(DockingError.NOT_DETECTED, "the marker is lost", stamp)
-        if stamp - self._since > law.dock_approach_timeout:
-            return self._retry(DockingError.CONTROL_FAILED, "the dock is not reached", stamp)
+        if not self._refine():
+            return self._retry(DockingError.NOT_DETECTED, "the marker is lost")
+        if self._now - self._since > law.dock_approach_timeout:
+            return self._retry(DockingError.CONTROL_FAILED, "the dock is not reached")
         aim = self._stop + (law.backward_projection, 0.0, 0.0)
         return graceful_command(se2.between(pose, se2.compose(self._filter.pose, aim)), law)
 
-    def _retry(self, error: DockingError, trouble: str, stamp: float) -> Command:
+    def _retry(self, error: DockingError, trouble: str) -> Command:
         if self._retries >= self._law.max_retries:
             raise DockingFailureError(error, f"gave up: {trouble}")
         self._retries += 1
-        return self._go_on(self._reset, stamp)
+        return self._go_on(self._reset)
 
-    def _reset(self, stamp: float) -> Command:
+    def _reset(self) -> Command:
         """Drive back to the staging pose by the control law."""
         law, target = self._law, se2.between(self._belief.pose, self._staging)
         there = math.hypot(target[0], target[1]) < law.undock_linear_tolerance
         if there and abs(target[2]) < law.undock_angular_tolerance:
-            return self._go_on(self._approach, stamp)
-        if stamp - self._since > law.dock_approach_timeout:
+            return self._go_on(self._approach)
+        if self._now - self._since > law.dock_approach_timeout:
             message = "the staging pose is not reached again"
             raise DockingFailureError(DockingError.CONTROL_FAILED, message)
         return graceful_command(target, law, backwards=True)
 
-    def _go_on(self, phase: Callable[[float], Optional[Command]], stamp: float) -> Command:
-        self._phase, self._since = phase, stamp
+    def _go_on(self, phase: Callable[[], Command | None]) -> Command:
+        self._phase, self._since = phase, self._now
         return STANDSTILL
 
-    def _refine(self, stamp: float) -> bool:
+    def _refine(self) -> bool:
         """Filter the newest detection into the dock's pose; return whether there is one."""
-        if stamp - self._detected_at > self._law.external_detection_timeout:
+        if self._now - self._detected_at > self._law.external_detection_timeout:
             return False
         self._filter.update(self._detected, self._detected_at)
         return True
 
-    def _make_result(self, success: bool, error: DockingError, message: str) -> DockingResult:
+    def _make_result(self, error: DockingError, message: str) -> DockingResult:
         seen = ()
         if self._filter.pose is not None:
             x, y, yaw = se2.between(self._filter.pose, self._belief.pose).tolist()
-            seen = -x - self._mount.x, y, yaw
-        return DockingResult(success, error, message, self._retries, *seen)
+            seen = -x - self._belief.mount.x, y, yaw
+        return DockingResult(error, message, self._retries, *seen)
 
 
 def marker_poses(
     corners: np.ndarray, size: float, camera: PinholeCamera, mount: CameraMount
-) -> List[np.ndarray]:
+) -> list[np.ndarray]:
     """Return the poses (3,) that a dock may have in the robot's frame by one image of its marker.
 
     Two where the image leaves open which of a flat marker's poses it is; none where it shows none.
@@ -315,7 +280,7 @@ def marker_poses(
 
 
 def _planar(pose: MarkerPose, mount: CameraMount) -> np.ndarray:
-    turn = mount.rotation() @ _OPTICAL
+    turn = mount.rotation @ _OPTICAL
     place = turn @ pose.translation + (mount.x, mount.y, mount.z)
     # A docked robot looks into the face, against the marker's z axis.
     ahead = -turn @ pose.rotation[:, 2]
@@ -333,7 +298,7 @@ TUNED = GracefulSettings(
 )
 """Tuned to the docks and the robot of this package, see docs/docking.md."""
 
-CONTROLLERS: Dict[str, Callable[..., DockingController]] = {
+CONTROLLERS: dict[str, Callable[..., WatchedTask]] = {
     "ours": DockingTask,
     "graceful": functools.partial(GracefulTask, settings=TUNED),
     "graceful_nav2": GracefulTask,

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.docking.controllers import (
+from bullet_lab.docking.geometry import Viewpoint, corner_points
+from bullet_lab.docking.types import CameraMount, DockingError, Observation, Odometry, Sighting
+from bullet_lab.studies.dock_campaign.graceful import (
+    NAV2,
     GracefulSettings,
     GracefulTask,
     PoseFilter,
     graceful_command,
     marker_poses,
 )
-from bullet_lab.docking.filter import Viewpoint, corner_points
-from bullet_lab.docking.types import CameraMount, DockingError, Observation, Odometry, Sighting
-
-NAV2 = GracefulSettings()
 
 
 @pytest.mark.parametrize("heading", [-2.0, -0.5, 0.1, 1.0])
@@ -126,21 +125,3 @@ def test_without_retries_it_says_why():
     result, _ = docking((1.0, 0.0, 0.0), settings=settings)
     assert result.error == DockingError.CONTROL_FAILED
     assert "not reached" in result.message
-
-
-@pytest.mark.parametrize(("off", "error"), [(0.3, None), (0.7, DockingError.NOT_DETECTED)])
-def test_a_detection_far_from_the_database_is_none(off, error):
-    settings = GracefulSettings(gate=0.5, dock_prestaging_tolerance=2.0)
-    dock = standin.make_dock(standin.Stand((1.0, 0.0, 0.0), (off, 0.0, 0.0)))
-    task = GracefulTask(dock, dock.pose, standin.MOUNT, settings)
-    corners = corner_points(np.array([3.0, 0.0, 0.0, 0.5, 0.0]), 0.2)
-    view = Viewpoint(standin.CAMERA, standin.MOUNT)
-    sighting = Sighting(0, standin.DICTIONARY, view.pixels(view.optical(corners)))
-    for tick in range(110):
-        task.add_odometry(Odometry(0.05 * tick, (1.0, 0.0, 0.0)))
-        task.add_observation(Observation(0.05 * tick, standin.CAMERA, (sighting,)))
-        moves = task.tick(0.05 * tick) != (0.0, 0.0)
-        if moves or task.result is not None:
-            break
-    assert moves == (error is None)
-    assert (task.result and task.result.error) == error

@@ -7,8 +7,8 @@ import docking_standin as standin
 import numpy as np
 import pytest
 
-from bullet_lab.docking.costmap import Costmap
 from bullet_lab.docking.geometry import wall_boxes
+from bullet_lab.docking.paths import Costmap
 
 BOXES = wall_boxes(standin.make_dock(standin.Stand((0.0, 0.0, 0.0))))
 NOTHING = np.empty((0, 4))

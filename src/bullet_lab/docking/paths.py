@@ -1,0 +1,390 @@
+"""Safe paths: the risk of each place when the dock is not known well, and paths over the floor.
+
+A grid in the odometry frame holds the share of the possible docks that a robot at each place would
+touch. Dijkstra's algorithm finds the cheapest paths, which are straightened afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Sequence
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from bullet_lab.core import se2
+from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.docking.belief import DockBelief
+from bullet_lab.docking.filter import GaussianPose
+from bullet_lab.docking.geometry import QUIET_ZONE, clearance, wall_boxes
+from bullet_lab.docking.types import (
+    STANDSTILL,
+    TURNING_RADIUS,
+    Command,
+    DockingSettings,
+    Point,
+)
+
+# Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
+CELL = 0.1
+_MOST_CELLS = 40_000
+# Cost of a metre of floor, beside 1: where all possible docks would be touched, and near them, m.
+_TOUCH_COST = 300.0
+_NEAR_COST = 3.0
+_NEAR = 0.22
+_DIAGONAL = math.sqrt(2.0)
+# Half of a cell's neighbours: offset in rows and columns, and distance in cells.
+_NEIGHBOURS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, _DIAGONAL), (1, -1, _DIAGONAL))
+# Poses of the dock that a costmap is made of.
+_SAMPLES = 120
+# Share of the possible docks that a robot may touch.
+_RISKY = 0.03
+# A path is unsafe from its start if it leads nearer to a wall than the robot is, by so much, m.
+_NEARER_WALL = 0.01
+# Length of a drive that shows the size of a print, m, and how many there are at most.
+_PROBE = 0.6
+_MOST_PROBES = 6
+# Least distance of the circle in which the robot turns from the walls' front edges, m.
+_ROOM_TO_TURN = 0.17
+# Angle from the axis at which the marker is viewed from aside: share of the angle at which the
+# walls begin to hide it, and most, rad.
+_ASIDE = 0.85
+_FARTHEST_ASIDE = math.radians(35.0)
+ACCELERATION = 0.5
+"""Of the wheels' mean, m/s²."""
+
+WALL_MARGIN = 0.04
+"""Distance that is kept between robot and walls, m."""
+
+# Turns on the spot: rad/s for each rad that is left, slowest rad/s, and rad at which they are done.
+_TURN_GAIN = 2.5
+_SLOWEST_TURN = 0.06
+_TURNED = math.radians(1.0)
+# Distances along a line, m: to its end where it is done, and to the point ahead that is aimed at.
+_ARRIVED = 0.05
+_LOOKAHEAD = 0.35
+
+
+class Costmap:
+    """Risks on a grid of (rows, columns) cells, along x and y of the odometry frame.
+
+    Args:
+        robot: (x, y) in the odometry frame; where it stands is free.
+        docks: (n, 3) possible poses of the dock in the odometry frame.
+        boxes: walls in the dock's frame, see `wall_boxes`.
+        obstacles: (m, 4) x, y, radius and probability of other things.
+        radius: of the circle that the robot is to have for itself, m.
+        reach: how far the map goes beyond robot and docks, m.
+
+    Attributes:
+        cell: edge of a cell, m.
+        points: (rows, columns, 2) of the cells' middles, m.
+        touch: (rows, columns) share of the docks that a robot there would touch.
+        costs: (rows, columns) of the cheapest way there; a metre of free floor costs 1.
+    """
+
+    def __init__(
+        self,
+        robot: Sequence[float],
+        docks: np.ndarray,
+        boxes: np.ndarray,
+        obstacles: np.ndarray,
+        radius: float,
+        reach: float = 4.0,
+    ):
+        self._robot = (float(robot[0]), float(robot[1]))
+        low = np.minimum(robot[:2], docks[:, :2].min(axis=0)) - reach
+        high = np.maximum(robot[:2], docks[:, :2].max(axis=0)) + reach
+        cell = max(CELL, math.sqrt(float(np.prod(high - low)) / _MOST_CELLS))
+        self.cell, self._low = cell, low
+        self._shape = tuple((np.ceil((high - low) / cell).astype(int) + 1).tolist())
+        x = low[0] + cell * np.arange(self._shape[0])
+        y = low[1] + cell * np.arange(self._shape[1])
+        self.points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        self.touch, near = self._risks(docks, boxes, obstacles, radius)
+        free = np.hypot(*(self.points - self._robot).transpose(2, 0, 1)) < 1.2 * cell
+        self.touch[free] = 0.0
+        self._rate = (1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near).ravel()
+        self.costs = self._dijkstra()
+
+    def _risks(self, docks, boxes, obstacles, radius: float):
+        """Return the shares of docks that a robot in a cell would touch, and come near to."""
+        touch, near = np.zeros(self._shape), np.zeros(self._shape)
+        flat = np.zeros((*self._shape, 3))
+        flat[..., :2] = self.points
+
+        def add(away: np.ndarray, weight: float) -> None:
+            touch[away < radius] += weight
+            near[away < radius + _NEAR] += weight
+
+        for dock in docks if len(boxes) else ():
+            add(clearance(se2.between(dock, flat)[..., :2], boxes), 1.0 / len(docks))
+        for x, y, size, weight in obstacles:
+            add(np.hypot(self.points[..., 0] - x, self.points[..., 1] - y) - size, weight)
+        return touch, near
+
+    def _dijkstra(self) -> np.ndarray:
+        rows, columns = self._shape
+        cells, edges = np.arange(rows * columns).reshape(self._shape), []
+        for down, right, length in _NEIGHBOURS:
+            first = cells[: rows - down, max(-right, 0) : columns - max(right, 0)].ravel()
+            second = first + down * columns + right
+            edges.append((first, second, self._edge_cost(first, second, length)))
+        first, second, costs = (np.concatenate(part) for part in zip(*edges))
+        graph = coo_matrix((costs, (first, second)), (cells.size, cells.size)).tocsr()
+        start = self._index(self._robot)
+        return dijkstra(graph, directed=False, indices=start).reshape(self._shape)
+
+    def _edge_cost(self, first, second, length: float):
+        """Return the cost between neighbouring cells, so many cells apart."""
+        return 0.5 * length * (self.cell * self._rate[first] + self.cell * self._rate[second])
+
+    def _predecessor(self, cell: int) -> int:
+        """Return the neighbour that the cheapest way to a cell comes over; -1 for the first."""
+        rows, columns = self._shape
+        row, column = divmod(cell, columns)
+        costs, found = self.costs.ravel(), []
+        for down, right, length in _NEIGHBOURS:
+            for i, j in ((down, right), (-down, -right)):
+                if 0 <= row + i < rows and 0 <= column + j < columns:
+                    other = cell + i * columns + j
+                    if costs[other] + self._edge_cost(other, cell, length) == costs[cell]:
+                        found.append((costs[other], other))
+        # Ties are frequent on free floor; cost and index decide.
+        return min(found, default=(0.0, -1))[1]
+
+    def _index(self, points) -> np.ndarray:
+        """Return the index of the cell nearest each of (..., 2 or more) points."""
+        places = np.round((np.asarray(points)[..., :2] - self._low) / self.cell).astype(int)
+        places = np.clip(places, 0, np.array(self._shape) - 1)
+        return places[..., 0] * self._shape[1] + places[..., 1]
+
+    def risk(self, points: np.ndarray) -> float:
+        """Return the largest share of docks that a robot at any of (n, 2) points would touch."""
+        return float(np.max(self.touch.ravel()[self._index(points)], initial=0.0))
+
+    def path(self, goal: Sequence[float]) -> list[Point] | None:
+        """Return way points from the robot to a goal, both included; None if it is off the map."""
+        off = np.asarray(goal[:2]) - self._low
+        if np.any(off < 0.0) or np.any(off > self.cell * (np.array(self._shape) - 1)):
+            return None
+        way = [(float(goal[0]), float(goal[1]))]
+        cell = self._predecessor(int(self._index(goal)))
+        while cell >= 0:
+            way.append(tuple(self.points[divmod(cell, self._shape[1])].tolist()))
+            cell = self._predecessor(cell)
+        way[-1] = self._robot
+        if len(way) == 1:
+            way.append(self._robot)
+        return self._straighten(way[::-1])
+
+    def _straighten(self, way: list[Point]) -> list[Point]:
+        """Leave out points where the straight way costs hardly more."""
+        costs = [0.0]
+        for first, second in zip(way, way[1:]):
+            costs.append(costs[-1] + self._straight_cost(first, second))
+        kept, here = [way[0]], 0
+        while here < len(way) - 1:
+            there = len(way) - 1
+            while there > here + 1 and self._straight_cost(way[here], way[there]) > (
+                1.02 * (costs[there] - costs[here]) + 1e-6
+            ):
+                there -= 1
+            kept.append(way[there])
+            here = there
+        return kept
+
+    def _straight_cost(self, first: Point, second: Point) -> float:
+        length = math.dist(first, second)
+        points = along(first, second, 0.5 * self.cell)
+        return length * float(np.mean(self._rate[self._index(points)]))
+
+
+def along(first: Point, second: Point, spacing: float) -> np.ndarray:
+    """Return (n, 2) points on a line, both ends included, no farther apart than `spacing`.
+
+    >>> along((0.0, 0.0), (1.0, 0.0), 0.5)
+    array([[0. , 0. ],
+           [0.5, 0. ],
+           [1. , 0. ]])
+    """
+    count = max(2, math.ceil(math.dist(first, second) / spacing) + 1)
+    part = np.linspace(0.0, 1.0, count)[:, None]
+    return (1.0 - part) * np.asarray(first) + part * np.asarray(second)
+
+
+class PathPlanner:
+    """Plans paths that are safe for all the likely poses of the dock."""
+
+    def __init__(self, belief: DockBelief):
+        self._belief, self._dock = belief, belief.dock
+        self._boxes = wall_boxes(belief.dock)
+        # Of the circle that the robot is to have for itself, m.
+        self._radius = TURNING_RADIUS + WALL_MARGIN
+        self._probes = 0
+
+    def costmap(self) -> Costmap:
+        """Return the costmap of the floor as it is believed to be now."""
+        return Costmap(
+            self._belief.pose[:2],
+            self._belief.samples(_SAMPLES),
+            self._boxes,
+            self._obstacles(),
+            self._radius,
+        )
+
+    def is_safe(self, way: Sequence[Point]) -> bool:
+        """Return whether the next 1.5 m of a path are safe by the present belief."""
+        points = self._ahead_of_robot([self._belief.pose[:2], *way], 0.0)
+        if not len(points):
+            return True
+        docks, radius = self._belief.samples(_SAMPLES), TURNING_RADIUS
+        flat = np.column_stack([points, np.zeros(len(points))])
+        away = clearance(se2.between(docks[:, None], flat[None])[..., :2], self._boxes)
+        # The robot's place is free even if its circle touches; nearer to a wall may not be.
+        here = clearance(
+            se2.between(docks, np.array([*self._belief.pose[:2], 0.0]))[..., :2], self._boxes
+        )
+        touched = (away < radius) & (away < here[:, None] - _NEARER_WALL)
+        if float(np.max(np.mean(touched, axis=0), initial=0.0)) > 2.0 * _RISKY:
+            return False
+        return not any(
+            weight > 0.3 and np.any(np.hypot(*(points - (x, y)).T) < size + radius)
+            for x, y, size, weight in self._obstacles()
+        )
+
+    def _obstacles(self) -> np.ndarray:
+        """Return the obstacles (n, 4) of `DockBelief.obstacles` that are not where the robot is.
+
+        A print of unknown size could otherwise be a tiny one right before the camera.
+        """
+        rows = self._belief.obstacles()
+        away = np.hypot(*(rows[:, :2] - self._belief.pose[:2]).T) - rows[:, 2]
+        return rows[away > self._radius]
+
+    def _ahead_of_robot(self, way, begin: float = 0.15) -> np.ndarray:
+        """Return points of a path from `begin` (m) on; the robot occupies what is before."""
+        pieces = [along(first, second, 0.05) for first, second in zip(way, way[1:])]
+        points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
+        travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
+        return points[(travelled > begin) & (travelled < 1.6)]
+
+    def way_to_staging(self, estimate: GaussianPose) -> list[Point] | None:
+        """Return a safe path to a point on the axis before the dock; None if there is none.
+
+        The point is near enough to find the marker, or else at the database's distance.
+        """
+        staging, visibility = self._dock.staging_distance, self._belief.visibility
+        way = None
+        if visibility is not None:
+            room = self._dock.depth + TURNING_RADIUS + _ROOM_TO_TURN
+            near = min(staging, max(room, 0.9 * visibility.farthest + self._belief.mount.x))
+            way = self._safe_way(estimate, (-near, 0.0, 0.0))
+        return way or self._safe_way(estimate, (-staging, 0.0, 0.0))
+
+    def way_aside(self, estimate: GaussianPose, to_the_left: bool) -> list[Point] | None:
+        """Return a safe path to the same distance, but beside the axis; None if there is none.
+
+        A flat marker looks narrower with the square of the viewing angle: on its axis, that shows
+        little of its yaw.
+
+        Args:
+            estimate: of the dock.
+            to_the_left: try this side of the axis first.
+        """
+        walls, before = self._dock.walls, float(np.hypot(*estimate.robot[:2]))
+        angle = _FARTHEST_ASIDE
+        if walls is not None:
+            free = 0.5 * walls.opening - self._dock.marker.size * (0.5 + QUIET_ZONE)
+            angle = min(angle, _ASIDE * math.atan2(free, walls.depth))
+        for side in (angle, -angle) if to_the_left else (-angle, angle):
+            way = self._safe_way(estimate, (-before * math.cos(side), before * math.sin(side), 0.0))
+            if way is not None:
+                return way
+        return None
+
+    def _safe_way(self, estimate: GaussianPose, there: PlanarPose) -> list[Point] | None:
+        """Return a safe path to a pose in the dock's frame; None if there is none."""
+        costmap = self.costmap()
+        goal = se2.compose(self._belief.pose, se2.compose(estimate.mean, there))
+        way = costmap.path(goal.tolist())
+        safe = way is not None and costmap.risk(self._ahead_of_robot(way)) <= 2.0 * _RISKY
+        return way if safe else None
+
+    def choose_probe(self) -> float:
+        """Return how far (m) to drive ahead or, negative, back; 0 if not safe or often enough.
+
+        It shows how the size of what is seen changes.
+        """
+        if self._probes >= _MOST_PROBES:
+            return 0.0
+        pose, costmap = self._belief.pose, self.costmap()
+        heading = np.array([math.cos(pose[2]), math.sin(pose[2])])
+        for way in (-_PROBE, _PROBE):
+            points = np.asarray(pose[:2]) + np.linspace(0.2, 1.0, 9)[:, None] * way * heading
+            if costmap.risk(points) < _RISKY:
+                self._probes += 1
+                return way
+        return 0.0
+
+
+class PathFollower:
+    """Drives along straight lines, turning on the spot between them.
+
+    `way` are points (m, m) in the odometry frame, the first where the robot stands.
+    """
+
+    def __init__(self, way: Sequence[Point]):
+        self._way: list[Point] = list(way)
+        self._turning = True
+
+    @property
+    def left(self) -> tuple[Point, ...]:
+        """The points still to be driven to."""
+        return tuple(self._way[1:])
+
+    def command(self, pose: PlanarPose, settings: DockingSettings) -> Command:
+        """Return the command for the present pose; zero when there."""
+        while len(self._way) > 1:
+            start, end = self._way[:2]
+            direction = math.atan2(end[1] - start[1], end[0] - start[0])
+            length, cos, sin = math.dist(start, end), math.cos(direction), math.sin(direction)
+            done = cos * (pose[0] - start[0]) + sin * (pose[1] - start[1])
+            if length - done > _ARRIVED:
+                break
+            self._way.pop(0)
+            self._turning = True
+        else:
+            return STANDSTILL
+        aim = min(done + _LOOKAHEAD, length)
+        x, y = start[0] + aim * cos, start[1] + aim * sin
+        off = wrap(math.atan2(y - pose[1], x - pose[0]) - pose[2])
+        if self._turning or abs(off) > 0.6:
+            self._turning = abs(off) > 0.06
+            if self._turning:
+                return turn_command(off, settings.turn_speed, 0.0)
+        braking = math.sqrt(0.6 * ACCELERATION * (length - done))
+        speed = min(settings.drive_speed, braking)
+        return speed * math.cos(off), clip(2.0 * off, 0.7 * settings.turn_speed)
+
+
+def clip(value: float, limit: float) -> float:
+    """Return a value, at most `limit` away from 0.
+
+    >>> clip(-3.0, 2.0)
+    -2.0
+    """
+    return max(-limit, min(limit, value))
+
+
+def turn_command(left: float, fastest: float, tolerance: float = _TURNED) -> Command:
+    """Return the command that turns on the spot by what is left (rad); zero when done.
+
+    >>> turn_command(-1.0, fastest=0.8)
+    (0.0, -0.8)
+    """
+    if abs(left) <= tolerance:
+        return STANDSTILL
+    speed = min(fastest, max(_SLOWEST_TURN, _TURN_GAIN * abs(left)))
+    return 0.0, math.copysign(speed, left)
