@@ -7,7 +7,7 @@ import pytest
 
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
-from bullet_lab.studies.umbmark.robots import FloorPlan, RobotError
+from bullet_lab.studies.umbmark.robots import FloorRobot, RobotError
 
 PACKAGE = Path(__file__).resolve().parents[4]
 TUTORIALS = PACKAGE / "test" / "tutorials"
@@ -22,8 +22,8 @@ WRONG = SystematicErrors(diameter_error=0.01, base_error=-0.02)
 def built():
     robots = []
 
-    def build(plan, *errors):
-        robots.append(plan.build(*errors))
+    def build(*arguments):
+        robots.append(FloorRobot(*arguments))
         return robots[-1]
 
     yield build
@@ -45,7 +45,7 @@ def roll(robot):
 
 
 def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
-    robot = built(FloorPlan(CAMERA), WRONG, NONE)
+    robot = built(CAMERA, "", WRONG, NONE)
     assert robot.believed.base == pytest.approx(0.38 / 0.98)
     # It believes in what was drawn: both wheels are told the same speed, and the robot turns.
     assert (robot.believed.left, robot.believed.right) == (0.28, 0.28)
@@ -56,7 +56,7 @@ def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
 
 
 def test_the_correction_is_what_the_plugin_believes_in(built):
-    robot = built(FloorPlan(CAMERA), WRONG, WRONG)
+    robot = built(CAMERA, "", WRONG, WRONG)
     left, right = WRONG.diameters
     assert robot.believed.base == pytest.approx(0.38)
     assert robot.believed.left == pytest.approx(0.28 * left)
@@ -70,7 +70,7 @@ def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
         text = text.replace(f'xyz="0 {y} -0.06"', f'xyz="0.03 {y} -0.06"')
     moved = tmp_path / "moved.urdf"
     moved.write_text(text)
-    robot = built(FloorPlan(str(moved)), NONE, NONE)
+    robot = built(str(moved), "", NONE, NONE)
     x, y, _ = robot.pose()
     assert (x, y) == pytest.approx((0.03, 0.0), abs=2e-3)
     robot.drive(0.0, 1.0, 1.5)
@@ -80,25 +80,24 @@ def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
 
 
 def test_a_controller_is_told_by_its_multipliers(built):
-    plan = FloorPlan(CART, CONTROL)
     left, right = WRONG.diameters
-    robot = built(plan, WRONG, NONE)
+    robot = built(CART, CONTROL, WRONG, NONE)
     assert robot.believed.left == pytest.approx(0.16 / left)
     assert robot.believed.right == pytest.approx(0.16 / right)
     assert robot.believed.base == pytest.approx(0.4 / 0.98)
-    assert built(plan, WRONG, WRONG).believed.base == pytest.approx(0.4)
+    assert built(CART, CONTROL, WRONG, WRONG).believed.base == pytest.approx(0.4)
     robot.drive(0.2, 0.0, 0.2)
     assert robot.odometry[-1][0] > 0.02
 
 
 @pytest.mark.parametrize(
-    ("plan", "said"),
+    ("robot", "controller", "said"),
     [
-        (FloorPlan(CART), "there is no plugin libgazebo_ros_diff_drive.so"),
-        (FloorPlan(CAMERA, CONTROL), "there is no plugin libgazebo_ros_control.so"),
-        (FloorPlan(CART, CART), "cannot read|there is no controller"),
+        (CART, "", "there is no plugin libgazebo_ros_diff_drive.so"),
+        (CAMERA, CONTROL, "there is no plugin libgazebo_ros_control.so"),
+        (CART, CART, "cannot read|there is no controller"),
     ],
 )
-def test_robots_without_wheels_to_calibrate_are_refused(plan, said):
+def test_robots_without_wheels_to_calibrate_are_refused(robot, controller, said):
     with pytest.raises(RobotError, match=said):
-        plan.build(NONE, NONE)
+        FloorRobot(robot, controller, NONE, NONE)

@@ -11,18 +11,30 @@ from bullet_lab.drive.square import Square
 from bullet_lab.noise.odometry_noise import RateInvariantRule
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import UnfinishedError
-from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings
-from bullet_lab.studies.umbmark.campaign import (
+from bullet_lab.studies.umbmark.estimate import (
+    Benchmark,
+    centre_ellipse,
+    closed_forms,
+    end_covariance,
+    fit,
+)
+from bullet_lab.studies.umbmark.robots import (
+    DriveSettings,
+    IdealRobot,
+    Wheels,
+    drive_square,
+    multipliers,
+)
+from bullet_lab.studies.umbmark.runs import Run, RunError, perfect_square, return_errors
+from bullet_lab.studies.umbmark.study import (
     CampaignSettings,
     calibrate_robot,
     campaign_summary,
+    describe,
     describe_campaign,
     draw_robot,
+    run_umbmark,
 )
-from bullet_lab.studies.umbmark.estimate import centre_ellipse, end_covariance, fit, umbmark
-from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels, drive_square, multipliers
-from bullet_lab.studies.umbmark.runs import Run, RunError, perfect_square, return_errors
-from bullet_lab.studies.umbmark.study import describe, run_umbmark
 
 BELIEVED = Wheels(0.28, 0.28, 0.38)
 NONE = SystematicErrors()
@@ -69,14 +81,14 @@ def test_unequal_wheels_leave_the_centres_on_opposite_sides():
 
 def test_the_figures_are_those_of_the_paper():
     cw, ccw = (-0.05, -0.03, 0.0), (-0.01, 0.02, 0.0)
-    found = umbmark(measured([("cw", cw), ("ccw", ccw), ("ccw", ccw)]), 1.0, 0.4)
+    found = closed_forms(measured([("cw", cw), ("ccw", ccw), ("ccw", ccw)]), 1.0, 0.4)
     alpha, beta = -0.06 / -4.0, -0.04 / -4.0
     radius = 0.5 / math.sin(0.5 * beta)
-    assert (found.alpha, found.beta) == pytest.approx((alpha, beta))
+    assert np.radians((found.alpha_deg, found.beta_deg)) == pytest.approx((alpha, beta))
     assert found.e_b == pytest.approx(90.0 / (90.0 - math.degrees(alpha)))
     assert found.e_d == pytest.approx((radius + 0.2) / (radius - 0.2))
-    assert found.e_max_syst == pytest.approx(math.hypot(0.05, 0.03))
-    assert found.r_ccw == pytest.approx(math.hypot(0.01, 0.02))
+    assert found.e_max_syst_m == pytest.approx(math.hypot(0.05, 0.03))
+    assert found.r_ccw_m == pytest.approx(math.hypot(0.01, 0.02))
 
 
 @pytest.mark.parametrize("diameter", [0.001, -0.01])
@@ -88,7 +100,7 @@ def test_the_fit_recovers_what_was_injected_and_the_correction_undoes_it(diamete
     assert found.diameter_error == pytest.approx(diameter, rel=1e-4)
     assert found.base_error == pytest.approx(base, rel=1e-4)
     after = Benchmark.of(ideal_runs(wrong, correction=found), BELIEVED.base)
-    assert after.figures.e_max_syst < 1e-4 * before.figures.e_max_syst
+    assert after.figures.e_max_syst_m < 1e-4 * before.figures.e_max_syst_m
 
 
 def test_the_closed_forms_are_for_small_errors():
