@@ -69,8 +69,8 @@ def run_from(
         name: of the program; each line that it prints begins with it.
         about: description of the program; the help prints its first line.
         settings: dataclasses with the parameters; each parameter becomes an option.
-        run: gets the folder for the results, an instance of each of `settings`, and a function
-            that prints a line; may return lines to print; raises LabError.
+        run: gets the folder for the results, which exists, an instance of each of `settings`, and
+            a function that prints a line; may return lines to print; raises LabError.
         words: of the command line; those of this process by default.
         short: short options, such as -n, each with the name of its parameter.
     """
@@ -91,7 +91,9 @@ def run_from(
         # roslaunch adds __name:=… and __log:=…
         values = vars(parser.parse_args([w for w in words if not re.match(r"__\w+:=", w)]))
         read = [read_options(kind, values) for kind in settings]
-        for line in run(values["out"], *read, tell) or ():
+        # A folder that cannot be written to shows here, instead of after the work.
+        folder = make_folder(values["out"])
+        for line in run(folder, *read, tell) or ():
             tell(line)
     except LabError as error:
         print(f"{name}: {error}", file=sys.stderr, flush=True)

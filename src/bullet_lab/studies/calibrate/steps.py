@@ -8,7 +8,7 @@ velocity between two of its poses.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -39,6 +39,8 @@ LEAST_DISTANCE = 0.5
 LEAST_TURN = 1.0
 # Errors of real odometry are at most 20 %; mm and degrees are a factor of 57 and more.
 LARGEST_SCALE = 2.0
+# Of the distance, forwards and backwards, to fit both the gyro's bias and unequal wheels.
+LEAST_SHARE = 0.05
 
 
 class StepsError(LabError):
@@ -98,6 +100,45 @@ class Steps:
 
     def __len__(self) -> int:
         return len(self.true)
+
+    def go_both_ways(self) -> bool:
+        """Return whether the robot drives both forwards and backwards.
+
+        Otherwise the gyro's bias has the same effect as unequal wheels.
+        """
+        ahead = self.true[:, 0]
+        less = min(ahead[ahead > 0.0].sum(), -ahead[ahead < 0.0].sum())
+        return less >= LEAST_SHARE * np.abs(ahead).sum()
+
+    def summary(self) -> Dict[str, Any]:
+        """Return the figures for summary.json."""
+        return {
+            "count": len(self),
+            "median_s": float(np.median(self.seconds)),
+            "length_m": float(np.hypot(self.true[:, 0], self.true[:, 1]).sum()),
+            "turned_rad": float(np.abs(self.true[:, 2]).sum()),
+            "resting": self.resting,
+            "over_gaps": self.gaps,
+            "moved_unseen": self.unseen,
+            "truth_std_m": self.truth_std_m,
+            "truth_std_rad": self.truth_std_rad,
+            "remarks": self.remarks,
+        }
+
+    def lines(self) -> List[str]:
+        """Return the numbers and the remarks as lines for the user."""
+        about = self.summary()
+        found = [
+            f"{len(self)} steps of {about['median_s']:.3g} s, {about['length_m']:.1f} m and "
+            f"{about['turned_rad']:.1f} rad in all; {self.resting} more stood still, "
+            f"{self.gaps} went over a gap"
+        ]
+        if self.unseen:
+            found.append(
+                f"in {self.unseen} steps the truth moved and the odometry did not: "
+                "they are left out"
+            )
+        return [*found, *self.remarks]
 
     def check(self) -> None:
         """Raise StepsError, with the likely cause, if odometry and truth do not match.
@@ -333,13 +374,11 @@ def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
 
 def _motion(path: Trajectory, begins: np.ndarray, window: float) -> np.ndarray:
     """Return the distances and turns of a robot within windows of time, (n, 2), in any frame."""
-    x, y = (np.interp(begins, path.stamps, column) for column in path.poses[:, :2].T)
-    x_end, y_end = (np.interp(begins + window, path.stamps, c) for c in path.poses[:, :2].T)
-    heading = np.unwrap(path.poses[:, 2])
-    turns = np.interp(begins + window, path.stamps, heading) - np.interp(
-        begins, path.stamps, heading
+    dx, dy, turns = (
+        np.interp(begins + window, path.stamps, column) - np.interp(begins, path.stamps, column)
+        for column in (*path.poses[:, :2].T, np.unwrap(path.poses[:, 2]))
     )
-    return np.column_stack((np.hypot(x_end - x, y_end - y), turns))
+    return np.column_stack((np.hypot(dx, dy), turns))
 
 
 def _shifted(path: Trajectory, seconds: float) -> Trajectory:
