@@ -122,23 +122,22 @@ def number(
     maximum: float = math.inf,
 ) -> Any:
     """Declare a finite number within [minimum, maximum] and greater than `above`."""
-    accept, limits = _within(minimum, above, maximum)
-    return _declare(default, doc, f"a number{limits}", accept)
+    accept = _within(_float, minimum, maximum, above)
+    return _declare(default, doc, f"a number{_limits(minimum, above, maximum)}", accept)
 
 
 def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**31 - 1) -> Any:
     """Declare a whole number within [minimum, maximum]."""
-    accept = _whole_within(minimum, maximum)
+    accept = _within(_integer, minimum, maximum)
     return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
 
 
 def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
     """Declare an odd whole number within [minimum, maximum]."""
-    accept_whole = _whole_within(minimum, maximum)
 
     def accept(value: Any) -> int:
-        value = accept_whole(value)
-        return _require(value % 2 == 1, value)
+        value = _integer(value)
+        return _require(minimum <= value <= maximum and value % 2 == 1, value)
 
     return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
 
@@ -200,8 +199,9 @@ def numbers(
     maximum: float = math.inf,
 ) -> Any:
     """Declare one or more different finite numbers within limits as of `number`."""
-    accept, limits = _within(minimum, above, maximum)
-    return _declare(tuple(default), doc, f"different numbers{limits}", _different(accept))
+    allowed = f"different numbers{_limits(minimum, above, maximum)}"
+    accept = _different(_within(_float, minimum, maximum, above))
+    return _declare(tuple(default), doc, allowed, accept)
 
 
 def mapping(doc: str, *kinds: type) -> Any:
@@ -377,23 +377,20 @@ def _different(accept: Callable[[Any], Any]) -> Callable[[Any], Tuple[Any, ...]]
     return accept_all
 
 
-def _whole_within(minimum: int, maximum: int) -> Callable[[Any], int]:
-    """Return a function that accepts a whole number within limits."""
+def _within(
+    convert: Callable[[Any], Any], minimum: float, maximum: float, above: float = -math.inf
+) -> Callable[[Any], Any]:
+    """Return a function that accepts a number within limits."""
 
-    def accept(value: Any) -> int:
-        value = _integer(value)
-        return _require(minimum <= value <= maximum, value)
+    def accept(value: Any) -> Any:
+        value = convert(value)
+        return _require(minimum <= value <= maximum and value > above, value)
 
     return accept
 
 
-def _within(minimum: float, above: float, maximum: float) -> Tuple[Callable[[Any], float], str]:
-    """Return a function that accepts a number within limits, and the limits in words."""
-
-    def accept(value: Any) -> float:
-        value = _float(value)
-        return _require(minimum <= value <= maximum and value > above, value)
-
+def _limits(minimum: float, above: float, maximum: float) -> str:
+    """Return the limits of a number in words, with a space before them; empty without limits."""
     signs = ((">=", minimum), (">", above), ("<=", maximum))
     limits = [f"{sign} {limit:g}" for sign, limit in signs if math.isfinite(limit)]
-    return accept, " " + " and ".join(limits) if limits else ""
+    return " " + " and ".join(limits) if limits else ""

@@ -19,7 +19,7 @@ from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequen
 
 from tqdm import tqdm
 
-from bullet_lab.core.files import PART, FileError, make_folder
+from bullet_lab.core.files import PART, file_errors, make_folder
 from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
@@ -174,17 +174,16 @@ def whole_results(folder: Path) -> Iterator[Path]:
         FileError: a file cannot be written.
     """
     make_folder(folder)
-    try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=PART) as name:
-            part = Path(name)
-            yield part
-            files = [path.relative_to(part) for path in sorted(part.rglob("*")) if path.is_file()]
-            # The summary comes last: it shows that the results are complete.
-            for file in sorted(files, key=lambda path: path.name == SUMMARY):
-                (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                (part / file).replace(folder / file)
-    except OSError as error:
-        raise FileError(f"cannot write to {folder}: {error.strerror or error}") from error
+    with file_errors(f"cannot write to {folder}"), tempfile.TemporaryDirectory(
+        dir=folder, prefix=PART
+    ) as name:
+        part = Path(name)
+        yield part
+        files = [path.relative_to(part) for path in sorted(part.rglob("*")) if path.is_file()]
+        # The summary comes last: it shows that the results are complete.
+        for file in sorted(files, key=lambda path: path.name == SUMMARY):
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (part / file).replace(folder / file)
 
 
 def write_table(path: Path, rows: Iterable[Iterable[Any]]) -> None:
