@@ -80,50 +80,6 @@ def open_loop_side(square: Square) -> Iterator[Command]:
         yield 0.0, square.turn_speed
 
 
-class ClosedLoopSide:
-    """One side and the turn after it, by odometry.
-
-    Args:
-        square: the one to drive.
-        start: pose (m, m, rad) at the start of the side.
-        heading: rad, of the side; the turn ends a quarter turn from it. As each heading is
-            computed from the one before, errors of the turns do not accumulate.
-    """
-
-    def __init__(self, square: Square, start: PlanarPose, heading: float):
-        self._square = square
-        self._start = start
-        self._goal = heading + math.copysign(0.5 * math.pi, square.turn_speed)
-        self._heading = heading
-        self._turning = False
-        self.done = False
-
-    @property
-    def next_heading(self) -> float:
-        """Heading of the next side, rad."""
-        return self._goal
-
-    def progress(self, pose: PlanarPose) -> float:
-        """Return the distance driven along the side, in m."""
-        dx, dy = pose[0] - self._start[0], pose[1] - self._start[1]
-        return dx * math.cos(self._heading) + dy * math.sin(self._heading)
-
-    def command(self, pose: PlanarPose) -> Command:
-        """Return the velocity (m/s, rad/s) for the present pose (m, m, rad)."""
-        if not self._turning:
-            left = self._square.side - self.progress(pose)
-            if left > DRIVE_TOLERANCE:
-                return approach(left, self._square.speed, SLOWEST_DRIVE), 0.0
-            self._turning = True
-        left = wrap(self._goal - pose[2])
-        ahead = math.copysign(left, left * self._square.turn_speed)
-        if not -TURN_EXCESS <= ahead <= TURN_TOLERANCE:
-            speed = approach(abs(left), abs(self._square.turn_speed), SLOWEST_TURN)
-            return 0.0, math.copysign(speed, left)
-        self.done = True
-        return 0.0, 0.0
-
-
 def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
     """Return the speed for the remaining distance or angle.
 
@@ -197,14 +153,33 @@ class SquareDriver:
             self.sides_done += 1
 
     def _by_odometry(self, pose: PlanarPose) -> _Commands:
-        heading = pose[2]
-        for _ in range(self._square.sides):
-            side = ClosedLoopSide(self._square, pose, heading)
-            while not side.done:
-                pose = yield side.command(pose)
-                self._note(side.progress(pose))
-            heading = side.next_heading
+        square, heading = self._square, pose[2]
+        for _ in range(square.sides):
+            x, y, _yaw = pose
+            progress, turning, done = 0.0, False, False
+            # From the heading before, so that errors of the turns do not accumulate.
+            goal = heading + math.copysign(0.5 * math.pi, square.turn_speed)
+            while not done:
+                left = square.side - progress
+                turning = turning or left <= DRIVE_TOLERANCE
+                if turning:
+                    done, command = self._turn(wrap(goal - pose[2]))
+                else:
+                    command = approach(left, square.speed, SLOWEST_DRIVE), 0.0
+                pose = yield command
+                dx, dy = pose[0] - x, pose[1] - y
+                progress = dx * math.cos(heading) + dy * math.sin(heading)
+                self._note(progress)
+            heading = goal
             self.sides_done += 1
+
+    def _turn(self, left: float) -> Tuple[bool, Command]:
+        """Return whether a turn is done with an angle (rad) left to go, and the command for it."""
+        turn_speed = self._square.turn_speed
+        if -TURN_EXCESS <= math.copysign(left, left * turn_speed) <= TURN_TOLERANCE:
+            return True, (0.0, 0.0)
+        speed = approach(abs(left), abs(turn_speed), SLOWEST_TURN)
+        return False, (0.0, math.copysign(speed, left))
 
     def _note(self, progress: float) -> None:
         """Update the distance by the progress (m) along the present side."""

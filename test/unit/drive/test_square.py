@@ -4,7 +4,7 @@ import pytest
 
 from bullet_lab.core.se2 import wrap
 from bullet_lab.drive.square import (
-    ClosedLoopSide,
+    CLOSED_LOOP,
     DriverError,
     Square,
     SquareDriver,
@@ -31,19 +31,16 @@ def integrate(pose, command, patch):
 
 def drive(square, patch, start=(0.0, 0.0, 0.0)):
     """Drive a square in closed loop; return the poses at its corners and all commands."""
-    pose, heading, corners, commands = start, start[2], [start], []
-    for _ in range(square.sides):
-        side = ClosedLoopSide(square, pose, heading)
-        while True:
-            command = side.command(pose)
-            commands.append(command)
-            if side.done:
-                break
-            assert len(commands) < 20_000
-            pose = integrate(pose, command, patch)
-        corners.append(pose)
-        heading = side.next_heading
-    return corners, commands
+    driver, pose, corners, commands = SquareDriver(square, CLOSED_LOOP), start, [start], []
+    while True:
+        command = driver.command(pose)
+        if driver.sides_done == len(corners):
+            corners.append(pose)
+        if command is None:
+            return corners, commands
+        commands.append(command)
+        assert len(commands) < 20_000
+        pose = integrate(pose, command, patch)
 
 
 def test_an_open_loop_side_is_that_of_listing_9():
@@ -88,17 +85,19 @@ def test_errors_of_the_turns_do_not_add_up():
 
 
 def test_a_turn_that_went_far_too_far_is_turned_back():
-    side = ClosedLoopSide(Square(), (0.0, 0.0, 0.0), 0.0)
-    beyond = (2.0, 0.0, -0.5 * math.pi - 0.1)
-    ahead, turn = side.command(beyond)
-    assert not side.done
+    driver = SquareDriver(Square(sides=1), CLOSED_LOOP)
+    driver.command((0.0, 0.0, 0.0))
+    ahead, turn = driver.command((2.0, 0.0, -0.5 * math.pi - 0.1))
+    assert driver.sides_done == 0
     assert ahead == 0.0
     assert turn > 0.0
 
 
 def test_progress_is_along_the_side():
-    side = ClosedLoopSide(Square(), (1.0, 1.0, 0.0), 0.5 * math.pi)
-    assert side.progress((1.3, 2.5, 0.0)) == pytest.approx(1.5)
+    driver = SquareDriver(Square(), CLOSED_LOOP)
+    driver.command((1.0, 1.0, 0.5 * math.pi))
+    driver.command((1.3, 2.5, 0.0))
+    assert driver.distance == pytest.approx(1.5)
 
 
 def test_approach():
