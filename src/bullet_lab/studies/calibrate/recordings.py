@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import asdict, dataclass, field, make_dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
@@ -17,18 +18,19 @@ from bullet_lab.core.trajectory import Trajectory, TrajectoryError
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_fields, rule_of
+from bullet_lab.noise.odometry_noise import (
+    MODELS,
+    NoiseRule,
+    NoisyPath,
+    noise_fields,
+    rule_of,
+)
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.noise_study.paths import read_path
 
 NAMES = (
     ("odom", "noisy_odom"),
-    ("truth", "odom"),
-    ("truth", "odometry"),
-    ("groundtruth", "odom"),
-    ("groundtruth", "odometry"),
-    ("ground_truth", "odom"),
-    ("ground_truth", "odometry"),
+    *product(("truth", "groundtruth", "ground_truth"), ("odom", "odometry")),
 )
 """Ends of the names of the two files of a recording, truth first; the rest is the same."""
 
@@ -190,8 +192,7 @@ _NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), froze
 
 def _error(name: str, value: float) -> Any:
     """Declare a parameter of `SystematicErrors` with another default."""
-    (entry,) = (entry for entry in fields(SystematicErrors) if entry.name == name)
-    return field(default=value, metadata=entry.metadata)
+    return field(default=value, metadata=SystematicErrors.__dataclass_fields__[name].metadata)
 
 
 @dataclass(frozen=True)
@@ -206,11 +207,13 @@ class DriveSettings(_NoiseParameters, SystematicErrors):
     rate: float = number(5.0, "Hz of its odometry", above=0.0, maximum=1000.0)
     laps: int = integer(3, "of it, 39 s and 6.3 m each", 1, 1000)
 
-    def noise(self, model: str = "") -> Dict[str, float]:
-        """Return the parameters of a noise model by name."""
-        values = {name: getattr(self, name) for name, _, _ in noise_fields()}
-        rule = rule_of(model or self.model, values)
-        return {entry.name: getattr(rule, entry.name) for entry in fields(rule)}
+    def rule(self, model: str) -> NoiseRule:
+        """Return the rule of a noise model, with the parameters of the drive."""
+        return rule_of(model, asdict(self))
+
+    def noise(self) -> Dict[str, float]:
+        """Return the parameters of the drive's noise model by name."""
+        return asdict(self.rule(self.model))
 
 
 def calibration_drive(settings: DriveSettings) -> Trajectory:
@@ -228,7 +231,7 @@ def made_up(settings: DriveSettings, seed: int) -> Recording:
     """Return the drive with an odometry as `noisy_odom` would make it."""
     truth = calibration_drive(settings)
     errors = SystematicPath(SystematicErrors.of(settings))
-    noise = NoisyPath(rule_of(settings.model, settings.noise()), seed)
+    noise = NoisyPath(settings.rule(settings.model), seed)
     poses = [noise.update(*errors.update(*pose).pose).pose for pose in truth.poses.tolist()]
     return Recording("a drive that was made up", truth, Trajectory(truth.stamps, np.array(poses)))
 
@@ -280,7 +283,8 @@ def coverage(
         seed: of the paths, >= 0.
         note: called after each path.
     """
-    true = {**settings.noise(model), **{name: getattr(settings, name) for name in systematic}}
+    errors = {name: getattr(settings, name) for name in systematic}
+    true = {**asdict(settings.rule(model)), **errors}
     estimates, ends = [], []
     for pairs in _paths(settings, model, systematic, paths, seed):
         problem = Problem(pairs, model, systematic, settings.wheel_base)
@@ -311,7 +315,7 @@ def _paths(
     truth = calibration_drive(settings).poses
     wrong = {name: getattr(settings, name) for name in (*systematic, "wheel_base")}
     reported = SystematicErrors(**wrong).path(truth)
-    steps = noisy_steps(reported, rule_of(model, settings.noise(model)))
+    steps = noisy_steps(reported, settings.rule(model))
     generator = np.random.default_rng([seed, 1])
     for block in noisy_blocks(steps, generator, paths, _STEPS_AT_A_TIME):
         heading = reported[:, 2] + block.heading_error

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -38,35 +38,8 @@ SURE = 3.0
 SAME = 1e-9
 
 
-@dataclass(frozen=True)
-class ClosedForms:
-    """The figures of Borenstein and Feng's benchmark.
-
-    Attributes:
-        centre_cw_m: x, y (m) of the centre of gravity of the return errors, clockwise.
-        centre_ccw_m: likewise, counter-clockwise.
-        r_cw_m: m, distance of centre_cw_m from zero.
-        r_ccw_m: likewise.
-        e_max_syst_m: m, the larger of both distances.
-        alpha_deg: degrees, of each turn, error of type A: too little where it is > 0.
-        beta_deg: degrees, of each side, error of type B: to the left where it is > 0.
-        e_d: right diameter / left diameter, relative to the assumed ones.
-        e_b: base / the assumed one.
-    """
-
-    centre_cw_m: Tuple[float, float]
-    centre_ccw_m: Tuple[float, float]
-    r_cw_m: float
-    r_ccw_m: float
-    e_max_syst_m: float
-    alpha_deg: float
-    beta_deg: float
-    e_d: float
-    e_b: float
-
-
-def closed_forms(runs: Sequence[Run], side: float, base: float) -> ClosedForms:
-    """Return the benchmark's figures by its closed forms, which hold for small angles.
+def closed_forms(runs: Sequence[Run], side: float, base: float) -> Dict[str, Any]:
+    """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
     square to the left has in the mean the heading k (90° - alpha + beta) + beta / 2. So the sum of
@@ -77,6 +50,17 @@ def closed_forms(runs: Sequence[Run], side: float, base: float) -> ClosedForms:
         runs: in both directions.
         side: L, m.
         base: the assumed one, m.
+
+    Returns:
+        centre_cw_m: x, y (m) of the centre of gravity of the return errors, clockwise.
+        centre_ccw_m: likewise, counter-clockwise.
+        r_cw_m: m, distance of centre_cw_m from zero.
+        r_ccw_m: likewise.
+        e_max_syst_m: m, the larger of both distances.
+        alpha_deg: degrees, of each turn, error of type A: too little where it is > 0.
+        beta_deg: degrees, of each side, error of type B: to the left where it is > 0.
+        e_d: right diameter / left diameter, relative to the assumed ones.
+        e_b: base / the assumed one.
     """
     cw, ccw = (return_errors(runs, direction)[:, :2].mean(axis=0) for direction in DIRECTIONS)
     alpha = float(cw[0] + ccw[0]) / (-4.0 * side)
@@ -84,17 +68,17 @@ def closed_forms(runs: Sequence[Run], side: float, base: float) -> ClosedForms:
     # R = (L / 2) / sin(beta / 2) and E_d = (R + b / 2) / (R - b / 2), without dividing by 0.
     bend = base * math.sin(0.5 * beta) / side
     r_cw, r_ccw = float(np.hypot(*cw)), float(np.hypot(*ccw))
-    return ClosedForms(
-        tuple(cw.tolist()),
-        tuple(ccw.tolist()),
-        r_cw,
-        r_ccw,
-        max(r_cw, r_ccw),
-        float(np.degrees(alpha)),
-        float(np.degrees(beta)),
-        e_d=(1.0 + bend) / (1.0 - bend),
-        e_b=0.5 * math.pi / (0.5 * math.pi - alpha),
-    )
+    return {
+        "centre_cw_m": cw.tolist(),
+        "centre_ccw_m": ccw.tolist(),
+        "r_cw_m": r_cw,
+        "r_ccw_m": r_ccw,
+        "e_max_syst_m": max(r_cw, r_ccw),
+        "alpha_deg": float(np.degrees(alpha)),
+        "beta_deg": float(np.degrees(beta)),
+        "e_d": (1.0 + bend) / (1.0 - bend),
+        "e_b": 0.5 * math.pi / (0.5 * math.pi - alpha),
+    }
 
 
 @dataclass(frozen=True)
@@ -271,7 +255,7 @@ class Benchmark:
 
     runs: Tuple[Run, ...]
     base: float
-    figures: ClosedForms
+    figures: Dict[str, Any]
     estimate: Estimate
 
     @classmethod
@@ -298,7 +282,7 @@ class Benchmark:
 
     def warnings(self) -> List[str]:
         """Return the reasons to distrust the result, with likely causes; empty without any."""
-        largest, left = self.figures.e_max_syst_m, self.estimate.residual
+        largest, left = self.figures["e_max_syst_m"], self.estimate.residual
         side = float(np.mean([run.side() for run in self.runs]))
         found = [
             f"{name} lies on the bound of the fit, {100.0 * LARGEST:.0f} %: "
@@ -330,4 +314,4 @@ class Benchmark:
     def summary(self) -> Dict[str, Any]:
         """Return the figures of the benchmark by their usual names."""
         squares = {d: sum(run.direction == d for run in self.runs) for d in DIRECTIONS}
-        return {"squares": squares, **asdict(self.figures)}
+        return {"squares": squares, **self.figures}

@@ -14,7 +14,7 @@ import yaml
 from bullet_lab.core.parameters import choice, integer, number, text
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.drive.square import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
+from bullet_lab.drive import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, derived_seed, model_named
 from bullet_lab.noise.systematic import SystematicErrors

@@ -123,8 +123,8 @@ def run_umbmark(
         },
     }
     if after is not None:
-        left = after.figures.e_max_syst_m
-        falls_by = before.figures.e_max_syst_m / left if left > 0.0 else None
+        left = after.figures["e_max_syst_m"]
+        falls_by = before.figures["e_max_syst_m"] / left if left > 0.0 else None
         summary.update(after=after.summary(), falls_by=falls_by)
     if warnings:
         # An earlier run may have left one.
@@ -202,7 +202,7 @@ def describe(
     lines += _figures(before)
     found, figures = before.estimate, before.figures
     lines.append(
-        f"closed forms, for small errors: E_d {figures.e_d:.5f}, E_b {figures.e_b:.5f}"
+        f"closed forms, for small errors: E_d {figures['e_d']:.5f}, E_b {figures['e_b']:.5f}"
     )
     for name, title in (("diameter_error", "D_right/D_left"), ("base_error", "base/believed")):
         value = getattr(found.errors, name)
@@ -228,14 +228,15 @@ def _joined(values: Dict[str, float]) -> str:
 def _figures(benchmark: Benchmark) -> List[str]:
     figures = benchmark.figures
     lines = []
-    for direction, (x, y) in zip(DIRECTIONS, (figures.centre_cw_m, figures.centre_ccw_m)):
+    for direction in DIRECTIONS:
+        x, y = figures[f"centre_{direction}_m"]
         errors = return_errors(benchmark.runs, direction) * (1000.0, 1000.0, math.degrees(1.0))
         each = ", ".join(f"({dx:.2f}, {dy:.2f}, {turn:.3f})" for dx, dy, turn in errors.tolist())
         lines += [
             f"return errors {direction} (mm, mm, °): {each}",
             f"centre of gravity {direction}: ({1000.0 * x:.2f}, {1000.0 * y:.2f}) mm",
         ]
-    return [*lines, f"E_max,syst {1000.0 * figures.e_max_syst_m:.2f} mm"]
+    return [*lines, f"E_max,syst {1000.0 * figures['e_max_syst_m']:.2f} mm"]
 
 
 def draw_robot(drive: DriveSettings, floor: bool, index: int) -> Tuple[DriveSettings, float]:
@@ -284,7 +285,7 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
     noisy = benchmark(drawn, NO_ERRORS).estimate.relative_to(right)
     found_quiet = before.estimate.relative_to(right).errors
     record: Dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
-    for name, closed in zip(PARAMETERS, (before.figures.e_d, before.figures.e_b)):
+    for name, closed in zip(PARAMETERS, (before.figures["e_d"], before.figures["e_b"])):
         injected = getattr(quiet, name)
         found = getattr(found_quiet, name)
         low, high = (noisy.intervals or {}).get(name, (None, None))
@@ -300,8 +301,8 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
                 f"{name}_held": low is not None and low <= injected <= high,
             }
         )
-    record["e_max_syst_m"] = before.figures.e_max_syst_m
-    record["e_max_syst_after_m"] = after.figures.e_max_syst_m
+    record["e_max_syst_m"] = before.figures["e_max_syst_m"]
+    record["e_max_syst_after_m"] = after.figures["e_max_syst_m"]
     return record
 
 
