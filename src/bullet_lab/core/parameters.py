@@ -19,6 +19,7 @@ bullet_lab.core.parameters.ParameterError: ~std is -1: it must be a number >= 0
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import re
 from dataclasses import MISSING, Field, dataclass, field, fields
@@ -215,8 +216,13 @@ def mapping(doc: str, *kinds: type) -> Any:
 
     def accept(value: Any) -> Mapping[str, Any]:
         known = {name: entry for kind in kinds[::-1] for name, entry in declarations(kind).items()}
-        entries = _require(isinstance(value, dict), value).items()
-        return {key: _entry(known.get(key), entry) for key, entry in entries}
+        entries = dict(_require(isinstance(value, dict), value))
+        for name in known.keys() & entries.keys():
+            # An entry that is not allowed is that of another node, with the same name.
+            with contextlib.suppress(ParameterError):
+                if isinstance(entries[name], str):
+                    entries[name] = known[name].read(entries[name])
+        return entries
 
     return field(default_factory=dict, metadata={_CHECK: Check(doc, "a dictionary", accept)})
 
@@ -315,16 +321,6 @@ class ArgumentParser(argparse.ArgumentParser):
 
 def _declare(default: Any, doc: str, allowed: str, accept: Callable) -> Any:
     return field(default=default, metadata={_CHECK: Check(doc, allowed, accept)})
-
-
-def _entry(declaration: Optional[Declaration], value: Any) -> Any:
-    if declaration is None or not isinstance(value, str):
-        return value
-    try:
-        return declaration.read(value)
-    except ParameterError:
-        # The entry of another node has the same name.
-        return value
 
 
 def _as_text(value: Any) -> str:

@@ -17,6 +17,7 @@ from bullet_lab.ros.verify import (
     Fingerprint,
     References,
     Row,
+    Runs,
     VerifyError,
     compared,
     table,
@@ -129,3 +130,12 @@ def test_each_exception_and_reference_has_a_job():
     others = set(JOBS) - {NAME}
     assert set(References.read(PACKAGE / REFERENCES).files) <= others
     assert {*TOLERANCES, *LEFT_OUT} <= others
+
+
+def test_a_job_that_fails_leaves_its_status_and_its_last_line(tmp_path):
+    unknown = JOBS["squares"]._replace(name="nix")
+    failure = Runs([(unknown, tmp_path / "nix" / "first")], "this").run(0)
+    status, _, last_line = failure.partition(": ")
+    assert status == "status 2"
+    assert "nix" in last_line
+    assert (tmp_path / "nix" / "first.log").read_text().strip().endswith(last_line)

@@ -82,16 +82,16 @@ class IdealRobot:
 
     Args:
         wheels: the true ones.
-        believed: those that its odometry assumes, and that make wheel speeds of commands.
+        assumed: those that its odometry assumes, and that make wheel speeds of commands.
 
     Attributes:
         odometry: the reported poses (m, m, rad), the newest last.
     """
 
-    def __init__(self, wheels: Wheels, believed: Wheels):
-        self.believed = believed
+    def __init__(self, wheels: Wheels, assumed: Wheels):
+        self.assumed = assumed
         self._rolled = DeadReckoning(wheels.base, 0.5 * wheels.left, 0.5 * wheels.right)
-        self._counted = DeadReckoning(believed.base, 0.5 * believed.left, 0.5 * believed.right)
+        self._counted = DeadReckoning(assumed.base, 0.5 * assumed.left, 0.5 * assumed.right)
         self._angles = (0.0, 0.0)
         self.odometry: List[PlanarPose] = [self._counted.pose]
 
@@ -101,10 +101,10 @@ class IdealRobot:
 
     def drive(self, ahead: float, turning: float, seconds: float) -> None:
         """Follow a command (m/s, rad/s) for a time, then report."""
-        rim = 0.5 * self.believed.base * turning
+        rim = 0.5 * self.assumed.base * turning
         left, right = self._angles
-        left += 2.0 * (ahead - rim) * seconds / self.believed.left
-        right += 2.0 * (ahead + rim) * seconds / self.believed.right
+        left += 2.0 * (ahead - rim) * seconds / self.assumed.left
+        right += 2.0 * (ahead + rim) * seconds / self.assumed.right
         self._angles = (left, right)
         self._rolled.advance(left, right)
         self._counted.advance(left, right)
@@ -133,7 +133,7 @@ class FloorRobot:
 
     Attributes:
         odometry: the reported poses (m, m, rad), the newest last.
-        believed: the wheels that its odometry assumes.
+        assumed: the wheels that its odometry assumes.
 
     Raises:
         LabError: a file cannot be read, or the robot has no driven wheels.
@@ -159,7 +159,7 @@ class FloorRobot:
             drive = _plugin(self._robot, DiffDrive)
             joints = [wheel.joint for wheel in drive.wheels]
         left, right = (2.0 * radius for radius in drive.radii)
-        self.believed = Wheels(left, right, drive.separation)
+        self.assumed = Wheels(left, right, drive.separation)
         self._axle = _middle(model, joints)
         self.odometry: List[PlanarPose] = []
         drive.odometry.connect(self._add_odometry)
@@ -232,13 +232,13 @@ def _with_wrong_wheels(
         raise RobotError("the robot's diff_drive plugin does not work; see the warnings")
     left, right = (2.0 * radius for radius in drive.radii)
     drawn = Wheels(left, right, drive.separation)
-    believed = replace(drawn, base=drawn.base / (1.0 + errors.base_error)).times(correction)
+    assumed = replace(drawn, base=drawn.base / (1.0 + errors.base_error)).times(correction)
     tags = {
         **tag.tags,
         "odometrySource": "encoder",
-        "wheelSeparation": repr(believed.base),
-        "leftWheelDiameter": repr(believed.left),
-        "rightWheelDiameter": repr(believed.right),
+        "wheelSeparation": repr(assumed.base),
+        "leftWheelDiameter": repr(assumed.left),
+        "rightWheelDiameter": repr(assumed.right),
     }
     if drive.schedule.period > 1.0 / CLOSED_LOOP_RATE:
         tags["updateRate"] = str(CLOSED_LOOP_RATE)
@@ -399,7 +399,7 @@ def drive_run(
         robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))
     with contextlib.closing(robot):
         name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
-        return drive_square(robot, settings.square(direction), name, noise), robot.believed.base
+        return drive_square(robot, settings.square(direction), name, noise), robot.assumed.base
 
 
 def drive_square(

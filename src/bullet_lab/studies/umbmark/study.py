@@ -204,7 +204,7 @@ def describe(
     lines.append(
         f"closed forms, for small errors: E_d {figures['e_d']:.5f}, E_b {figures['e_b']:.5f}"
     )
-    for name, title in (("diameter_error", "D_right/D_left"), ("base_error", "base/believed")):
+    for name, title in (("diameter_error", "D_right/D_left"), ("base_error", "base/assumed")):
         value = getattr(found.errors, name)
         between = ""
         if found.intervals is not None:

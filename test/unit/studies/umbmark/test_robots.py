@@ -46,9 +46,9 @@ def roll(robot):
 
 def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
     robot = built(CAMERA, "", WRONG, NONE)
-    assert robot.believed.base == pytest.approx(0.38 / 0.98)
+    assert robot.assumed.base == pytest.approx(0.38 / 0.98)
     # It believes in what was drawn: both wheels are told the same speed, and the robot turns.
-    assert (robot.believed.left, robot.believed.right) == (0.28, 0.28)
+    assert (robot.assumed.left, robot.assumed.right) == (0.28, 0.28)
     left, right, turned = roll(robot)
     assert left == pytest.approx(right, rel=1e-3)
     expected = 0.14 * (right * WRONG.diameters[1] - left * WRONG.diameters[0]) / 0.38
@@ -58,9 +58,9 @@ def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
 def test_the_correction_is_what_the_plugin_believes_in(built):
     robot = built(CAMERA, "", WRONG, WRONG)
     left, right = WRONG.diameters
-    assert robot.believed.base == pytest.approx(0.38)
-    assert robot.believed.left == pytest.approx(0.28 * left)
-    assert robot.believed.right == pytest.approx(0.28 * right)
+    assert robot.assumed.base == pytest.approx(0.38)
+    assert robot.assumed.left == pytest.approx(0.28 * left)
+    assert robot.assumed.right == pytest.approx(0.28 * right)
     assert roll(robot)[2] == pytest.approx(0.0, abs=1e-4)
 
 
@@ -82,10 +82,10 @@ def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
 def test_a_controller_is_told_by_its_multipliers(built):
     left, right = WRONG.diameters
     robot = built(CART, CONTROL, WRONG, NONE)
-    assert robot.believed.left == pytest.approx(0.16 / left)
-    assert robot.believed.right == pytest.approx(0.16 / right)
-    assert robot.believed.base == pytest.approx(0.4 / 0.98)
-    assert built(CART, CONTROL, WRONG, WRONG).believed.base == pytest.approx(0.4)
+    assert robot.assumed.left == pytest.approx(0.16 / left)
+    assert robot.assumed.right == pytest.approx(0.16 / right)
+    assert robot.assumed.base == pytest.approx(0.4 / 0.98)
+    assert built(CART, CONTROL, WRONG, WRONG).assumed.base == pytest.approx(0.4)
     robot.drive(0.2, 0.0, 0.2)
     assert robot.odometry[-1][0] > 0.02
 
