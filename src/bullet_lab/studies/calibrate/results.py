@@ -117,9 +117,8 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(found: Sequence[Calibration]) -> Dict[str, Any]:
-    """Return the figures of all models, for summary.json, the best one first."""
-    ranked = sorted(found, key=lambda one: one.aic)
+def calibration_summary(ranked: Sequence[Calibration]) -> Dict[str, Any]:
+    """Return the figures of all models, the best one first, for summary.json."""
     return {"best": ranked[0].model, "models": [_summary(one, ranked[0].aic) for one in ranked]}
 
 
@@ -163,14 +162,13 @@ def _finite(value: float) -> Optional[float]:
     return value if math.isfinite(value) else None
 
 
-def lines(found: Sequence[Calibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
-    """Return the results of all models as lines for the user, the best model first.
+def lines(ranked: Sequence[Calibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
+    """Return the results of all models as lines for the user.
 
     Args:
-        found: calibration of each model.
+        ranked: calibration of each model, the best one first.
         true: true values by model and name, if they are known.
     """
-    ranked = sorted(found, key=lambda one: one.aic)
     text: List[str] = []
     for one in ranked:
         known = true.get(one.model, {})

@@ -120,7 +120,9 @@ def run_calibration(
 
     count = len(settings.models)
     found = run_tasks(calibrate_model, count, this_process, tell, "calibrate", "model", " models")
-    for line in lines(found, true):
+    ranked = sorted(found, key=lambda one: one.aic)
+    best = ranked[0]
+    for line in lines(ranked, true):
         tell(line)
     names = [recording.name for recording in recordings]
     summary = {
@@ -128,9 +130,8 @@ def run_calibration(
         "seed": settings.seed,
         "recordings": names,
         "steps": taken.summary(),
-        **calibration_summary(found),
+        **calibration_summary(ranked),
     }
-    best = min(found, key=lambda one: one.aic)
     figures = {
         "residuals.png": residuals_figure(found),
         "profiles.png": profiles_figure(best, true.get(best.model, {})),

@@ -214,13 +214,11 @@ def _intervals(
     if np.abs(found).max() > 0.999 * LARGEST:
         # On a bound the sum of squares has no minimum, so that no interval holds.
         return None
-    variance, freedom = np.zeros(len(found)), 0
-    for direction in DIRECTIONS:
-        own = shares[directions == direction]
-        if len(own) < 2:
-            return None
-        variance += len(own) * own.var(axis=0, ddof=1)
-        freedom += len(own) - 1
+    groups = [shares[directions == direction] for direction in DIRECTIONS]
+    if min(map(len, groups)) < 2:
+        return None
+    variance = sum(len(own) * own.var(axis=0, ddof=1) for own in groups)
+    freedom = len(shares) - len(groups)
     if (variance <= _ROUNDING**2).any():
         # The runs of each direction are equal: their spread is unknown.
         return None
