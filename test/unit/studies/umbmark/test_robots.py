@@ -1,4 +1,4 @@
-"""Robots on the floor believe of their wheels what they are told to, and nothing else."""
+"""Robots on the floor assume the wheels that errors and correction give them."""
 
 from pathlib import Path
 
@@ -44,10 +44,10 @@ def roll(robot):
     return measured() - before
 
 
-def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
+def test_wheels_of_a_plugin_become_larger_and_its_base_is_wrong(built):
     robot = built(CAMERA, "", WRONG, NONE)
     assert robot.assumed.base == pytest.approx(0.38 / 0.98)
-    # It believes in what was drawn: both wheels are told the same speed, and the robot turns.
+    # It assumes the drawn wheels: both get the same speed, and the robot turns.
     assert (robot.assumed.left, robot.assumed.right) == (0.28, 0.28)
     left, right, turned = roll(robot)
     assert left == pytest.approx(right, rel=1e-3)
@@ -55,7 +55,7 @@ def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
     assert turned == pytest.approx(expected, rel=0.02)
 
 
-def test_the_correction_is_what_the_plugin_believes_in(built):
+def test_the_plugin_assumes_the_corrected_wheels(built):
     robot = built(CAMERA, "", WRONG, WRONG)
     left, right = WRONG.diameters
     assert robot.assumed.base == pytest.approx(0.38)
@@ -79,7 +79,7 @@ def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
     assert robot.pose()[:2] == pytest.approx((x, y), abs=2e-3)
 
 
-def test_a_controller_is_told_by_its_multipliers(built):
+def test_a_controller_gets_its_errors_as_multipliers(built):
     left, right = WRONG.diameters
     robot = built(CART, CONTROL, WRONG, NONE)
     assert robot.assumed.left == pytest.approx(0.16 / left)
