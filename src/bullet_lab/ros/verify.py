@@ -286,7 +286,7 @@ class References:
 
 
 @dataclass(frozen=True)
-class Row:
+class FileRow:
     """The comparison of one result file.
 
     Attributes:
@@ -383,12 +383,12 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
         at_once = settings.workers or len(os.sched_getaffinity(0))
         pool = functools.partial(runs.on_threads, at_once=at_once)
         found = run_tasks(runs.run, len(todo), pool, tell, "verifying", "run", " runs")
-        rows: List[Row] = []
+        rows: List[FileRow] = []
         results: Dict[str, Results] = {}
         for job, first, second in zip(jobs, found[::2], found[1::2]):
             failures = [one for one in (first, second) if isinstance(one, str)]
             if failures:
-                rows.append(Row(job.name, failures[0], False))
+                rows.append(FileRow(job.name, failures[0], False))
                 continue
             results[job.name] = first
             rows += compared(job.name, first, second, references.files.get(job.name, {}))
@@ -406,23 +406,23 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
     tell(f"all {len(rows)} results repeat")
 
 
-def compared(job: str, first: Results, second: Results, references: Results) -> Iterator[Row]:
+def compared(job: str, first: Results, second: Results, references: Results) -> Iterator[FileRow]:
     """Compare the results of two runs with each other, and those of the first with references."""
     for name in sorted({*first, *second, *references}):
         mine, theirs = first.get(name), references.get(name)
         twice = mine is not None and mine == second.get(name)
         if mine is None or theirs is None:
-            yield Row(job, name, twice, NONE if mine else DIFFERS)
+            yield FileRow(job, name, twice, NONE if mine else DIFFERS)
             continue
         difference, where = mine.difference(theirs)
         is_picture = name.endswith(".png")
         tolerance = PICTURE_TOLERANCE if is_picture else TOLERANCES.get(job, TOLERANCE)
         near = tolerance > 0.0 and mine.numbers and difference <= tolerance
         reference = SAME if mine.hash == theirs.hash else WITHIN if near else DIFFERS
-        yield Row(job, name, twice, reference, difference, where)
+        yield FileRow(job, name, twice, reference, difference, where)
 
 
-def table(rows: Sequence[Row]) -> Iterator[str]:
+def table(rows: Sequence[FileRow]) -> Iterator[str]:
     """Yield the lines of the table that is printed."""
     cells = [("job", "file", "twice", "reference", "largest difference")]
     for row in rows:
@@ -435,9 +435,9 @@ def table(rows: Sequence[Row]) -> Iterator[str]:
         yield "  ".join(map(str.ljust, line, widths)).rstrip()
 
 
-def _write(part: Path, settings: VerifySettings, rows: Sequence[Row], known: References) -> None:
+def _write(part: Path, settings: VerifySettings, rows: Sequence[FileRow], known: References) -> None:
     entries = [asdict(row) for row in rows]
-    write_table(part / TABLE, [Row.__annotations__, *(entry.values() for entry in entries)])
+    write_table(part / TABLE, [FileRow.__annotations__, *(entry.values() for entry in entries)])
     for entry in entries:
         # JSON has no infinity.
         if entry["difference"] == math.inf:

@@ -14,9 +14,9 @@ from bullet_lab.ros.verify import (
     NAME,
     REFERENCES,
     TOLERANCES,
+    FileRow,
     Fingerprint,
     References,
-    Row,
     Runs,
     VerifyError,
     compared,
@@ -107,7 +107,10 @@ def test_a_result_is_compared(first, second, reference, tolerance, row, monkeypa
 
 
 def test_the_table_shows_what_is_wrong():
-    rows = [Row("squares", "odom.tum", False, "differs", 0.5, "x mean"), Row("dock", "a", True)]
+    rows = [
+        FileRow("squares", "odom.tum", False, "differs", 0.5, "x mean"),
+        FileRow("dock", "a", True),
+    ]
     assert list(table(rows)) == [
         "job      file      twice    reference  largest difference",
         "squares  odom.tum  DIFFERS  DIFFERS    5.0e-01 of x mean",

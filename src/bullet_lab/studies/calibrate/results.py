@@ -38,7 +38,7 @@ class UndeterminedError(LabError):
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class ModelCalibration:
     """A noise model, with systematic errors, that is fitted to steps.
 
     Attributes:
@@ -79,7 +79,7 @@ class Calibration:
         return [(self.fit.names[i], self.fit.names[j]) for i, j in pairs]
 
 
-def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> Calibration:
+def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> ModelCalibration:
     """Find the parameters of a problem with one odometry; for the arguments see `goodness`.
 
     Raises:
@@ -93,7 +93,7 @@ def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> Calibration:
             f"{problem.model}: the steps do not determine its parameters: "
             "do odometry and truth belong together, and does the robot drive and turn?"
         ) from None
-    return Calibration(problem, found, ends, quality)
+    return ModelCalibration(problem, found, ends, quality)
 
 
 def symbol(name: str) -> str:
@@ -117,12 +117,12 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(ranked: Sequence[Calibration]) -> Dict[str, Any]:
+def calibration_summary(ranked: Sequence[ModelCalibration]) -> Dict[str, Any]:
     """Return the figures of all models, the best one first, for summary.json."""
     return {"best": ranked[0].model, "models": [_summary(one, ranked[0].aic) for one in ranked]}
 
 
-def _summary(one: Calibration, best: float) -> Dict[str, Any]:
+def _summary(one: ModelCalibration, best: float) -> Dict[str, Any]:
     judged = one.goodness
     return {
         "model": one.model,
@@ -162,7 +162,7 @@ def _finite(value: float) -> Optional[float]:
     return value if math.isfinite(value) else None
 
 
-def lines(ranked: Sequence[Calibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
+def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
     """Return the results of all models as lines for the user.
 
     Args:
@@ -197,7 +197,7 @@ def _verdict(judged: Goodness) -> str:
     return f"it does NOT fit (p = {judged.p_value:.2g})"
 
 
-def noise_yaml(one: Calibration, source: str, seconds: float) -> str:
+def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
     """Return a YAML file with the parameters for noisy_odom, described in comments.
 
     Args:
@@ -227,7 +227,7 @@ def _plain(value: float) -> str:
     return text if "." in text or "e" not in text else text.replace("e", ".0e")
 
 
-def residuals_figure(found: Sequence[Calibration]) -> Figure:
+def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:
     """Draw the whitened residuals of each model against quantiles of the normal distribution."""
     title = "Errors of the steps: on the line, the model is right"
     size = 4.2 * len(found), 4.6
@@ -251,7 +251,7 @@ def residuals_figure(found: Sequence[Calibration]) -> Figure:
     return figure
 
 
-def profiles_figure(one: Calibration, true: Mapping[str, float]) -> Figure:
+def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
     """Draw the profile likelihood of each parameter of a model, with its interval."""
     parameters = one.parameters()
     columns = min(4, len(parameters))
@@ -275,7 +275,7 @@ def profiles_figure(one: Calibration, true: Mapping[str, float]) -> Figure:
     return figure
 
 
-def _draw_profile(axes: Axes, one: Calibration, name: str, found) -> None:
+def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
     value, low, high = found
     axes.axhline(_LIMIT, color=GREY, linewidth=0.8, linestyle="--")
     axes.grid(alpha=0.3)
@@ -300,7 +300,7 @@ def _draw_profile(axes: Axes, one: Calibration, name: str, found) -> None:
     axes.plot(fine, np.interp(fine, x, root) ** 2, color=BLUE)
 
 
-def paths_figure(recordings: Sequence[Recording], one: Calibration) -> Figure:
+def paths_figure(recordings: Sequence[Recording], one: ModelCalibration) -> Figure:
     """Draw truth and odometry from one start, and the truth with the systematic errors found."""
     shown = recordings[:MOST_PATHS]
     figure, (row,) = panels((1, len(shown)), (max(6.4, 5.4 * len(shown)), 5.8))

@@ -27,7 +27,7 @@ from bullet_lab.studies.calibrate.recordings import (
     made_up,
 )
 from bullet_lab.studies.calibrate.results import (
-    Calibration,
+    ModelCalibration,
     calibrate,
     calibration_summary,
     coverage_figure,
@@ -114,7 +114,7 @@ def run_calibration(
         taken.true, taken.odometry[np.newaxis], taken.truth_std_m, taken.truth_std_rad
     )
 
-    def calibrate_model(number: int) -> Calibration:
+    def calibrate_model(number: int) -> ModelCalibration:
         problem = Problem(pairs, settings.models[number], fitted, drive.wheel_base)
         return calibrate(problem, taken.follows, settings.seed)
 

@@ -15,7 +15,7 @@ from scipy import optimize, stats
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run, RunError, return_errors
+from bullet_lab.studies.umbmark.runs import DIRECTIONS, RunError, SquareRun, return_errors
 
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
@@ -38,7 +38,7 @@ SURE = 3.0
 SAME = 1e-9
 
 
-def closed_forms(runs: Sequence[Run], side: float, base: float) -> Dict[str, Any]:
+def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[str, Any]:
     """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
@@ -114,7 +114,7 @@ class Estimate:
         return Estimate(replace(self.errors, **errors), intervals, self.residual)
 
 
-def fit(runs: Sequence[Run], base: float) -> Estimate:
+def fit(runs: Sequence[SquareRun], base: float) -> Estimate:
     """Fit diameter_error and base_error to the true pose at the end of each run.
 
     Each reported step is an arc, whose length and turn give the assumed distance of each wheel.
@@ -251,13 +251,13 @@ def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
 class Benchmark:
     """Runs and their evaluation."""
 
-    runs: Tuple[Run, ...]
+    runs: Tuple[SquareRun, ...]
     base: float
     figures: Dict[str, Any]
     estimate: Estimate
 
     @classmethod
-    def of(cls, runs: Sequence[Run], base: float, side: Optional[float] = None) -> Benchmark:
+    def of(cls, runs: Sequence[SquareRun], base: float, side: Optional[float] = None) -> Benchmark:
         """Evaluate runs; raises RunError unless there are runs in both directions.
 
         Args:
@@ -271,7 +271,7 @@ class Benchmark:
         return cls(tuple(runs), base, closed_forms(runs, length, base), fit(runs, base))
 
     @classmethod
-    def of_drives(cls, drives: Sequence[Tuple[Run, float]], side: float) -> Benchmark:
+    def of_drives(cls, drives: Sequence[Tuple[SquareRun, float]], side: float) -> Benchmark:
         """Evaluate runs of `drive_run`.
 
         The fit counts turns by the base that was assumed, which includes the correction.

@@ -32,7 +32,7 @@ from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.simulation.world.xacro import expand_xacro, is_xacro
 from bullet_lab.simulation.world.xml import read_text
 from bullet_lab.studies.study import MOST_SEED, Settings, UnfinishedError
-from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, Run
+from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, SquareRun
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 SETTLING_SECONDS = 0.5
@@ -323,7 +323,7 @@ def _find_controller(file: str) -> Tuple[Mapping[str, Any], str]:
 
 
 @dataclass(frozen=True)
-class DriveSettings(Settings):
+class BenchmarkSettings(Settings):
     """The robot and its squares."""
 
     robot: str = text(
@@ -372,12 +372,12 @@ class DriveSettings(Settings):
 
 
 def drive_run(
-    settings: DriveSettings,
+    settings: BenchmarkSettings,
     correction: SystematicErrors,
     laps: int,
     ideal_base: Optional[float],
     number: int,
-) -> Tuple[Run, float]:
+) -> Tuple[SquareRun, float]:
     """Drive a run, clockwise if its number is even; return it, and the base (m) assumed in it.
 
     Args:
@@ -407,7 +407,7 @@ def drive_square(
     square: Square,
     name: str,
     noisy: Callable[[PlanarPose], PlanarPose] = lambda pose: pose,
-) -> Run:
+) -> SquareRun:
     """Drive a square by odometry, with a rest after it.
 
     Args:
@@ -434,6 +434,6 @@ def drive_square(
         if command is None:
             robot.drive(0.0, 0.0, REST_SECONDS)
             newest()
-            return Run(name, np.array(reported), start, robot.pose())
+            return SquareRun(name, np.array(reported), start, robot.pose())
         robot.drive(*command, period)
     raise UnfinishedError(f"{name}: the robot does not complete its square in time")

@@ -35,7 +35,7 @@ from bullet_lab.studies.study import Settings, Tell, run_from
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,
-    DriveSettings,
+    BenchmarkSettings,
     FloorRobot,
     drive_run,
     multipliers,
@@ -69,7 +69,7 @@ STYLES = (
 
 
 @dataclass(frozen=True)
-class CampaignSettings(Settings):
+class RandomRobotSettings(Settings):
     """Random robots instead of one."""
 
     robots: int = integer(0, "random robots instead of one; 0: the one", 0, 100_000)
@@ -239,7 +239,9 @@ def _figures(benchmark: Benchmark) -> List[str]:
     return [*lines, f"E_max,syst {1000.0 * figures['e_max_syst_m']:.2f} mm"]
 
 
-def draw_robot(drive: DriveSettings, floor: bool, index: int) -> Tuple[DriveSettings, float]:
+def draw_robot(
+    drive: BenchmarkSettings, floor: bool, index: int
+) -> Tuple[BenchmarkSettings, float]:
     """Return the drive of a robot, and its assumed base (m); they depend on seed and index only.
 
     Sizes of errors are uniform within `DIAMETER_ERRORS` and `BASE_ERRORS`, their signs are
@@ -261,7 +263,7 @@ def draw_robot(drive: DriveSettings, floor: bool, index: int) -> Tuple[DriveSett
     return drawn, float(base)
 
 
-def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
+def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record:
     """Calibrate a random robot and return its row of the table.
 
     Without noise it drives one square in each direction, as all others would be the same; again
@@ -269,7 +271,9 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
     """
     drawn, base = draw_robot(drive, floor, index)
 
-    def benchmark(settings: DriveSettings, correction: systematic.SystematicErrors) -> Benchmark:
+    def benchmark(
+        settings: BenchmarkSettings, correction: systematic.SystematicErrors
+    ) -> Benchmark:
         numbers = range(len(DIRECTIONS) * settings.runs)
         ideal_base = None if floor else base
         drives = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
@@ -307,7 +311,7 @@ def calibrate_robot(drive: DriveSettings, floor: bool, index: int) -> Record:
 
 
 def run_campaign(
-    folder: Path, drive: DriveSettings, campaign: CampaignSettings, run: Run, tell: Tell
+    folder: Path, drive: BenchmarkSettings, campaign: RandomRobotSettings, run: Run, tell: Tell
 ) -> Mapping[str, Any]:
     """Calibrate random robots; write campaign.csv, campaign.png and summary.json; return that.
 
@@ -383,9 +387,9 @@ def campaign_figure(records: Sequence[Record]) -> Figure:
 
 def _run(
     folder: Path,
-    drive: DriveSettings,
+    drive: BenchmarkSettings,
     files: FileSettings,
-    campaign: CampaignSettings,
+    campaign: RandomRobotSettings,
     work: WorkerSettings,
     tell: Tell,
 ) -> List[str]:
@@ -417,7 +421,7 @@ def _run(
 
 
 def _drive(
-    settings: DriveSettings,
+    settings: BenchmarkSettings,
     correction: systematic.SystematicErrors,
     laps: int,
     run: Run,
@@ -439,7 +443,7 @@ def _effective(errors: systematic.SystematicErrors) -> str:
     )
 
 
-SETTINGS = (DriveSettings, FileSettings, CampaignSettings, WorkerSettings)
+SETTINGS = (BenchmarkSettings, FileSettings, RandomRobotSettings, WorkerSettings)
 main = functools.partial(run_from, "umbmark", __doc__, SETTINGS, _run)
 
 

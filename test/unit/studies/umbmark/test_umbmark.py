@@ -19,15 +19,15 @@ from bullet_lab.studies.umbmark.estimate import (
     fit,
 )
 from bullet_lab.studies.umbmark.robots import (
-    DriveSettings,
+    BenchmarkSettings,
     IdealRobot,
     Wheels,
     drive_square,
     multipliers,
 )
-from bullet_lab.studies.umbmark.runs import Run, RunError, perfect_square, return_errors
+from bullet_lab.studies.umbmark.runs import RunError, SquareRun, perfect_square, return_errors
 from bullet_lab.studies.umbmark.study import (
-    CampaignSettings,
+    RandomRobotSettings,
     calibrate_robot,
     campaign_summary,
     describe,
@@ -55,7 +55,7 @@ def ideal_runs(wrong, side=4.0, correction=NONE, believed=BELIEVED):
 def measured(ends):
     """Runs at squares of 1 m that were perfect by the odometry, by (direction, true end)."""
     start = (0.0, 0.0, 0.0)
-    return [Run("run", perfect_square(1.0, way), start, tuple(end)) for way, end in ends]
+    return [SquareRun("run", perfect_square(1.0, way), start, tuple(end)) for way, end in ends]
 
 
 def test_a_wrong_base_leaves_both_centres_on_the_same_side():
@@ -163,7 +163,7 @@ def test_an_interval_is_that_of_the_means_of_both_ways():
 def _shares(runs, number):
     """How much a run's own noise has moved the estimates."""
     run, without = runs[number], list(runs)
-    without[number] = Run(run.name, run.odometry, run.start, run.start)
+    without[number] = SquareRun(run.name, run.odometry, run.start, run.start)
     both = [fit(some, 0.38).errors for some in (runs, without)]
     return [one - other for one, other in zip(*((e.diameter_error, e.base_error) for e in both))]
 
@@ -199,7 +199,7 @@ def test_squares_have_to_go_both_ways():
         Benchmark.of(one_way, 0.4)
     assert return_errors(one_way, "cw").shape == (0, 3)
     with pytest.raises(RunError, match="not once round"):
-        Run("a side", np.array(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))), (0, 0, 0), (1, 0, 0))
+        SquareRun("a side", np.array(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))), (0, 0, 0), (1, 0, 0))
 
 
 def test_a_robot_that_stands_does_not_come_round():
@@ -210,7 +210,7 @@ def test_a_robot_that_stands_does_not_come_round():
 
 
 def test_noise_follows_from_the_seed():
-    settings = DriveSettings(side=0.5, speed=1.0, turn_speed=1.0)
+    settings = BenchmarkSettings(side=0.5, speed=1.0, turn_speed=1.0)
 
     def end(number, laps):
         robot = IdealRobot(BELIEVED, BELIEVED)
@@ -221,7 +221,7 @@ def test_noise_follows_from_the_seed():
 
 
 def test_robots_of_a_campaign_are_drawn_by_their_number():
-    drive = DriveSettings()
+    drive = BenchmarkSettings()
     robots = [draw_robot(drive, False, index) for index in range(40)]
     assert robots[7] == draw_robot(drive, False, 7)
     sizes = np.abs([(drawn.diameter_error, drawn.base_error) for drawn, _ in robots])
@@ -232,19 +232,19 @@ def test_robots_of_a_campaign_are_drawn_by_their_number():
 
 
 def test_a_campaign_says_what_was_recovered():
-    drive = DriveSettings(runs=2, std=0.0)
+    drive = BenchmarkSettings(runs=2, std=0.0)
     record = calibrate_robot(drive, False, 1)
     summary = campaign_summary([record])
     assert summary["diameter_error"]["recovered"] == summary["base_error"]["recovered"] == 1
     assert summary["least_fall"] > 1000.0
     lines = describe_campaign(1, summary)
     assert lines[0].startswith("diameter_error without noise: 1 of 1 recovered")
-    assert CampaignSettings().robots == 0
+    assert RandomRobotSettings().robots == 0
 
 
 @pytest.mark.long
 def test_twenty_random_robots_are_calibrated():
-    records = [calibrate_robot(DriveSettings(), False, index) for index in range(20)]
+    records = [calibrate_robot(BenchmarkSettings(), False, index) for index in range(20)]
     summary = campaign_summary(records)
     held = 0
     for name in ("diameter_error", "base_error"):
@@ -257,7 +257,7 @@ def test_twenty_random_robots_are_calibrated():
 
 @pytest.mark.long
 def test_a_robot_on_the_floor_is_calibrated_as_well():
-    summary = campaign_summary([calibrate_robot(DriveSettings(runs=1, speed=0.4), True, 0)])
+    summary = campaign_summary([calibrate_robot(BenchmarkSettings(runs=1, speed=0.4), True, 0)])
     assert summary["diameter_error"]["recovered"] == summary["base_error"]["recovered"] == 1
     assert summary["least_fall"] > 10.0
 
@@ -289,7 +289,7 @@ def returns_of(runs):
 def told(rows, side=4.0, base=BELIEVED.base):
     """Return the warnings of returns (direction, m, m, rad) that were measured with a rule."""
     runs = [
-        Run(f"{n}", perfect_square(side, way), (0.0, 0.0, 0.0), (x, y, yaw))
+        SquareRun(f"{n}", perfect_square(side, way), (0.0, 0.0, 0.0), (x, y, yaw))
         for n, (way, x, y, yaw) in enumerate(rows)
     ]
     return Benchmark.of(runs, base).warnings()
@@ -323,7 +323,12 @@ def test_mirrored_returns_are_not_trusted():
 def test_a_fit_on_its_bound_has_no_interval():
     generator = np.random.default_rng(7)
     runs = [
-        Run(f"{n}", perfect_square(4.0, way), (0.0, 0.0, 0.0), (*generator.normal(0, 0.1, 2), 1.5))
+        SquareRun(
+            f"{n}",
+            perfect_square(4.0, way),
+            (0.0, 0.0, 0.0),
+            (*generator.normal(0, 0.1, 2), 1.5),
+        )
         for n in range(3)
         for way in ("cw", "ccw")
     ]
@@ -346,7 +351,7 @@ def test_numbers_out_of_range_are_refused(value):
 def test_what_is_not_trusted_leaves_no_corrected_parameters(tmp_path):
     (tmp_path / "corrected.yaml").write_text("of an earlier run")
     runs = [
-        Run(way, perfect_square(4.0, way), (0.0, 0.0, 0.0), (30.0, 20.0, 0.0))
+        SquareRun(way, perfect_square(4.0, way), (0.0, 0.0, 0.0), (30.0, 20.0, 0.0))
         for way in ("cw", "ccw")
     ]
     before = Benchmark.of(runs, BELIEVED.base)
