@@ -392,7 +392,7 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
                 continue
             results[job.name] = first
             rows += compared(job.name, first, second, references.files.get(job.name, {}))
-        _write(part, settings, rows, references)
+        _write(part, settings.processor, rows, references)
     for line in [*table(rows), *references.elsewhere()]:
         print(line, flush=True)
     if settings.renew:
@@ -435,7 +435,7 @@ def table(rows: Sequence[FileRow]) -> Iterator[str]:
         yield "  ".join(map(str.ljust, line, widths)).rstrip()
 
 
-def _write(part: Path, settings: VerifySettings, rows: Sequence[FileRow], known: References) -> None:
+def _write(part: Path, processor: str, rows: Sequence[FileRow], known: References) -> None:
     entries = [asdict(row) for row in rows]
     write_table(part / TABLE, [FileRow.__annotations__, *(entry.values() for entry in entries)])
     for entry in entries:
@@ -444,7 +444,7 @@ def _write(part: Path, settings: VerifySettings, rows: Sequence[FileRow], known:
             entry["difference"] = None
     summary = {
         "job": NAME,
-        "processor": settings.processor,
+        "processor": processor,
         "as_promised": all(row.good for row in rows),
         "results": len(rows),
         "differ_between_two_runs": sum(not row.twice for row in rows),
