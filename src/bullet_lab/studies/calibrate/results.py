@@ -25,11 +25,14 @@ from bullet_lab.studies.results import labelled, legend_below, panels
 
 _INSEPARABLE = 0.99  # correlation of two estimates that the steps cannot separate
 
-MOST_PATHS = 4
+MOST_PATHS = 4  # in a figure
 _PART_TITLES = ("turn before the way", "way", "turn after the way")
 _COLOURS = (VERMILION, BLUE, GREEN)
+# Standard deviations; residuals beyond are drawn at the edge of the figure.
 _WIDEST = 6.0
+# Of a profile likelihood, at which it is computed.
 _POINTS = 11
+# Chi-square's 95 % with one degree of freedom.
 _LIMIT = 3.841
 
 
