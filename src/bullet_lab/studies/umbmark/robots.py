@@ -147,7 +147,9 @@ class FloorRobot:
         if not controller:
             model = _with_wrong_wheels(robot, model, errors, correction)
         self._simulation = Simulation.of(WORLD)
-        self._robot = self._simulation.add(model, pose=model.pose)
+        # For the model with its own wheels, the warnings have been logged.
+        with contextlib.nullcontext() if controller else _without_warnings():
+            self._robot = self._simulation.add(model, pose=model.pose)
         if controller:
             plugin = _plugin(self._robot, RosControl)
             if plugin is None:
@@ -226,7 +228,7 @@ def _with_wrong_wheels(
         raise RobotError(
             f"{robot}: there is no plugin {DiffDrive.filenames[0]}, and no controller"
         )
-    with _without_warnings(), Simulation.of(WORLD) as simulation:
+    with Simulation.of(WORLD) as simulation:
         drive = _plugin(simulation.add(model), DiffDrive)
     if drive is None:
         raise RobotError("the robot's diff_drive plugin does not work; see the warnings")
@@ -389,7 +391,7 @@ def drive_run(
     """
     direction = DIRECTIONS[number % len(DIRECTIONS)]
     if ideal_base is None:
-        # The study has logged them.
+        # The study has logged the warnings once.
         with _without_warnings():
             robot: Any = FloorRobot(
                 settings.robot, settings.controller, settings.errors, correction

@@ -101,3 +101,13 @@ def test_a_controller_gets_its_errors_as_multipliers(built):
 def test_robots_without_wheels_to_calibrate_are_refused(robot, controller, said):
     with pytest.raises(RobotError, match=said):
         FloorRobot(robot, controller, NONE, NONE)
+
+
+def test_the_log_says_once_why_a_plugin_does_not_work(tmp_path, caplog):
+    text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
+    robot = tmp_path / "robot.urdf"
+    robot.write_text(text.replace("<leftJoint>", "<leftJoint>no_", 1))
+    with pytest.raises(RobotError, match="does not work; see the warnings"):
+        FloorRobot(str(robot), "", NONE, NONE)
+    (record,) = caplog.records
+    assert "no movable joint 'no_" in record.message
