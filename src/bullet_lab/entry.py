@@ -1,4 +1,7 @@
-"""Start of the executables in scripts/: late imports, so that a failure is one line, too."""
+"""The process: start of the executables in scripts/, its memory, and output of C++ libraries.
+
+Modules are imported late, so that a failure is one line, too.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+from typing import Iterator
 from urllib.parse import urlsplit
 
 from bullet_lab.errors import LabError
@@ -77,6 +81,29 @@ def trim_memory() -> None:
     """
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
+
+
+@contextlib.contextmanager
+def hidden_native_output() -> Iterator[None]:
+    """Discard what native code writes to the standard streams in this block.
+
+    PyBullet prints its build time when it is imported, and warnings while it loads. It also raises
+    each failure, which is reported once.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved = {stream: os.dup(stream) for stream in (1, 2)}
+    try:
+        with open(os.devnull, "wb") as sink:
+            for stream in saved:
+                os.dup2(sink.fileno(), stream)
+        yield
+    finally:
+        # The C library has its own buffer, which it would write at exit.
+        ctypes.CDLL(None).fflush(None)
+        for stream, copy in saved.items():
+            os.dup2(copy, stream)
+            os.close(copy)
 
 
 def keep_to_this_machine() -> None:

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg
 
 from bullet_lab.core.files import write_json
-from bullet_lab.ros.verify.study import PROCESSORS
+from bullet_lab.ros.verify import PROCESSORS
 from bullet_lab.simulation.simulation import Simulation, View, take_picture
 
 PLAIN = PROCESSORS["plain"]

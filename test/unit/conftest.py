@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bullet_lab.drive.square import Square, open_loop_side
+from bullet_lab.drive import Square, open_loop_side
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation

@@ -9,7 +9,7 @@ import os
 import secrets
 import tempfile
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -28,18 +28,25 @@ class FileError(LabError):
     """A file cannot be written."""
 
 
+@contextlib.contextmanager
+def file_errors(failure: str) -> Iterator[None]:
+    """Raise FileError, which begins with a failure such as "cannot write x", for an OSError."""
+    try:
+        yield
+    except OSError as error:
+        raise FileError(f"{failure}: {error.strerror or error}") from error
+
+
 def make_folder(folder: Path) -> Path:
     """Make a folder if it does not exist, and return it; raises FileError."""
-    try:
+    with file_errors(f"cannot make the folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot make the folder {folder}: {error.strerror}") from error
     if not os.access(folder, os.W_OK):
         raise FileError(f"cannot write to the folder {folder}")
     return folder
 
 
-def replace_file(path: Path, write: Callable[[Path], None]) -> None:
+def replace_file(path: Path, write: Callable[[Path], Any]) -> None:
     """Write a file under another name, and rename it when it is complete.
 
     Args:
@@ -49,34 +56,25 @@ def replace_file(path: Path, write: Callable[[Path], None]) -> None:
     Raises:
         FileError: it cannot be written; a file that existed before is unchanged.
     """
-    try:
-        _replace_file(path, write)
-    except OSError as error:
-        raise FileError(f"cannot write {path}: {error.strerror or error}") from error
-
-
-def _replace_file(path: Path, write: Callable[[Path], None]) -> None:
-    descriptor, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix, prefix=PART)
-    os.close(descriptor)
-    part = Path(name)
-    try:
-        write(part)
-        # mkstemp's files are private; all who can read the folder may read results.
-        umask = os.umask(0)
-        os.umask(umask)
-        part.chmod(0o666 & ~umask)
-        part.replace(path)
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            part.unlink()
+    with file_errors(f"cannot write {path}"):
+        descriptor, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix, prefix=PART)
+        os.close(descriptor)
+        part = Path(name)
+        try:
+            write(part)
+            # mkstemp's files are private; all who can read the folder may read results.
+            umask = os.umask(0)
+            os.umask(umask)
+            part.chmod(0o666 & ~umask)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def move_file(path: Path, folder: Path) -> None:
     """Move a file to a folder, replacing a file of its name there; raises FileError."""
-    try:
+    with file_errors(f"cannot move {path} to {folder}"):
         path.replace(folder / path.name)
-    except OSError as error:
-        raise FileError(f"cannot move {path} to {folder}: {error.strerror}") from error
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
@@ -117,9 +115,10 @@ class Series:
         self._path = path
         self._in_order = in_order
         self._rows: Dict[int, Tuple[float, ...]] = {}
-        self._file = self._try(lambda: path.open("w", buffering=1))
-        for line in self._header():
-            self._write(line)
+        self._failure = f"cannot write {path}"
+        with file_errors(self._failure):
+            self._file = path.open("w", buffering=1)
+            self._file.writelines(f"{line}\n" for line in self._header())
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -142,7 +141,8 @@ class Series:
             )
         self._rows[stamp] = row
         self.last = last
-        self._write(self._line(stamp, row))
+        with file_errors(self._failure):
+            self._file.write(f"{self._line(stamp, row)}\n")
 
     def table(self) -> Tuple[np.ndarray, np.ndarray]:
         """Return the stamps in s, shape (n,), and the numbers, shape (n, columns)."""
@@ -165,7 +165,8 @@ class Series:
         self._rows = {s: row for s, row in self._sorted() if until is None or s <= until}
         lines = [self._line(stamp, row) for stamp, row in self._rows.items()]
         text = "".join(f"{line}\n" for line in (*self._header(), *lines))
-        self._try(self._file.close)
+        with file_errors(self._failure):
+            self._file.close()
         replace_file(self._path, lambda part: part.write_text(text))
 
     def _header(self) -> Iterable[str]:
@@ -177,15 +178,6 @@ class Series:
     def _check(self, row: Sequence[float]) -> None:
         if any(map(math.isnan, row)):
             raise SeriesError("a number is NaN; it must be finite or infinite")
-
-    def _write(self, line: str) -> None:
-        self._try(lambda: self._file.write(f"{line}\n"))
-
-    def _try(self, action: Callable[[], Any]) -> Any:
-        try:
-            return action()
-        except OSError as error:
-            raise FileError(f"cannot write {self._path}: {error.strerror}") from error
 
     def _sorted(self) -> List[Tuple[int, Tuple[float, ...]]]:
         return sorted(self._rows.items())
@@ -265,11 +257,8 @@ class ConfinedFolder:
 
     def write(self, path: Path, text: str) -> None:
         """Write a text to a path from `place`, whole or not at all; raises FileError."""
-        try:
-            with contextlib.ExitStack() as opened:
-                _put(self._open(opened, path.parent), path.name, text)
-        except OSError as error:
-            raise FileError(f"cannot write {path}: {error.strerror}") from error
+        with file_errors(f"cannot write {path}"), contextlib.ExitStack() as opened:
+            _put(self._open(opened, path.parent), path.name, text)
 
     def _open(self, opened: contextlib.ExitStack, folder: Path) -> int:
         """Open a folder below this one, part by part without links; return its descriptor."""

@@ -19,6 +19,7 @@ bullet_lab.core.parameters.ParameterError: ~std is -1: it must be a number >= 0
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import re
 from dataclasses import MISSING, Field, dataclass, field, fields
@@ -122,23 +123,22 @@ def number(
     maximum: float = math.inf,
 ) -> Any:
     """Declare a finite number within [minimum, maximum] and greater than `above`."""
-    accept, limits = _within(minimum, above, maximum)
-    return _declare(default, doc, f"a number{limits}", accept)
+    accept = _within(_float, minimum, maximum, above)
+    return _declare(default, doc, f"a number{_limits(minimum, above, maximum)}", accept)
 
 
 def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**31 - 1) -> Any:
     """Declare a whole number within [minimum, maximum]."""
-    accept = _whole_within(minimum, maximum)
+    accept = _within(_integer, minimum, maximum)
     return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
 
 
 def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
     """Declare an odd whole number within [minimum, maximum]."""
-    accept_whole = _whole_within(minimum, maximum)
 
     def accept(value: Any) -> int:
-        value = accept_whole(value)
-        return _require(value % 2 == 1, value)
+        value = _integer(value)
+        return _require(minimum <= value <= maximum and value % 2 == 1, value)
 
     return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
 
@@ -200,8 +200,9 @@ def numbers(
     maximum: float = math.inf,
 ) -> Any:
     """Declare one or more different finite numbers within limits as of `number`."""
-    accept, limits = _within(minimum, above, maximum)
-    return _declare(tuple(default), doc, f"different numbers{limits}", _different(accept))
+    allowed = f"different numbers{_limits(minimum, above, maximum)}"
+    accept = _different(_within(_float, minimum, maximum, above))
+    return _declare(tuple(default), doc, allowed, accept)
 
 
 def mapping(doc: str, *kinds: type) -> Any:
@@ -215,8 +216,13 @@ def mapping(doc: str, *kinds: type) -> Any:
 
     def accept(value: Any) -> Mapping[str, Any]:
         known = {name: entry for kind in kinds[::-1] for name, entry in declarations(kind).items()}
-        entries = _require(isinstance(value, dict), value).items()
-        return {key: _entry(known.get(key), entry) for key, entry in entries}
+        entries = dict(_require(isinstance(value, dict), value))
+        for name in known.keys() & entries.keys():
+            # An entry that is not allowed is that of another node, with the same name.
+            with contextlib.suppress(ParameterError):
+                if isinstance(entries[name], str):
+                    entries[name] = known[name].read(entries[name])
+        return entries
 
     return field(default_factory=dict, metadata={_CHECK: Check(doc, "a dictionary", accept)})
 
@@ -317,16 +323,6 @@ def _declare(default: Any, doc: str, allowed: str, accept: Callable) -> Any:
     return field(default=default, metadata={_CHECK: Check(doc, allowed, accept)})
 
 
-def _entry(declaration: Optional[Declaration], value: Any) -> Any:
-    if declaration is None or not isinstance(value, str):
-        return value
-    try:
-        return declaration.read(value)
-    except ParameterError:
-        # The entry of another node has the same name.
-        return value
-
-
 def _as_text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
@@ -377,23 +373,20 @@ def _different(accept: Callable[[Any], Any]) -> Callable[[Any], Tuple[Any, ...]]
     return accept_all
 
 
-def _whole_within(minimum: int, maximum: int) -> Callable[[Any], int]:
-    """Return a function that accepts a whole number within limits."""
+def _within(
+    convert: Callable[[Any], Any], minimum: float, maximum: float, above: float = -math.inf
+) -> Callable[[Any], Any]:
+    """Return a function that accepts a number within limits."""
 
-    def accept(value: Any) -> int:
-        value = _integer(value)
-        return _require(minimum <= value <= maximum, value)
+    def accept(value: Any) -> Any:
+        value = convert(value)
+        return _require(minimum <= value <= maximum and value > above, value)
 
     return accept
 
 
-def _within(minimum: float, above: float, maximum: float) -> Tuple[Callable[[Any], float], str]:
-    """Return a function that accepts a number within limits, and the limits in words."""
-
-    def accept(value: Any) -> float:
-        value = _float(value)
-        return _require(minimum <= value <= maximum and value > above, value)
-
+def _limits(minimum: float, above: float, maximum: float) -> str:
+    """Return the limits of a number in words, with a space before them; empty without limits."""
     signs = ((">=", minimum), (">", above), ("<=", maximum))
     limits = [f"{sign} {limit:g}" for sign, limit in signs if math.isfinite(limit)]
-    return accept, " " + " and ".join(limits) if limits else ""
+    return " " + " and ".join(limits) if limits else ""

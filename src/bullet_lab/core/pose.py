@@ -118,13 +118,8 @@ class Pose:
     @property
     def yaw(self) -> float:
         """Rotation about the vertical axis, in radians within [-pi, pi]."""
-        return yaw_of(self.quaternion)
-
-
-def yaw_of(quaternion: Quaternion) -> float:
-    """Return the yaw in radians of a unit quaternion (x, y, z, w)."""
-    x, y, z, w = quaternion
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        x, y, z, w = self.quaternion
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def heading_of(quaternion: Quaternion) -> Tuple[float, float]:

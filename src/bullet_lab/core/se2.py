@@ -141,8 +141,8 @@ def logarithm(poses) -> np.ndarray:
     """Return the exponential coordinates (m, m, rad) of poses, shape (..., 3).
 
     They are the constant velocity that leads from the origin to the pose in one unit of time, along
-    an arc; `exponential` is the inverse. With p = x + iy and h the yaw, in [-pi, pi), the first two
-    are (h/2) (cot(h/2) - i) p.
+    an arc: the logarithm of the pose's matrix. With p = x + iy and h the yaw, in [-pi, pi), the
+    first two are (h/2) (cot(h/2) - i) p.
     (G. S. Chirikjian, Stochastic Models, Information Theory, and Lie Groups 2, 2012, section 10.6.)
 
     >>> logarithm([[2.0, 2.0, np.pi / 2.0], [1.0, -2.0, 0.0]]).round(6)
@@ -161,21 +161,6 @@ def straightening(yaw) -> np.ndarray:
     small = np.abs(half) < 1e-4
     tangent = np.tan(np.where(small, 1.0, half))
     return np.where(small, 1.0 - half * half / 3.0, half / tangent) - 1j * half
-
-
-def exponential(coordinates) -> np.ndarray:
-    """Return the poses of exponential coordinates (m, m, rad), shape (..., 3); see `logarithm`.
-
-    The yaw of the coordinates may have any value; that of the poses is in [-pi, pi).
-
-    >>> exponential([np.pi, 0.0, np.pi / 2.0]).round(6)
-    array([2.      , 2.      , 1.570796])
-    """
-    x, y, yaw = np.moveaxis(np.asarray(coordinates, dtype=float), -1, 0)
-    # sin(h)/h and (1 - cos h)/h, by a function that is defined at 0.
-    arc = np.sinc(yaw / math.pi) + 0.5j * yaw * np.square(np.sinc(0.5 * yaw / math.pi))
-    place = arc * (x + 1j * y)
-    return np.stack([place.real, place.imag, wrap(yaw)], axis=-1)
 
 
 def line(count: int, spacing: float) -> List[PlanarPose]:

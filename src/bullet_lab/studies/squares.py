@@ -18,7 +18,7 @@ from bullet_lab.core.files import write_json
 from bullet_lab.core.parameters import boolean, choice, integer, number
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
-from bullet_lab.drive.square import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
+from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
 from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, rule_of
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath

@@ -19,7 +19,7 @@ from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequen
 
 from tqdm import tqdm
 
-from bullet_lab.core.files import PART, FileError, make_folder
+from bullet_lab.core.files import PART, file_errors, make_folder
 from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
@@ -69,8 +69,8 @@ def run_from(
         name: of the program; each line that it prints begins with it.
         about: description of the program; the help prints its first line.
         settings: dataclasses with the parameters; each parameter becomes an option.
-        run: gets the folder for the results, an instance of each of `settings`, and a function
-            that prints a line; may return lines to print; raises LabError.
+        run: gets the folder for the results, which exists, an instance of each of `settings`, and
+            a function that prints a line; may return lines to print; raises LabError.
         words: of the command line; those of this process by default.
         short: short options, such as -n, each with the name of its parameter.
     """
@@ -91,7 +91,9 @@ def run_from(
         # roslaunch adds __name:=… and __log:=…
         values = vars(parser.parse_args([w for w in words if not re.match(r"__\w+:=", w)]))
         read = [read_options(kind, values) for kind in settings]
-        for line in run(values["out"], *read, tell) or ():
+        # A folder that cannot be written to shows here, instead of after the work.
+        folder = make_folder(values["out"])
+        for line in run(folder, *read, tell) or ():
             tell(line)
     except LabError as error:
         print(f"{name}: {error}", file=sys.stderr, flush=True)
@@ -172,17 +174,16 @@ def whole_results(folder: Path) -> Iterator[Path]:
         FileError: a file cannot be written.
     """
     make_folder(folder)
-    try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=PART) as name:
-            part = Path(name)
-            yield part
-            files = [path.relative_to(part) for path in sorted(part.rglob("*")) if path.is_file()]
-            # The summary comes last: it shows that the results are complete.
-            for file in sorted(files, key=lambda path: path.name == SUMMARY):
-                (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                (part / file).replace(folder / file)
-    except OSError as error:
-        raise FileError(f"cannot write to {folder}: {error.strerror or error}") from error
+    with file_errors(f"cannot write to {folder}"), tempfile.TemporaryDirectory(
+        dir=folder, prefix=PART
+    ) as name:
+        part = Path(name)
+        yield part
+        files = [path.relative_to(part) for path in sorted(part.rglob("*")) if path.is_file()]
+        # The summary comes last: it shows that the results are complete.
+        for file in sorted(files, key=lambda path: path.name == SUMMARY):
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (part / file).replace(folder / file)
 
 
 def write_table(path: Path, rows: Iterable[Iterable[Any]]) -> None:

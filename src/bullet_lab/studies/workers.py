@@ -12,7 +12,6 @@ from collections import Counter
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from multiprocessing import connection, get_context, parent_process, resource_tracker
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Sequence, Tuple
 
@@ -236,24 +235,25 @@ def _in_turn(task: Task, number: int) -> Any:
 
 
 def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
-    """Keep each thread of a cluster busy with one task until all are done."""
+    """Run the tasks on the workers of a cluster."""
     from distributed import as_completed
+    from distributed.scheduler import KilledWorker
 
-    left = iter(numbers)
-    number_of: Dict[str, int] = {}
     with _dask_client(scheduler) as client:
-        waiting = as_completed(loop=client.loop)
-        while True:
-            free = _threads(client) - len(number_of)
-            for number in islice(left, max(free, 0 if number_of else 1)):
-                # Not pure: the scheduler must not reuse the results of another study.
-                future = client.submit(_in_turn, task, number, pure=False)
-                number_of[future.key] = number
-                waiting.add(future)
-            if not number_of:
-                return
-            future = next(waiting)
-            yield number_of.pop(future.key), _future_result(future)
+        # Not pure: the scheduler must not reuse the results of another study.
+        futures = client.map(partial(_in_turn, task), numbers, pure=False)
+        number_of = dict(zip((future.key for future in futures), numbers))
+        for future in as_completed(futures, loop=client.loop):
+            try:
+                result = future.result()
+            except KilledWorker:
+                result = TaskLostError(_LOST)
+            except CancelledError:
+                raise WorkersError("the connection to the Dask scheduler is lost") from None
+            except Exception as error:  # of the task, or of a worker without the right libraries
+                kind = type(error).__name__
+                raise WorkersError(f"a worker process failed: {kind}: {error}") from error
+            yield number_of[future.key], result
             future.release()
 
 
@@ -275,26 +275,3 @@ def _dask_client(scheduler: str) -> Iterator[Any]:
         except TimeoutError:
             raise WorkersError(f"the Dask scheduler at {scheduler} has no workers") from None
         yield client
-
-
-def _threads(client: Any) -> int:
-    from distributed import TimeoutError
-
-    try:
-        return sum(client.nthreads().values())
-    except (OSError, TimeoutError, CancelledError):
-        raise WorkersError("the connection to the Dask scheduler is lost") from None
-
-
-def _future_result(future: Any) -> Any:
-    from distributed.scheduler import KilledWorker
-
-    try:
-        return future.result()
-    except KilledWorker:
-        return TaskLostError(_LOST)
-    except CancelledError:
-        raise WorkersError("the connection to the Dask scheduler is lost") from None
-    except Exception as error:  # of the task, or of a worker without the right libraries
-        kind = type(error).__name__
-        raise WorkersError(f"a worker process failed: {kind}: {error}") from error

@@ -82,6 +82,11 @@ def ended(words, run=lambda *_: None, **options):
 
 
 @pytest.fixture(autouse=True)
+def results_elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(autouse=True)
 def signals():
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield

@@ -31,7 +31,7 @@ from tqdm import tqdm
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import checked, choice, integer, number, text
 from bullet_lab.core.pose import Pose
-from bullet_lab.drive.square import MODES, OPEN_LOOP, Square, SquareDriver
+from bullet_lab.drive import MODES, OPEN_LOOP, Square, SquareDriver
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message

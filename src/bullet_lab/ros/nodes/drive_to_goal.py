@@ -36,7 +36,7 @@ from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.parameters import boolean, number, text
-from bullet_lab.drive.goal import (
+from bullet_lab.drive import (
     LEAST_TOLERANCE,
     STANDSTILL,
     DrivePhase,

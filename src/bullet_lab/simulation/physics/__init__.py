@@ -1,6 +1,6 @@
 """Bodies in PyBullet. This is the one module that imports PyBullet itself."""
 
-from bullet_lab.core.native_output import hidden_native_output
+from bullet_lab.entry import hidden_native_output
 from bullet_lab.errors import LabError
 
 __all__ = ["EngineMissingError", "PhysicsError", "is_contact", "pybullet"]

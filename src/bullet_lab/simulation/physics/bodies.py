@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass, replace
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
-from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.entry import hidden_native_output
 from bullet_lab.simulation.physics import PhysicsError, pybullet
 from bullet_lab.simulation.physics.surfaces import Surface, axle_of, on_treads
 from bullet_lab.simulation.world.description import Collision, Joint, Link

@@ -15,8 +15,8 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple, Union
 
 import numpy as np
 
-from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose
+from bullet_lab.entry import hidden_native_output
 from bullet_lab.errors import LabError
 
 LOG = logging.getLogger(__name__)

@@ -1,24 +1,36 @@
-"""Paths with truth, from bags, tables, TUM files and folders of them."""
+"""Paths with truth: from bags, tables, TUM files and folders of them, or made up."""
 
 from __future__ import annotations
 
 import csv
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, make_dataclass
+from itertools import product
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.parameters import choice, integer, name_list, number, text
 from bullet_lab.core.trajectory import Trajectory, TrajectoryError
+from bullet_lab.noise.calibration import Problem, fit, intervals
+from bullet_lab.noise.likelihood import StepPairs
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
+from bullet_lab.noise.odometry_noise import (
+    MODELS,
+    NoiseRule,
+    NoisyPath,
+    noise_fields,
+    rule_of,
+)
+from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.paths import read_path
+from bullet_lab.studies.shares import clopper_pearson
 
 NAMES = (
     ("odom", "noisy_odom"),
-    ("truth", "odom"),
-    ("truth", "odometry"),
-    ("groundtruth", "odom"),
-    ("groundtruth", "odometry"),
-    ("ground_truth", "odom"),
-    ("ground_truth", "odometry"),
+    *product(("truth", "groundtruth", "ground_truth"), ("odom", "odometry")),
 )
 """Ends of the names of the two files of a recording, truth first; the rest is the same."""
 
@@ -27,6 +39,17 @@ ODOMETRY_PREFIXES = ("noisy_", "odom_", "odometry_", "")
 """Prefixes of the columns x, y and yaw of a table with both paths; the first match counts."""
 
 _SUFFIXES = (".tum", ".txt", ".csv")
+_STEPS_AT_A_TIME = 50_000
+_COMMANDS = (
+    (0.2, 0.0, 10.0),
+    (0.0, 0.5236, 3.0),
+    (0.2, -0.3, 5.0),
+    (-0.2, 0.0, 5.0),
+    (0.0, -0.5236, 3.0),
+    (-0.15, 0.25, 6.0),
+    (0.2, 0.3, 7.0),
+)
+"""Commands of a lap: m/s, rad/s and s."""
 
 
 class RecordingError(TrajectoryError):
@@ -48,19 +71,40 @@ class Recording:
     odometry: Trajectory
 
 
-@dataclass(frozen=True)
-class Topics:
-    """Topics of the paths in a bag."""
+Topics = Tuple[str, str]
+"""Topics of the truth and of the odometry in a bag."""
 
-    truth: str
-    odometry: str
+
+@dataclass(frozen=True)
+class DataSettings:
+    """Files of the paths."""
+
+    data: Tuple[str, ...] = name_list(
+        "bags, tables with both paths, or folders of recordings; none: a made-up drive"
+    )
+    truth: str = text("", "file of the truth, instead of data")
+    odometry: str = text("", "file of the odometry that belongs to it")
+    truth_topic: str = text("/odom", "topic of the truth in bags")
+    odometry_topic: str = text("/noisy_odom", "topic of the odometry in bags")
+    base: str = text("", "folder that relative paths start from")
+
+    def recordings(self) -> List[Recording]:
+        """Read the recordings; none if no file is given. Raises LabError."""
+        base, topics = Path(self.base), (self.truth_topic, self.odometry_topic)
+        if bool(self.truth) != bool(self.odometry):
+            raise RecordingError("truth and odometry are one recording: both files are needed")
+        found: List[Recording] = []
+        if self.truth:
+            found.append(read_pair(base / self.truth, base / self.odometry, topics))
+        if self.data:
+            found += find_recordings([base / name for name in self.data], topics)
+        return found
 
 
 def read_pair(truth: Path, odometry: Path, topics: Topics) -> Recording:
     """Read a recording from two files; raises LabError."""
-    return Recording(
-        str(odometry), read_path(truth, topics.truth), read_path(odometry, topics.odometry)
-    )
+    paths = (read_path(*one) for one in zip((truth, odometry), topics))
+    return Recording(str(odometry), *paths)
 
 
 def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
@@ -103,8 +147,7 @@ def _recordings(path: Path, topics: Topics) -> Iterator[Recording]:
 
 def _read_file(path: Path, topics: Topics) -> Recording:
     if path.suffix == ".bag":
-        truth, odometry = (read_path(path, topic) for topic in (topics.truth, topics.odometry))
-        return Recording(str(path), truth, odometry)
+        return read_pair(path, path, topics)
     prefixes = _prefixes(path)
     if prefixes is None:
         raise RecordingError(
@@ -142,3 +185,136 @@ def _pairs(files: Sequence[Path]) -> Iterator[Tuple[Path, Path]]:
             if stem.endswith(truth) and partner in by_stem and not {stem, partner} & taken:
                 taken |= {stem, partner}
                 yield by_stem[stem], by_stem[partner]
+
+
+_NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), frozen=True)
+
+
+def _error(name: str, value: float) -> Any:
+    """Declare a parameter of `SystematicErrors` with another default."""
+    return field(default=value, metadata=SystematicErrors.__dataclass_fields__[name].metadata)
+
+
+@dataclass(frozen=True)
+class DriveSettings(_NoiseParameters, SystematicErrors):
+    """The made-up drive, and the errors of its odometry."""
+
+    scale_error: float = _error("scale_error", 0.01)
+    base_error: float = _error("base_error", -0.02)
+    diameter_error: float = _error("diameter_error", 0.004)
+    gyro_bias_per_metre: float = _error("gyro_bias_per_metre", 0.01)
+    model: str = choice("probabilistic", "noise model of the made-up drive", MODELS)
+    rate: float = number(5.0, "Hz of its odometry", above=0.0, maximum=1000.0)
+    laps: int = integer(3, "of it, 39 s and 6.3 m each", 1, 1000)
+
+    def rule(self, model: str) -> NoiseRule:
+        """Return the rule of a noise model, with the parameters of the drive."""
+        return rule_of(model, asdict(self))
+
+    def noise(self) -> Dict[str, float]:
+        """Return the parameters of the drive's noise model by name."""
+        return asdict(self.rule(self.model))
+
+
+def calibration_drive(settings: DriveSettings) -> Trajectory:
+    """Return the true path of the drive."""
+    period = 1.0 / settings.rate
+    lap = [(v, w) for v, w, s in _COMMANDS for _ in range(max(1, round(s * settings.rate)))]
+    arcs = np.array([(v * period, 0.0, w * period) for v, w in lap * settings.laps])
+    poses: List[np.ndarray] = [np.zeros(3)]
+    for step in chords(arcs):
+        poses.append(se2.compose(poses[-1], step))
+    return Trajectory(period * np.arange(len(poses)), np.array(poses))
+
+
+def made_up(settings: DriveSettings, seed: int) -> Recording:
+    """Return the drive with an odometry as `noisy_odom` would make it."""
+    truth = calibration_drive(settings)
+    errors = SystematicPath(SystematicErrors.of(settings))
+    noise = NoisyPath(settings.rule(settings.model), seed)
+    poses = [noise.update(*errors.update(*pose).pose).pose for pose in truth.poses.tolist()]
+    return Recording("a drive that was made up", truth, Trajectory(truth.stamps, np.array(poses)))
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Estimates of a parameter over many paths.
+
+    Attributes:
+        model: name of the noise model.
+        name: of the parameter.
+        true: its value.
+        paths: number of paths.
+        held: number of intervals that hold the true value.
+        mean: of the estimates.
+        low: mean of the finite lower ends.
+        high: mean of the finite upper ends.
+        share: of the intervals that hold the true value.
+        band_95: 95 % band (Clopper and Pearson) of the share.
+    """
+
+    model: str
+    name: str
+    true: float
+    paths: int
+    held: int
+    mean: float
+    low: float
+    high: float
+    share: float
+    band_95: Tuple[float, float]
+
+
+def coverage(
+    settings: DriveSettings,
+    model: str,
+    systematic: Sequence[str],
+    paths: int,
+    seed: int,
+    note: Callable[[], None] = lambda: None,
+) -> List[Coverage]:
+    """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
+
+    Args:
+        settings: of the drive, with the true values.
+        model: of the noise.
+        systematic: systematic errors that are applied and fitted; the others are 0.
+        paths: number of paths.
+        seed: of the paths, >= 0.
+        note: called after each path.
+    """
+    errors = {name: getattr(settings, name) for name in systematic}
+    true = {**asdict(settings.rule(model)), **errors}
+    estimates, ends = [], []
+    for pairs in _paths(settings, model, systematic, paths, seed):
+        problem = Problem(pairs, model, systematic, settings.wheel_base)
+        found = fit(problem)
+        estimates.append(found.estimates)
+        ends.append(intervals(problem, found))
+        for _ in range(len(problem)):
+            note()
+    values, bounds = np.concatenate(estimates), np.concatenate(ends)
+    result = []
+    for j, name in enumerate(problem.names):
+        low, high = bounds[:, j].T
+        held = int(((low <= true[name]) & (true[name] <= high)).sum())
+        means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
+        band = clopper_pearson(held, paths, 0.025)
+        share = held / paths
+        result.append(Coverage(model, name, true[name], paths, held, *means, share, band))
+    return result
+
+
+def _paths(
+    settings: DriveSettings, model: str, systematic: Sequence[str], paths: int, seed: int
+) -> Iterator[StepPairs]:
+    """Yield the steps of noisy versions, as noisy_odom would make them, in blocks."""
+    truth = calibration_drive(settings).poses
+    wrong = {name: getattr(settings, name) for name in (*systematic, "wheel_base")}
+    reported = SystematicErrors(**wrong).path(truth)
+    steps = noisy_steps(reported, settings.rule(model))
+    generator = np.random.default_rng([seed, 1])
+    for block in noisy_blocks(steps, generator, paths, _STEPS_AT_A_TIME):
+        heading = reported[:, 2] + block.heading_error
+        poses = np.stack((block.position.real, block.position.imag, heading), axis=-1)
+        yield StepPairs(se2.steps(truth), se2.steps(poses))

@@ -1,4 +1,4 @@
-"""The result of a calibration by each model: figures, lines, and a file for noisy_odom."""
+"""The result of a calibration by each model: summary, lines, figures, and a file for noisy_odom."""
 
 from __future__ import annotations
 
@@ -7,16 +7,33 @@ from dataclasses import dataclass
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.special import ndtri
 
+from bullet_lab.core import se2
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
-from bullet_lab.noise.calibration import Fit, Problem, covariance, fit, intervals
+from bullet_lab.noise.calibration import Fit, Problem, covariance, fit, intervals, profile
 from bullet_lab.noise.goodness import Goodness, goodness
 from bullet_lab.noise.likelihood import PARTS
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.studies.calibrate.recordings import Coverage, Recording
+from bullet_lab.studies.results import labelled, legend_below, panels
 
 _INSEPARABLE = 0.99  # correlation of two estimates that the steps cannot separate
+
+MOST_PATHS = 4  # in a figure
+_PART_TITLES = ("turn before the way", "way", "turn after the way")
+_COLOURS = (VERMILION, BLUE, GREEN)
+# Standard deviations; residuals beyond are drawn at the edge of the figure.
+_WIDEST = 6.0
+# Of a profile likelihood, at which it is computed.
+_POINTS = 11
+# Chi-square's 95 % with one degree of freedom.
+_LIMIT = 3.841
 
 
 class UndeterminedError(LabError):
@@ -24,7 +41,7 @@ class UndeterminedError(LabError):
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class ModelCalibration:
     """A noise model, with systematic errors, that is fitted to steps.
 
     Attributes:
@@ -65,7 +82,7 @@ class Calibration:
         return [(self.fit.names[i], self.fit.names[j]) for i, j in pairs]
 
 
-def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> Calibration:
+def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> ModelCalibration:
     """Find the parameters of a problem with one odometry; for the arguments see `goodness`.
 
     Raises:
@@ -79,7 +96,7 @@ def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> Calibration:
             f"{problem.model}: the steps do not determine its parameters: "
             "do odometry and truth belong together, and does the robot drive and turn?"
         ) from None
-    return Calibration(problem, found, ends, quality)
+    return ModelCalibration(problem, found, ends, quality)
 
 
 def symbol(name: str) -> str:
@@ -88,7 +105,7 @@ def symbol(name: str) -> str:
     >>> symbol("alpha1"), symbol("std"), symbol("base_error")
     ('α1', 'σ', 'base_error')
     """
-    return name.replace("alpha", "α") if name.startswith("alpha") else {"std": "σ"}.get(name, name)
+    return "σ" if name == "std" else name.replace("alpha", "α")
 
 
 def label_of(name: str) -> str:
@@ -103,13 +120,12 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(found: Sequence[Calibration]) -> Dict[str, Any]:
-    """Return the figures of all models, for summary.json, the best one first."""
-    ranked = sorted(found, key=lambda one: one.aic)
+def calibration_summary(ranked: Sequence[ModelCalibration]) -> Dict[str, Any]:
+    """Return the figures of all models, the best one first, for summary.json."""
     return {"best": ranked[0].model, "models": [_summary(one, ranked[0].aic) for one in ranked]}
 
 
-def _summary(one: Calibration, best: float) -> Dict[str, Any]:
+def _summary(one: ModelCalibration, best: float) -> Dict[str, Any]:
     judged = one.goodness
     return {
         "model": one.model,
@@ -149,14 +165,13 @@ def _finite(value: float) -> Optional[float]:
     return value if math.isfinite(value) else None
 
 
-def lines(found: Sequence[Calibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
-    """Return the results of all models as lines for the user, the best model first.
+def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
+    """Return the results of all models as lines for the user.
 
     Args:
-        found: calibration of each model.
+        ranked: calibration of each model, the best one first.
         true: true values by model and name, if they are known.
     """
-    ranked = sorted(found, key=lambda one: one.aic)
     text: List[str] = []
     for one in ranked:
         known = true.get(one.model, {})
@@ -185,7 +200,7 @@ def _verdict(judged: Goodness) -> str:
     return f"it does NOT fit (p = {judged.p_value:.2g})"
 
 
-def noise_yaml(one: Calibration, source: str, seconds: float) -> str:
+def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
     """Return a YAML file with the parameters for noisy_odom, described in comments.
 
     Args:
@@ -213,3 +228,122 @@ def _plain(value: float) -> str:
     """Return a number for YAML readers, which read 1.0e-05 as a number but not 1e-05."""
     text = repr(float(f"{value:.9g}"))
     return text if "." in text or "e" not in text else text.replace("e", ".0e")
+
+
+def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:
+    """Draw the whitened residuals of each model against quantiles of the normal distribution."""
+    title = "Errors of the steps: on the line, the model is right"
+    size = 4.2 * len(found), 4.6
+    figure, (row,) = panels((1, len(found)), size, title, sharex=True, sharey=True)
+    for axes, one in zip(row, found):
+        axes.plot([-4.0, 4.0], [-4.0, 4.0], color=BLACK, linewidth=0.8)
+        for values, part, colour in zip(one.goodness.whitened.T, _PART_TITLES, _COLOURS):
+            seen = np.sort(values[np.isfinite(values)])
+            if seen.size:
+                normal = ndtri((np.arange(seen.size) + 0.5) / seen.size)
+                shown = np.clip(seen, -_WIDEST, _WIDEST)
+                axes.plot(normal, shown, ".", markersize=3.0, color=colour, label=part)
+        judged = one.goodness
+        verdict = f"{'fits' if judged.fits else 'does not fit'}, p = {judged.p_value:.2g}"
+        axes.set_title(f"{MODELS[one.model].title}: {verdict}", fontsize=10)
+        axes.set(xlabel="standard normal", xlim=(-4.0, 4.0), ylim=(-_WIDEST, _WIDEST))
+        axes.grid(alpha=0.3)
+    row[0].set_ylabel("error / standard deviation by the model")
+    row[0].legend(loc="upper left", fontsize=8)
+    figure.tight_layout()
+    return figure
+
+
+def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
+    """Draw the profile likelihood of each parameter of a model, with its interval."""
+    parameters = one.parameters()
+    columns = min(4, len(parameters))
+    rows = -(-len(parameters) // columns)
+    title = f"{MODELS[one.model].title}: profile likelihoods and 95 % intervals"
+    size = 3.1 * columns + 0.4, 2.7 * rows + 0.5
+    figure, grid = panels((rows, columns), size, title, sharey=True)
+    for axes, (name, found) in zip(grid.flat, parameters.items()):
+        _draw_profile(axes, one, name, found)
+        if name in true:
+            axes.axvline(true[name], color=ORANGE, linewidth=2.0, label="true")
+            axes.legend(fontsize=8, loc="upper center")
+        axes.set_xlabel(label_of(name))
+        axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 3))
+        axes.locator_params(axis="x", nbins=4)
+    for axes in grid.flat[len(parameters) :]:
+        axes.set_axis_off()
+    for axes in grid[:, 0]:
+        axes.set(ylabel="fall of 2 log L", ylim=(0.0, 8.0))
+    figure.tight_layout()
+    return figure
+
+
+def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
+    value, low, high = found
+    axes.axhline(_LIMIT, color=GREY, linewidth=0.8, linestyle="--")
+    axes.grid(alpha=0.3)
+    axes.axvline(value, color=BLUE, linewidth=1.0)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        axes.text(0.5, 0.5, "the steps do not end it", transform=axes.transAxes, ha="center")
+        return
+    axes.axvspan(low, high, color=BLUE, alpha=0.15, linewidth=0.0)
+    left, right = value - 1.4 * (value - low), value + 1.4 * (high - value)
+    if low == 0.0:
+        left = 1e-3 * value
+    sides = [
+        np.linspace(value, end, _POINTS // 2 + 1)[1:] for end in (left, right) if end != value
+    ]
+    points = [(value, 0.0)]
+    for side in sides:
+        points += zip(side, profile(one.problem, one.fit, name, side))
+    x, fall = np.array(sorted(points)).T
+    # The signed root of the fall is nearly linear, and is interpolated.
+    root = np.sign(x - value) * np.sqrt(fall)
+    fine = np.linspace(x[0], x[-1], 120)
+    axes.plot(fine, np.interp(fine, x, root) ** 2, color=BLUE)
+
+
+def paths_figure(recordings: Sequence[Recording], one: ModelCalibration) -> Figure:
+    """Draw truth and odometry from one start, and the truth with the systematic errors found."""
+    shown = recordings[:MOST_PATHS]
+    figure, (row,) = panels((1, len(shown)), (max(6.4, 5.4 * len(shown)), 5.8))
+    values = one.fit.values()
+    wrong = {name: values[name] for name in one.problem.systematic}
+    errors = SystematicErrors(wheel_base=one.problem.wheel_base, **wrong)
+    for axes, recording in zip(row, shown):
+        plan_axes(axes)
+        first = int(np.searchsorted(recording.truth.stamps, recording.odometry.stamps[0]))
+        truth = recording.truth.poses[min(first, len(recording.truth) - 1) :]
+        paths = [(se2.between(truth[0], truth), ORANGE, "-", "truth")]
+        odometry = recording.odometry.poses
+        paths.append((se2.between(odometry[0], odometry), BLUE, "-", "odometry"))
+        if wrong:
+            reported = errors.path(paths[0][0])
+            paths.append((reported, VERMILION, "--", "truth with the systematic errors found"))
+        for poses, colour, style, label in paths:
+            axes.plot(poses[:, 0], poses[:, 1], style, color=colour, linewidth=1.4, label=label)
+        axes.plot(0.0, 0.0, "o", color=GREEN, markeredgecolor=BLACK, label="start")
+        axes.set_title(recording.name.rsplit("/", 2)[-1], fontsize=10)
+    legend_below(figure, labelled(row[0]), 4, 0.05, fontsize=8)
+    return figure
+
+
+def coverage_figure(found: Sequence[Coverage]) -> Figure:
+    """Draw the share of intervals of each parameter that hold the truth, with bands."""
+    figure, ((axes,),) = panels((1, 1), (8.0, 1.6 + 0.28 * len(found)))
+    axes.axvspan(93.0, 97.0, color=GREY, alpha=0.25, linewidth=0.0)
+    axes.axvline(95.0, color=BLACK, linewidth=0.8)
+    models = list(dict.fromkeys(one.model for one in found))
+    for row, one in enumerate(found):
+        colour = _COLOURS[models.index(one.model) % len(_COLOURS)]
+        low, high = one.band_95
+        axes.plot([100.0 * low, 100.0 * high], [row, row], color=colour, linewidth=2.0)
+        axes.plot(100.0 * one.held / one.paths, row, "o", color=colour)
+    axes.set_yticks(range(len(found)))
+    axes.set_yticklabels([f"{one.model}: {one.name}" for one in found], fontsize=8)
+    axes.invert_yaxis()
+    axes.grid(alpha=0.3, axis="x")
+    axes.set(xlabel="95 % intervals that hold the truth (%)")
+    axes.set_title(f"{found[0].paths} paths for each model", fontsize=10)
+    figure.tight_layout()
+    return figure

@@ -8,7 +8,7 @@ velocity between two of its poses.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -39,6 +39,8 @@ LEAST_DISTANCE = 0.5
 LEAST_TURN = 1.0
 # Errors of real odometry are at most 20 %; mm and degrees are a factor of 57 and more.
 LARGEST_SCALE = 2.0
+# Of the distance, forwards and backwards, to fit both the gyro's bias and unequal wheels.
+LEAST_SHARE = 0.05
 
 
 class StepsError(LabError):
@@ -99,6 +101,45 @@ class Steps:
     def __len__(self) -> int:
         return len(self.true)
 
+    def go_both_ways(self) -> bool:
+        """Return whether the robot drives both forwards and backwards.
+
+        Otherwise the gyro's bias has the same effect as unequal wheels.
+        """
+        ahead = self.true[:, 0]
+        less = min(ahead[ahead > 0.0].sum(), -ahead[ahead < 0.0].sum())
+        return less >= LEAST_SHARE * np.abs(ahead).sum()
+
+    def summary(self) -> Dict[str, Any]:
+        """Return the figures for summary.json."""
+        return {
+            "count": len(self),
+            "median_s": float(np.median(self.seconds)),
+            "length_m": float(np.hypot(self.true[:, 0], self.true[:, 1]).sum()),
+            "turned_rad": float(np.abs(self.true[:, 2]).sum()),
+            "resting": self.resting,
+            "over_gaps": self.gaps,
+            "moved_unseen": self.unseen,
+            "truth_std_m": self.truth_std_m,
+            "truth_std_rad": self.truth_std_rad,
+            "remarks": self.remarks,
+        }
+
+    def lines(self) -> List[str]:
+        """Return the numbers and the remarks as lines for the user."""
+        about = self.summary()
+        found = [
+            f"{len(self)} steps of {about['median_s']:.3g} s, {about['length_m']:.1f} m and "
+            f"{about['turned_rad']:.1f} rad in all; {self.resting} more stood still, "
+            f"{self.gaps} went over a gap"
+        ]
+        if self.unseen:
+            found.append(
+                f"in {self.unseen} steps the truth moved and the odometry did not: "
+                "they are left out"
+            )
+        return [*found, *self.remarks]
+
     def check(self) -> None:
         """Raise StepsError, with the likely cause, if odometry and truth do not match.
 
@@ -136,27 +177,30 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     stamps = _common_stamps(truth, odometry, recording.name)
     remarks: List[str] = []
     offset, error = clock_offset(truth, odometry, stamps)
+    whole = settings.time_offset + offset
     if settings.find_offset:
         odometry = _shifted(odometry, offset)
         stamps = _common_stamps(truth, odometry, recording.name)
-        whole = settings.time_offset + offset
         remarks.append(f"time_offset found: {whole:.4f} s, with a standard error of {error:.4f} s")
     elif abs(offset) > max(4.0 * error, 0.25 * float(np.median(np.diff(stamps)))):
-        whole = settings.time_offset + offset
         remarks.append(
             f"the odometry's clock seems to be {whole:.3f} s behind the truth's "
             f"(standard error {error:.3f} s): time_offset:={whole:.3f}, or find_offset:=true"
         )
     true_poses, poses = (interpolated(path, stamps) for path in (truth, odometry))
     broken = _over_gap(stamps, (truth, odometry), settings.max_gap)
-    settings = _with_truth_noise(truth, odometry, settings)
-    if max(settings.truth_std_m, settings.truth_std_rad) > _NOTEWORTHY:
-        settings = _long_enough(settings, true_poses)
-        remarks.append(_about_jitter(settings))
+    # The numbers of a made-up drive may be round without rounding: then the odometry's are not.
+    least = min(map(resolution, (truth, odometry)))
+    seen_m, seen_rad = jitter(truth)
+    std_m = settings.truth_std_m or max(seen_m, least)
+    std_rad = settings.truth_std_rad or max(seen_rad, least)
+    if max(std_m, std_rad) > _NOTEWORTHY:
+        settings = _long_enough(settings, true_poses, std_m, std_rad)
+        remarks.append(_about_jitter(settings, std_m, std_rad))
     first, last = _ends(true_poses, broken, settings)
     true = se2.between(true_poses[first], true_poses[last])
     reported = se2.between(poses[first], poses[last])
-    still = _still(true) | _still(reported)
+    still = np.any([(np.abs(one) < _STILL).all(axis=1) for one in (true, reported)], axis=0)
     moving = np.flatnonzero(~still)
     follows = np.zeros(len(moving), dtype=bool)
     follows[1:] = first[moving[1:]] == last[moving[:-1]]
@@ -168,8 +212,8 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
         resting=int(still.sum()),
         gaps=int(broken.sum()),
         unseen=int((still & (np.hypot(true[:, 0], true[:, 1]) > _SLIP)).sum()),
-        truth_std_m=settings.truth_std_m,
-        truth_std_rad=settings.truth_std_rad,
+        truth_std_m=std_m,
+        truth_std_rad=std_rad,
         remarks=tuple(f"{recording.name}: {remark}" for remark in remarks),
     )
 
@@ -237,34 +281,20 @@ def jitter(path: Trajectory) -> Tuple[float, float]:
     >>> jitter(Trajectory(np.arange(9.0), np.tile([0.5, 0.0, 0.0], (9, 1)) * np.arange(9)[:, None]))
     (0.0, 0.0)
     """
-    x, y, yaw = path.poses[:, 0], path.poses[:, 1], np.unwrap(path.poses[:, 2])
     if len(path) < FEWEST_STEPS:
         return 0.0, 0.0
-    x_std, y_std, yaw_std = (_white(column) for column in (x, y, yaw))
+    columns = np.column_stack((path.poses[:, :2], np.unwrap(path.poses[:, 2])))
+    third, fourth = (
+        np.median(np.abs(np.diff(columns, order, axis=0)), axis=0) / (_MEDIAN * np.sqrt(scale))
+        for order, scale in ((3, 20.0), (4, 70.0))
+    )
+    x_std, y_std, yaw_std = np.where(fourth > 0.7 * third, fourth, 0.0).tolist()
     return float(np.sqrt(0.5 * (x_std**2 + y_std**2))), yaw_std
 
 
-def _white(values: np.ndarray) -> float:
-    third, fourth = (
-        float(np.median(np.abs(np.diff(values, order)))) / (_MEDIAN * np.sqrt(scale))
-        for order, scale in ((3, 20.0), (4, 70.0))
-    )
-    return fourth if fourth > 0.7 * third else 0.0
-
-
-def _with_truth_noise(
-    truth: Trajectory, odometry: Trajectory, settings: StepSettings
+def _long_enough(
+    settings: StepSettings, poses: np.ndarray, std_m: float, std_rad: float
 ) -> StepSettings:
-    """Return the settings with the standard deviations of the truth, estimated if not given."""
-    # The numbers of a made-up drive may be round without rounding: then the odometry's are not.
-    least = min(map(resolution, (truth, odometry)))
-    seen_m, seen_rad = jitter(truth)
-    std_m = settings.truth_std_m or max(seen_m, least)
-    std_rad = settings.truth_std_rad or max(seen_rad, least)
-    return replace(settings, truth_std_m=std_m, truth_std_rad=std_rad)
-
-
-def _long_enough(settings: StepSettings, poses: np.ndarray) -> StepSettings:
     """Return the settings with steps that are long compared with the truth's noise.
 
     Given lengths of steps are kept.
@@ -272,17 +302,14 @@ def _long_enough(settings: StepSettings, poses: np.ndarray) -> StepSettings:
     if settings.min_distance or settings.min_angle:
         return settings
     steps = np.abs(se2.steps(poses))
-    distance, angle = _TIMES * settings.truth_std_m, _TIMES * settings.truth_std_rad
+    distance, angle = _TIMES * std_m, _TIMES * std_rad
     if np.median(np.maximum(steps[:, 0] / distance, steps[:, 2] / angle)) >= 1.0:
         return settings
     return replace(settings, min_distance=distance, min_angle=angle)
 
 
-def _about_jitter(settings: StepSettings) -> str:
-    noise = (
-        f"the truth has noise of {1e3 * settings.truth_std_m:.2g} mm and "
-        f"{1e3 * settings.truth_std_rad:.2g} mrad"
-    )
+def _about_jitter(settings: StepSettings, std_m: float, std_rad: float) -> str:
+    noise = f"the truth has noise of {1e3 * std_m:.2g} mm and {1e3 * std_rad:.2g} mrad"
     if not (settings.min_distance or settings.min_angle):
         return noise
     return (
@@ -333,13 +360,11 @@ def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
 
 def _motion(path: Trajectory, begins: np.ndarray, window: float) -> np.ndarray:
     """Return the distances and turns of a robot within windows of time, (n, 2), in any frame."""
-    x, y = (np.interp(begins, path.stamps, column) for column in path.poses[:, :2].T)
-    x_end, y_end = (np.interp(begins + window, path.stamps, c) for c in path.poses[:, :2].T)
-    heading = np.unwrap(path.poses[:, 2])
-    turns = np.interp(begins + window, path.stamps, heading) - np.interp(
-        begins, path.stamps, heading
+    dx, dy, turns = (
+        np.interp(begins + window, path.stamps, column) - np.interp(begins, path.stamps, column)
+        for column in (*path.poses[:, :2].T, np.unwrap(path.poses[:, 2]))
     )
-    return np.column_stack((np.hypot(x_end - x, y_end - y), turns))
+    return np.column_stack((np.hypot(dx, dy), turns))
 
 
 def _shifted(path: Trajectory, seconds: float) -> Trajectory:
@@ -397,7 +422,3 @@ def _ends(poses: np.ndarray, broken: np.ndarray, settings: StepSettings):
             last.append(index)
             begin = index
     return np.array(first, dtype=int), np.array(last, dtype=int)
-
-
-def _still(steps: np.ndarray) -> np.ndarray:
-    return (np.abs(steps) < _STILL).all(axis=1)

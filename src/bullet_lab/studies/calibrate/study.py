@@ -8,53 +8,47 @@ Example:
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.files import make_folder
-from bullet_lab.core.parameters import choices, integer, name_list, text
+from bullet_lab.core.parameters import choices, integer
 from bullet_lab.noise.calibration import SYSTEMATIC, Problem
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.studies.calibrate.drive import (
+from bullet_lab.studies.calibrate.recordings import (
     Coverage,
+    DataSettings,
     DriveSettings,
+    Recording,
     coverage,
-    coverage_rows,
     made_up,
 )
-from bullet_lab.studies.calibrate.figures import (
+from bullet_lab.studies.calibrate.results import (
+    ModelCalibration,
+    calibrate,
+    calibration_summary,
     coverage_figure,
+    lines,
+    noise_yaml,
     paths_figure,
     profiles_figure,
     residuals_figure,
 )
-from bullet_lab.studies.calibrate.recordings import (
-    Recording,
-    RecordingError,
-    Topics,
-    find_recordings,
-    read_pair,
-)
-from bullet_lab.studies.calibrate.results import (
-    Calibration,
-    calibrate,
-    calibration_summary,
-    lines,
-    noise_yaml,
-)
-from bullet_lab.studies.calibrate.steps import Steps, StepSettings, joined, take_steps
+from bullet_lab.studies.calibrate.steps import StepSettings, joined, take_steps
 from bullet_lab.studies.results import write_results
 from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, silent
 from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"
 WHEELS, GYRO = SYSTEMATIC[2:]
-_LEAST_SHARE = 0.05  # of the distance, forwards and backwards, to fit both of these
 MOST_COVERAGE_PATHS = 100_000
+COVERAGE_COLUMNS = (
+    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
+    *("mean_estimate", "mean_low", "mean_high"),
+)
 
 
 @dataclass(frozen=True)
@@ -77,35 +71,6 @@ class CalibrateSettings(Settings):
     def errors(self) -> Tuple[str, ...]:
         """The systematic errors to fit."""
         return tuple(name for name in self.systematic if name != NO_ERRORS)
-
-
-@dataclass(frozen=True)
-class DataSettings:
-    """Files of the paths."""
-
-    data: Tuple[str, ...] = name_list(
-        "bags, tables with both paths, or folders of recordings; none: a made-up drive"
-    )
-    truth: str = text("", "file of the truth, instead of data")
-    odometry: str = text("", "file of the odometry that belongs to it")
-    truth_topic: str = text("/odom", "topic of the truth in bags")
-    odometry_topic: str = text("/noisy_odom", "topic of the odometry in bags")
-    base: str = text("", "folder that relative paths start from")
-
-    def recordings(self) -> List[Recording]:
-        """Read the recordings; none if no file is given. Raises LabError."""
-        topics = Topics(self.truth_topic, self.odometry_topic)
-        if bool(self.truth) != bool(self.odometry):
-            raise RecordingError("truth and odometry are one recording: both files are needed")
-        found: List[Recording] = []
-        if self.truth:
-            found.append(read_pair(self._path(self.truth), self._path(self.odometry), topics))
-        if self.data:
-            found += find_recordings([self._path(name) for name in self.data], topics)
-        return found
-
-    def _path(self, name: str) -> Path:
-        return Path(self.base) / name
 
 
 def run_calibration(
@@ -136,11 +101,11 @@ def run_calibration(
         true = {drive.model: {**drive.noise(), **errors}}
     taken = joined([take_steps(recording, steps) for recording in recordings])
     taken.check()
-    about = _about_steps(taken)
-    fitted = settings.errors if _separable(taken) else _without_gyro(settings.errors)
-    for line in _remarks(about):
+    for line in taken.lines():
         tell(line)
-    if fitted != settings.errors:
+    fitted = settings.errors
+    if {GYRO, WHEELS} <= set(fitted) and not taken.go_both_ways():
+        fitted = tuple(name for name in fitted if name != GYRO)
         tell(
             f"{GYRO} is not fitted: on a path that goes one way only, it is a {WHEELS} of "
             "-wheel_base times as much"
@@ -149,85 +114,34 @@ def run_calibration(
         taken.true, taken.odometry[np.newaxis], taken.truth_std_m, taken.truth_std_rad
     )
 
-    def calibrate_model(number: int) -> Calibration:
+    def calibrate_model(number: int) -> ModelCalibration:
         problem = Problem(pairs, settings.models[number], fitted, drive.wheel_base)
         return calibrate(problem, taken.follows, settings.seed)
 
     count = len(settings.models)
     found = run_tasks(calibrate_model, count, this_process, tell, "calibrate", "model", " models")
-    for line in lines(found, true):
+    ranked = sorted(found, key=lambda one: one.aic)
+    best = ranked[0]
+    for line in lines(ranked, true):
         tell(line)
+    names = [recording.name for recording in recordings]
     summary = {
         "job": "calibrate",
         "seed": settings.seed,
-        "recordings": [recording.name for recording in recordings],
-        "steps": about,
-        **calibration_summary(found),
+        "recordings": names,
+        "steps": taken.summary(),
+        **calibration_summary(ranked),
     }
-    best = min(found, key=lambda one: one.aic)
     figures = {
         "residuals.png": residuals_figure(found),
         "profiles.png": profiles_figure(best, true.get(best.model, {})),
         "paths.png": paths_figure(recordings, best),
     }
-    return write_results(folder, summary, {}, figures, _noise_files(found, best, summary))
-
-
-def _noise_files(
-    found: Sequence[Calibration], best: Calibration, summary: Dict[str, Any]
-) -> Dict[str, str]:
-    """Return the YAML files for noisy_odom by name."""
-    source, *others = summary["recordings"]
-    if others:
-        source += f" and {len(others)} more"
+    source = f"{names[0]} and {len(names) - 1} more" if names[1:] else names[0]
     seconds = summary["steps"]["median_s"]
     texts = {f"noise_{one.model}.yaml": noise_yaml(one, source, seconds) for one in found}
-    return {**texts, "noise.yaml": noise_yaml(best, source, seconds)}
-
-
-def _separable(taken: Steps) -> bool:
-    """Return whether the robot drives both forwards and backwards.
-
-    Otherwise the gyro's bias has the same effect as unequal wheels.
-    """
-    ahead = taken.true[:, 0]
-    less = min(ahead[ahead > 0.0].sum(), -ahead[ahead < 0.0].sum())
-    return less >= _LEAST_SHARE * np.abs(ahead).sum()
-
-
-def _without_gyro(errors: Tuple[str, ...]) -> Tuple[str, ...]:
-    """Return the errors without the gyro's bias if unequal wheels are among them."""
-    return tuple(name for name in errors if name != GYRO or WHEELS not in errors)
-
-
-def _remarks(about: Dict[str, Any]) -> List[str]:
-    remarks = [
-        f"{about['count']} steps of {about['median_s']:.3g} s, {about['length_m']:.1f} m and "
-        f"{about['turned_rad']:.1f} rad in all; {about['resting']} more stood still, "
-        f"{about['over_gaps']} went over a gap"
-    ]
-    if about["moved_unseen"]:
-        remarks.append(
-            f"in {about['moved_unseen']} steps the truth moved and the odometry did not: "
-            "they are left out"
-        )
-    return [*remarks, *about["remarks"]]
-
-
-def _about_steps(taken: Steps) -> Dict[str, Any]:
-    return {
-        "count": len(taken),
-        "median_s": float(np.median(taken.seconds)),
-        "length_m": float(np.hypot(taken.true[:, 0], taken.true[:, 1]).sum()),
-        "turned_rad": float(np.abs(taken.true[:, 2]).sum()),
-        "resting": taken.resting,
-        "over_gaps": taken.gaps,
-        "moved_unseen": taken.unseen,
-        "truth_std_m": taken.truth_std_m,
-        "truth_std_rad": taken.truth_std_rad,
-        "remarks": list(taken.remarks),
-    }
-
+    texts["noise.yaml"] = noise_yaml(best, source, seconds)
+    return write_results(folder, summary, {}, figures, texts)
 
 
 def run_coverage(
@@ -246,20 +160,23 @@ def run_coverage(
     with progress("coverage", total, tell, unit="path", things=" paths") as note:
         for model in settings.models:
             found += coverage(lap, model, SYSTEMATIC, settings.coverage, settings.seed, note)
+    table: List[Sequence[Any]] = [COVERAGE_COLUMNS]
     for one in found:
-        low, high = one.band()
+        low, high = one.band_95
         tell(
             f"{one.model:15} {one.name:20} true {one.true:8.4g}, mean {one.mean:8.4g}: "
-            f"{100.0 * one.held / one.paths:5.1f} % of {one.paths} intervals hold it "
+            f"{100.0 * one.share:5.1f} % of {one.paths} intervals hold it "
             f"(band {100.0 * low:.1f} to {100.0 * high:.1f} %)"
         )
+        counts = (one.paths, one.held, one.share, low, high)
+        table.append((one.model, one.name, one.true, *counts, one.mean, one.low, one.high))
     summary = {
         "job": "calibrate",
         "seed": settings.seed,
-        "coverage": [one.summary() for one in found],
+        "coverage": [asdict(one) for one in found],
     }
-    tables = {"coverage.csv": coverage_rows(found)}
-    return write_results(folder, summary, tables, {"coverage.png": coverage_figure(found)}, {})
+    figures = {"coverage.png": coverage_figure(found)}
+    return write_results(folder, summary, {"coverage.csv": table}, figures, {})
 
 
 def _run(
@@ -270,8 +187,6 @@ def _run(
     drive: DriveSettings,
     tell: Tell,
 ) -> None:
-    # A folder that cannot be written to shows here, instead of after the work.
-    make_folder(folder)
     if settings.coverage:
         run_coverage(folder, settings, drive, tell)
     else:

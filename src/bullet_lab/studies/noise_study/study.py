@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import choices, integer, number, numbers, text
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.drive.square import Square
+from bullet_lab.drive import Square
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (

@@ -15,7 +15,7 @@ import numpy as np
 
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import integer, number
-from bullet_lab.drive.square import OPEN_LOOP_RATE, Square
+from bullet_lab.drive import OPEN_LOOP_RATE, Square
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
 from bullet_lab.noise.published_noise import (
     ALL,

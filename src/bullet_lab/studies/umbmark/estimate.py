@@ -1,10 +1,13 @@
-"""Errors of the wheels from squares: by the closed forms of UMBmark, and by a fit of the model."""
+"""Errors of the wheels from squares: by the closed forms of UMBmark, and by a fit of the model.
+
+`Benchmark` has both, and the reasons to distrust them.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -12,7 +15,7 @@ from scipy import optimize, stats
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, Run, return_errors
+from bullet_lab.studies.umbmark.runs import DIRECTIONS, RunError, SquareRun, return_errors
 
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
@@ -23,39 +26,20 @@ _STEP = 1e-6  # of a parameter, for derivatives
 # Of a parameter: the largest difference between equal runs, from rounding.
 _ROUNDING = 1e-12
 
-
-@dataclass(frozen=True)
-class Umbmark:
-    """The figures of Borenstein and Feng's benchmark.
-
-    Attributes:
-        centre_cw: x, y (m) of the centre of gravity of the return errors, clockwise.
-        centre_ccw: likewise, counter-clockwise.
-        r_cw: m, distance of centre_cw from zero.
-        r_ccw: likewise.
-        alpha: rad, of each turn, error of type A: too little where it is > 0.
-        beta: rad, of each side, error of type B: to the left where it is > 0.
-        e_b: base / the assumed one.
-        e_d: right diameter / left diameter, relative to the assumed ones.
-    """
-
-    centre_cw: Tuple[float, float]
-    centre_ccw: Tuple[float, float]
-    r_cw: float
-    r_ccw: float
-    alpha: float
-    beta: float
-    e_b: float
-    e_d: float
-
-    @property
-    def e_max_syst(self) -> float:
-        """The larger of both distances, m."""
-        return max(self.r_cw, self.r_ccw)
+# Sides: half the perimeter, farther than wheels with errors of some percent bring a robot.
+MOST_OF_SIDE = 2.0
+# Of the return error: wheels explain less of it than they leave.
+MOST_LEFT = 0.5
+# Of the side: the error of rulers and random noise.
+LEAST_LEFT = 0.01
+# Standard errors beyond chance.
+SURE = 3.0
+# m and rad: equal except for rounding.
+SAME = 1e-9
 
 
-def umbmark(runs: Sequence[Run], side: float, base: float) -> Umbmark:
-    """Return the benchmark's figures by its closed forms, which hold for small angles.
+def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[str, Any]:
+    """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
     square to the left has in the mean the heading k (90° - alpha + beta) + beta / 2. So the sum of
@@ -66,22 +50,35 @@ def umbmark(runs: Sequence[Run], side: float, base: float) -> Umbmark:
         runs: in both directions.
         side: L, m.
         base: the assumed one, m.
+
+    Returns:
+        centre_cw_m: x, y (m) of the centre of gravity of the return errors, clockwise.
+        centre_ccw_m: likewise, counter-clockwise.
+        r_cw_m: m, distance of centre_cw_m from zero.
+        r_ccw_m: likewise.
+        e_max_syst_m: m, the larger of both distances.
+        alpha_deg: degrees, of each turn, error of type A: too little where it is > 0.
+        beta_deg: degrees, of each side, error of type B: to the left where it is > 0.
+        e_d: right diameter / left diameter, relative to the assumed ones.
+        e_b: base / the assumed one.
     """
     cw, ccw = (return_errors(runs, direction)[:, :2].mean(axis=0) for direction in DIRECTIONS)
     alpha = float(cw[0] + ccw[0]) / (-4.0 * side)
     beta = float(cw[0] - ccw[0]) / (-4.0 * side)
     # R = (L / 2) / sin(beta / 2) and E_d = (R + b / 2) / (R - b / 2), without dividing by 0.
     bend = base * math.sin(0.5 * beta) / side
-    return Umbmark(
-        (float(cw[0]), float(cw[1])),
-        (float(ccw[0]), float(ccw[1])),
-        float(np.hypot(*cw)),
-        float(np.hypot(*ccw)),
-        alpha,
-        beta,
-        e_b=0.5 * math.pi / (0.5 * math.pi - alpha),
-        e_d=(1.0 + bend) / (1.0 - bend),
-    )
+    r_cw, r_ccw = float(np.hypot(*cw)), float(np.hypot(*ccw))
+    return {
+        "centre_cw_m": cw.tolist(),
+        "centre_ccw_m": ccw.tolist(),
+        "r_cw_m": r_cw,
+        "r_ccw_m": r_ccw,
+        "e_max_syst_m": max(r_cw, r_ccw),
+        "alpha_deg": float(np.degrees(alpha)),
+        "beta_deg": float(np.degrees(beta)),
+        "e_d": (1.0 + bend) / (1.0 - bend),
+        "e_b": 0.5 * math.pi / (0.5 * math.pi - alpha),
+    }
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ class Estimate:
         return Estimate(replace(self.errors, **errors), intervals, self.residual)
 
 
-def fit(runs: Sequence[Run], base: float) -> Estimate:
+def fit(runs: Sequence[SquareRun], base: float) -> Estimate:
     """Fit diameter_error and base_error to the true pose at the end of each run.
 
     Each reported step is an arc, whose length and turn give the assumed distance of each wheel.
@@ -217,13 +214,11 @@ def _intervals(
     if np.abs(found).max() > 0.999 * LARGEST:
         # On a bound the sum of squares has no minimum, so that no interval holds.
         return None
-    variance, freedom = np.zeros(len(found)), 0
-    for direction in DIRECTIONS:
-        own = shares[directions == direction]
-        if len(own) < 2:
-            return None
-        variance += len(own) * own.var(axis=0, ddof=1)
-        freedom += len(own) - 1
+    groups = [shares[directions == direction] for direction in DIRECTIONS]
+    if min(map(len, groups)) < 2:
+        return None
+    variance = sum(len(own) * own.var(axis=0, ddof=1) for own in groups)
+    freedom = len(shares) - len(groups)
     if (variance <= _ROUNDING**2).any():
         # The runs of each direction are equal: their spread is unknown.
         return None
@@ -250,3 +245,71 @@ def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
     known = se2.SQUARE_RADIUS
     hotelling = 2.0 * (count - 1) / (count - 2) * stats.f.ppf(CONFIDENCE, 2, count - 2)
     return np.cov(errors[:, :2].T) / count * hotelling / known
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Runs and their evaluation."""
+
+    runs: Tuple[SquareRun, ...]
+    base: float
+    figures: Dict[str, Any]
+    estimate: Estimate
+
+    @classmethod
+    def of(cls, runs: Sequence[SquareRun], base: float, side: Optional[float] = None) -> Benchmark:
+        """Evaluate runs; raises RunError unless there are runs in both directions.
+
+        Args:
+            runs: in both directions.
+            base: m, as odometry assumes it.
+            side: m; the mean reported one by default.
+        """
+        if {run.direction for run in runs} != set(DIRECTIONS):
+            raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
+        length = float(np.mean([run.side() for run in runs])) if side is None else side
+        return cls(tuple(runs), base, closed_forms(runs, length, base), fit(runs, base))
+
+    @classmethod
+    def of_drives(cls, drives: Sequence[Tuple[SquareRun, float]], side: float) -> Benchmark:
+        """Evaluate runs of `drive_run`.
+
+        The fit counts turns by the base that was assumed, which includes the correction.
+        """
+        return cls.of([run for run, _ in drives], drives[0][1], side)
+
+    def warnings(self) -> List[str]:
+        """Return the reasons to distrust the result, with likely causes; empty without any."""
+        largest, left = self.figures["e_max_syst_m"], self.estimate.residual
+        side = float(np.mean([run.side() for run in self.runs]))
+        found = [
+            f"{name} lies on the bound of the fit, {100.0 * LARGEST:.0f} %: "
+            "are wheel_base and the units right?"
+            for name in self.estimate.on_bounds()
+        ]
+        if largest > MOST_OF_SIDE * side:
+            found.append(
+                f"the mean return error of {largest:.3g} m is more than half the way round: "
+                f"is the side {side:.3g} m, and are positions in m?"
+            )
+        if left > max(MOST_LEFT * largest, LEAST_LEFT * side, SURE * self._standard_error()):
+            found.append(
+                f"{left:.3g} m of the mean return error of {largest:.3g} m are not explained by "
+                "wheels: are angles in rad and positions in m, and is the y axis to the left?"
+            )
+        if all(np.abs(run.return_error()).max() < SAME for run in self.runs):
+            found.append("the odometry equals the truth: are both from the same topic or column?")
+        return found
+
+    def _standard_error(self) -> float:
+        """Return the larger standard error (m) of both centres; 0 for single runs."""
+        errors = [return_errors(self.runs, direction)[:, :2] for direction in DIRECTIONS]
+        return max(
+            math.sqrt(float(one.var(axis=0, ddof=1).sum()) / len(one)) if len(one) > 1 else 0.0
+            for one in errors
+        )
+
+    def summary(self) -> Dict[str, Any]:
+        """Return the figures of the benchmark by their usual names."""
+        squares = {d: sum(run.direction == d for run in self.runs) for d in DIRECTIONS}
+        return {"squares": squares, **self.figures}

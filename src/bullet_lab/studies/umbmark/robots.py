@@ -6,35 +6,42 @@ import contextlib
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 import yaml
 
-from bullet_lab.core.pose import Pose
+from bullet_lab.core.parameters import choice, integer, number, text
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.drive.square import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
+from bullet_lab.drive import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
 from bullet_lab.errors import LabError
+from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, derived_seed
 from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.controllers.description import ControlParameters
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController
-from bullet_lab.simulation.plugins.plugin import Output
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, DiffDrive
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Link, Model
+from bullet_lab.simulation.world.description import Collision, Link, Model
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf_file, read_urdf_text
-from bullet_lab.studies.study import UnfinishedError
-from bullet_lab.studies.umbmark.runs import Run
+from bullet_lab.studies.study import MOST_SEED, Settings, UnfinishedError
+from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, SquareRun
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 SETTLING_SECONDS = 0.5
 REST_SECONDS = 0.5
 PATIENCE = 3.0
 """Timeout of a square, as a multiple of the time that it takes at its speeds."""
+
+LARGEST_ERROR = 0.1
+# m, of ideal wheels.
+DIAMETER = 0.2
+NO_ERRORS = SystematicErrors()
 
 MULTIPLIERS = (
     "left_wheel_radius_multiplier",
@@ -43,7 +50,7 @@ MULTIPLIERS = (
 )
 """Parameters of diff_drive_controller."""
 
-_CONTROLLER_TYPE = next(iter(DiffDriveController.kinds))
+CONTROLLER_TYPE = "diff_drive_controller/DiffDriveController"
 
 
 class RobotError(LabError):
@@ -73,16 +80,16 @@ class IdealRobot:
 
     Args:
         wheels: the true ones.
-        believed: those that its odometry assumes, and that make wheel speeds of commands.
+        assumed: those that its odometry assumes, and that make wheel speeds of commands.
 
     Attributes:
         odometry: the reported poses (m, m, rad), the newest last.
     """
 
-    def __init__(self, wheels: Wheels, believed: Wheels):
-        self.believed = believed
+    def __init__(self, wheels: Wheels, assumed: Wheels):
+        self.assumed = assumed
         self._rolled = DeadReckoning(wheels.base, 0.5 * wheels.left, 0.5 * wheels.right)
-        self._counted = DeadReckoning(believed.base, 0.5 * believed.left, 0.5 * believed.right)
+        self._counted = DeadReckoning(assumed.base, 0.5 * assumed.left, 0.5 * assumed.right)
         self._angles = (0.0, 0.0)
         self.odometry: List[PlanarPose] = [self._counted.pose]
 
@@ -92,10 +99,10 @@ class IdealRobot:
 
     def drive(self, ahead: float, turning: float, seconds: float) -> None:
         """Follow a command (m/s, rad/s) for a time, then report."""
-        rim = 0.5 * self.believed.base * turning
+        rim = 0.5 * self.assumed.base * turning
         left, right = self._angles
-        left += 2.0 * (ahead - rim) * seconds / self.believed.left
-        right += 2.0 * (ahead + rim) * seconds / self.believed.right
+        left += 2.0 * (ahead - rim) * seconds / self.assumed.left
+        right += 2.0 * (ahead + rim) * seconds / self.assumed.right
         self._angles = (left, right)
         self._rolled.advance(left, right)
         self._counted.advance(left, right)
@@ -105,78 +112,59 @@ class IdealRobot:
         """Do nothing: it holds no resources."""
 
 
-def multipliers(errors: SystematicErrors) -> Dict[str, float]:
-    """Return the `MULTIPLIERS` that undo errors.
-
-    They keep the mean of the diameters: 2 / (E_d + 1), 2 / (1 / E_d + 1) and E_b.
-    """
-    return dict(zip(MULTIPLIERS, (*errors.diameters, 1.0 + errors.base_error)))
-
-
-@dataclass(frozen=True)
-class FloorPlan:
-    """The files of a robot on the floor.
-
-    Attributes:
-        robot: URDF or xacro file: a path or package://.
-        controller: YAML file with the parameters of its diff_drive_controller; empty for a robot
-            with the plugin libgazebo_ros_diff_drive.so.
-    """
-
-    robot: str
-    controller: str = ""
-
-    def build(self, errors: SystematicErrors, correction: SystematicErrors) -> FloorRobot:
-        """Return the robot, at rest at the origin.
-
-        Args:
-            errors: diameter_error and base_error of the true wheels, relative to the assumed ones.
-            correction: those that a calibration has found; the assumed wheels are corrected.
-
-        Raises:
-            LabError: a file cannot be read, or the robot has no driven wheels.
-        """
-        with _without_warnings():
-            return self._robot(errors, correction)
-
-    def check(self) -> None:
-        """Build the robot once, so that its warnings are logged; raises LabError."""
-        self._robot(SystematicErrors(), SystematicErrors()).close()
-
-    def _robot(self, errors: SystematicErrors, correction: SystematicErrors) -> FloorRobot:
-        kind = ControlledRobot if self.controller else PluginRobot
-        return kind(self, errors, correction)
-
-
-@contextlib.contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Log no warnings: a robot is built many times, and `check` has logged them."""
-    log = logging.getLogger("bullet_lab")
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
-
-
 class FloorRobot:
-    """A robot on the floor of an empty world, with odometry by its wheels.
+    """A robot on the floor of an empty world, at rest at the origin, with odometry by its wheels.
+
+    With the plugin libgazebo_ros_diff_drive.so, its wheels become larger and smaller than in the
+    file for errors of the diameters, without the plugin's knowledge. For an error of the base, the
+    plugin gets another base. With a diff_drive_controller of ros_control, errors are in the
+    controller's multipliers: it assumes other wheels than the true ones.
 
     Its pose is that of the midpoint between its wheels, as is that of its odometry.
 
+    Args:
+        robot: URDF or xacro file: a path or package://.
+        controller: YAML file with the parameters of its diff_drive_controller; empty for a robot
+            with the plugin.
+        errors: diameter_error and base_error of the true wheels, relative to the assumed ones.
+        correction: those that a calibration has found; the assumed wheels are corrected.
+
     Attributes:
         odometry: the reported poses (m, m, rad), the newest last.
-        believed: the wheels that its odometry assumes.
+        assumed: the wheels that its odometry assumes.
+
+    Raises:
+        LabError: a file cannot be read, or the robot has no driven wheels.
     """
 
-    believed: Wheels
-
-    def __init__(self, model: Model):
+    def __init__(
+        self, robot: str, controller: str, errors: SystematicErrors, correction: SystematicErrors
+    ):
+        file = ResourceFinder.anywhere().find(robot)
+        model = read_urdf_file(file)
+        if not controller:
+            model = _with_wrong_wheels(robot, model, errors, correction)
         self._simulation = Simulation.of(WORLD)
-        self._robot = self._simulation.add(model, pose=model.pose)
-        self._axle = Pose()
+        # For the model with its own wheels, the warnings have been logged.
+        with contextlib.nullcontext() if controller else _without_warnings():
+            self._robot = self._simulation.add(model, pose=model.pose)
+        if controller:
+            plugin = _plugin(self._robot, RosControl)
+            if plugin is None:
+                raise RobotError(f"{robot}: there is no plugin {RosControl.filenames[0]}")
+            urdf = read_urdf_text(file)
+            drive: Any = _load_controller(plugin, urdf, controller, errors, correction)
+            joints = [joint.name for joint in drive.joints]
+        else:
+            drive = _plugin(self._robot, DiffDrive)
+            joints = [wheel.joint for wheel in drive.wheels]
+        left, right = (2.0 * radius for radius in drive.radii)
+        self.assumed = Wheels(left, right, drive.separation)
+        self._axle = _middle(model, joints)
         self.odometry: List[PlanarPose] = []
+        drive.odometry.connect(self._add_odometry)
+        self._command = drive.command
+        self.drive(0.0, 0.0, SETTLING_SECONDS)
 
     def pose(self) -> PlanarPose:
         """Return the true pose: (m, m, rad)."""
@@ -191,90 +179,131 @@ class FloorRobot:
         """Close the simulation."""
         self._simulation.close()
 
-    def _start(self, wheels: Sequence[str], odometry: Output, command: Any) -> None:
-        """Connect odometry and command, and settle; the wheels are names of joints."""
-        model = self._robot.model
-        links, children = model.links_by_name(), {j.name: j.child for j in model.joints}
-        hubs = [links[children[name]].pose.position for name in wheels]
-        x, y, z = (sum(values) / len(hubs) for values in zip(*hubs))
-        self._axle = Pose((x, y, z))
-        odometry.connect(self._add_odometry)
-        self._command = command
-        self.drive(0.0, 0.0, SETTLING_SECONDS)
-
     def _add_odometry(self, sample: OdometrySample) -> None:
         self.odometry.append(_planar(sample.pose))
-
-
-class PluginRobot(FloorRobot):
-    """A robot with a diff_drive plugin.
-
-    For errors of the diameters, its wheels become larger and smaller than in the file, without
-    the plugin's knowledge. For an error of the base, the plugin gets another base. The plugin
-    reports at least at the rate of the driver of squares, so that the robot stops in time.
-    """
-
-    def __init__(self, plan: FloorPlan, errors: SystematicErrors, correction: SystematicErrors):
-        model = _read(plan.robot)
-        tag = next((tag for tag in model.plugins if tag.filename in DiffDrive.filenames), None)
-        if tag is None:
-            raise RobotError(
-                f"{plan.robot}: there is no plugin {DiffDrive.filenames[0]}, and no controller"
-            )
-        drawn, joints = _drawn_wheels(model)
-        believed = replace(drawn, base=drawn.base / (1.0 + errors.base_error))
-        self.believed = believed.times(correction)
-        tags = {
-            **tag.tags,
-            "odometrySource": "encoder",
-            "updateRate": _update_rate(tag.tags.get("updateRate", "")),
-            "wheelSeparation": repr(self.believed.base),
-            "leftWheelDiameter": repr(self.believed.left),
-            "rightWheelDiameter": repr(self.believed.right),
-        }
-        changed = replace(tag, tags=tags, element=None)
-        plugins = tuple(changed if one is tag else one for one in model.plugins)
-        super().__init__(replace(_scaled_wheels(model, joints, errors), plugins=plugins))
-        plugin = _diff_drive(self._robot.plugins)
-        self._start(joints, plugin.odometry, plugin.command)
-
-
-class ControlledRobot(FloorRobot):
-    """A robot with a diff_drive_controller of ros_control.
-
-    Errors are in the controller's multipliers: it assumes other wheels than the true ones.
-    """
-
-    def __init__(self, plan: FloorPlan, errors: SystematicErrors, correction: SystematicErrors):
-        found = ResourceFinder.anywhere().find(plan.robot)
-        super().__init__(_read(plan.robot))
-        plugin = next((p for p in self._robot.plugins if isinstance(p, RosControl)), None)
-        if plugin is None:
-            raise RobotError(f"{plan.robot}: there is no plugin {RosControl.filenames[0]}")
-        tree, name = _find_controller(plan.controller)
-        parameters = dict(tree[name])
-        both = parameters.pop("wheel_radius_multiplier", None)
-        if both is not None:
-            parameters.update(dict.fromkeys(MULTIPLIERS[:2], both))
-        parameters["publish_rate"] = max(CLOSED_LOOP_RATE, parameters.get("publish_rate", 0.0))
-        for key, wrong in multipliers(errors).items():
-            parameters[key] = parameters.get(key, 1.0) / wrong * multipliers(correction)[key]
-        manager = plugin.configure(read_urdf_text(found), tree)
-        controller = manager.load(name, ControlParameters(parameters, f"{plugin.namespace}{name}"))
-        manager.switch([name], [])
-        left, right = (2.0 * radius for radius in controller.radii)
-        self.believed = Wheels(left, right, controller.separation)
-        wheels = [joint.name for joint in controller.joints]
-        self._start(wheels, controller.odometry, controller.command)
-
-
-def _read(robot: str) -> Model:
-    return read_urdf_file(ResourceFinder.anywhere().find(robot))
 
 
 def _planar(pose: Pose) -> PlanarPose:
     x, y, _ = pose.position
     return x, y, pose.yaw
+
+
+def _middle(model: Model, joints: Sequence[str]) -> Pose:
+    """Return the point in the middle of the children of some joints."""
+    links, children = model.links_by_name(), {j.name: j.child for j in model.joints}
+    hubs = [links[children[name]].pose.position for name in joints]
+    x, y, z = (sum(values) / len(hubs) for values in zip(*hubs))
+    return Pose((x, y, z))
+
+
+def _plugin(robot: ModelInstance, kind: type) -> Any:
+    """Return the plugin of a kind, None if the robot has none."""
+    return next((plugin for plugin in robot.plugins if isinstance(plugin, kind)), None)
+
+
+@contextlib.contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Log no warnings: a robot is built many times."""
+    log = logging.getLogger("bullet_lab")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+
+
+def _with_wrong_wheels(
+    robot: str, model: Model, errors: SystematicErrors, correction: SystematicErrors
+) -> Model:
+    """Return a model with wrong wheels, and with a diff_drive plugin that assumes others.
+
+    The plugin reports at least at the rate of the driver of squares, so that the robot stops in
+    time.
+    """
+    tag = next((tag for tag in model.plugins if tag.filename in DiffDrive.filenames), None)
+    if tag is None:
+        raise RobotError(
+            f"{robot}: there is no plugin {DiffDrive.filenames[0]}, and no controller"
+        )
+    with Simulation.of(WORLD) as simulation:
+        drive = _plugin(simulation.add(model), DiffDrive)
+    if drive is None:
+        raise RobotError("the robot's diff_drive plugin does not work; see the warnings")
+    left, right = (2.0 * radius for radius in drive.radii)
+    drawn = Wheels(left, right, drive.separation)
+    assumed = replace(drawn, base=drawn.base / (1.0 + errors.base_error)).times(correction)
+    tags = {
+        **tag.tags,
+        "odometrySource": "encoder",
+        "wheelSeparation": repr(assumed.base),
+        "leftWheelDiameter": repr(assumed.left),
+        "rightWheelDiameter": repr(assumed.right),
+    }
+    if drive.schedule.period > 1.0 / CLOSED_LOOP_RATE:
+        tags["updateRate"] = str(CLOSED_LOOP_RATE)
+    changed = replace(tag, tags=tags, element=None)
+    children = {joint.name: joint.child for joint in model.joints}
+    wheels = [children[wheel.joint] for wheel in drive.wheels]
+    factors = dict(zip(wheels, errors.diameters))
+    return replace(
+        model,
+        plugins=tuple(changed if one is tag else one for one in model.plugins),
+        links=tuple(_scaled(link, factors.get(link.name, 1.0)) for link in model.links),
+    )
+
+
+def _scaled(link: Link, factor: float) -> Link:
+    """Return a link whose contacts are those of a larger or smaller one."""
+
+    def larger(values: Vector) -> Vector:
+        x, y, z = values
+        return factor * x, factor * y, factor * z
+
+    def scaled(collision: Collision) -> Collision:
+        shape: Any = collision.geometry
+        if isinstance(shape, (Cylinder, Sphere)):
+            shape = replace(shape, radius=factor * shape.radius)
+        elif isinstance(shape, Box):
+            shape = replace(shape, size=larger(shape.size))
+        elif isinstance(shape, Mesh):
+            shape = replace(shape, scale=larger(shape.scale))
+        pose = replace(collision.pose, position=larger(collision.pose.position))
+        return replace(collision, geometry=shape, pose=pose)
+
+    if factor == 1.0:
+        return link
+    return replace(link, collisions=tuple(map(scaled, link.collisions)))
+
+
+def multipliers(errors: SystematicErrors) -> Dict[str, float]:
+    """Return the `MULTIPLIERS` that undo errors.
+
+    They keep the mean of the diameters: 2 / (E_d + 1), 2 / (1 / E_d + 1) and E_b.
+    """
+    return dict(zip(MULTIPLIERS, (*errors.diameters, 1.0 + errors.base_error)))
+
+
+def _load_controller(
+    plugin: RosControl,
+    urdf: str,
+    file: str,
+    errors: SystematicErrors,
+    correction: SystematicErrors,
+) -> DiffDriveController:
+    """Start the diff_drive_controller of a file with other multipliers."""
+    tree, name = _find_controller(file)
+    parameters = dict(tree[name])
+    both = parameters.pop("wheel_radius_multiplier", None)
+    if both is not None:
+        parameters.update(dict.fromkeys(MULTIPLIERS[:2], both))
+    parameters["publish_rate"] = max(CLOSED_LOOP_RATE, parameters.get("publish_rate", 0.0))
+    for key, wrong in multipliers(errors).items():
+        parameters[key] = parameters.get(key, 1.0) / wrong * multipliers(correction)[key]
+    manager = plugin.configure(urdf, tree)
+    controller = manager.load(name, ControlParameters(parameters, f"{plugin.namespace}{name}"))
+    manager.switch([name], [])
+    return controller
 
 
 def _find_controller(file: str) -> Tuple[Mapping[str, Any], str]:
@@ -287,68 +316,92 @@ def _find_controller(file: str) -> Tuple[Mapping[str, Any], str]:
     while trees:
         tree = trees.pop()
         for name, own in tree.items() if isinstance(tree, Mapping) else ():
-            if isinstance(own, Mapping) and own.get("type") == _CONTROLLER_TYPE:
+            if isinstance(own, Mapping) and own.get("type") == CONTROLLER_TYPE:
                 return tree, name
             trees.append(own)
-    raise RobotError(f"{file}: there is no controller of the type {_CONTROLLER_TYPE}")
+    raise RobotError(f"{file}: there is no controller of the type {CONTROLLER_TYPE}")
 
 
-def _drawn_wheels(model: Model) -> Tuple[Wheels, Tuple[str, ...]]:
-    """Return the wheels of the diff_drive plugin, and the names of their joints."""
-    with _without_warnings(), Simulation.of(WORLD) as simulation:
-        drive = _diff_drive(simulation.add(model).plugins)
-        left, right = (2.0 * radius for radius in drive.radii)
-        return Wheels(left, right, drive.separation), tuple(wheel.joint for wheel in drive.wheels)
+@dataclass(frozen=True)
+class BenchmarkSettings(Settings):
+    """The robot and its squares."""
 
-
-def _diff_drive(plugins: Sequence[Any]) -> DiffDrive:
-    for plugin in plugins:
-        if isinstance(plugin, DiffDrive):
-            return plugin
-    raise RobotError("the robot's diff_drive plugin does not work; see the warnings")
-
-
-def _update_rate(rate: str) -> str:
-    """Return an updateRate (Hz, 0: always) that is high enough for squares."""
-    try:
-        too_low = 0.0 < float(rate) < CLOSED_LOOP_RATE
-    except ValueError:
-        # The plugin uses its default.
-        return rate
-    return str(CLOSED_LOOP_RATE) if too_low else rate
-
-
-def _scaled_wheels(model: Model, joints: Sequence[str], errors: SystematicErrors) -> Model:
-    """Return the model with the wheels on its left and right joint scaled by their errors."""
-    factors = dict(zip(joints, errors.diameters))
-    of_link = {j.child: factors[j.name] for j in model.joints if j.name in factors}
-    links = (_scaled_link(link, of_link.get(link.name, 1.0)) for link in model.links)
-    return replace(model, links=tuple(links))
-
-
-def _scaled_link(link: Link, factor: float) -> Link:
-    def scaled(part: Any) -> Any:
-        position = tuple(factor * value for value in part.pose.position)
-        pose = replace(part.pose, position=position)
-        return replace(part, geometry=_scaled_shape(part.geometry, factor), pose=pose)
-
-    if factor == 1.0:
-        return link
-    return replace(
-        link,
-        collisions=tuple(map(scaled, link.collisions)),
-        visuals=tuple(map(scaled, link.visuals)),
+    robot: str = text(
+        "package://bullet_lab/urdf/camera_robot.urdf", "URDF of a robot on two wheels"
     )
+    controller: str = text(
+        "", "YAML file of its diff_drive_controller; else its plugin diff_drive drives it"
+    )
+    diameter_error: float = number(
+        0.0,
+        "right / left diameter of the true wheels, relative to the assumed ones, - 1",
+        -LARGEST_ERROR,
+        maximum=LARGEST_ERROR,
+    )
+    base_error: float = number(
+        0.0,
+        "base of the true wheels / the one that odometry assumes - 1",
+        -LARGEST_ERROR,
+        maximum=LARGEST_ERROR,
+    )
+    side: float = number(4.0, "m, of the square", 0.1, maximum=100.0)
+    runs: int = integer(5, "squares in each direction", 1, 1000)
+    speed: float = number(0.2, "m/s, on the sides", above=0.0)
+    turn_speed: float = number(0.5236, "rad/s, at the corners", above=0.0)
+    std: float = number(
+        0.0005, "level of random noise on the odometry", 0.0, maximum=LARGEST_PARAMETER
+    )
+    model: str = choice("rate_invariant", "rule of the noise", MODELS)
+    seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
+
+    @property
+    def errors(self) -> SystematicErrors:
+        """Errors of the true wheels, relative to those that odometry assumes at first."""
+        return SystematicErrors(diameter_error=self.diameter_error, base_error=self.base_error)
+
+    def square(self, direction: str) -> Square:
+        """Return the square in a direction."""
+        turn = -self.turn_speed if direction == CLOCKWISE else self.turn_speed
+        return Square(side=self.side, speed=self.speed, turn_speed=turn)
+
+    def noise(self, number: int, laps: int) -> Callable[[PlanarPose], PlanarPose]:
+        """Return a function that makes the noisy pose of each odometry pose of a run."""
+        if self.std == 0.0:
+            return lambda pose: pose
+        rule = MODELS[self.model].at_level(self.std)
+        path = NoisyPath(rule, derived_seed(derived_seed(self.seed, laps), number))
+        return lambda pose: path.update(*pose).pose
 
 
-def _scaled_shape(shape: Any, factor: float) -> Any:
-    if isinstance(shape, (Cylinder, Sphere)):
-        return replace(shape, radius=factor * shape.radius)
-    if isinstance(shape, Box):
-        return replace(shape, size=tuple(factor * side for side in shape.size))
-    if isinstance(shape, Mesh):
-        return replace(shape, scale=tuple(factor * part for part in shape.scale))
-    return shape
+def drive_run(
+    settings: BenchmarkSettings,
+    correction: SystematicErrors,
+    laps: int,
+    ideal_base: Optional[float],
+    number: int,
+) -> Tuple[SquareRun, float]:
+    """Drive a run, clockwise if its number is even; return it, and the base (m) assumed in it.
+
+    Args:
+        settings: of the drive.
+        correction: errors that an earlier calibration has found.
+        laps: number of rounds of runs before this one; it selects the noise.
+        ideal_base: m, of a robot whose wheels roll ideally; None for a robot on the floor.
+        number: of the run, from 0 on.
+    """
+    direction = DIRECTIONS[number % len(DIRECTIONS)]
+    if ideal_base is None:
+        # The study has logged the warnings once.
+        with _without_warnings():
+            robot: Any = FloorRobot(
+                settings.robot, settings.controller, settings.errors, correction
+            )
+    else:
+        wheels = Wheels(DIAMETER, DIAMETER, ideal_base)
+        robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))
+    with contextlib.closing(robot):
+        name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
+        return drive_square(robot, settings.square(direction), name, noise), robot.assumed.base
 
 
 def drive_square(
@@ -356,7 +409,7 @@ def drive_square(
     square: Square,
     name: str,
     noisy: Callable[[PlanarPose], PlanarPose] = lambda pose: pose,
-) -> Run:
+) -> SquareRun:
     """Drive a square by odometry, with a rest after it.
 
     Args:
@@ -374,8 +427,7 @@ def drive_square(
     reported: List[PlanarPose] = []
 
     def newest() -> PlanarPose:
-        while first + len(reported) < len(robot.odometry):
-            reported.append(noisy(robot.odometry[first + len(reported)]))
+        reported.extend(map(noisy, robot.odometry[first + len(reported) :]))
         return reported[-1]
 
     seconds = square.sides * (square.side / square.speed + np.pi / abs(square.turn_speed))
@@ -384,6 +436,6 @@ def drive_square(
         if command is None:
             robot.drive(0.0, 0.0, REST_SECONDS)
             newest()
-            return Run(name, np.array(reported), start, robot.pose())
+            return SquareRun(name, np.array(reported), start, robot.pose())
         robot.drive(*command, period)
     raise UnfinishedError(f"{name}: the robot does not complete its square in time")

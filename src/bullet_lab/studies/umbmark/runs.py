@@ -39,7 +39,7 @@ class RunError(LabError):
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class SquareRun:
     """One square, until the odometry reports the pose of its start.
 
     Attributes:
@@ -102,13 +102,13 @@ class Run:
         return error
 
 
-def return_errors(runs: Sequence[Run], direction: str) -> np.ndarray:
+def return_errors(runs: Sequence[SquareRun], direction: str) -> np.ndarray:
     """Return the return errors of the runs in a direction, shape (n, 3)."""
     errors = [run.return_error() for run in runs if run.direction == direction]
     return np.array(errors).reshape(-1, 3)
 
 
-def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run]:
+def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[SquareRun]:
     """Read a run from each bag, table of two paths, or pair of TUM files in a folder.
 
     In a table of two paths (`PAIRS`, as paths.csv of the squares) the true pose comes first and
@@ -125,7 +125,7 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run
         LabError: a file cannot be read, or there is none.
     """
     files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
-    runs: List[Run] = []
+    runs: List[SquareRun] = []
     for file in files:
         if file.name.endswith(ODOMETRY):
             truth = file.with_name(file.name[: -len(ODOMETRY)] + TRUTH)
@@ -139,7 +139,7 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Run
     return runs
 
 
-def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> Run:
+def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> SquareRun:
     """Return a run from the first to the last poses of both: the robot rests there."""
     _check_times(file, odometry, truth)
     first, last = truth.poses[[0, -1]].tolist()
@@ -149,7 +149,7 @@ def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> Run:
             f"{file}: odometry and truth turn in opposite directions: "
             "is the y axis or the yaw of one of them mirrored?"
         )
-    return Run(file.stem, odometry.poses, tuple(first), tuple(last))
+    return SquareRun(file.stem, odometry.poses, tuple(first), tuple(last))
 
 
 def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
@@ -168,19 +168,19 @@ def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
         )
 
 
-def _read_csv(path: Path, side: float) -> List[Run]:
+def _read_csv(path: Path, side: float) -> List[SquareRun]:
     columns, rows = read_table(path, PAIRS, RETURNS)
     if columns == PAIRS:
         return [_run(path, read_path(path, prefix="noisy_"), read_path(path))]
     return [_measured_run(where, row, side) for where, row in rows]
 
 
-def _measured_run(where: str, row: Mapping[str, str], side: float) -> Run:
+def _measured_run(where: str, row: Mapping[str, str], side: float) -> SquareRun:
     direction = (row["direction"] or "").strip().lower()
     if direction not in DIRECTIONS:
         raise RunError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
     x, y, yaw = finite_numbers([row[name] for name in RETURNS[1:]], where)
-    return Run(where, perfect_square(side, direction), (0.0, 0.0, 0.0), (x, y, yaw))
+    return SquareRun(where, perfect_square(side, direction), (0.0, 0.0, 0.0), (x, y, yaw))
 
 
 def perfect_square(side: float, direction: str) -> np.ndarray:

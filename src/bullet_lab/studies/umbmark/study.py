@@ -12,24 +12,34 @@ import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, plan_axes
-from bullet_lab.core.files import make_folder
-from bullet_lab.core.parameters import number, text
+from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
+from bullet_lab.core.parameters import boolean, integer, number, text
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.results import labelled, legend_below, panels, write_results
+from bullet_lab.studies.results import (
+    Record,
+    labelled,
+    legend_below,
+    panels,
+    rows_of,
+    write_results,
+)
 from bullet_lab.studies.study import Settings, Tell, run_from
-from bullet_lab.studies.umbmark.benchmark import Benchmark, DriveSettings, drive_run
-from bullet_lab.studies.umbmark.campaign import CampaignSettings, describe_campaign, run_campaign
-from bullet_lab.studies.umbmark.estimate import PARAMETERS, centre_ellipse
-from bullet_lab.studies.umbmark.robots import multipliers
+from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
+from bullet_lab.studies.umbmark.robots import (
+    NO_ERRORS,
+    BenchmarkSettings,
+    FloorRobot,
+    drive_run,
+    multipliers,
+)
 from bullet_lab.studies.umbmark.runs import (
     CLOCKWISE,
     COUNTER_CLOCKWISE,
@@ -39,13 +49,31 @@ from bullet_lab.studies.umbmark.runs import (
 )
 from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, workers
 
-# The class is not imported by name: the job's help describes the dataclasses of this module.
-NO_ERRORS = systematic.SystematicErrors()
+DIAMETER_ERRORS = (0.001, 0.01)
+BASE_ERRORS = (0.005, 0.03)
+BASES = (0.15, 0.8)
+SIDES = (1.0, 6.0)
+FLOOR_SIDES = (1.0, 2.0)
+SPEEDS = (0.1, 0.5)
+TURN_SPEEDS = (0.3, 1.0)
 
+SHARE = 0.05
+LEAST = 2e-5
+"""An error counts as recovered if it is found to this share of itself, or to this difference."""
+
+CORRECTED = "corrected.yaml"
 STYLES = (
     (CLOCKWISE, "clockwise", BLUE, "o"),
     (COUNTER_CLOCKWISE, "counter-clockwise", ORANGE, "s"),
 )
+
+
+@dataclass(frozen=True)
+class RandomRobotSettings(Settings):
+    """Random robots instead of one."""
+
+    robots: int = integer(0, "random robots instead of one; 0: the one", 0, 100_000)
+    floor: bool = boolean(False, "drive them on the floor; else wheels roll ideally")
 
 
 @dataclass(frozen=True)
@@ -85,11 +113,7 @@ def run_umbmark(
         "trusted": not warnings,
         "not_trusted_because": warnings,
         **before.summary(),
-        "recovered": {
-            **_by_name(recovered.errors),
-            "intervals_95": recovered.intervals
-            and {name: list(ends) for name, ends in recovered.intervals.items()},
-        },
+        "recovered": {**_by_name(recovered.errors), "intervals_95": recovered.intervals},
         "floor": _by_name(floor),
         "effective": _by_name(found.errors),
         "unexplained_m": found.residual,
@@ -99,21 +123,20 @@ def run_umbmark(
         },
     }
     if after is not None:
-        left = after.figures.e_max_syst
-        falls_by = before.figures.e_max_syst / left if left > 0.0 else None
+        left = after.figures["e_max_syst_m"]
+        falls_by = before.figures["e_max_syst_m"] / left if left > 0.0 else None
         summary.update(after=after.summary(), falls_by=falls_by)
+    if warnings:
+        # An earlier run may have left one.
+        (folder / CORRECTED).unlink(missing_ok=True)
     corrected = yaml.safe_dump(multipliers(found.errors), sort_keys=False)
-    write_results(
+    return write_results(
         folder,
         summary,
         {"returns.csv": _return_rows(before, after)},
         {"clusters.png": clusters_figure(before, after)},
-        {} if warnings else {"corrected.yaml": corrected},
+        {} if warnings else {CORRECTED: corrected},
     )
-    if warnings:
-        # An earlier run may have left one.
-        (folder / "corrected.yaml").unlink(missing_ok=True)
-    return summary
 
 
 def _by_name(errors: systematic.SystematicErrors) -> Dict[str, float]:
@@ -179,9 +202,9 @@ def describe(
     lines += _figures(before)
     found, figures = before.estimate, before.figures
     lines.append(
-        f"closed forms, for small errors: E_d {figures.e_d:.5f}, E_b {figures.e_b:.5f}"
+        f"closed forms, for small errors: E_d {figures['e_d']:.5f}, E_b {figures['e_b']:.5f}"
     )
-    for name, title in (("diameter_error", "D_right/D_left"), ("base_error", "base/believed")):
+    for name, title in (("diameter_error", "D_right/D_left"), ("base_error", "base/assumed")):
         value = getattr(found.errors, name)
         between = ""
         if found.intervals is not None:
@@ -205,28 +228,174 @@ def _joined(values: Dict[str, float]) -> str:
 def _figures(benchmark: Benchmark) -> List[str]:
     figures = benchmark.figures
     lines = []
-    for direction, (x, y) in zip(DIRECTIONS, (figures.centre_cw, figures.centre_ccw)):
+    for direction in DIRECTIONS:
+        x, y = figures[f"centre_{direction}_m"]
         errors = return_errors(benchmark.runs, direction) * (1000.0, 1000.0, math.degrees(1.0))
         each = ", ".join(f"({dx:.2f}, {dy:.2f}, {turn:.3f})" for dx, dy, turn in errors.tolist())
         lines += [
             f"return errors {direction} (mm, mm, °): {each}",
             f"centre of gravity {direction}: ({1000.0 * x:.2f}, {1000.0 * y:.2f}) mm",
         ]
-    return [*lines, f"E_max,syst {1000.0 * figures.e_max_syst:.2f} mm"]
+    return [*lines, f"E_max,syst {1000.0 * figures['e_max_syst_m']:.2f} mm"]
+
+
+def draw_robot(
+    drive: BenchmarkSettings, floor: bool, index: int
+) -> Tuple[BenchmarkSettings, float]:
+    """Return the drive of a robot, and its assumed base (m); they depend on seed and index only.
+
+    Sizes of errors are uniform within `DIAMETER_ERRORS` and `BASE_ERRORS`, their signs are
+    equally likely; base, side and speeds are uniform too. On the floor, robot and speeds are those
+    of the settings.
+    """
+    generator = np.random.default_rng(np.random.SeedSequence(drive.seed, spawn_key=(index,)))
+    sizes = [generator.uniform(*limits) for limits in (DIAMETER_ERRORS, BASE_ERRORS)]
+    signs = generator.choice((-1.0, 1.0), 2)
+    base, share, speed, turn_speed = (
+        generator.uniform(*limits) for limits in (BASES, (0.0, 1.0), SPEEDS, TURN_SPEEDS)
+    )
+    shortest, longest = FLOOR_SIDES if floor else SIDES
+    errors = dict(zip(PARAMETERS, (signs * sizes).tolist()))
+    seed, side = int(generator.integers(2**31)), float(shortest + share * (longest - shortest))
+    drawn = replace(drive, **errors, seed=seed, side=side)
+    if not floor:
+        drawn = replace(drawn, speed=float(speed), turn_speed=float(turn_speed))
+    return drawn, float(base)
+
+
+def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record:
+    """Calibrate a random robot and return its row of the table.
+
+    Without noise it drives one square in each direction, as all others would be the same; again
+    with the correction, and on the floor once without errors. With noise it drives all squares.
+    """
+    drawn, base = draw_robot(drive, floor, index)
+
+    def benchmark(
+        settings: BenchmarkSettings, correction: systematic.SystematicErrors
+    ) -> Benchmark:
+        numbers = range(len(DIRECTIONS) * settings.runs)
+        ideal_base = None if floor else base
+        drives = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
+        return Benchmark.of_drives(drives, settings.side)
+
+    right = NO_ERRORS
+    quiet = replace(drawn, std=0.0, runs=1)
+    if floor:
+        perfect = replace(quiet, diameter_error=0.0, base_error=0.0)
+        right = benchmark(perfect, NO_ERRORS).estimate.errors
+    before = benchmark(quiet, NO_ERRORS)
+    after = benchmark(quiet, before.estimate.errors)
+    noisy = benchmark(drawn, NO_ERRORS).estimate.relative_to(right)
+    found_quiet = before.estimate.relative_to(right).errors
+    record: Dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
+    for name, closed in zip(PARAMETERS, (before.figures["e_d"], before.figures["e_b"])):
+        injected = getattr(quiet, name)
+        found = getattr(found_quiet, name)
+        low, high = (noisy.intervals or {}).get(name, (None, None))
+        record.update(
+            {
+                name: injected,
+                f"{name}_closed_form": closed - 1.0,
+                f"{name}_found": found,
+                f"{name}_recovered": abs(found - injected) <= max(SHARE * abs(injected), LEAST),
+                f"{name}_with_noise": getattr(noisy.errors, name),
+                f"{name}_low": low,
+                f"{name}_high": high,
+                f"{name}_held": low is not None and low <= injected <= high,
+            }
+        )
+    record["e_max_syst_m"] = before.figures["e_max_syst_m"]
+    record["e_max_syst_after_m"] = after.figures["e_max_syst_m"]
+    return record
+
+
+def run_campaign(
+    folder: Path, drive: BenchmarkSettings, campaign: RandomRobotSettings, run: Run, tell: Tell
+) -> Mapping[str, Any]:
+    """Calibrate random robots; write campaign.csv, campaign.png and summary.json; return that.
+
+    Raises:
+        LabError: a robot cannot be driven, or the folder cannot be written to.
+    """
+    task = functools.partial(calibrate_robot, drive, campaign.floor)
+    records = run_tasks(task, campaign.robots, run, tell, "calibrating", "robot", " robots")
+    summary = {"job": "umbmark", **asdict(drive), **asdict(campaign), **campaign_summary(records)}
+    table, figure = rows_of(records), campaign_figure(records)
+    return write_results(folder, summary, {"campaign.csv": table}, {"campaign.png": figure}, {})
+
+
+def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
+    """Return the totals of a campaign."""
+    ends = [(record["e_max_syst_m"], record["e_max_syst_after_m"]) for record in records]
+    falls = [before / after for before, after in ends if after > 0.0]
+    summary: Dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
+    for name in PARAMETERS:
+        misses = [abs(r[f"{name}_found"] - r[name]) for r in records]
+        closed = [abs(r[f"{name}_closed_form"] - r[name]) / abs(r[name]) for r in records]
+        summary[name] = {
+            "recovered": sum(r[f"{name}_recovered"] for r in records),
+            "largest_miss": max(misses),
+            "largest_relative_miss": max(m / abs(r[name]) for m, r in zip(misses, records)),
+            "largest_relative_miss_of_closed_form": max(closed),
+            "held_by_interval": sum(r[f"{name}_held"] for r in records),
+        }
+    return summary
+
+
+def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
+    """Return the totals of a campaign as lines for the user."""
+    lines: List[str] = []
+    for name in PARAMETERS:
+        own = summary[name]
+        lines += [
+            f"{name} without noise: {own['recovered']} of {records} recovered within "
+            f"{100.0 * SHARE:g} % of it or {LEAST:g}; the farthest off by "
+            f"{own['largest_miss']:.1e}, {100.0 * own['largest_relative_miss']:.2g} % "
+            f"(closed forms: {100.0 * own['largest_relative_miss_of_closed_form']:.0f} %)",
+            f"{name} with noise: {own['held_by_interval']} of {records} within their 95 % interval",
+        ]
+    fall = summary["least_fall"]
+    falls = "to nothing" if fall is None else f"{fall:.0f} times or more"
+    return [*lines, f"the largest systematic return error falls {falls} with the correction"]
+
+
+def campaign_figure(records: Sequence[Record]) -> Figure:
+    """Draw estimated minus injected errors, by the closed forms and by the fit."""
+    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6))
+    for axes, name in zip(every, PARAMETERS):
+        injected = np.array([record[name] for record in records])
+
+        # None becomes NaN, which is not drawn.
+        closed, found, noisy, low, high = (
+            np.array([record[f"{name}_{kind}"] for record in records], float) - injected
+            for kind in ("closed_form", "found", "with_noise", "low", "high")
+        )
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.plot(injected, closed, "x", color=VERMILION, label="closed forms")
+        reach = np.abs(np.stack((noisy - low, high - noisy)))
+        style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
+        axes.errorbar(injected, noisy, reach, label="fit, with noise: 95 % intervals", **style)
+        axes.plot(injected, found, "o", color=GREEN, markersize=4, label="fit, no noise")
+        axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
+        axes.set_yscale("symlog", linthresh=1e-4)
+        axes.grid(alpha=0.3)
+    legend_below(figure, labelled(axes), bottom=0.06, frameon=None, fontsize=9)
+    return figure
 
 
 def _run(
     folder: Path,
-    drive: DriveSettings,
+    drive: BenchmarkSettings,
     files: FileSettings,
-    campaign: CampaignSettings,
+    campaign: RandomRobotSettings,
     work: WorkerSettings,
     tell: Tell,
 ) -> List[str]:
-    make_folder(folder)
     if not files.path:
-        # An error or a warning appears once here, instead of in each worker.
-        drive.plan.check()
+        # Errors and warnings appear once here, instead of in each worker.
+        FloorRobot(drive.robot, drive.controller, NO_ERRORS, NO_ERRORS).close()
     run = workers(work.workers)
     if campaign.robots:
         found = run_campaign(folder, drive, campaign, run, tell)
@@ -252,7 +421,7 @@ def _run(
 
 
 def _drive(
-    settings: DriveSettings,
+    settings: BenchmarkSettings,
     correction: systematic.SystematicErrors,
     laps: int,
     run: Run,
@@ -274,7 +443,7 @@ def _effective(errors: systematic.SystematicErrors) -> str:
     )
 
 
-SETTINGS = (DriveSettings, FileSettings, CampaignSettings, WorkerSettings)
+SETTINGS = (BenchmarkSettings, FileSettings, RandomRobotSettings, WorkerSettings)
 main = functools.partial(run_from, "umbmark", __doc__, SETTINGS, _run)
 
 

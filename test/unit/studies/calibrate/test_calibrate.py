@@ -11,7 +11,7 @@ from bullet_lab.core.trajectory import CSV_HEADER
 from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.studies.calibrate import study
-from bullet_lab.studies.calibrate.drive import (
+from bullet_lab.studies.calibrate.recordings import (
     DriveSettings,
     calibration_drive,
     coverage,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.trajectory import Trajectory, TrajectoryError
-from bullet_lab.studies.calibrate.recordings import Topics, find_recordings, read_pair
+from bullet_lab.studies.calibrate.recordings import find_recordings, read_pair
 from bullet_lab.studies.paths import tum_text
 
-TOPICS = Topics("/truth", "/odom")
+TOPICS = ("/truth", "/odom")
 
 
 def line(scale):
@@ -93,9 +93,9 @@ def test_a_bag_has_both_on_two_topics(tmp_path):
                 message.header.stamp = stamp
                 bag.write(topic, message, stamp)
     assert_truth_first(find_recordings([tmp_path], TOPICS))
-    assert_truth_first(find_recordings([tmp_path / "run.bag"], Topics("tracked", "odom")))
+    assert_truth_first(find_recordings([tmp_path / "run.bag"], ("tracked", "odom")))
     with pytest.raises(TrajectoryError, match="nothing on the topic /nix; odometry is on /odom"):
-        find_recordings([tmp_path], Topics("/truth", "/nix"))
+        find_recordings([tmp_path], ("/truth", "/nix"))
 
 
 def test_where_there_is_nothing_that_is_said(tmp_path):

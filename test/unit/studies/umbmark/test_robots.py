@@ -1,4 +1,4 @@
-"""Robots on the floor believe of their wheels what they are told to, and nothing else."""
+"""Robots on the floor assume the wheels that errors and correction give them."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
-from bullet_lab.studies.umbmark.robots import FloorPlan, RobotError
+from bullet_lab.studies.umbmark.robots import FloorRobot, RobotError
 
 PACKAGE = Path(__file__).resolve().parents[4]
 TUTORIALS = PACKAGE / "test" / "tutorials"
@@ -22,8 +22,8 @@ WRONG = SystematicErrors(diameter_error=0.01, base_error=-0.02)
 def built():
     robots = []
 
-    def build(plan, *errors):
-        robots.append(plan.build(*errors))
+    def build(*arguments):
+        robots.append(FloorRobot(*arguments))
         return robots[-1]
 
     yield build
@@ -44,23 +44,23 @@ def roll(robot):
     return measured() - before
 
 
-def test_wheels_of_a_plugin_are_made_larger_and_the_base_is_told_wrong(built):
-    robot = built(FloorPlan(CAMERA), WRONG, NONE)
-    assert robot.believed.base == pytest.approx(0.38 / 0.98)
-    # It believes in what was drawn: both wheels are told the same speed, and the robot turns.
-    assert (robot.believed.left, robot.believed.right) == (0.28, 0.28)
+def test_wheels_of_a_plugin_become_larger_and_its_base_is_wrong(built):
+    robot = built(CAMERA, "", WRONG, NONE)
+    assert robot.assumed.base == pytest.approx(0.38 / 0.98)
+    # It assumes the drawn wheels: both get the same speed, and the robot turns.
+    assert (robot.assumed.left, robot.assumed.right) == (0.28, 0.28)
     left, right, turned = roll(robot)
     assert left == pytest.approx(right, rel=1e-3)
     expected = 0.14 * (right * WRONG.diameters[1] - left * WRONG.diameters[0]) / 0.38
     assert turned == pytest.approx(expected, rel=0.02)
 
 
-def test_the_correction_is_what_the_plugin_believes_in(built):
-    robot = built(FloorPlan(CAMERA), WRONG, WRONG)
+def test_the_plugin_assumes_the_corrected_wheels(built):
+    robot = built(CAMERA, "", WRONG, WRONG)
     left, right = WRONG.diameters
-    assert robot.believed.base == pytest.approx(0.38)
-    assert robot.believed.left == pytest.approx(0.28 * left)
-    assert robot.believed.right == pytest.approx(0.28 * right)
+    assert robot.assumed.base == pytest.approx(0.38)
+    assert robot.assumed.left == pytest.approx(0.28 * left)
+    assert robot.assumed.right == pytest.approx(0.28 * right)
     assert roll(robot)[2] == pytest.approx(0.0, abs=1e-4)
 
 
@@ -70,7 +70,7 @@ def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
         text = text.replace(f'xyz="0 {y} -0.06"', f'xyz="0.03 {y} -0.06"')
     moved = tmp_path / "moved.urdf"
     moved.write_text(text)
-    robot = built(FloorPlan(str(moved)), NONE, NONE)
+    robot = built(str(moved), "", NONE, NONE)
     x, y, _ = robot.pose()
     assert (x, y) == pytest.approx((0.03, 0.0), abs=2e-3)
     robot.drive(0.0, 1.0, 1.5)
@@ -79,26 +79,35 @@ def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
     assert robot.pose()[:2] == pytest.approx((x, y), abs=2e-3)
 
 
-def test_a_controller_is_told_by_its_multipliers(built):
-    plan = FloorPlan(CART, CONTROL)
+def test_a_controller_gets_its_errors_as_multipliers(built):
     left, right = WRONG.diameters
-    robot = built(plan, WRONG, NONE)
-    assert robot.believed.left == pytest.approx(0.16 / left)
-    assert robot.believed.right == pytest.approx(0.16 / right)
-    assert robot.believed.base == pytest.approx(0.4 / 0.98)
-    assert built(plan, WRONG, WRONG).believed.base == pytest.approx(0.4)
+    robot = built(CART, CONTROL, WRONG, NONE)
+    assert robot.assumed.left == pytest.approx(0.16 / left)
+    assert robot.assumed.right == pytest.approx(0.16 / right)
+    assert robot.assumed.base == pytest.approx(0.4 / 0.98)
+    assert built(CART, CONTROL, WRONG, WRONG).assumed.base == pytest.approx(0.4)
     robot.drive(0.2, 0.0, 0.2)
     assert robot.odometry[-1][0] > 0.02
 
 
 @pytest.mark.parametrize(
-    ("plan", "said"),
+    ("robot", "controller", "said"),
     [
-        (FloorPlan(CART), "there is no plugin libgazebo_ros_diff_drive.so"),
-        (FloorPlan(CAMERA, CONTROL), "there is no plugin libgazebo_ros_control.so"),
-        (FloorPlan(CART, CART), "cannot read|there is no controller"),
+        (CART, "", "there is no plugin libgazebo_ros_diff_drive.so"),
+        (CAMERA, CONTROL, "there is no plugin libgazebo_ros_control.so"),
+        (CART, CART, "cannot read|there is no controller"),
     ],
 )
-def test_robots_without_wheels_to_calibrate_are_refused(plan, said):
+def test_robots_without_wheels_to_calibrate_are_refused(robot, controller, said):
     with pytest.raises(RobotError, match=said):
-        plan.build(NONE, NONE)
+        FloorRobot(robot, controller, NONE, NONE)
+
+
+def test_the_log_says_once_why_a_plugin_does_not_work(tmp_path, caplog):
+    text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
+    robot = tmp_path / "robot.urdf"
+    robot.write_text(text.replace("<leftJoint>", "<leftJoint>no_", 1))
+    with pytest.raises(RobotError, match="does not work; see the warnings"):
+        FloorRobot(str(robot), "", NONE, NONE)
+    (record,) = caplog.records
+    assert "no movable joint 'no_" in record.message

@@ -7,7 +7,7 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
-from bullet_lab.drive.square import Square
+from bullet_lab.drive import Square
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.paths import tum_text

@@ -7,23 +7,24 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from bullet_lab.ros import verify
 from bullet_lab.ros.launcher.jobs import find_jobs
-from bullet_lab.ros.verify import study
-from bullet_lab.ros.verify.fingerprints import Fingerprint, FingerprintError
-from bullet_lab.ros.verify.study import (
+from bullet_lab.ros.verify import (
     LEFT_OUT,
     NAME,
     REFERENCES,
     TOLERANCES,
+    FileRow,
+    Fingerprint,
     References,
-    ReferencesError,
-    Row,
+    Runs,
+    VerifyError,
     compared,
     table,
     this_machine,
 )
 
-PACKAGE = Path(__file__).resolve().parents[4]
+PACKAGE = Path(__file__).resolve().parents[3]
 JOBS = find_jobs(PACKAGE)
 
 
@@ -79,7 +80,7 @@ def test_any_other_file_is_the_numbers_in_it(tmp_path):
 
 
 def test_invalid_json_is_refused(tmp_path):
-    with pytest.raises(FingerprintError, match=r"cannot read .*a\.json"):
+    with pytest.raises(VerifyError, match=r"cannot read .*a\.json"):
         of(tmp_path, "a.json", "{")
 
 
@@ -100,13 +101,16 @@ def test_a_result_is_compared(first, second, reference, tolerance, row, monkeypa
     def results(of_one):
         return {"x.csv": Fingerprint(of_one[0], {"x": of_one[1]})} if of_one else {}
 
-    monkeypatch.setattr(study, "TOLERANCES", {"j": tolerance})
+    monkeypatch.setattr(verify, "TOLERANCES", {"j": tolerance})
     found = list(compared("j", *map(results, (first, second, reference))))
     assert [(r.twice, r.reference, r.difference, r.good) for r in found] == [row]
 
 
 def test_the_table_shows_what_is_wrong():
-    rows = [Row("squares", "odom.tum", False, "differs", 0.5, "x mean"), Row("dock", "a", True)]
+    rows = [
+        FileRow("squares", "odom.tum", False, "differs", 0.5, "x mean"),
+        FileRow("dock", "a", True),
+    ]
     assert list(table(rows)) == [
         "job      file      twice    reference  largest difference",
         "squares  odom.tum  DIFFERS  DIFFERS    5.0e-01 of x mean",
@@ -116,12 +120,12 @@ def test_the_table_shows_what_is_wrong():
 
 def test_references_are_read_as_written(tmp_path):
     known = References(this_machine(), {"squares": {"a.csv": Fingerprint("ab", {"x": 1.0})}})
-    known.write(tmp_path / "a.json")
+    References(this_machine(), {}).renew(tmp_path / "a.json", known.files)
     assert References.read(tmp_path / "a.json") == known
     assert known.elsewhere() == []
     assert len(References({"python": "2"}, {}).elsewhere()) == len(this_machine())
     (tmp_path / "a.json").write_text("[]")
-    with pytest.raises(ReferencesError, match=r"cannot use .*a\.json"):
+    with pytest.raises(VerifyError, match=r"cannot use .*a\.json"):
         References.read(tmp_path / "a.json")
 
 
@@ -129,3 +133,12 @@ def test_each_exception_and_reference_has_a_job():
     others = set(JOBS) - {NAME}
     assert set(References.read(PACKAGE / REFERENCES).files) <= others
     assert {*TOLERANCES, *LEFT_OUT} <= others
+
+
+def test_a_job_that_fails_leaves_its_status_and_its_last_line(tmp_path):
+    unknown = JOBS["squares"]._replace(name="nix")
+    failure = Runs([(unknown, tmp_path / "nix" / "first")], "this").run(0)
+    status, _, last_line = failure.partition(": ")
+    assert status == "status 2"
+    assert "nix" in last_line
+    assert (tmp_path / "nix" / "first.log").read_text().strip().endswith(last_line)

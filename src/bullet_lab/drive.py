@@ -1,0 +1,348 @@
+"""Driving: in squares, open loop by the clock or closed loop by odometry, and to a goal.
+
+The code is independent of ROS and of the simulation: its user sends the commands, those of a
+square at its `rate`.
+
+The way to a goal is the P-controller of the course, for robots that steer. The speed is
+proportional to the remaining distance and the turn rate to the remaining angle, both within limits,
+as in the course's drive_to_goal. A robot with two wheels cannot move sideways: if the goal is
+beside or behind it, it turns on the spot first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generator, Iterator, Optional, Tuple
+
+from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.errors import LabError
+
+Command = Tuple[float, float]
+STANDSTILL: Command = (0.0, 0.0)
+
+OPEN_LOOP, CLOSED_LOOP = "open_loop", "closed_loop"
+MODES = (OPEN_LOOP, CLOSED_LOOP)
+OPEN_LOOP_RATE = 10.0
+CLOSED_LOOP_RATE = 20.0
+
+# Near the target the speed falls with the remaining distance, down to the slowest speed. This is
+# slow enough to stop within the tolerance at the rate of the odometry, and overcomes friction.
+SLOWING_GAIN = 2.0
+SLOWEST_DRIVE = 0.02
+SLOWEST_TURN = 0.1
+DRIVE_TOLERANCE = 0.001
+# Allowed undershoot and overshoot of a turn. Together they are larger than the slowest turn between
+# two odometry messages without friction, 0.29°, so that the robot cannot oscillate for ever.
+TURN_TOLERANCE = math.radians(0.1)
+TURN_EXCESS = math.radians(0.2)
+
+# The drive ends at this share of the tolerance, and resumes beyond the whole of it. So a turn on
+# the spot, or the next noisy pose, does not make the robot drive back and forth.
+ARRIVAL = 0.5
+# Angles (rad) to the goal at which a turn on the spot begins and ends.
+TURN_BEYOND = math.radians(60.0)
+TURN_UNTIL = math.radians(6.0)
+# Smaller tolerances are not reached at 20 Hz with the slowest speeds that overcome friction.
+LEAST_TOLERANCE = 0.01
+
+
+class DriverError(LabError):
+    """A square, a goal or a limit is invalid."""
+
+
+@dataclass(frozen=True)
+class Square:
+    """A square, a part of one, or several in a row.
+
+    Attributes:
+        sides: number of sides; a full square has 4.
+        side: length of one, m.
+        speed: on the sides, m/s.
+        turn_speed: at the corners, rad/s; negative turns clockwise.
+        turn_commands: number of commands at 10 Hz of an open-loop turn.
+
+    Raises:
+        DriverError: there are no sides, or a length or a speed is invalid.
+
+    Example:
+        >>> Square(side=1.0).side_commands
+        50
+    """
+
+    sides: int = 4
+    side: float = 2.0
+    speed: float = 0.2
+    turn_speed: float = -0.5236
+    turn_commands: int = 34
+
+    def __post_init__(self):
+        finite = all(map(math.isfinite, (self.side, self.speed, self.turn_speed)))
+        drives = self.side > 0.0 and self.speed > 0.0 and self.turn_speed != 0.0
+        if self.sides < 1 or not (finite and drives):
+            raise DriverError(f"{self}: needs sides >= 1, side > 0, speed > 0, turn_speed not 0")
+
+    @property
+    def side_commands(self) -> int:
+        """Number of commands at 10 Hz of an open-loop side, without friction; at least one."""
+        return max(1, round(OPEN_LOOP_RATE * self.side / self.speed))
+
+
+def open_loop_side(square: Square) -> Iterator[Command]:
+    """Yield the commands (m/s, rad/s) of one side and one turn, at 10 Hz, as in listing 9."""
+    for _ in range(square.side_commands):
+        yield square.speed, 0.0
+    for _ in range(square.turn_commands):
+        yield 0.0, square.turn_speed
+
+
+def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
+    """Return the speed for the remaining distance or angle.
+
+    Args:
+        left: the remaining distance or angle, in m or rad, > 0.
+        fastest: the speed far from the target, in units of `left` per second.
+        slowest: the speed close to it, unless `fastest` is slower still.
+        gain: speed for each remaining unit, in between, 1/s.
+
+    Example:
+        >>> approach(1.0, 0.2, 0.02), approach(0.05, 0.2, 0.02), approach(0.001, 0.2, 0.02)
+        (0.2, 0.1, 0.02)
+    """
+    return min(fastest, max(slowest, gain * left))
+
+
+_Commands = Generator[Command, Optional[PlanarPose], None]
+
+
+class SquareDriver:
+    """Computes the commands at `rate` Hz, until the square is driven.
+
+    Args:
+        square: the one to drive.
+        mode: one of `MODES`.
+
+    Attributes:
+        rate: commands per second.
+        needs_pose: whether `command` needs the pose of the robot.
+        sides_done: number of sides that have been driven, with the turn after each.
+        distance: m driven so far on all sides.
+
+    Raises:
+        DriverError: an unknown mode.
+
+    Example:
+        >>> driver = SquareDriver(Square(sides=1, side=0.04, turn_commands=1))
+        >>> driver.command(), driver.command(), driver.command(), driver.command()
+        ((0.2, 0.0), (0.2, 0.0), (0.0, -0.5236), None)
+    """
+
+    def __init__(self, square: Square, mode: str = OPEN_LOOP):
+        if mode not in MODES:
+            raise DriverError(f"mode '{mode}' is not one of {', '.join(MODES)}")
+        self._square = square
+        self.needs_pose = mode == CLOSED_LOOP
+        self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
+        self.sides_done = 0
+        self.distance = 0.0
+        self._commands: Optional[_Commands] = None
+
+    def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
+        """Return the next command (m/s, rad/s), or None at the end.
+
+        Args:
+            pose: of the robot (m, m, rad); not used in open loop.
+        """
+        try:
+            if self._commands is None:
+                self._commands = self._by_odometry(pose) if self.needs_pose else self._by_clock()
+                return next(self._commands)
+            return self._commands.send(pose)
+        except StopIteration:
+            return None
+
+    def _by_clock(self) -> _Commands:
+        for _ in range(self._square.sides):
+            for number, command in enumerate(open_loop_side(self._square), 1):
+                yield command
+                self._note(number * self._square.side / self._square.side_commands)
+            self.sides_done += 1
+
+    def _by_odometry(self, pose: PlanarPose) -> _Commands:
+        square, heading = self._square, pose[2]
+        for _ in range(square.sides):
+            x, y, _yaw = pose
+            progress, turning, done = 0.0, False, False
+            # From the heading before, so that errors of the turns do not accumulate.
+            goal = heading + math.copysign(0.5 * math.pi, square.turn_speed)
+            while not done:
+                left = square.side - progress
+                turning = turning or left <= DRIVE_TOLERANCE
+                if turning:
+                    done, command = self._turn(wrap(goal - pose[2]))
+                else:
+                    command = approach(left, square.speed, SLOWEST_DRIVE), 0.0
+                pose = yield command
+                dx, dy = pose[0] - x, pose[1] - y
+                progress = dx * math.cos(heading) + dy * math.sin(heading)
+                self._note(progress)
+            heading = goal
+            self.sides_done += 1
+
+    def _turn(self, left: float) -> Tuple[bool, Command]:
+        """Return whether a turn is done with an angle (rad) left to go, and the command for it."""
+        turn_speed = self._square.turn_speed
+        if -TURN_EXCESS <= math.copysign(left, left * turn_speed) <= TURN_TOLERANCE:
+            return True, STANDSTILL
+        speed = approach(abs(left), abs(turn_speed), SLOWEST_TURN)
+        return False, (0.0, math.copysign(speed, left))
+
+    def _note(self, progress: float) -> None:
+        """Update the distance by the progress (m) along the present side."""
+        driven = self.sides_done * self._square.side + min(progress, self._square.side)
+        self.distance = max(self.distance, driven)
+
+
+class DrivePhase(Enum):
+    """A phase of the drive to a goal."""
+
+    DRIVING = "driving"
+    TURNING = "turning to the goal's heading"
+    ARRIVED = "arrived"
+
+
+@dataclass(frozen=True)
+class GoalLimits:
+    """Speeds and tolerances of a drive to a goal; the defaults are the course's.
+
+    Attributes:
+        speed: m/s.
+        turn_speed: rad/s.
+        acceleration: m/s², for speeding up and for braking.
+        turn_acceleration: rad/s².
+        gain: m/s for each remaining metre.
+        turn_gain: rad/s for each remaining radian.
+        tolerance: m from the goal within which the robot may stop.
+        yaw_tolerance: rad from its heading.
+        heading: whether to turn to the goal's heading at the end.
+    """
+
+    speed: float = 0.2
+    turn_speed: float = 0.8
+    acceleration: float = 0.4
+    turn_acceleration: float = 2.0
+    gain: float = 1.0
+    turn_gain: float = 2.0
+    tolerance: float = 0.05
+    yaw_tolerance: float = 0.03
+    heading: bool = True
+
+    def __post_init__(self):
+        numbers = [value for value in vars(self).values() if not isinstance(value, bool)]
+        if not all(math.isfinite(value) and value > 0.0 for value in numbers):
+            raise DriverError(f"limits {numbers}; all must be finite and > 0")
+        least = min(self.tolerance, self.yaw_tolerance)
+        if least < LEAST_TOLERANCE:
+            raise DriverError(f"tolerance {least:g}; at least {LEAST_TOLERANCE:g} is needed")
+
+
+class GoalDriver:
+    """Computes the velocity towards one goal, tick by tick.
+
+    Args:
+        goal: pose (m, m, rad) in the frame of the odometry.
+        limits: for the drive.
+        command: the last command, if the robot is already moving.
+
+    Attributes:
+        phase: the present one.
+        moving: the last command (m/s, rad/s).
+
+    Raises:
+        DriverError: the goal is not finite.
+
+    Example:
+        >>> driver = GoalDriver((1.0, 0.0, 0.0))
+        >>> driver.command((0.0, 0.0, 0.0), seconds=0.5)
+        (0.2, 0.0)
+        >>> driver.distance((0.0, 0.0, 0.0))
+        1.0
+    """
+
+    def __init__(
+        self, goal: PlanarPose, limits: GoalLimits = GoalLimits(), command: Command = STANDSTILL
+    ):
+        if not all(map(math.isfinite, goal)):
+            raise DriverError(f"the goal {goal} is not finite")
+        self.goal = goal
+        self.phase = DrivePhase.DRIVING
+        self._limits = limits
+        self.moving = command
+        self._on_the_spot = False
+
+    def distance(self, pose: PlanarPose) -> float:
+        """Return the distance (m) of a pose from the goal."""
+        return math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
+
+    def turn_left(self, pose: PlanarPose) -> float:
+        """Return the remaining turn (rad, in [-pi, pi)) from a pose to the goal's heading."""
+        return wrap(self.goal[2] - pose[2])
+
+    def command(self, pose: PlanarPose, seconds: float) -> Command:
+        """Return the velocity (m/s, rad/s) for the present pose; zeros once arrived.
+
+        Args:
+            pose: m, m, rad.
+            seconds: since the previous command, for the accelerations.
+        """
+        v_goal, w_goal = self._control(pose)
+        limits, (v, w) = self._limits, self.moving
+        v += _clip(v_goal - v, limits.acceleration * seconds)
+        w += _clip(w_goal - w, limits.turn_acceleration * seconds)
+        # On arrival the speed is so low that no braking is needed.
+        self.moving = STANDSTILL if self.phase is DrivePhase.ARRIVED else (v, w)
+        return self.moving
+
+    def stopped(self) -> None:
+        """Start from rest, as something else has stopped the robot."""
+        self.moving = STANDSTILL
+
+    def _control(self, pose: PlanarPose) -> Command:
+        """Return the velocity without limits of acceleration, and change the phase."""
+        limits, left = self._limits, self.distance(pose)
+        if self.phase is DrivePhase.DRIVING and left <= ARRIVAL * limits.tolerance:
+            self.phase = DrivePhase.TURNING if limits.heading else DrivePhase.ARRIVED
+        elif self.phase is not DrivePhase.DRIVING and left > limits.tolerance:
+            self.phase = DrivePhase.DRIVING
+        if self.phase is DrivePhase.DRIVING:
+            return self._drive(pose, left)
+        return self._turn(self.turn_left(pose)) if limits.heading else STANDSTILL
+
+    def _drive(self, pose: PlanarPose, left: float) -> Command:
+        limits = self._limits
+        off = wrap(math.atan2(self.goal[1] - pose[1], self.goal[0] - pose[0]) - pose[2])
+        if abs(off) > (TURN_UNTIL if self._on_the_spot else TURN_BEYOND):
+            self._on_the_spot = True
+            return 0.0, math.copysign(self._turn_speed(off), off)
+        self._on_the_spot = False
+        fastest = min(limits.speed, math.sqrt(2.0 * limits.acceleration * left))
+        speed = approach(left, fastest, SLOWEST_DRIVE, limits.gain)
+        return speed * math.cos(off), _clip(limits.turn_gain * off, limits.turn_speed)
+
+    def _turn(self, left: float) -> Command:
+        if abs(left) <= self._limits.yaw_tolerance:
+            self.phase = DrivePhase.ARRIVED
+            return STANDSTILL
+        self.phase = DrivePhase.TURNING
+        return 0.0, math.copysign(self._turn_speed(left), left)
+
+    def _turn_speed(self, left: float) -> float:
+        limits = self._limits
+        fastest = min(limits.turn_speed, math.sqrt(2.0 * limits.turn_acceleration * abs(left)))
+        return approach(abs(left), fastest, SLOWEST_TURN, limits.turn_gain)
+
+
+def _clip(value: float, limit: float) -> float:
+    """Return a value, at most `limit` away from 0."""
+    return max(-limit, min(limit, value))

@@ -1,1 +1,0 @@
-"""Controllers that drive robots in squares and to goals."""

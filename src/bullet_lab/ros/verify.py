@@ -1,0 +1,482 @@
+"""Runs every job twice at its smallest size and compares both results, also with references.
+
+Results are compared by fingerprints: each file as a hash and a few numbers, small enough for a
+repository.
+
+Example:
+    scripts/run.sh verify jobs:="squares dock"
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import functools
+import hashlib
+import json
+import math
+import os
+import platform
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
+
+import numpy as np
+from PIL import Image
+
+from bullet_lab.core.files import write_json
+from bullet_lab.core.parameters import boolean, choice, integer, name_list
+from bullet_lab.errors import LabError
+from bullet_lab.ros.launcher.jobs import Job, choose_job, find_jobs, read_assignments
+from bullet_lab.ros.launcher.output import tied
+from bullet_lab.simulation.world.resources import package_share
+from bullet_lab.studies.study import (
+    SUMMARY,
+    Settings,
+    Tell,
+    UnfinishedError,
+    run_from,
+    whole_results,
+    write_table,
+)
+from bullet_lab.studies.workers import Task, run_tasks
+
+NAME = "verify"
+TABLE = "verify.csv"
+REFERENCES = "data/verify.json"
+TOLERANCE = 1e-6
+"""Largest `Fingerprint.difference` from a reference that counts as WITHIN."""
+
+PICTURE_TOLERANCE = 1.0
+"""The same for pictures: grey levels, in mean and standard deviation of each channel."""
+
+TOLERANCES = {"published_noise": 0.0}
+"""Jobs with a tolerance that differs; 0: the bytes must be the same, except in pictures."""
+
+LEFT_OUT = {"save_world": ("path", "saving_s")}
+"""Jobs with JSON keys that are not compared, besides WALL_CLOCK_KEYS: a path, a wall time."""
+
+WALL_CLOCK_KEYS = ("wall_time_s", "real_time_factor")
+"""Keys of JSON files whose values depend on the speed of the run; they are left out."""
+
+MOST_COLUMNS = 100
+"""A table with more columns, such as a laser's, is summarized as one column."""
+
+LONGEST = 900.0
+"""Wall seconds after which a job is killed."""
+
+PROCESSORS: Dict[str, Dict[str, str]] = {
+    "this": {},
+    # An x86-64 of 2006: libraries that look at the processor believe that it has no more.
+    "plain": {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable,-FMA4_Usable",
+        "NPY_DISABLE_CPU_FEATURES": "SSE41 POPCNT SSE42 AVX F16C FMA3 AVX2 AVX512F AVX512CD"
+        " AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR",
+        "OPENBLAS_CORETYPE": "Prescott",
+        "OPENCV_CPU_DISABLE": "SSE4.1,SSE4.2,AVX,FP16,FMA3,AVX2,AVX512-SKX",
+        "OPENCV_IPP": "disabled",
+        "LP_NATIVE_VECTOR_WIDTH": "128",
+        "GALLIUM_OVERRIDE_CPU_CAPS": "sse3",
+    },
+}
+"""Environment variables that make libraries compute as they do on another processor."""
+
+SAME, WITHIN, DIFFERS, NONE = "same", "within", "differs", "none"
+_FEATURES = ("avx", "avx2", "avx512f", "fma")
+_LIBRARIES = (
+    *("matplotlib", "numpy", "opencv-python-headless", "panda3d", "Pillow", "pybullet"),
+    *("scipy", "trimesh"),
+)
+
+_DIGITS = 9
+_HASH_DIGITS = 16
+_TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
+_ROS_PACKAGES = ("ROS_PACKAGE_PATH", "ROS_ROOT", "ROS_ETC_DIR", "ROS_VERSION", "ROS_DISTRO")
+# Wall seconds; the launcher needs as long to stop its nodes.
+_STOP_TIMEOUT = 5.0
+
+
+class VerifyError(LabError):
+    """A result or the file of references cannot be read."""
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """A summary of a result file.
+
+    Attributes:
+        hash: hash of its bytes; for JSON, without the keys that are left out.
+        numbers: numbers by their names, to nine digits. For tables: row count, mean and standard
+            deviation of each column. For JSON: each number, and each list as a column. For
+            pictures: width, height, mean and standard deviation of each channel. For other
+            files: all their numbers as one column.
+    """
+
+    hash: str
+    numbers: Mapping[str, float]
+
+    @staticmethod
+    def of(path: Path, left_out: Sequence[str] = WALL_CLOCK_KEYS) -> Fingerprint:
+        """Read a file.
+
+        Raises:
+            VerifyError: the file cannot be read, or its content does not fit its suffix.
+        """
+        try:
+            content, columns = _content(path, left_out)
+        except (OSError, ValueError, csv.Error) as error:
+            raise VerifyError(f"cannot read {path}: {error}") from error
+        numbers = _summary(columns).items()
+        rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers}
+        return Fingerprint(hashlib.sha256(content).hexdigest()[:_HASH_DIGITS], rounded)
+
+    def difference(self, reference: Fingerprint) -> Tuple[float, str]:
+        """Return the largest difference from the numbers of a reference, and that number's name.
+
+        Differences are relative for numbers beyond 1, absolute below, and infinite for a number
+        that only one of the two has.
+
+        >>> a, b = Fingerprint("", {"x": 2.5, "y": 0.1}), Fingerprint("", {"x": 2.0, "y": 0.0})
+        >>> a.difference(b)
+        (0.25, 'x')
+        >>> a.difference(Fingerprint("", {"x": 2.5}))
+        (inf, 'y')
+        """
+        differences = [(0.0, "")]
+        for name in {*self.numbers, *reference.numbers}:
+            difference = math.inf
+            if name in self.numbers and name in reference.numbers:
+                theirs = reference.numbers[name]
+                difference = abs(self.numbers[name] - theirs) / max(1.0, abs(theirs))
+            differences.append((difference, name))
+        return max(differences)
+
+
+def _content(path: Path, left_out: Sequence[str]) -> Tuple[bytes, Dict[str, Iterable[Any]]]:
+    """Return the bytes of a file that are hashed, and its columns by their names."""
+    data = path.read_bytes()
+    if path.suffix == ".png":
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGB"), dtype=float).reshape(-1, 3)
+            size = {"width": [image.width], "height": [image.height]}
+        return data, {**size, **dict(zip(("red", "green", "blue"), pixels.T))}
+    text = data.decode(errors="replace")
+    if path.suffix == ".csv":
+        header, *rows = csv.reader(text.splitlines())
+        return data, dict(zip(header, zip(*rows)))
+    if path.suffix == ".tum":
+        return data, dict(zip(_TUM, zip(*map(str.split, text.splitlines()))))
+    if path.suffix not in (".json", ".jsonl"):
+        return data, {"numbers": _NUMBER.findall(text)}
+
+    def without(value: Dict[str, Any]) -> Dict[str, Any]:
+        return {key: entry for key, entry in value.items() if key not in left_out}
+
+    texts = text.splitlines() if path.suffix == ".jsonl" else [text]
+    values = [json.loads(entry, object_hook=without) for entry in texts]
+    columns: Dict[str, List[float]] = {}
+    for name, number in _leaves(values, ""):
+        columns.setdefault(name, []).append(number)
+    return json.dumps(values).encode(), columns
+
+
+def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _leaves(entry, f"{name}.{key}" if name else key)
+    elif isinstance(value, list):
+        for entry in value:
+            yield from _leaves(entry, name)
+    elif isinstance(value, (int, float)):
+        yield name, float(value)
+
+
+def _summary(columns: Mapping[str, Iterable[Any]]) -> Dict[str, float]:
+    """Summarize columns by their names; ignore entries that are not finite numbers."""
+    if len(columns) > MOST_COLUMNS:
+        columns = {"all columns": [entry for column in columns.values() for entry in column]}
+    numbers: Dict[str, float] = {}
+    for name, column in columns.items():
+        entries = [number for number in map(_number, column) if math.isfinite(number)]
+        if len(entries) == 1:
+            numbers[name] = entries[0]
+        elif entries:
+            numbers[f"{name} count"] = len(entries)
+            numbers[f"{name} mean"] = float(np.mean(entries))
+            numbers[f"{name} std"] = float(np.std(entries))
+    return numbers
+
+
+def _number(entry: Any) -> float:
+    try:
+        return float(entry)
+    except ValueError:
+        return math.nan
+
+
+Results = Mapping[str, Fingerprint]
+"""The results of one run of a job: fingerprints by the names of the files."""
+
+
+@dataclass(frozen=True)
+class VerifySettings(Settings):
+    """Parameters of the job."""
+
+    jobs: Tuple[str, ...] = name_list("jobs with spaces between them; empty: all of them")
+    processor: str = choice(
+        "this",
+        "computes as this processor does, or as a plain one without AVX and FMA would",
+        tuple(PROCESSORS),
+    )
+    renew: bool = boolean(False, "make what comes out the references, instead of comparing")
+    workers: int = integer(0, "jobs at a time; 0: one for each core", 0, 64)
+
+
+@dataclass(frozen=True)
+class References:
+    """Results from another machine or another day.
+
+    Attributes:
+        machine: processor and library versions there, as `this_machine` returns them.
+        files: results by the name of the job.
+    """
+
+    machine: Mapping[str, str]
+    files: Mapping[str, Results]
+
+    @staticmethod
+    def read(path: Path) -> References:
+        """Read a file of references; raise VerifyError."""
+        try:
+            kept = json.loads(path.read_text())
+            files = {
+                job: {name: Fingerprint(**entry) for name, entry in results.items()}
+                for job, results in kept["files"].items()
+            }
+            return References(kept["machine"], files)
+        except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+            raise VerifyError(f"cannot use {path}: {error}") from error
+
+    def elsewhere(self) -> List[str]:
+        """Return a line for each property in which this machine differs from the reference's."""
+        return [
+            f"{name}: {mine} (reference: {self.machine.get(name, 'unknown')})"
+            for name, mine in this_machine().items()
+            if self.machine.get(name) != mine
+        ]
+
+    def renew(self, path: Path, found: Mapping[str, Results]) -> None:
+        """Write results to a file of references; raise FileError.
+
+        Those of other jobs are kept if they are from a machine like this one.
+        """
+        machine = this_machine()
+        files = {**(self.files if machine == self.machine else {}), **found}
+        write_json(path, asdict(References(machine, dict(sorted(files.items())))))
+
+
+@dataclass(frozen=True)
+class FileRow:
+    """The comparison of one result file.
+
+    Attributes:
+        job: its job.
+        file: its name; for a job that failed, its status and the last line of its output.
+        twice: whether both runs wrote the same bytes.
+        reference: SAME bytes, WITHIN the tolerance, DIFFERS, or NONE: there is no reference.
+        difference: largest difference from the numbers of the reference, if there is one.
+        where: the name of the number with that difference.
+    """
+
+    job: str
+    file: str
+    twice: bool
+    reference: str = NONE
+    difference: Optional[float] = None
+    where: str = ""
+
+    @property
+    def good(self) -> bool:
+        """Whether the result repeats; a missing reference is no failure."""
+        return self.twice and self.reference != DIFFERS
+
+
+class Runs:
+    """Runs of jobs on threads, each in a process with its own ROS master.
+
+    Args:
+        jobs: a job of each run, and the folder for its results.
+        processor: one of `PROCESSORS`.
+    """
+
+    def __init__(self, jobs: Sequence[Tuple[Job, Path]], processor: str):
+        self._jobs = jobs
+        # `verify` itself is a node, whose master the jobs must not join.
+        kept = {n: v for n, v in os.environ.items() if n[:4] != "ROS_" or n in _ROS_PACKAGES}
+        self._environment = {**kept, **PROCESSORS[processor]}
+        self._processes: List[subprocess.Popen] = []
+
+    def on_threads(self, task: Task, numbers: Sequence[int], at_once: int) -> Iterator[Any]:
+        """Run a task for each number, as a `workers.Run`; stop the jobs if anything fails."""
+        with ThreadPoolExecutor(at_once) as pool:
+            try:
+                yield from zip(numbers, pool.map(task, numbers))
+            finally:
+                for process in self._processes:
+                    process.send_signal(signal.SIGINT)
+                for process in self._processes:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        process.wait(_STOP_TIMEOUT)
+                    process.kill()
+
+    def run(self, number: int) -> Union[Results, str]:
+        """Run a job; return its results, or its status and its last line if it failed."""
+        job, folder = self._jobs[number]
+        arguments = (*shlex.split(job.smallest), f"out:={folder}")
+        log = folder.with_suffix(".log")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                # It ends when this process ends.
+                tied(sys.executable, "-m", "bullet_lab.ros.launcher", job.name, *arguments),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+            )
+        self._processes.append(process)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(LONGEST)
+        process.kill()
+        if process.wait() != 0:
+            lines = log.read_text(errors="replace").split("\n")
+            last = next((line for line in reversed(lines) if line.strip()), "")
+            return f"status {process.returncode}: {last}"
+        shutil.rmtree(folder / "log", ignore_errors=True)
+        log.unlink()
+        keys = (*WALL_CLOCK_KEYS, *LEFT_OUT.get(job.name, ()))
+        paths = (path for path in folder.rglob("*") if path.is_file())
+        files = {str(path.relative_to(folder)): path for path in paths}
+        return {name: Fingerprint.of(path, keys) for name, path in sorted(files.items())}
+
+
+def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
+    package = package_share()
+    known = find_jobs(package)
+    jobs = [choose_job(known, name) for name in settings.jobs or known if name != NAME]
+    for job in jobs:
+        read_assignments(job, shlex.split(job.smallest))
+    references = References.read(package / REFERENCES)
+    with whole_results(out) as part:
+        todo = [(job, part / "runs" / job.name / w) for job in jobs for w in ("first", "second")]
+        runs = Runs(todo, settings.processor)
+        at_once = settings.workers or len(os.sched_getaffinity(0))
+        pool = functools.partial(runs.on_threads, at_once=at_once)
+        found = run_tasks(runs.run, len(todo), pool, tell, "verifying", "run", " runs")
+        rows: List[FileRow] = []
+        results: Dict[str, Results] = {}
+        for job, first, second in zip(jobs, found[::2], found[1::2]):
+            failures = [one for one in (first, second) if isinstance(one, str)]
+            if failures:
+                rows.append(FileRow(job.name, failures[0], False))
+                continue
+            results[job.name] = first
+            rows += compared(job.name, first, second, references.files.get(job.name, {}))
+        _write(part, settings.processor, rows, references)
+    for line in [*table(rows), *references.elsewhere()]:
+        print(line, flush=True)
+    if settings.renew:
+        references.renew(package / REFERENCES, results)
+        tell(f"new references written to {REFERENCES}")
+    bad = [row for row in rows if not row.good and not (settings.renew and row.twice)]
+    if bad:
+        raise UnfinishedError(
+            f"{len(bad)} of {len(rows)} results differ between two runs or from the reference"
+        )
+    tell(f"all {len(rows)} results repeat")
+
+
+def compared(job: str, first: Results, second: Results, references: Results) -> Iterator[FileRow]:
+    """Compare the results of two runs with each other, and those of the first with references."""
+    for name in sorted({*first, *second, *references}):
+        mine, theirs = first.get(name), references.get(name)
+        twice = mine is not None and mine == second.get(name)
+        if mine is None or theirs is None:
+            yield FileRow(job, name, twice, NONE if mine else DIFFERS)
+            continue
+        difference, where = mine.difference(theirs)
+        is_picture = name.endswith(".png")
+        tolerance = PICTURE_TOLERANCE if is_picture else TOLERANCES.get(job, TOLERANCE)
+        near = tolerance > 0.0 and mine.numbers and difference <= tolerance
+        reference = SAME if mine.hash == theirs.hash else WITHIN if near else DIFFERS
+        yield FileRow(job, name, twice, reference, difference, where)
+
+
+def table(rows: Sequence[FileRow]) -> Iterator[str]:
+    """Yield the lines of the table that is printed."""
+    cells = [("job", "file", "twice", "reference", "largest difference")]
+    for row in rows:
+        twice = "same" if row.twice else "DIFFERS"
+        reference = DIFFERS.upper() if row.reference == DIFFERS else row.reference
+        off = f"{row.difference:.1e} of {row.where}" if row.difference else ""
+        cells.append((row.job, row.file, twice, reference, off))
+    widths = [max(map(len, column)) for column in zip(*cells)]
+    for line in cells:
+        yield "  ".join(map(str.ljust, line, widths)).rstrip()
+
+
+def _write(part: Path, processor: str, rows: Sequence[FileRow], known: References) -> None:
+    entries = [asdict(row) for row in rows]
+    write_table(part / TABLE, [FileRow.__annotations__, *(entry.values() for entry in entries)])
+    for entry in entries:
+        # JSON has no infinity.
+        if entry["difference"] == math.inf:
+            entry["difference"] = None
+    summary = {
+        "job": NAME,
+        "processor": processor,
+        "as_promised": all(row.good for row in rows),
+        "results": len(rows),
+        "differ_between_two_runs": sum(not row.twice for row in rows),
+        "reference": dict(Counter(row.reference for row in rows)),
+        "machine": this_machine(),
+        "machine_of_references": known.machine,
+        "rows": entries,
+    }
+    write_json(part / SUMMARY, summary)
+
+
+def this_machine() -> Dict[str, str]:
+    """Return the properties of this machine that results may depend on, by their names."""
+    found = {"architecture": platform.machine()}
+    with contextlib.suppress(OSError):
+        text = Path("/proc/cpuinfo").read_text()
+        model, flags = (
+            re.search(rf"^{name}\s*: (.*)", text, re.MULTILINE) for name in ("model name", "flags")
+        )
+        flags = flags[1].split() if flags else ()
+        found["processor"] = model[1] if model else "unknown"
+        found["features"] = " ".join(one for one in _FEATURES if one in flags) or "none"
+    found.update(libc=" ".join(platform.libc_ver()), python=platform.python_version())
+    for name in _LIBRARIES:
+        found[name] = "not installed"
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+main = functools.partial(run_from, NAME, __doc__, (VerifySettings,), _run)
+
+
+if __name__ == "__main__":
+    main()

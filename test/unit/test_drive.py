@@ -1,0 +1,336 @@
+"""Squares are driven by the clock and by odometry, and goals are reached."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.se2 import wrap
+from bullet_lab.drive import (
+    CLOSED_LOOP,
+    STANDSTILL,
+    DrivePhase,
+    DriverError,
+    GoalDriver,
+    GoalLimits,
+    Square,
+    SquareDriver,
+    approach,
+    open_loop_side,
+)
+from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS, SupportPatch
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.simulation import Simulation
+
+BLOCK = SupportPatch(1.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)
+ICE = SupportPatch(0.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)
+PERIOD = 0.05
+
+
+def integrate(pose, command, patch):
+    """Return the pose one odometry period later."""
+    x, y, yaw = pose
+    speed, _, turn = patch.slow_down(command[0], 0.0, command[1], BLOCK.mass * 9.8, 1e-3)
+    return (
+        x + PERIOD * speed * math.cos(yaw),
+        y + PERIOD * speed * math.sin(yaw),
+        wrap(yaw + PERIOD * turn),
+    )
+
+
+def drive(square, patch, start=(0.0, 0.0, 0.0)):
+    """Drive a square in closed loop; return the poses at its corners and all commands."""
+    driver, pose, corners, commands = SquareDriver(square, CLOSED_LOOP), start, [start], []
+    while True:
+        command = driver.command(pose)
+        if driver.sides_done == len(corners):
+            corners.append(pose)
+        if command is None:
+            return corners, commands
+        commands.append(command)
+        assert len(commands) < 20_000
+        pose = integrate(pose, command, patch)
+
+
+def test_an_open_loop_side_is_that_of_listing_9():
+    commands = list(open_loop_side(Square()))
+    assert commands == [(0.2, 0.0)] * 100 + [(0.0, -0.5236)] * 34
+
+
+def test_the_length_and_speed_set_the_number_of_commands():
+    assert Square(side=1.0).side_commands == 50
+    assert Square(speed=0.4).side_commands == 50
+    assert Square(side=0.01, speed=1.0).side_commands == 1
+    other = Square(side=0.1, turn_speed=0.3, turn_commands=2)
+    assert list(open_loop_side(other)) == [(0.2, 0.0)] * 5 + [(0.0, 0.3)] * 2
+
+
+@pytest.mark.parametrize("patch", [BLOCK, ICE])
+@pytest.mark.parametrize("turn_speed", [-0.5236, 0.5236])
+@pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (3.0, -1.0, 3.0), (0.0, 0.0, -1.57)])
+def test_a_closed_loop_ends_within_its_tolerances(patch, turn_speed, start):
+    corners, commands = drive(Square(turn_speed=turn_speed), patch, start)
+    for before, after in zip(corners, corners[1:]):
+        assert math.dist(before[:2], after[:2]) == pytest.approx(2.0, abs=0.003)
+        quarter = math.copysign(0.5 * math.pi, turn_speed)
+        assert abs(wrap(after[2] - before[2] - quarter)) < math.radians(0.3)
+    assert math.dist(corners[0][:2], corners[-1][:2]) < 0.02
+    # Each side ends at rest.
+    assert commands[-1] == (0.0, 0.0)
+    assert all(0.0 <= ahead <= 0.2 for ahead, _ in commands)
+    assert all(abs(turn) <= 0.5236 for _, turn in commands)
+
+
+def test_a_turn_ends_wherever_it_starts_even_without_friction():
+    # A slow turn crosses the target in steps; it must not go to and fro for ever.
+    for offset in range(50):
+        drive(Square(sides=1, side=0.1), ICE, (0.0, 0.0, 0.0001 * offset))
+
+
+def test_errors_of_the_turns_do_not_add_up():
+    corners, _ = drive(Square(sides=40, side=0.1), BLOCK)
+    for number, corner in enumerate(corners):
+        assert abs(wrap(corner[2] + number * 0.5 * math.pi)) < math.radians(0.21)
+
+
+def test_a_turn_that_went_far_too_far_is_turned_back():
+    driver = SquareDriver(Square(sides=1), CLOSED_LOOP)
+    driver.command((0.0, 0.0, 0.0))
+    ahead, turn = driver.command((2.0, 0.0, -0.5 * math.pi - 0.1))
+    assert driver.sides_done == 0
+    assert ahead == 0.0
+    assert turn > 0.0
+
+
+def test_progress_is_along_the_side():
+    driver = SquareDriver(Square(), CLOSED_LOOP)
+    driver.command((1.0, 1.0, 0.5 * math.pi))
+    driver.command((1.3, 2.5, 0.0))
+    assert driver.distance == pytest.approx(1.5)
+
+
+def test_approach():
+    assert approach(1.0, 0.2, 0.02) == 0.2
+    assert approach(0.05, 0.2, 0.02) == pytest.approx(0.1)
+    assert approach(0.001, 0.2, 0.02) == 0.02
+    assert approach(0.001, 0.01, 0.02) == 0.01
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"sides": 0},
+        {"side": 0.0},
+        {"side": math.nan},
+        {"side": math.inf},
+        {"speed": -0.2},
+        {"speed": math.inf},
+        {"turn_speed": 0.0},
+        {"turn_speed": math.nan},
+    ],
+)
+def test_squares_that_cannot_be_driven(values):
+    with pytest.raises(DriverError):
+        Square(**values)
+
+
+SHORT = Square(sides=2, side=0.2, turn_commands=3)
+
+
+def test_open_loop_sends_the_commands_of_all_sides():
+    driver = SquareDriver(SHORT)
+    commands = list(iter(driver.command, None))
+    assert commands == 2 * list(open_loop_side(SHORT))
+    assert (driver.rate, driver.needs_pose, driver.sides_done) == (10.0, False, 2)
+    assert driver.command() is None
+
+
+def test_sides_are_counted_after_their_turn():
+    driver = SquareDriver(SHORT)
+    done = []
+    while driver.command() is not None:
+        done.append(driver.sides_done)
+    # Ten commands of a side and three of its turn.
+    assert done == [0] * 13 + [1] * 13
+
+
+def test_the_distance_is_that_of_the_sides():
+    driver = SquareDriver(Square(sides=2, side=0.06, turn_commands=2))
+    distances = []
+    while driver.command() is not None:
+        distances.append(driver.distance)
+    side = [0.0, 0.02, 0.04, 0.06, 0.06]
+    assert distances == pytest.approx(side + [0.06 + distance for distance in side])
+    assert driver.distance == pytest.approx(0.12)
+
+
+def test_closed_loop_drives_a_square_by_the_poses():
+    """A robot that follows commands exactly, at 20 Hz."""
+    driver = SquareDriver(Square(sides=4, side=0.5), "closed_loop")
+    x, y, yaw = 3.0, -1.0, math.radians(20.0)
+    corners = [(x, y)]
+    for _ in range(3000):
+        command = driver.command((x, y, yaw))
+        if command is None:
+            break
+        ahead, turn = command
+        x, y = x + ahead * math.cos(yaw) / driver.rate, y + ahead * math.sin(yaw) / driver.rate
+        yaw += turn / driver.rate
+        if len(corners) == driver.sides_done:
+            corners.append((x, y))
+    assert command is None
+    assert driver.sides_done == 4
+    assert driver.distance == pytest.approx(2.0, abs=0.01)
+    assert math.dist((x, y), corners[0]) < 0.01
+    assert math.remainder(yaw - math.radians(20.0), math.tau) == pytest.approx(0.0, abs=0.01)
+
+
+def test_an_unknown_mode_is_refused():
+    with pytest.raises(DriverError, match="mode 'by_feel' is not one of open_loop, closed_loop"):
+        SquareDriver(SHORT, "by_feel")
+
+
+LIMITS = GoalLimits()
+
+
+def integrate_freely(pose, command):
+    """Return the pose of a frictionless robot one period later."""
+    x, y, yaw = pose
+    v, w = command
+    return (
+        x + PERIOD * v * math.cos(yaw + 0.5 * PERIOD * w),
+        y + PERIOD * v * math.sin(yaw + 0.5 * PERIOD * w),
+        wrap(yaw + PERIOD * w),
+    )
+
+
+def drive_to(goal, start=(0.0, 0.0, 0.0), limits=LIMITS, blur=lambda pose: pose):
+    """Drive to a goal; return the last pose and all commands."""
+    driver, pose, commands = GoalDriver(goal, limits), start, []
+    while driver.phase is not DrivePhase.ARRIVED:
+        commands.append(driver.command(blur(pose), PERIOD))
+        assert len(commands) < 20_000, f"never arrives at {goal}"
+        pose = integrate_freely(pose, commands[-1])
+    return pose, commands
+
+
+def goals():
+    for direction in range(0, 360, 45):
+        angle = math.radians(direction)
+        for distance in (0.06, 0.3, 2.0):
+            for yaw in (-2.0, 0.0, 3.1):
+                yield distance * math.cos(angle), distance * math.sin(angle), yaw
+
+
+@pytest.mark.parametrize("goal", list(goals()))
+def test_arrives_within_the_tolerances_whatever_the_goal(goal):
+    pose, _ = drive_to(goal, start=(0.0, 0.0, 0.4))
+    assert math.dist(pose[:2], goal[:2]) <= LIMITS.tolerance
+    assert abs(wrap(pose[2] - goal[2])) <= LIMITS.yaw_tolerance
+
+
+@pytest.mark.parametrize("tolerance", [0.01, 0.05, 0.3])
+def test_arrives_within_other_tolerances(tolerance):
+    limits = replace(LIMITS, tolerance=tolerance, yaw_tolerance=tolerance)
+    pose, _ = drive_to((1.0, -0.7, 1.0), limits=limits)
+    assert math.dist(pose[:2], (1.0, -0.7)) <= tolerance
+    assert abs(wrap(pose[2] - 1.0)) <= tolerance
+
+
+def test_keeps_within_the_limits_of_speed_and_acceleration():
+    for goal in ((2.0, 0.5, 1.0), (-1.0, -0.2, -3.0)):
+        _, commands = drive_to(goal)
+        assert max(v for v, _ in commands) == pytest.approx(0.2, abs=1e-3)
+        assert min(v for v, _ in commands) >= -1e-9
+        assert max(abs(w) for _, w in commands) <= LIMITS.turn_speed
+        before = STANDSTILL
+        for v, w in commands[:-1]:
+            assert abs(v - before[0]) <= LIMITS.acceleration * PERIOD + 1e-9
+            assert abs(w - before[1]) <= LIMITS.turn_acceleration * PERIOD + 1e-9
+            before = (v, w)
+        assert commands[-1] == STANDSTILL
+        # The last command but one is a crawl.
+        assert abs(before[0]) < 0.05
+        assert abs(before[1]) < 0.15
+
+
+def test_the_heading_is_left_alone_where_nobody_wants_it():
+    pose, _ = drive_to((1.0, 0.0, 3.0), limits=replace(LIMITS, heading=False))
+    assert abs(pose[2]) < 0.1
+    assert math.dist(pose[:2], (1.0, 0.0)) <= LIMITS.tolerance
+
+
+def test_noisy_poses_do_not_keep_it_from_arriving():
+    flip = [0.004]
+
+    def blur(pose):
+        flip[0] = -flip[0]
+        return (pose[0] + flip[0], pose[1] - flip[0], pose[2] + 2.0 * flip[0])
+
+    pose, _ = drive_to((1.0, 1.0, 0.0), blur=blur)
+    assert math.dist(pose[:2], (1.0, 1.0)) <= LIMITS.tolerance + 0.006
+
+
+def test_drives_on_where_a_turn_has_moved_it_off_the_goal():
+    driver = GoalDriver((1.0, 0.0, 1.5))
+    assert driver.command((0.98, 0.0, 0.0), PERIOD)[1] > 0.0
+    assert driver.phase is DrivePhase.TURNING
+    driver.command((0.96, 0.0, 0.3), PERIOD)
+    assert driver.phase is DrivePhase.TURNING
+    driver.command((0.90, 0.0, 0.3), PERIOD)
+    assert driver.phase is DrivePhase.DRIVING
+
+
+def test_another_goal_on_the_way_starts_from_the_present_speed():
+    driver = GoalDriver((-5.0, 0.0, 0.0), command=(0.2, 0.0))
+    v, w = driver.command((0.0, 0.0, 0.0), PERIOD)
+    assert v == pytest.approx(0.2 - LIMITS.acceleration * PERIOD)
+    driver.stopped()
+    assert driver.command((0.0, 0.0, 0.0), PERIOD)[0] == 0.0
+
+
+def test_what_is_left():
+    driver = GoalDriver((3.0, 4.0, 3.0))
+    assert driver.distance((0.0, 0.0, 0.0)) == 5.0
+    assert driver.turn_left((0.0, 0.0, -3.0)) == pytest.approx(6.0 - math.tau)
+
+
+@pytest.mark.parametrize("goal", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0, 0, math.nan)])
+def test_goals_that_are_none(goal):
+    with pytest.raises(DriverError, match="not finite"):
+        GoalDriver(goal)
+
+
+@pytest.mark.parametrize(
+    "change", [{"speed": 0.0}, {"acceleration": -1.0}, {"gain": math.nan}, {"tolerance": 0.005}]
+)
+def test_limits_that_are_none(change):
+    with pytest.raises(DriverError):
+        replace(LIMITS, **change)
+
+
+@pytest.mark.parametrize("robot", ["block_robot", "camera_robot"])
+@pytest.mark.parametrize("goal", [(0.6, 0.4, -1.0), (-0.3, 0.0, 0.0)])
+def test_both_robots_of_the_course_stop_at_the_goal(robot, goal):
+    with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
+        instance = simulation.spawn(f"package://bullet_lab/urdf/{robot}.urdf")
+        simulation.run_for(0.2)
+        driver = GoalDriver(goal)
+        for _ in range(1000):
+            pose = planar(instance.pose())
+            v, w = driver.command(pose, PERIOD)
+            instance.command("cmd_vel", PlanarCommand(vx=v, wz=w))
+            if driver.phase is DrivePhase.ARRIVED:
+                break
+            simulation.run_for(PERIOD)
+        assert driver.phase is DrivePhase.ARRIVED
+        simulation.run_for(0.5)
+        x, y, yaw = planar(instance.pose())
+    assert math.dist((x, y), goal[:2]) <= LIMITS.tolerance
+    # Coasting wheels turn on by a little.
+    assert abs(wrap(yaw - goal[2])) <= LIMITS.yaw_tolerance + 0.03
+
+
+def planar(pose: Pose):
+    return (*pose.position[:2], pose.yaw)
