@@ -7,7 +7,6 @@ compressed_image_transport. An image is compressed only while somebody listens.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -19,14 +18,14 @@ from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Empty, EmptyResponse
 
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
+from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
 from bullet_lab.ros.gazebo.services import offer
 from bullet_lab.ros.messages.conversions import compressed_message
 from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.node import MASTER_ERRORS
 from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
+from bullet_lab.simulation.plugins.controllers.controller import Setting
 from bullet_lab.simulation.plugins.motion_sensors import Imu
 from bullet_lab.simulation.plugins.samples import ImageSample
 
@@ -87,7 +86,6 @@ class SensorServices:
         topics = self._topics[instance.name] = []
         services = self._services[instance.name] = []
         for plugin in instance.plugins:
-            offers: List[Callable[[], Any]] = []
             if type(plugin) in (Camera, DepthCamera):
                 images = CompressedImages(self._world, plugin)
                 topics.append(images.topic)
@@ -95,8 +93,9 @@ class SensorServices:
             elif type(plugin) is Imu:
                 name = rospy.resolve_name(plugin.service)
                 offers = [partial(rospy.Service, name, Empty, lambda _: EmptyResponse())]
-            if offers:
-                self._registrar.submit(_start, offers, services, plugin.mount.plugin.name)
+            else:
+                continue
+            self._registrar.submit(_start, offers, services, plugin.mount.plugin.name)
 
     def _end(self, model: str) -> None:
         for topic in self._topics.pop(model):
@@ -111,8 +110,11 @@ class SensorServices:
             partial(Reconfigurable, topic, COMPRESSION, images.set),
         ]
         if camera.name:
+            default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
+            what = "pictures per simulated second"
+            rate = Setting("imager_rate", default, what, LEAST_RATE, GREATEST_RATE)
             space, change = name.rsplit("/", 1)[0], partial(self._set_rate, camera)
-            offers.append(partial(Reconfigurable, space, [_rate_setting(camera)], change))
+            offers.append(partial(Reconfigurable, space, [rate], change))
         return offers
 
     def _calibrate(self, camera: Camera, request: Any) -> None:
@@ -121,9 +123,8 @@ class SensorServices:
         self._world.do(lambda: setattr(camera, "calibration", calibration))
 
     def _set_rate(self, camera: Camera, values: Values) -> Values:
-        rate = values["imager_rate"]
-        with contextlib.suppress(StepperError):
-            self._world.do(lambda: camera.set_rate(rate, self._world.simulation.step))
+        rate, simulation = values["imager_rate"], self._world.simulation
+        self._world.do(lambda: camera.set_rate(rate, simulation.step))
         return values
 
 
@@ -137,13 +138,6 @@ def check_calibration(calibration: Dict[str, Any]) -> None:
         raise InputError(f"D has {count} coefficients; at most {MOST_COEFFICIENTS} are allowed")
     if len(calibration["distortion_model"]) > LONGEST_NAME:
         raise InputError(f"distortion_model has more than {LONGEST_NAME} characters")
-
-
-def _rate_setting(camera: Camera) -> Setting:
-    default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
-    return Setting(
-        "imager_rate", default, "pictures per simulated second", LEAST_RATE, GREATEST_RATE
-    )
 
 
 def _start(offers: List[Callable[[], Any]], services: List[Any], sensor: str) -> None:

@@ -12,7 +12,6 @@ import contextlib
 import logging
 import threading
 import time
-from dataclasses import astuple
 from functools import partial
 from typing import Any, Callable, Collection, Dict, List, Optional
 
@@ -22,7 +21,7 @@ import rospy
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.gazebo.reconfigure import Reconfigurable, Setting, Values
+from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
@@ -78,7 +77,7 @@ class _Manager:
         self._ended.set()
         manager = self._plugin.manager
         if manager is not None:
-            self._world.topics.disconnect_devices(tuple(manager.controllers.values()))
+            self._world.topics.disconnect(tuple(manager.controllers.values()))
         threading.Thread(target=self._shut_down, daemon=True).start()
 
     def _shut_down(self) -> None:
@@ -169,21 +168,20 @@ class _Manager:
             refused[request.name] = f"{request.name} ({parameters.text('type') or 'no type'})"
         controller = self._world.do(lambda: self._add(request.name, parameters))
         refused.pop(request.name, None)
-        settings = [Setting(*astuple(one)) for one in controller.adjustables]
-        if settings:
+        if controller.adjustables:
             change = partial(self._adjust, controller)
-            self._adjustable[request.name] = Reconfigurable(where, settings, change)
+            adjustable = Reconfigurable(where, controller.adjustables, change)
+            self._adjustable[request.name] = adjustable
 
     def _adjust(self, controller: Controller, values: Values) -> Values:
-        with contextlib.suppress(StepperError):
-            self._world.do(lambda: controller.adjust(values, self._world.simulation.step))
+        self._world.do(lambda: controller.adjust(values, self._world.simulation.step))
         return values
 
     def _add(self, name: str, parameters: ControlParameters) -> Controller:
         manager = self._manager()
         controller = manager.load(name, parameters)
         try:
-            self._world.topics.connect_devices((controller,), f"controller '{name}'")
+            self._world.topics.connect((controller,), f"controller '{name}'")
         except LabError:
             manager.unload(name)
             raise
@@ -198,7 +196,7 @@ class _Manager:
             self._adjustable.pop(name).shutdown()
 
     def _remove(self, name: str) -> None:
-        self._world.topics.disconnect_devices((self._manager().unload(name),))
+        self._world.topics.disconnect((self._manager().unload(name),))
 
     def _switch(self, request: Any) -> None:
         strict = request.strictness == control_srv.SwitchControllerRequest.STRICT

@@ -70,7 +70,7 @@ def test_only_what_stands_on_a_rectangle_has_one():
 
 def test_all_that_makes_something_of_shapes_knows_each():
     pytest.importorskip("rospy")
-    from bullet_lab.ros.messages.world import MARKERS
+    from bullet_lab.ros.messages.conversions import MARKERS
 
     assert set(MARKERS) == set(SHAPES.values())
     # A mesh is made by its corners.

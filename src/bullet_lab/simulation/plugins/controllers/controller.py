@@ -57,14 +57,18 @@ class ControllerSetup:
 
 
 @dataclass(frozen=True)
-class Adjustable:
-    """A setting that can change while its controller runs; limits are for numbers only."""
+class Setting:
+    """A setting that can change while its owner runs.
+
+    It has the type of its default; a number has limits, and a text choices.
+    """
 
     name: str
-    value: Any
+    default: Any
     description: str
-    least: Any = ""
-    greatest: Any = ""
+    min: Any = ""
+    max: Any = ""
+    choices: Tuple[str, ...] = ()
 
 
 class Controller(ABC):
@@ -96,7 +100,7 @@ class Controller(ABC):
         self.joints: Tuple[JointHandle, ...] = ()
         self.inputs: Tuple[Input, ...] = ()
         self.outputs: Tuple[Output, ...] = ()
-        self.adjustables: Tuple[Adjustable, ...] = ()
+        self.adjustables: Tuple[Setting, ...] = ()
 
     @property
     def running(self) -> bool:

@@ -11,9 +11,9 @@ from typing import Any, Deque, Dict, Mapping, Optional, Tuple
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins.controllers.controller import (
-    Adjustable,
     Controller,
     ControllerSetup,
+    Setting,
 )
 from bullet_lab.simulation.plugins.controllers.description import (
     VELOCITY,
@@ -128,11 +128,11 @@ class DiffDriveController(Controller):
         self._sends_transforms = given.boolean("enable_odom_tf", True)
         self.adjustables = (
             *(
-                Adjustable(name, value, name, *MULTIPLIERS)
+                Setting(name, value, name, *MULTIPLIERS)
                 for name, value in self._multipliers.items()
             ),
-            Adjustable("publish_rate", rate, "Hz of the odometry", *RATES),
-            Adjustable("enable_odom_tf", self._sends_transforms, "odometry on /tf"),
+            Setting("publish_rate", rate, "Hz of the odometry", *RATES),
+            Setting("enable_odom_tf", self._sends_transforms, "odometry on /tf"),
         )
         alone = not given.boolean("allow_multiple_cmd_vel_publishers", True)
         self.inputs = (Input(setup.topic("cmd_vel"), PlanarCommand, self.command, alone),)
