@@ -24,7 +24,7 @@ from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
-from bullet_lab.simulation.plugins.controllers.controller import Controller, known_controllers
+from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller
 from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.simulation import ModelInstance
@@ -165,7 +165,7 @@ class _Manager:
         parameters = ControlParameters(_parameters(where), where)
         refused = self._plugin.refused
         if request.name not in self._manager().controllers:
-            refused[request.name] = f"{request.name} ({parameters.text('type') or 'no type'})"
+            refused[request.name] = f"{request.name} ({parameters.get('type', '') or 'no type'})"
         controller = self._world.do(lambda: self._add(request.name, parameters))
         refused.pop(request.name, None)
         if controller.adjustables:
@@ -221,7 +221,7 @@ class _Manager:
         return control_srv.ListControllersResponse(controller=loaded)
 
     def _list_types(self, _request: Any) -> Any:
-        known = known_controllers()
+        known = sorted(CONTROLLERS)
         return control_srv.ListControllerTypesResponse(known, [BASE_CLASS] * len(known))
 
     def _manager(self) -> Any:
@@ -234,8 +234,8 @@ def _state(controller: Controller) -> Any:
     resources = control_msg.HardwareInterfaceResources(
         INTERFACE_SPACE + controller.interface, sorted(joint.name for joint in controller.joints)
     )
-    setup = controller.setup
-    return control_msg.ControllerState(setup.name, controller.state, setup.kind, [resources])
+    names = (controller.name, controller.state, controller.kind)
+    return control_msg.ControllerState(*names, [resources])
 
 
 def _parameters(namespace: str) -> Any:

@@ -1,4 +1,4 @@
-"""A robot's joints as ros_control's simulated hardware: read, commanded and limited."""
+"""A robot's joints as ros_control's simulated hardware: read, commanded and limited; and PIDs."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
     POSITION,
     VELOCITY,
+    ControlError,
     ControlParameters,
     DescribedJoint,
     JointLimits,
     RobotDescription,
     SoftLimits,
 )
-from bullet_lab.simulation.plugins.controllers.pid import Pid, PidGains
 from bullet_lab.simulation.plugins.wheel_drives import Wheel
 
 LOG = logging.getLogger(__name__)
@@ -28,6 +28,71 @@ LOG = logging.getLogger(__name__)
 STRONGEST = 1e6
 # Share of its distance that a position-controlled joint moves in one step: all, as in Gazebo.
 AT_ONCE = 1.0
+
+
+@dataclass(frozen=True)
+class PidGains:
+    """Gains, and the limits of the integral's contribution.
+
+    With `antiwindup` the integral itself is kept within them, else only its contribution.
+    """
+
+    p: float
+    i: float = 0.0
+    d: float = 0.0
+    i_min: float = 0.0
+    i_max: float = 0.0
+    antiwindup: bool = False
+
+    @classmethod
+    def of(cls, parameters: ControlParameters) -> PidGains:
+        """Read p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup.
+
+        Raises:
+            ControlError: there is no p.
+        """
+        p = parameters.get("p")
+        if p is None:
+            raise ControlError(f"{parameters.where}/p is missing")
+        clamp = parameters.get("i_clamp", 0.0)
+        return cls(
+            p,
+            parameters.get("i", 0.0),
+            parameters.get("d", 0.0),
+            -abs(parameters.get("i_clamp_min", clamp)),
+            abs(parameters.get("i_clamp_max", clamp)),
+            parameters.get("antiwindup", False),
+        )
+
+
+class Pid:
+    """A PID loop with the gains, clamps and anti-windup of control_toolbox."""
+
+    def __init__(self, gains: PidGains):
+        self.gains = gains
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the errors so far."""
+        self._integral = 0.0
+        # As in control_toolbox, the loop starts at error 0, so its first step has a derivative.
+        self._last = 0.0
+
+    def command(self, error: float, seconds: float) -> float:
+        """Return the command for an error, `seconds` after the last one; 0 if it is not finite."""
+        if seconds <= 0.0 or not math.isfinite(error):
+            return 0.0
+        slope = (error - self._last) / seconds
+        self._last = error
+        gains = self.gains
+        self._integral += seconds * error
+        if gains.antiwindup and gains.i:
+            low, high = sorted((gains.i_min / gains.i, gains.i_max / gains.i))
+            self._integral = _between(self._integral, low, high)
+        contribution = gains.i * self._integral
+        if not gains.antiwindup:
+            contribution = _between(contribution, gains.i_min, gains.i_max)
+        return gains.p * error + contribution + gains.d * slope
 
 
 @dataclass(eq=False)
@@ -210,7 +275,7 @@ def joint_handles(
         limits = described.limits.changed_by(parameters.below(f"joint_limits/{name}"))
         gains = parameters.below(f"gazebo_ros_control/pid_gains/{name}")
         pid = None
-        if interface != EFFORT and gains.optional_number("p") is not None:
+        if interface != EFFORT and gains.get("p") is not None:
             pid = Pid(PidGains.of(gains))
         handles[name] = KINDS[interface](owners[name], described, limits, pid)
     return handles

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.pid import Pid, PidGains
+from bullet_lab.simulation.plugins.controllers.hardware import Pid, PidGains
 
 
 def gains(**told):
