@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, FrozenSet, List, Mapping, Set, Tuple
 
@@ -52,6 +53,8 @@ class RunningWorld:
         stepper: advances it.
         topics: of its devices.
         simulation: for the stepper's thread only.
+        registrar: registers services in a thread of its own, in turn: the simulation does not
+            wait for the master.
         changed: called in that thread after a model was added, removed or moved by a service or
             a reset, with its name; with an empty name after a reset of all models.
     """
@@ -59,6 +62,7 @@ class RunningWorld:
     def __init__(self, stepper: Stepper, topics: DeviceTopics):
         self.stepper, self.topics = stepper, topics
         self.simulation: Simulation = stepper.simulation
+        self.registrar = ThreadPoolExecutor(1)
         self.changed: List[Callable[[str], None]] = []
 
     @property

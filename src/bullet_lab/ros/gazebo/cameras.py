@@ -8,7 +8,6 @@ compressed_image_transport. An image is compressed only while somebody listens.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Callable, Dict, List
 
@@ -58,12 +57,12 @@ class CompressedImages:
         camera.image.connect(self._publish, self._publisher.has_connections)
 
     def set(self, values: Values) -> Values:
-        """Set the compression; return the resulting settings. An unknown format is ignored."""
-        settings = {setting.name: values[setting.name] for setting in COMPRESSION}
-        if settings["format"] not in COMPRESSION[0].choices:
-            settings["format"] = self._settings["format"]
-        self._settings = settings
-        return settings
+        """Set the compression, and return the settings; raises InputError."""
+        choices = COMPRESSION[0].choices
+        if values["format"] not in choices:
+            raise InputError(f"format is '{values['format']}'; known are {', '.join(choices)}")
+        self._settings = values
+        return values
 
     def _publish(self, sample: ImageSample) -> None:
         if self._publisher.has_connections():
@@ -78,8 +77,6 @@ class SensorServices:
         # By model.
         self._topics: Dict[str, List[str]] = {}
         self._services: Dict[str, List[Any]] = {}
-        # Registers services in a thread of its own: the simulation does not wait for the master.
-        self._registrar = ThreadPoolExecutor(1)
         world.follow(self._begin, self._end)
 
     def _begin(self, instance: ModelInstance) -> None:
@@ -95,12 +92,12 @@ class SensorServices:
                 offers = [partial(rospy.Service, name, Empty, lambda _: EmptyResponse())]
             else:
                 continue
-            self._registrar.submit(_start, offers, services, plugin.mount.plugin.name)
+            self._world.registrar.submit(_start, offers, services, plugin.mount.plugin.name)
 
     def _end(self, model: str) -> None:
         for topic in self._topics.pop(model):
             self._world.topics.release(topic)
-        self._registrar.submit(_shut_down, self._services.pop(model))
+        self._world.registrar.submit(_shut_down, self._services.pop(model))
 
     def _camera_services(self, camera: Camera, images: CompressedImages) -> List[Callable[[], Any]]:
         name = rospy.resolve_name(camera.topic("set_camera_info"))

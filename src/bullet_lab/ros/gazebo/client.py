@@ -36,7 +36,8 @@ def call(service: str, kind: type, *arguments: Any) -> Any:
         answer = rospy.ServiceProxy(service, kind)(*arguments)
     except rospy.ServiceException as error:
         raise NodeError(f"{service}: {error}") from error
-    if not answer.success:
+    # std_srvs/Empty has no such field.
+    if not getattr(answer, "success", True):
         raise NodeError(f"{service}: {answer.status_message}")
     return answer
 

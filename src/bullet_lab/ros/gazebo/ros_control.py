@@ -11,9 +11,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-import time
 from functools import partial
-from typing import Any, Callable, Collection, Dict, List, Optional
+from typing import Any, Callable, Dict, List, Optional
 
 import rosgraph
 import rospy
@@ -33,10 +32,9 @@ LOG = logging.getLogger(__name__)
 
 BASE_CLASS = "controller_interface::ControllerBase"
 INTERFACE_SPACE = "hardware_interface::"
-# Wall seconds between two retries.
+# Wall seconds between two searches for the robot's description.
 RETRY_SECONDS = 0.1
-# Wall seconds until a warning that the robot's description is missing, and until a service that
-# exists already is an error.
+# Wall seconds until a warning that the robot's description is missing.
 PATIENCE = 3.0
 
 
@@ -60,11 +58,12 @@ class ControllerManagers:
 class _Manager:
     """Offers the services of one robot once its description is on the parameter server.
 
-    All calls of the master are made in threads of their own: the simulation does not wait.
+    All calls of the master are made in other threads: the simulation does not wait.
     """
 
     def __init__(self, world: RunningWorld, plugin: RosControl):
         self._world, self._plugin = world, plugin
+        self._where = f"controller_manager in {plugin.namespace}"
         self._ended = threading.Event()
         self._services: List[rospy.Service] = []
         self._adjustable: Dict[str, Reconfigurable] = {}
@@ -78,27 +77,24 @@ class _Manager:
         manager = self._plugin.manager
         if manager is not None:
             self._world.topics.disconnect(tuple(manager.controllers.values()))
-        threading.Thread(target=self._shut_down, daemon=True).start()
+        self._world.registrar.submit(self._shut_down)
 
     def _shut_down(self) -> None:
         with self._lock:
             for service in (*self._services, *self._adjustable.values()):
                 service.shutdown()
-            self._services.clear()
-            self._adjustable.clear()
 
     def _begin(self) -> None:
-        where = f"controller_manager in {self._plugin.namespace}"
         try:
             urdf = self._wait_for_description()
             if urdf is not None:
                 parameters = _parameters(self._plugin.namespace)
                 self._world.do(lambda: self._plugin.configure(urdf, parameters))
-                self._offer_services()
+                self._world.registrar.submit(self._offer_services)
         except StepperError:
             return
-        except (LabError, rospy.ServiceException, *MASTER_ERRORS) as error:
-            LOG.error("%s: %s; it is left out", where, error)
+        except (LabError, *MASTER_ERRORS) as error:
+            LOG.error("%s: %s; it is left out", self._where, error)
 
     def _wait_for_description(self) -> Optional[str]:
         """Return the robot's URDF once the parameter is set; None if the robot was removed."""
@@ -115,32 +111,24 @@ class _Manager:
         return None
 
     def _offer_services(self) -> None:
-        for name, kind, answer in (
-            ("list_controllers", control_srv.ListControllers, self._list),
-            ("list_controller_types", control_srv.ListControllerTypes, self._list_types),
-            ("load_controller", control_srv.LoadController, self._ok(self._load)),
-            ("unload_controller", control_srv.UnloadController, self._ok(self._unload)),
-            ("switch_controller", control_srv.SwitchController, self._ok(self._switch)),
-            (
-                "reload_controller_libraries",
+        """Offer the services, unless the robot was removed in the meantime."""
+        answers = {
+            "list_controllers": (control_srv.ListControllers, self._list),
+            "list_controller_types": (control_srv.ListControllerTypes, self._list_types),
+            "load_controller": (control_srv.LoadController, self._ok(self._load)),
+            "unload_controller": (control_srv.UnloadController, self._ok(self._unload)),
+            "switch_controller": (control_srv.SwitchController, self._ok(self._switch)),
+            "reload_controller_libraries": (
                 control_srv.ReloadControllerLibraries,
                 self._ok(self._reload),
             ),
-        ):
-            self._offer(f"{self._plugin.namespace}controller_manager/{name}", kind, answer)
-
-    def _offer(self, name: str, kind: Any, answer: Callable[[Any], Any]) -> None:
-        """Offer a service; retry while a removed robot still has it. Raises ServiceException."""
-        end = time.monotonic() + PATIENCE
-        while not self._ended.is_set():
-            try:
-                with self._lock:
-                    self._services.append(rospy.Service(name, kind, answer))
-                return
-            except rospy.ServiceException:
-                if time.monotonic() > end:
-                    raise
-                self._ended.wait(RETRY_SECONDS)
+        }
+        space = f"{self._plugin.namespace}controller_manager"
+        try:
+            for name, answer in () if self._ended.is_set() else answers.items():
+                self._services.append(rospy.Service(f"{space}/{name}", *answer))
+        except (rospy.ServiceException, *MASTER_ERRORS) as error:
+            LOG.error("%s: %s; it is left out", self._where, error)
 
     def _ok(self, act: Callable[[Any], None]) -> Callable[[Any], bool]:
         """Return a service that returns whether an action succeeded, and logs its error."""
@@ -189,14 +177,15 @@ class _Manager:
 
     def _unload(self, request: Any) -> None:
         self._world.do(lambda: self._remove(request.name))
-        self._shut_down_settings([request.name])
+        self._shut_down_settings()
 
-    def _shut_down_settings(self, names: Collection[str]) -> None:
-        for name in self._adjustable.keys() & names:
+    def _remove(self, *names: str) -> None:
+        self._world.topics.disconnect(tuple(map(self._manager().unload, names)))
+
+    def _shut_down_settings(self) -> None:
+        """Shut down the settings of controllers that were removed."""
+        for name in self._adjustable.keys() - self._manager().controllers.keys():
             self._adjustable.pop(name).shutdown()
-
-    def _remove(self, name: str) -> None:
-        self._world.topics.disconnect((self._manager().unload(name),))
 
     def _switch(self, request: Any) -> None:
         strict = request.strictness == control_srv.SwitchControllerRequest.STRICT
@@ -204,17 +193,18 @@ class _Manager:
         self._world.do(lambda: self._manager().switch(*wanted))
 
     def _reload(self, request: Any) -> None:
-        self._world.do(lambda: self._remove_all(request.force_kill))
-        self._shut_down_settings(tuple(self._adjustable))
+        def remove_all() -> None:
+            manager = self._manager()
+            names = tuple(manager.controllers)
+            if names and not request.force_kill:
+                raise ControlError(
+                    f"{len(names)} controllers are loaded, and force_kill is not set"
+                )
+            manager.switch((), names, strict=False)
+            self._remove(*names)
 
-    def _remove_all(self, by_force: bool) -> None:
-        manager = self._manager()
-        names = tuple(manager.controllers)
-        if names and not by_force:
-            raise ControlError(f"{len(names)} controllers are loaded, and force_kill is not set")
-        manager.switch((), names, strict=False)
-        for name in names:
-            self._remove(name)
+        self._world.do(remove_all)
+        self._shut_down_settings()
 
     def _list(self, _request: Any) -> Any:
         loaded = self._world.do(lambda: [_state(c) for c in self._manager().controllers.values()])

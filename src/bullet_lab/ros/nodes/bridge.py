@@ -25,14 +25,17 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import xmlrpc.client
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Sequence
+from xml.etree.ElementTree import Element
 
 import rosgraph
+import rospkg
 import rospy
 import rospy.rostime
 from rosgraph_msgs.msg import Clock
@@ -58,7 +61,6 @@ from bullet_lab.ros.bridge.running_world import (
 from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, TimeGate
 from bullet_lab.ros.bridge.topics import DeviceTopics, Route
-from bullet_lab.ros.gazebo.exports import add_exported_paths
 from bullet_lab.ros.gazebo.interface import Warnings, offer_all
 from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,
@@ -76,8 +78,9 @@ from bullet_lab.ros.node.node import (
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Model
-from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.resources import ResourceFinder, listed_folders
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
+from bullet_lab.simulation.world.xml import parse_text, read_text
 from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
 
 LOG = logging.getLogger(__name__)
@@ -86,6 +89,12 @@ LOG = logging.getLogger(__name__)
 LOG_TIME_RATE = 5.0
 # A member of the lock step that fails to answer this often in a row is dead.
 SILENCES = 3
+# Environment variables that packages extend, by the attributes of their exports.
+EXPORTED = {
+    "gazebo_model_path": "GAZEBO_MODEL_PATH",
+    "gazebo_media_path": "GAZEBO_RESOURCE_PATH",
+}
+EXPORTER = "gazebo_ros"
 # Wall seconds within which a node that is alive answers.
 ANSWER_SECONDS = 5.0
 CALLER = "/bullet_lab"
@@ -329,6 +338,36 @@ def refuse_second_simulator() -> None:
             raise NodeError(
                 f"{node} publishes /clock already; a ROS master can have only one simulator"
             )
+
+
+def add_exported_paths() -> None:
+    """Add the folders that packages export for Gazebo to the environment of this process.
+
+    `<export><gazebo_ros gazebo_model_path="${prefix}/models"/></export>` in a package.xml adds a
+    folder to GAZEBO_MODEL_PATH; gazebo_media_path adds one to GAZEBO_RESOURCE_PATH.
+    """
+    packages = rospkg.RosPack()
+    found = {name: list(map(str, listed_folders(name))) for name in EXPORTED.values()}
+    for package in sorted(packages.list()):
+        prefix = packages.get_path(package)
+        for element in _exports(Path(prefix, "package.xml")):
+            for attribute, name in EXPORTED.items():
+                value = element.get(attribute, "").replace("${prefix}", prefix)
+                found[name] += filter(None, value.split(os.pathsep))
+    for name, folders in found.items():
+        os.environ[name] = os.pathsep.join(dict.fromkeys(folders))
+
+
+def _exports(manifest: Path) -> list[Element]:
+    """Return the elements of a package.xml for Gazebo; none if it is invalid."""
+    try:
+        text = read_text(manifest)
+        # A quick test first: of hundreds of packages, few export anything for Gazebo.
+        if EXPORTER not in text:
+            return []
+        return parse_text(text, str(manifest)).findall(f"export/{EXPORTER}")
+    except LabError:
+        return []
 
 
 def serve(name: str, read: Callable[[], BridgeParameters]) -> None:
