@@ -20,9 +20,8 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription, PluginDescription
 from bullet_lab.ros.bridge.running_world import PresentState, RunningWorld, WorldMarkers
-from bullet_lab.ros.gazebo.cameras import SensorServices
+from bullet_lab.ros.gazebo.devices import DeviceServices
 from bullet_lab.ros.gazebo.physics import GazeboPhysics
-from bullet_lab.ros.gazebo.ros_control import ControllerManagers
 from bullet_lab.ros.gazebo.services import Answer, offer, offer_services, subscribe_to_states
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import (
@@ -290,7 +289,6 @@ def offer_all(
         offer_services(world),
         GazeboPhysics(world),
         WorldSaver(world, folder),
-        SensorServices(world),
+        DeviceServices(world),
         ModelDescriptions(world, warnings),
-        ControllerManagers(world),
     ]

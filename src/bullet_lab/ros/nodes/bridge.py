@@ -14,7 +14,7 @@
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
     - the other services of /gazebo: see `bullet_lab.ros.gazebo`
-    - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.ros_control`
+    - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.devices`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
     - /bullet_lab/describe_models (bullet_lab/DescribeModels): which plugins and tags are simulated
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
@@ -116,7 +116,6 @@ class BridgeParameters:
     robot_description: str = text(
         "robot_description", "parameter that holds the robot's URDF; empty for no robot"
     )
-    robot_name: str = text("", "name of the robot's model; empty for that of the URDF")
     robot_namespace: str = text("", "robotNamespace of plugins that have none")
     robot_pose: tuple[float, ...] = number_list(
         (0.0,) * 6, "pose of the robot at the start: x y z in metres, roll pitch yaw in radians"
@@ -287,10 +286,9 @@ def _add_robot(world: RunningWorld, parameters: BridgeParameters) -> str:
     if model is None:
         return ""
     pose = Pose.from_rpy(parameters.robot_pose[:3], parameters.robot_pose[3:])
-    name = parameters.robot_name
     # As in spawn_model; the plugins' topics are not in a namespace of the model's name.
     namespace = parameters.robot_namespace or "/"
-    robot = world.add(model, name, pose, namespace, tf_prefixes(model, namespace, name))
+    robot = world.add(model, "", pose, namespace, tf_prefixes(model, namespace))
     for device in robot.plugins if parameters.camera_rate else ():
         if isinstance(device, Camera):
             device.set_rate(parameters.camera_rate, 0)

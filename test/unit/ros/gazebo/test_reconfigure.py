@@ -12,7 +12,7 @@ from dynamic_reconfigure.encoding import decode_description, encode_description
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo import physics
-from bullet_lab.ros.gazebo.cameras import COMPRESSION, check_calibration
+from bullet_lab.ros.gazebo.devices import COMPRESSION, check_calibration
 from bullet_lab.ros.gazebo.physics import _type_of
 from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.simulation.plugins.controllers.controller import Setting

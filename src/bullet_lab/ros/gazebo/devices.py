@@ -1,35 +1,66 @@
-"""The controller manager of each robot with libgazebo_ros_control.so, and its parameters.
+"""Services of cameras, IMUs and controllers, and compressed images, as models come and go.
 
-:ROS Services: in the robot's namespace, controller_manager/
-    list_controllers, list_controller_types, load_controller, unload_controller,
-    switch_controller, reload_controller_libraries (controller_manager_msgs)
-    and below the name of an adjustable controller, set_parameters of dynamic_reconfigure
+Below a camera's name: set_camera_info, and set_parameters of dynamic_reconfigure (imager_rate).
+Below its image topic: `compressed`, as image_transport publishes it, with the parameters of
+compressed_image_transport. An image is compressed only while somebody listens.
+
+In the namespace of a robot with libgazebo_ros_control.so: controller_manager/list_controllers,
+list_controller_types, load_controller, unload_controller, switch_controller,
+reload_controller_libraries (controller_manager_msgs), and below the name of an adjustable
+controller, set_parameters of dynamic_reconfigure.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import threading
 from functools import partial
 from typing import Any, Callable, Dict, List, Optional
 
 import rosgraph
 import rospy
+from sensor_msgs.msg import CompressedImage
+from sensor_msgs.srv import SetCameraInfo
+from std_srvs.srv import Empty
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
 from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
+from bullet_lab.ros.gazebo.services import offer
+from bullet_lab.ros.messages.conversions import compressed_message
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
+from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
-from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller
+from bullet_lab.simulation.models import ModelInstance
+from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
+from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
 from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.motion_sensors import Imu
 from bullet_lab.simulation.plugins.ros_control import RosControl
-from bullet_lab.simulation.simulation import ModelInstance
+from bullet_lab.simulation.plugins.samples import ImageSample
 
 LOG = logging.getLogger(__name__)
 
+# Those of compressed_image_transport, without the restart interval of a JPEG.
+COMPRESSION = (
+    Setting("format", "jpeg", "compression format", choices=("jpeg", "png")),
+    Setting("jpeg_quality", 80, "quality of a JPEG, in percent", 1, 100),
+    Setting("jpeg_progressive", False, "JPEGs that are seen before they are whole"),
+    Setting("jpeg_optimize", False, "smaller JPEGs, in more time"),
+    Setting("png_level", 9, "compression level of a PNG: 1 is fast, 9 is small", 1, 9),
+)
+# Hz.
+LEAST_RATE = 1.0
+GREATEST_RATE = 50.0
+# The fields of CameraInfo that set_camera_info changes.
+CALIBRATED = ("height", "width", "distortion_model", "D", "K", "R", "P", "binning_x", "binning_y")
+# The largest of OpenCV's distortion models has 14 coefficients.
+MOST_COEFFICIENTS = 14
+# Characters of a distortion model's name.
+LONGEST_NAME = 100
 BASE_CLASS = "controller_interface::ControllerBase"
 INTERFACE_SPACE = "hardware_interface::"
 # Wall seconds between two searches for the robot's description.
@@ -38,25 +69,114 @@ RETRY_SECONDS = 0.1
 PATIENCE = 3.0
 
 
-class ControllerManagers:
-    """Starts a controller manager for each robot with controllers, as robots come and go."""
+class CompressedImages:
+    """The compressed images of one camera; for the thread of the simulation."""
+
+    def __init__(self, world: RunningWorld, camera: Camera):
+        self.topic = f"{camera.image.topic}/compressed"
+        self._settings: Values = {setting.name: setting.default for setting in COMPRESSION}
+        self._publisher = world.topics.publisher(self.topic, CompressedImage)
+        camera.image.connect(self._publish, self._publisher.has_connections)
+
+    def set(self, values: Values) -> Values:
+        """Set the compression, and return the settings; raises InputError."""
+        choices = COMPRESSION[0].choices
+        if values["format"] not in choices:
+            raise InputError(f"format is '{values['format']}'; known are {', '.join(choices)}")
+        self._settings = values
+        return values
+
+    def _publish(self, sample: ImageSample) -> None:
+        if self._publisher.has_connections():
+            self._publisher.publish(compressed_message(sample, self._settings))
+
+
+class DeviceServices:
+    """Offers the services of the cameras, IMUs and controllers of all models."""
 
     def __init__(self, world: RunningWorld):
         self._world = world
-        self._managers: Dict[str, List[_Manager]] = {}
+        # Functions to call when a model is removed.
+        self._ends: Dict[str, List[Callable[[], Any]]] = {}
         world.follow(self._begin, self._end)
 
     def _begin(self, instance: ModelInstance) -> None:
-        plugins = [plugin for plugin in instance.plugins if isinstance(plugin, RosControl)]
-        self._managers[instance.name] = [_Manager(self._world, plugin) for plugin in plugins]
+        ends = self._ends[instance.name] = []
+        for plugin in instance.plugins:
+            offers: List[Callable[[], Any]] = []
+            if isinstance(plugin, RosControl):
+                ends.append(ControllerServices(self._world, plugin).end)
+            elif type(plugin) in (Camera, DepthCamera):
+                images = CompressedImages(self._world, plugin)
+                ends.append(partial(self._world.topics.release, images.topic))
+                offers = self._camera_services(plugin, images)
+            elif type(plugin) is Imu:
+                name = rospy.resolve_name(plugin.service)
+                offers = [partial(rospy.Service, name, Empty, lambda _: ())]
+            services: List[Any] = []
+            ends.append(partial(self._world.registrar.submit, _shut_down, services))
+            sensor = plugin.mount.plugin.name
+            self._world.registrar.submit(_start, offers, services, f"sensor '{sensor}'")
 
     def _end(self, model: str) -> None:
-        for manager in self._managers.pop(model):
-            manager.end()
+        for end in self._ends.pop(model):
+            end()
+
+    def _camera_services(self, camera: Camera, images: CompressedImages) -> List[Callable[[], Any]]:
+        name = rospy.resolve_name(camera.topic("set_camera_info"))
+        topic = rospy.resolve_name(images.topic)
+        offers: List[Callable[[], Any]] = [
+            partial(offer, name, SetCameraInfo, partial(self._calibrate, camera)),
+            partial(Reconfigurable, topic, COMPRESSION, images.set),
+        ]
+        if camera.name:
+            default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
+            what = "pictures per simulated second"
+            rate = Setting("imager_rate", default, what, LEAST_RATE, GREATEST_RATE)
+            space, change = name.rsplit("/", 1)[0], partial(self._set_rate, camera)
+            offers.append(partial(Reconfigurable, space, [rate], change))
+        return offers
+
+    def _calibrate(self, camera: Camera, request: Any) -> None:
+        calibration = {name: getattr(request.camera_info, name) for name in CALIBRATED}
+        check_calibration(calibration)
+        self._world.do(lambda: setattr(camera, "calibration", calibration))
+
+    def _set_rate(self, camera: Camera, values: Values) -> Values:
+        rate, simulation = values["imager_rate"], self._world.simulation
+        self._world.do(lambda: camera.set_rate(rate, simulation.step))
+        return values
 
 
-class _Manager:
-    """Offers the services of one robot once its description is on the parameter server.
+def check_calibration(calibration: Dict[str, Any]) -> None:
+    """Raise InputError for an invalid calibration of set_camera_info."""
+    for name in "DKRP":
+        if not all(map(math.isfinite, calibration[name])):
+            raise InputError(f"{name} has a number that is not finite")
+    count = len(calibration["D"])
+    if count > MOST_COEFFICIENTS:
+        raise InputError(f"D has {count} coefficients; at most {MOST_COEFFICIENTS} are allowed")
+    if len(calibration["distortion_model"]) > LONGEST_NAME:
+        raise InputError(f"distortion_model has more than {LONGEST_NAME} characters")
+
+
+def _start(offers: List[Callable[[], Any]], services: List[Any], where: str) -> None:
+    for start in offers:
+        try:
+            services.append(start())
+        except (rospy.ServiceException, *MASTER_ERRORS) as error:
+            # Two sensors of the same name have the same services.
+            if not rospy.is_shutdown():
+                rospy.logwarn("%s: %s", where, error)
+
+
+def _shut_down(services: List[Any]) -> None:
+    for service in services:
+        service.shutdown()
+
+
+class ControllerServices:
+    """Offers the controller manager of one robot once its description is a parameter.
 
     All calls of the master are made in other threads: the simulation does not wait.
     """
@@ -81,8 +201,7 @@ class _Manager:
 
     def _shut_down(self) -> None:
         with self._lock:
-            for service in (*self._services, *self._adjustable.values()):
-                service.shutdown()
+            _shut_down([*self._services, *self._adjustable.values()])
 
     def _begin(self) -> None:
         try:
@@ -124,11 +243,10 @@ class _Manager:
             ),
         }
         space = f"{self._plugin.namespace}controller_manager"
-        try:
-            for name, answer in () if self._ended.is_set() else answers.items():
-                self._services.append(rospy.Service(f"{space}/{name}", *answer))
-        except (rospy.ServiceException, *MASTER_ERRORS) as error:
-            LOG.error("%s: %s; it is left out", self._where, error)
+        offers: List[Callable[[], Any]] = [
+            partial(rospy.Service, f"{space}/{name}", *answer) for name, answer in answers.items()
+        ]
+        _start([] if self._ended.is_set() else offers, self._services, self._where)
 
     def _ok(self, act: Callable[[Any], None]) -> Callable[[Any], bool]:
         """Return a service that returns whether an action succeeded, and logs its error."""
