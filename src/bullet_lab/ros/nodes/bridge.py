@@ -62,6 +62,7 @@ from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, TimeGate
 from bullet_lab.ros.bridge.topics import DeviceTopics, Route
 from bullet_lab.ros.gazebo.interface import Warnings, offer_all
+from bullet_lab.ros.gazebo.services import offer
 from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,
     first_step_at,
@@ -81,7 +82,7 @@ from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder, listed_folders
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 from bullet_lab.simulation.world.xml import parse_text, read_text
-from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
+from bullet_lab.srv import Advance, AdvanceResponse, Step
 
 LOG = logging.getLogger(__name__)
 
@@ -200,28 +201,36 @@ class PyBulletBridge:
 
     def _offer_services(self) -> list[rospy.Service]:
         stepper, simulation = self.stepper, self.simulation
-        services: dict[str, tuple[type, Callable[[Any], Any]]] = {
-            "/gazebo/pause_physics": (Empty, lambda _: stepper.set_paused(True)),
-            "/gazebo/unpause_physics": (Empty, lambda _: stepper.set_paused(False)),
-            "/gazebo/reset_world": (Empty, lambda _: self._reset(simulation.reset_world)),
-            "/gazebo/reset_simulation": (Empty, lambda _: self._reset(simulation.reset_simulation)),
-            "/bullet_lab/step": (Step, self._handle_step),
-            "/bullet_lab/advance": (Advance, self._handle_advance),
+        answers: dict[str, Callable[[Any], None]] = {
+            "pause_physics": lambda _: stepper.set_paused(True),
+            "unpause_physics": lambda _: stepper.set_paused(False),
+            "reset_world": lambda _: self._reset(simulation.reset_world),
+            "reset_simulation": lambda _: self._reset(simulation.reset_simulation),
         }
-        return [_service(name, *answer) for name, answer in services.items()]
+        return [
+            *(offer(f"/gazebo/{name}", Empty, answer) for name, answer in answers.items()),
+            offer("/bullet_lab/step", Step, self._step),
+            rospy.Service("/bullet_lab/advance", Advance, self._advance),
+        ]
 
     def _reset(self, reset: Callable[[], None]) -> None:
         self.stepper.reset(reset)
         self._world.do(lambda: self._world.notify(""))
 
-    def _handle_step(self, request: Any) -> StepResponse:
+    def _step(self, request: Any) -> dict[str, Any]:
         try:
-            reached = self.stepper.advance_by(request.steps)
+            return {"now": time_of(self.stepper.advance_by(request.steps))}
         except StepperError as error:
-            return StepResponse(time_of(self.simulation.step), False, str(error))
-        return StepResponse(now=time_of(reached), success=True, status_message="")
+            now = time_of(self.simulation.step)
+            return {"now": now, "success": False, "status_message": str(error)}
 
-    def _handle_advance(self, request: Any) -> AdvanceResponse:
+    def _advance(self, request: Any) -> AdvanceResponse:
+        try:
+            return self._advance_for(request)
+        except LabError as error:
+            raise rospy.ServiceException(str(error)) from error
+
+    def _advance_for(self, request: Any) -> AdvanceResponse:
         """Let a member join the lock step, or advance time for it."""
         caller = request._connection_header["callerid"]
         if request.node != caller and answers(request.node):
@@ -265,19 +274,6 @@ class PyBulletBridge:
                 self.stepper.gate.leave(member)
             else:
                 rospy.loginfo("simulated time waits for %s", member)
-
-
-def _service(name: str, kind: type, answer: Callable[[Any], Any]) -> rospy.Service:
-    """Offer a service that answers a LabError with its message."""
-
-    def handle(request: Any) -> Any:
-        try:
-            # An empty response instead of None.
-            return answer(request) or ()
-        except LabError as error:
-            raise rospy.ServiceException(str(error)) from error
-
-    return rospy.Service(name, kind, handle)
 
 
 def _add_robot(world: RunningWorld, parameters: BridgeParameters) -> str:

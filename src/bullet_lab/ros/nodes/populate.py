@@ -48,6 +48,10 @@ from bullet_lab.simulation.world.xml import read_text
 
 SERVICE = "/gazebo/spawn_sdf_model"
 CLICKED = "/clicked_point"
+# Frame of the world.
+FRAME = "world"
+# m
+ROBOT_RADIUS = 0.3
 # The three beacons of the report.
 BEACONS: Tuple[se2.PlanarPose, ...] = ((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0))
 
@@ -108,11 +112,9 @@ class PlaceBeaconParameters:
         "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
     )
     prefix: str = text("beacon", "first part of the names: beacon_0, beacon_1 …")
-    world_frame: str = text("world", "frame of the world")
     clearance: float = number(
         0.3, "m from the point to other models: a beacon's radius and a margin", above=0.0
     )
-    robot_radius: float = number(0.3, "m, radius of a robot", above=0.0)
 
 
 def places_of(parameters: PopulateParameters) -> List[se2.PlanarPose]:
@@ -206,8 +208,7 @@ class PlaceBeacon:
     def _receive(self, message: PointStamped) -> None:
         try:
             point = vector_of(message.point, "the point")
-            frames = (message.header.frame_id, self._parameters.world_frame)
-            x, y, _ = self._frames.bring(Pose(point), *frames).position
+            x, y, _ = self._frames.bring(Pose(point), message.header.frame_id, FRAME).position
             name = self._spawn(x, y)
         except LabError as error:
             self._refusals.refuse(CLICKED, str(error))
@@ -220,7 +221,7 @@ class PlaceBeacon:
         nearest, distance = self._standing.nearest(x, y)
         if distance < self._parameters.clearance:
             raise OccupiedError(f"({x:.2f}, {y:.2f}) m is too near to {nearest}")
-        room = self._parameters.clearance + self._parameters.robot_radius
+        room = self._parameters.clearance + ROBOT_RADIUS
         # The markers leave out the robot, which RViz draws from its description.
         for name in set(names) - set(self._standing.names()):
             place = call("/gazebo/get_model_state", srv.GetModelState, name, "").pose.position
