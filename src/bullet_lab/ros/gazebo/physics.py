@@ -33,23 +33,10 @@ TYPES = {bool: "bool", int: "int", float: "double", str: "str"}
 AT_START = -1
 # Node name under which dynamic_reconfigure finds the engine's settings.
 SPACE = "/gazebo"
-ODE_LIMITS = {
-    "auto_disable_bodies": (),
-    "sor_pgs_precon_iters": (0, 10000),
-    "sor_pgs_iters": (0, 10000),
-    "sor_pgs_w": (0.0, 5.0),
-    "sor_pgs_rms_error_tol": (-1.0, 10000.0),
-    "cfm": (0.0, 10.0),
-    "erp": (0.0, 10.0),
-    "contact_surface_layer": (0.0, 10.0),
-    "contact_max_correcting_vel": (0.0, 1e7),
-    "max_contacts": (0, 10000000),
-}
 LIMITS = {
     "time_step": (0.0, 10.0),
     "max_update_rate": (0.0, 1e6),
     **{f"gravity_{axis}": (-100.0, 100.0) for axis in "xyz"},
-    **ODE_LIMITS,
 }
 # Gazebo's defaults; clients send back the values that they have read.
 ODE_DEFAULTS = {
@@ -62,10 +49,6 @@ ODE_DEFAULTS = {
 }
 
 Values = Dict[str, Any]
-
-
-class SettingError(LabError):
-    """A setting has an invalid value."""
 
 
 class Reconfigurable:
@@ -105,7 +88,7 @@ class Reconfigurable:
 def _check_finite(values: Values) -> None:
     for name, value in values.items():
         if isinstance(value, float) and not math.isfinite(value):
-            raise SettingError(f"{name} is {value}, which is not finite")
+            raise InputError(f"{name} is {value}, which is not finite")
 
 
 def _server_class() -> Any:
@@ -177,13 +160,9 @@ class GazeboPhysics:
 
     def _current(self) -> Values:
         """Return the present values of all settings of dynamic_reconfigure."""
-        now = self._get(None)
-        return {
-            "time_step": now["time_step"],
-            "max_update_rate": now["max_update_rate"],
-            **{f"gravity_{axis}": getattr(now["gravity"], axis) for axis in "xyz"},
-            **{key: getattr(self._ode, key) for key in ODE_LIMITS},
-        }
+        values = self._get(None)
+        values.update({f"gravity_{axis}": getattr(values["gravity"], axis) for axis in "xyz"})
+        return {key: values[key] for key in LIMITS}
 
     def _get(self, _request: Any) -> Dict[str, Any]:
         stepper = self._world.stepper
@@ -213,13 +192,9 @@ class GazeboPhysics:
         """Do as set_physics_properties with the changed values; return the resulting ones."""
         changed = {k: value for k, value in values.items() if value != self._reported.get(k)}
         wanted = {**self._current(), **changed}
-        request = srv.SetPhysicsPropertiesRequest(
-            time_step=wanted["time_step"],
-            max_update_rate=wanted["max_update_rate"],
-            gravity=Vector3(*(wanted[f"gravity_{axis}"] for axis in "xyz")),
-            ode_config=msg.ODEPhysics(**{key: wanted[key] for key in ODE_LIMITS}),
-        )
-        self._set(request)
+        gravity = Vector3(*(wanted[f"gravity_{axis}"] for axis in "xyz"))
+        given = (wanted["time_step"], wanted["max_update_rate"], gravity, self._ode)
+        self._set(srv.SetPhysicsPropertiesRequest(*given))
         self._reported = self._current()
         return self._reported
 

@@ -39,7 +39,7 @@ from bullet_lab.core.se2 import quaternion_from_yaw
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call, numbered
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.messages.poses import pose_message, vector_of
+from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
 from bullet_lab.ros.node.node import NodeError, Refusals, node, wait_until
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.transforms import FrameFinder
@@ -180,10 +180,6 @@ def depopulate(parameters: DepopulateParameters) -> None:
     rospy.loginfo("%d models deleted", len(names))
 
 
-class OccupiedError(LabError):
-    """The place is too near to a model."""
-
-
 def free_name(prefix: str, taken: Collection[str]) -> str:
     """Return the first of prefix_0, prefix_1 … that is not taken."""
     names = (f"{prefix}_{number}" for number in itertools.count())
@@ -220,13 +216,13 @@ class PlaceBeacon:
         names = call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names
         nearest, distance = self._standing.nearest(x, y)
         if distance < self._parameters.clearance:
-            raise OccupiedError(f"({x:.2f}, {y:.2f}) m is too near to {nearest}")
+            raise InputError(f"({x:.2f}, {y:.2f}) m is too near to {nearest}")
         room = self._parameters.clearance + ROBOT_RADIUS
         # The markers leave out the robot, which RViz draws from its description.
         for name in set(names) - set(self._standing.names()):
             place = call("/gazebo/get_model_state", srv.GetModelState, name, "").pose.position
             if math.hypot(place.x - x, place.y - y) < room:
-                raise OccupiedError(f"({x:.2f}, {y:.2f}) m is too near to {name}")
+                raise InputError(f"({x:.2f}, {y:.2f}) m is too near to {name}")
         name = free_name(self._parameters.prefix, names)
         call(SERVICE, srv.SpawnModel, name, self._text, "", pose_message(Pose((x, y, 0.0))), "")
         return name

@@ -18,7 +18,7 @@ from bullet_lab.simulation.plugins.controllers.description import (
     ControlError,
     ControlParameters,
 )
-from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, Pid, PidGains
+from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, Pid
 from bullet_lab.simulation.plugins.plugin import Input, Output
 from bullet_lab.simulation.plugins.samples import (
     JointCommand,
@@ -243,7 +243,7 @@ class JointPid(JointTargets):
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)
         paths = [f"{joint.name}/pid" if self.grouped else "pid" for joint in self.joints]
-        self._pids = [Pid(PidGains.of(given.below(path))) for path in paths]
+        self._pids = [Pid(given.below(path)) for path in paths]
         self._by_velocity = self.kind == EFFORT_FOR_VELOCITY
         self._updates = 0
         self.states = Output(self.topic("state"), LoopSample)
@@ -265,10 +265,9 @@ class JointPid(JointTargets):
                 error = joint.described.error(value, target)
             joint.command = pid.command(error, seconds)
             if self._updates % STATE_EVERY == 0 and self.outputs and self.states.wanted:
-                gains = pid.gains
-                given = (gains.p, gains.i, gains.d, gains.i_max)
                 loop = (target, value, slope, error, seconds, joint.command)
-                self.states.send(LoopSample(step, *loop, given, gains.antiwindup))
+                gains = (pid.p, pid.i, pid.d, pid.i_max)
+                self.states.send(LoopSample(step, *loop, gains, pid.antiwindup))
         self._updates += 1
 
 

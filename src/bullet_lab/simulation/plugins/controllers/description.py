@@ -189,12 +189,14 @@ class RobotDescription:
         As in Gazebo, an invalid transmission is ignored with a warning.
         """
         robot = parse_text(urdf, source)
-        radii = _radii(robot)
+        radii = {link.get("name"): _radius(link) for link in robot.findall("link")}
         joints = [_joint(element, radii, source) for element in robot.findall("joint")]
         return cls({joint.name: joint for joint in joints}, _interfaces(robot, source))
 
 
-def _joint(element: Element, radii: Mapping[str, float], source: str) -> DescribedJoint:
+def _joint(
+    element: Element, radii: Mapping[Optional[str], Optional[float]], source: str
+) -> DescribedJoint:
     name, kind = element.get("name", ""), element.get("type", "")
     where = f"{source}: joint '{name}'"
     limits, limit = JointLimits(), element.find("limit")
@@ -207,7 +209,7 @@ def _joint(element: Element, radii: Mapping[str, float], source: str) -> Describ
     origin, child = element.find("origin"), element.find("child")
     text = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
     place = numbers(text, 3, f"{where}: <origin>")
-    radius = None if child is None else radii.get(child.get("link", ""))
+    radius = None if child is None else radii.get(child.get("link"))
     return DescribedJoint(name, kind, place, limits, radius)
 
 
@@ -225,15 +227,12 @@ def _attribute(element: Element, key: str, where: str) -> float:
     return math.inf if text.strip() == "inf" else number(text, f"{where}: <{element.tag}> {key}")
 
 
-def _radii(robot: Element) -> Dict[str, float]:
-    """Return the radius of the first collision by link, if it is a cylinder or a sphere."""
-    radii = {}
-    for link in robot.findall("link"):
-        name = link.get("name", "")
-        for shape in link.findall("collision[1]/geometry/*"):
-            if shape.tag in ROUND:
-                radii[name] = number(shape.get("radius"), f"link '{name}': <{shape.tag}> radius")
-    return radii
+def _radius(link: Element) -> Optional[float]:
+    """Return the radius (m) of the first collision, if it is a cylinder or a sphere."""
+    shape = link.find("collision[1]/geometry/*")
+    if shape is None or shape.tag not in ROUND:
+        return None
+    return number(shape.get("radius"), f"link '{link.get('name')}': <{shape.tag}> radius")
 
 
 def _interfaces(robot: Element, source: str) -> Dict[str, str]:

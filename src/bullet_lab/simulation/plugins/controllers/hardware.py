@@ -30,46 +30,28 @@ STRONGEST = 1e6
 AT_ONCE = 1.0
 
 
-@dataclass(frozen=True)
-class PidGains:
-    """Gains, and the limits of the integral's contribution.
+class Pid:
+    """A PID loop with the gains, clamps and anti-windup of control_toolbox.
 
-    With `antiwindup` the integral itself is kept within them, else only its contribution.
+    With `antiwindup` the integral itself is kept so small that its contribution is within the
+    clamps, else only its contribution.
+
+    Args:
+        parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup.
+
+    Raises:
+        ControlError: there is no p.
     """
 
-    p: float
-    i: float = 0.0
-    d: float = 0.0
-    i_min: float = 0.0
-    i_max: float = 0.0
-    antiwindup: bool = False
-
-    @classmethod
-    def of(cls, parameters: ControlParameters) -> PidGains:
-        """Read p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup.
-
-        Raises:
-            ControlError: there is no p.
-        """
-        p = parameters.get("p")
-        if p is None:
+    def __init__(self, parameters: ControlParameters):
+        self.p = parameters.get("p")
+        if self.p is None:
             raise ControlError(f"{parameters.where}/p is missing")
+        self.i, self.d = parameters.get("i", 0.0), parameters.get("d", 0.0)
         clamp = parameters.get("i_clamp", 0.0)
-        return cls(
-            p,
-            parameters.get("i", 0.0),
-            parameters.get("d", 0.0),
-            -abs(parameters.get("i_clamp_min", clamp)),
-            abs(parameters.get("i_clamp_max", clamp)),
-            parameters.get("antiwindup", False),
-        )
-
-
-class Pid:
-    """A PID loop with the gains, clamps and anti-windup of control_toolbox."""
-
-    def __init__(self, gains: PidGains):
-        self.gains = gains
+        self.i_min = -abs(parameters.get("i_clamp_min", clamp))
+        self.i_max = abs(parameters.get("i_clamp_max", clamp))
+        self.antiwindup = parameters.get("antiwindup", False)
         self.reset()
 
     def reset(self) -> None:
@@ -84,15 +66,14 @@ class Pid:
             return 0.0
         slope = (error - self._last) / seconds
         self._last = error
-        gains = self.gains
         self._integral += seconds * error
-        if gains.antiwindup and gains.i:
-            low, high = sorted((gains.i_min / gains.i, gains.i_max / gains.i))
+        if self.antiwindup and self.i:
+            low, high = sorted((self.i_min / self.i, self.i_max / self.i))
             self._integral = _between(self._integral, low, high)
-        contribution = gains.i * self._integral
-        if not gains.antiwindup:
-            contribution = _between(contribution, gains.i_min, gains.i_max)
-        return gains.p * error + contribution + gains.d * slope
+        contribution = self.i * self._integral
+        if not self.antiwindup:
+            contribution = _between(contribution, self.i_min, self.i_max)
+        return self.p * error + contribution + self.d * slope
 
 
 @dataclass(eq=False)
@@ -276,6 +257,6 @@ def joint_handles(
         gains = parameters.below(f"gazebo_ros_control/pid_gains/{name}")
         pid = None
         if interface != EFFORT and gains.get("p") is not None:
-            pid = Pid(PidGains.of(gains))
+            pid = Pid(gains)
         handles[name] = KINDS[interface](owners[name], described, limits, pid)
     return handles
