@@ -16,9 +16,8 @@ def parse(line):
 
 
 def test_the_arguments_of_empty_world_launch():
-    assert parse("-u    --verbose -e ode  worlds/empty.world") == (
-        *("worlds/empty.world", True, 0, []),
-    )
+    paused = ("worlds/empty.world", True, 0, [])
+    assert parse("-u    --verbose -e ode  worlds/empty.world") == paused
     assert parse("   -e ode  /a/b.world") == ("/a/b.world", False, 0, [])
 
 
