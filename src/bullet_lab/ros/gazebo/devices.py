@@ -101,7 +101,9 @@ class DeviceServices:
         world.follow(self._begin, self._end)
 
     def _begin(self, instance: ModelInstance) -> None:
-        ends = self._ends[instance.name] = []
+        services: List[Any] = []
+        ends: List[Callable[[], Any]] = [partial(self._world.registrar.submit, _shut_down, services)]
+        self._ends[instance.name] = ends
         for plugin in instance.plugins:
             offers: List[Callable[[], Any]] = []
             if isinstance(plugin, RosControl):
@@ -113,8 +115,6 @@ class DeviceServices:
             elif type(plugin) is Imu:
                 name = rospy.resolve_name(plugin.service)
                 offers = [partial(rospy.Service, name, Empty, lambda _: ())]
-            services: List[Any] = []
-            ends.append(partial(self._world.registrar.submit, _shut_down, services))
             sensor = plugin.mount.plugin.name
             self._world.registrar.submit(_start, offers, services, f"sensor '{sensor}'")
 
