@@ -101,9 +101,8 @@ class DeviceServices:
         world.follow(self._begin, self._end)
 
     def _begin(self, instance: ModelInstance) -> None:
-        services: List[Any] = []
-        ends: List[Callable[[], Any]] = [partial(self._world.registrar.submit, _shut_down, services)]
-        self._ends[instance.name] = ends
+        registrar, services = self._world.registrar, []
+        ends = self._ends[instance.name] = [partial(registrar.submit, _shut_down, services)]
         for plugin in instance.plugins:
             offers: List[Callable[[], Any]] = []
             if isinstance(plugin, RosControl):
@@ -116,7 +115,7 @@ class DeviceServices:
                 name = rospy.resolve_name(plugin.service)
                 offers = [partial(rospy.Service, name, Empty, lambda _: ())]
             sensor = plugin.mount.plugin.name
-            self._world.registrar.submit(_start, offers, services, f"sensor '{sensor}'")
+            registrar.submit(_start, offers, services, f"sensor '{sensor}'")
 
     def _end(self, model: str) -> None:
         for end in self._ends.pop(model):
