@@ -271,7 +271,7 @@ class JointPid(JointTargets):
         self._updates += 1
 
 
-class JointStates(Controller):
+class JointStateController(Controller):
     """Sends the states of the joints that have a transmission, or of those in `joints`.
 
     Parameters: publish_rate in Hz, joints, and extra_joints, whose states are given there.
