@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Tuple
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS
+from bullet_lab.ros.messages.conversions import Converter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 
@@ -49,7 +49,7 @@ def add_fleet(simulation: Simulation, number: int) -> List[ModelInstance]:
 
 def message_writer(kind: type) -> Callable[[Any], None]:
     """Return a listener that makes messages of samples, as the bridge does."""
-    convert = OUTPUT_CONVERTERS[kind]().convert
+    convert = Converter(kind).convert
     buffer = BytesIO()
 
     def write(sample: Any) -> None:

@@ -194,13 +194,6 @@ class CameraTest(unittest.TestCase):
             self.assertEqual(said.count(line), 1, said)
             self.assertTrue(node.runs())
 
-    def test_tiny_is_gone(self):
-        with bridge(paused=True, renderer="tiny") as node:
-            image = self.images()
-            advance(50)
-            image.wait(1)
-            self.assertEqual((node.out + node.err).count("renderer 'tiny' was removed"), 1)
-
     def test_pictures_follow_from_the_seed(self):
         pictures = [self.picture_at_a_second(seed) for seed in (1, 1, 2)]
         self.assertEqual(pictures[0], pictures[1])
@@ -224,11 +217,6 @@ class CameraTest(unittest.TestCase):
             advance(70)
             image.wait(4)
             self.assertEqual(milliseconds(image), [34, 67, 34, 67])
-
-    def test_an_unknown_renderer_is_refused(self):
-        node = Node("pybullet_bridge.py", world=WORLD, renderer="vulkan")
-        self.assertEqual(node.wait(), 2)
-        self.assertIn("~renderer is 'vulkan': it must be one of auto, egl, tiny", node.err)
 
 
 if __name__ == "__main__":

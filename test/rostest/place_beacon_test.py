@@ -97,7 +97,7 @@ class PlaceBeaconTest(unittest.TestCase):
         for why, message in {
             "too near to beacon_0": click(1.45, 1.0),
             "too near to block_robot": click(0.3, 0.3),
-            "a point that is not finite": click(math.nan, 0.0),
+            "the point is not finite": click(math.nan, 0.0),
             "no frame_id": click(3.0, 3.0, ""),
             "no transform from 'mars' to 'world'": click(3.0, 3.0, "mars"),
         }.items():

@@ -1,212 +1,49 @@
-"""A simulation that runs on ROS: the topics of its devices, and changes by services."""
+"""A running world that services read and change, and topics about it.
+
+The topics have the shapes of the world as markers, odometry frames and the contacts of robots.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import threading
-import xmlrpc.client
+import time
 from collections import Counter
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Union
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, Callable, Dict, FrozenSet, List, Mapping, Set, Tuple
 
-import rosgraph
-import rosgraph.names
+import numpy as np
 import rospy
+from geometry_msgs.msg import Transform, TransformStamped, Vector3
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.commands import Arrival, CommandCounter, RouteFinder
+from bullet_lab.msg import TouchedModels
 from bullet_lab.ros.bridge.stepper import Stepper, StepperError
-from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
-from bullet_lab.ros.node.node import (
-    MASTER_ERRORS,
-    TF_PREFIX,
-    NodeError,
-    Refusals,
-    search_parameter,
-)
-from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, BatchPublisher
-from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
-from bullet_lab.simulation.plugins.controllers.controller import Controller
-from bullet_lab.simulation.plugins.mobile_base import STANDSTILL
+from bullet_lab.ros.bridge.topics import DeviceTopics, TopicError
+from bullet_lab.ros.messages.conversions import deleted_markers, world_markers
+from bullet_lab.ros.messages.poses import pose_message, set_time
+from bullet_lab.ros.node.node import TF_PREFIX, search_parameter
+from bullet_lab.ros.node.publishers import BatchPublisher, Publisher
 from bullet_lab.simulation.plugins.plugin import NAMESPACE
-from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.plugins.samples import OdometrySample
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
-from bullet_lab.simulation.world.description import Model
+from bullet_lab.simulation.world.description import Model, Plane
 
-# Messages that wait for a slow subscriber while time follows the wall clock.
-QUEUE_SIZE = 100
-CALLER = "/bullet_lab"
-# Wall seconds within which a node that is alive answers.
-ANSWER_SECONDS = 5.0
-
-# Anything with outputs and inputs.
-Device = Union[Plugin, Controller]
-
-
-class TopicError(LabError):
-    """A device has an invalid topic name."""
-
-
-class DeviceTopics:
-    """Publishes the samples of devices, and gives them the commands that arrive.
-
-    Devices share the publisher and the subscriber of a topic, such as /tf. For the thread of the
-    simulation, except for the callbacks of rospy.
-
-    Attributes:
-        commands: the counts of the commands that have arrived.
-    """
-
-    def __init__(self, stepper: Stepper):
-        self._stepper = stepper
-        self._refusals = Refusals()
-        self._publishers: Dict[str, BatchPublisher] = {}
-        self._users: Counter = Counter()
-        self._inputs: Dict[str, List[Input]] = {}
-        self._subscribers: Dict[str, rospy.Subscriber] = {}
-        self._timeouts: Dict[Arrival, threading.Timer] = {}
-        self.commands = CommandCounter(RouteFinder(self._subscribers).find)
-
-    def publisher(self, topic: str, kind: type) -> BatchPublisher:
-        """Return the publisher on a topic.
-
-        At full speed no message is lost: the simulation waits for slow subscribers. Tied to the
-        wall clock, it does not wait, as Gazebo does not. `flush` follows changes of the speed.
-        """
-        publisher = self._publishers.get(topic)
-        if publisher is None:
-            size = None if self._stepper.pace.free else QUEUE_SIZE
-            publisher = BatchPublisher(topic, kind, queue_size=size, tcp_nodelay=True)
-            self._publishers[topic] = publisher
-        self._users[topic] += 1
-        return publisher
-
-    def flush(self) -> None:
-        """Send the messages of the last steps."""
-        lossless = self._stepper.lossless
-        for publisher in self._publishers.values():
-            publisher.flush(lossless)
-
-    def connect(self, instance: ModelInstance) -> None:
-        """Connect all plugins of a model; raises TopicError."""
-        self.connect_devices(instance.plugins, f"model '{instance.name}'")
-
-    def connect_devices(self, devices: Sequence[Device], owner: str) -> None:
-        """Connect the outputs and inputs of devices; raises TopicError for an invalid name."""
-        for device in devices:
-            for entry in (*device.outputs, *device.inputs):
-                # rospy would register the topic, and nobody could subscribe to it.
-                if not entry.topic or not rosgraph.names.is_legal_name(entry.topic):
-                    raise TopicError(f"{owner}: invalid topic name '{entry.topic}'")
-        for device in devices:
-            for output in device.outputs:
-                self._connect_output(output)
-            for entry in device.inputs:
-                self._connect_input(entry)
-
-    def disconnect_devices(self, devices: Sequence[Device]) -> None:
-        """Shut down the topics of devices that no other device uses."""
-        for device in devices:
-            for output in device.outputs:
-                self.release(output.topic)
-            for entry in device.inputs:
-                topic = rospy.resolve_name(entry.topic)
-                self._inputs[topic].remove(entry)
-                if not self._inputs[topic]:
-                    del self._inputs[topic]
-                    self._subscribers.pop(topic).unregister()
-
-    def release(self, topic: str) -> None:
-        """Release the publisher on a topic; it is closed when all its users have released it."""
-        self._users[topic] -= 1
-        if not self._users[topic]:
-            publisher = self._publishers.pop(topic)
-            publisher.flush()
-            publisher.unregister()
-
-    def subscribe(
-        self,
-        topic: str,
-        kind: type,
-        receive: Callable[[Any], None],
-        queue_size: Optional[int] = None,
-    ) -> None:
-        """Subscribe to a topic, once, whose messages the lock step counts as commands.
-
-        `receive` executes a message; it may raise StepperError when the bridge ends. Without a
-        `queue_size`, no message is dropped.
-        """
-        topic = rospy.resolve_name(topic)
-
-        def receive_and_count(message: Any) -> None:
-            header = message._connection_header
-            # A message that arrives while the bridge ends is ignored.
-            with contextlib.suppress(StepperError):
-                receive(message)
-                self.commands.note(Arrival(topic, header["callerid"]), header)
-
-        self._subscribers[topic] = rospy.Subscriber(
-            topic, kind, receive_and_count, queue_size=queue_size, tcp_nodelay=True
-        )
-
-    def _connect_output(self, output: Output) -> None:
-        converter = OUTPUT_CONVERTERS[output.kind]()
-        publisher = self.publisher(output.topic, converter.message_kind)
-        convert, publish = converter.convert, publisher.publish
-        output.connect(lambda sample: publish(convert(sample)), publisher.has_connections)
-
-    def _connect_input(self, entry: Input) -> None:
-        topic = rospy.resolve_name(entry.topic)
-        if topic in self._inputs:
-            self._inputs[topic].append(entry)
-            return
-        inputs = self._inputs[topic] = [entry]
-        converter = INPUT_CONVERTERS[entry.kind]
-
-        def execute(command: Any) -> None:
-            self._stepper.do_now(lambda: self._command(topic, inputs, command))
-
-        def receive(message: Any) -> None:
-            command, header = converter.convert(message), message._connection_header
-            arrival = Arrival(topic, header["callerid"])
-            # Before the command, or the earlier timeout could stop the robot after it.
-            timeout = self._timeouts.pop(arrival, None)
-            if timeout is not None:
-                timeout.cancel()
-            execute(command)
-            if COMMAND_TIMEOUT in header and entry.kind is PlanarCommand and command != STANDSTILL:
-                self._begin_timeout(arrival, header, lambda: execute(STANDSTILL))
-
-        self.subscribe(topic, converter.message_kind, receive)
-
-    def _begin_timeout(self, arrival: Arrival, header: Any, stop: Callable[[], None]) -> None:
-        """Stop a robot if no further command arrives within the timeout of its publisher."""
-
-        def end() -> None:
-            with contextlib.suppress(StepperError):
-                stop()
-            rospy.logwarn(
-                "%s: no command from %s for %s s; robot stopped",
-                arrival.topic,
-                arrival.sender,
-                header[COMMAND_TIMEOUT],
-            )
-
-        with contextlib.suppress(ValueError, OverflowError):
-            timeout = threading.Timer(float(header[COMMAND_TIMEOUT]), end)
-            timeout.daemon = True
-            self._timeouts[arrival] = timeout
-            timeout.start()
-
-    def _command(self, topic: str, inputs: Sequence[Input], command: Any) -> None:
-        # Without a subscriber, the model was deleted just now.
-        subscriber = self._subscribers.get(topic)
-        for entry in inputs if subscriber is not None else ():
-            try:
-                if entry.alone and subscriber.get_num_connections() > 1:
-                    raise PluginError("several nodes publish; only one may")
-                entry.handle(command)
-            except PluginError as error:
-                self._refusals.refuse(entry.topic, str(error))
+MARKERS = "/bullet_lab/world"
+# Number and poses of the markers of a model without any.
+NOT_DRAWN: Tuple[int, list] = (0, [])
+# Hz in simulated time, and at most in wall time, of checks whether models have moved.
+MARKERS_RATE = 10.0
+FRAMES = "/tf_static"
+# Within the namespace of the robot.
+TOUCHED = "/bullet_lab/touched"
+# Hz of checks; a robot that drives into a wall pushes against it for much longer than 10 ms.
+TOUCH_RATE = 100.0
+# Hz of messages.
+TOUCHED_RATE = 10.0
 
 
 class RunningWorld:
@@ -216,6 +53,8 @@ class RunningWorld:
         stepper: advances it.
         topics: of its devices.
         simulation: for the stepper's thread only.
+        registrar: registers services in a thread of its own, in turn: the simulation does not
+            wait for the master.
         changed: called in that thread after a model was added, removed or moved by a service or
             a reset, with its name; with an empty name after a reset of all models.
     """
@@ -223,6 +62,7 @@ class RunningWorld:
     def __init__(self, stepper: Stepper, topics: DeviceTopics):
         self.stepper, self.topics = stepper, topics
         self.simulation: Simulation = stepper.simulation
+        self.registrar = ThreadPoolExecutor(1)
         self.changed: List[Callable[[str], None]] = []
 
     @property
@@ -233,6 +73,20 @@ class RunningWorld:
     def do(self, action: Callable[[], Any]) -> Any:
         """Run an action in the stepper's thread between two steps; return what it returns."""
         return self.stepper.do(action)
+
+    def add(self, model: Model, *place: Any) -> ModelInstance:
+        """Add a model as `Simulation.add` does, and connect its topics; raises LabError."""
+        instance = self.simulation.add(model, *place)
+        try:
+            self.connect(instance)
+        except (LabError, ValueError, rospy.ROSException) as error:
+            self.simulation.remove(instance.name)
+            raise TopicError(f"cannot connect its topics: {error}") from error
+        return instance
+
+    def connect(self, instance: ModelInstance) -> None:
+        """Connect the topics of a model; raises TopicError."""
+        self.topics.connect(instance.plugins, f"model '{instance.name}'")
 
     def notify(self, name: str) -> None:
         """Call all listeners after a model was changed, or all models with an empty name."""
@@ -267,31 +121,212 @@ def tf_prefixes(model: Model, namespace: str, name: str = "") -> Callable[[str],
     return lambda space: prefixes.get(space, "")
 
 
-class _Transport(xmlrpc.client.Transport):
-    """Has a timeout, for nodes that do not answer."""
+class PresentState(rospy.SubscribeListener):
+    """Sends the present state of the world to each new subscriber of a topic.
 
-    def make_connection(self, host):
-        connection = super().make_connection(host)
-        connection.timeout = ANSWER_SECONDS
-        return connection
+    Args:
+        world: the running world.
+        message: makes the message with the state.
+    """
+
+    def __init__(self, world: RunningWorld, message: Callable[[], Any]):
+        super().__init__()
+        self._world, self._message = world, message
+
+    def peer_subscribe(
+        self, _topic: str, _publish: Callable[[Any], None], peer_publish: Callable[[Any], None]
+    ) -> None:
+        """Send the message; called by rospy."""
+        # In the thread of the simulation, which writes all other messages to this subscriber.
+        # While the bridge shuts down, nothing is sent.
+        with contextlib.suppress(StepperError, rospy.ROSException):
+            self._world.do(lambda: peer_publish(self._message()))
 
 
-def answers(node: str) -> bool:
-    """Return whether a node is registered with the master and alive."""
-    try:
-        uri = rosgraph.Master(CALLER).lookupNode(node)
-        with xmlrpc.client.ServerProxy(uri, transport=_Transport()) as proxy:
-            proxy.getPid(CALLER)
-    except MASTER_ERRORS:
-        return False
-    return True
+class WorldMarkers:
+    """Publishes the shapes of the world as markers on /bullet_lab/world.
+
+    A new subscriber receives all markers, and then those that change: models that are added,
+    removed or moved by a service at once, moving models a few times a second. The model `hidden`
+    has no markers.
+    """
+
+    def __init__(self, world: RunningWorld, frame: str, hidden: str = ""):
+        self._world = world
+        self._frame = frame
+        self._hidden = hidden
+        # The number of markers of each model, and the poses of its links.
+        self._drawn: Dict[str, Tuple[int, list]] = {}
+        self._checked = 0.0
+        world.changed.append(self._changed)
+        world.simulation.every(MARKERS_RATE, self._check)
+        listener = PresentState(world, lambda: MarkerArray(self._draw(*self._world.models)))
+        self._publisher = Publisher(
+            MARKERS, MarkerArray, queue_size=100, subscriber_listener=listener
+        )
+
+    def _changed(self, name: str) -> None:
+        if self._publisher.has_connections():
+            names = [name] if name else self._world.models
+            self._publisher.publish(self._draw(*names))
+
+    def _draw(self, *names: str) -> List[Marker]:
+        """Return the markers of models; for one that was removed, markers that delete them."""
+        markers: List[Marker] = []
+        for name in names:
+            if name == self._hidden:
+                continue
+            before, count = self._drawn.pop(name, NOT_DRAWN)[0], 0
+            if name in self._world.models:
+                instance = self._world.models[name]
+                shapes = world_markers(instance, self._frame)
+                count = len(shapes)
+                self._drawn[name] = (count, _link_poses(instance))
+                markers += shapes
+            # A new model of the same name may have fewer shapes.
+            markers += deleted_markers(name, range(count, before), self._frame)
+        return markers
+
+    def _check(self, _step: int) -> None:
+        """Publish the markers of models that have moved."""
+        now = time.monotonic()
+        if not self._publisher.has_connections() or now - self._checked < 1.0 / MARKERS_RATE:
+            return
+        self._checked = now
+        moved = [
+            name
+            for name, instance in self._world.models.items()
+            if not instance.model.static
+            and self._drawn.get(name, NOT_DRAWN)[1] != _link_poses(instance)
+        ]
+        markers = self._draw(*moved)
+        if markers:
+            self._publisher.publish(markers)
 
 
-def refuse_second_simulator() -> None:
-    """Raise NodeError if another node publishes /clock and is alive."""
-    publishers, _, _ = rosgraph.Master(CALLER).getSystemState()
-    for node in dict(publishers).get("/clock", ()):
-        if answers(node):
-            raise NodeError(
-                f"{node} publishes /clock already; a ROS master can have only one simulator"
-            )
+def _link_poses(instance: ModelInstance) -> list:
+    """Return the poses of the visible links, rounded to 0.1 mm."""
+    poses = (instance.frame(link.name).pose() for link in instance.model.links if link.visuals)
+    return [np.round((*pose.position, *pose.quaternion), 4).tolist() for pose in poses]
+
+
+class OdometryFrames:
+    """Publishes the poses of all odometry frames in the world on /tf_static.
+
+    Warns if two robots have the same odometry frame: on TF, each would be where the other is.
+    Without a name for the world's frame, nothing is published.
+    """
+
+    def __init__(self, world: RunningWorld, frame: str):
+        self._world = world
+        self._frame = frame
+        # Names of robots with the names and poses of their frames.
+        self._frames: List[Tuple[str, str, Pose]] = []
+        # Frames that were warned about.
+        self._shared: Set[str] = set()
+        # The latched message holds all frames: a later subscriber receives no other.
+        self._publisher = Publisher(FRAMES, TFMessage, queue_size=10, latch=True) if frame else None
+        world.changed.append(self._changed)
+        self._changed("")
+
+    def _changed(self, _name: str) -> None:
+        """Publish the frames if they have changed with a model."""
+        frames = [
+            (name, device.frame, getattr(device, "origin", Pose()))
+            for name, instance in self._world.models.items()
+            for device in instance.plugins
+            if any(output.kind is OdometrySample for output in device.outputs)
+        ]
+        if frames != self._frames:
+            self._frames = frames
+            self._warn()
+            self._publish()
+
+    def _warn(self) -> None:
+        """Warn about frames that two robots share, once for each frame."""
+        owners: Dict[str, str] = {}
+        for model, frame, _ in self._frames:
+            first = owners.setdefault(frame, model)
+            if first != model and frame not in self._shared:
+                self._shared.add(frame)
+                line = "the frame '%s' belongs to '%s' and '%s': give each robot a tf_prefix in "
+                rospy.logwarn(f"{line}its namespace", frame, first, model)
+
+    def _publish(self) -> None:
+        if self._publisher is None:
+            return
+        message = TFMessage()
+        for frame, pose in sorted({frame: pose for _, frame, pose in self._frames}.items()):
+            if frame != self._frame:
+                rotation = pose_message(pose).orientation
+                transform = TransformStamped(transform=Transform(Vector3(*pose.position), rotation))
+                transform.header.frame_id, transform.child_frame_id = self._frame, frame
+                message.transforms.append(transform)
+        self._publisher.publish(message)
+
+
+@dataclass
+class _Touches:
+    """The models that a robot touches now, and how often it has touched which so far."""
+
+    publisher: BatchPublisher
+    touching: FrozenSet[str] = frozenset()
+    counts: Counter = field(default_factory=Counter)
+
+
+class TouchCounter:
+    """Counts the models, except for the floor, that robots touch while somebody subscribes.
+
+    A robot is a model with inputs. It has the topic /bullet_lab/touched in its namespace.
+    """
+
+    def __init__(self, world: RunningWorld):
+        self._world = world
+        self._floors = frozenset(
+            model.name for model in world.simulation.world.models if _is_floor(model)
+        )
+        self._robots: Dict[str, _Touches] = {}
+        self._last_step = 0
+        world.simulation.every(TOUCH_RATE, self._check)
+        world.simulation.every(TOUCHED_RATE, self._send)
+        world.follow(self._begin, self._end)
+
+    def _begin(self, instance: ModelInstance) -> None:
+        devices = [device for device in instance.plugins if device.inputs]
+        if devices:
+            namespace = devices[0].mount.namespace
+            topic = f"/{namespace}{TOUCHED}" if namespace else TOUCHED
+            publisher = self._world.topics.publisher(topic, TouchedModels)
+            self._robots[instance.name] = _Touches(publisher)
+
+    def _end(self, model: str) -> None:
+        robot = self._robots.pop(model, None)
+        if robot is not None:
+            self._world.topics.release(robot.publisher.resolved_name)
+
+    def _check(self, step: int) -> None:
+        was_reset = step < self._last_step
+        self._last_step = step
+        for name, robot in self._robots.items():
+            if not robot.publisher.has_connections():
+                continue
+            if was_reset:
+                robot.touching = frozenset()
+                robot.counts.clear()
+            touching = frozenset(self._world.simulation.contacts(name)) - self._floors
+            robot.counts.update(touching - robot.touching)
+            robot.touching = touching
+
+    def _send(self, step: int) -> None:
+        for name, robot in self._robots.items():
+            if robot.publisher.has_connections():
+                models = sorted(robot.counts)
+                touches = [robot.counts[model] for model in models]
+                message = TouchedModels(robot=name, models=models, touches=touches)
+                set_time(message.header.stamp, step)
+                robot.publisher.publish(message)
+
+
+def _is_floor(model: Model) -> bool:
+    shapes = [collision.geometry for link in model.links for collision in link.collisions]
+    return any(isinstance(shape, Plane) for shape in shapes)

@@ -11,12 +11,18 @@ import threading
 import time
 from collections import deque
 from concurrent import futures
-from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Callable, Deque, NamedTuple, Optional, Sequence, Tuple
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.timing import FOR_EVER, WAITING, Lag, LoopWatch, Pace, TimeGate
+from bullet_lab.ros.bridge.timing import (
+    FOR_EVER,
+    NOT_YET,
+    WAITING,
+    Lag,
+    LoopWatch,
+    Pace,
+    TimeGate,
+)
 from bullet_lab.simulation.simulation import Simulation
 
 # Largest number of steps of a stride, after which requests are served; 2 ms in a small world.
@@ -43,14 +49,6 @@ class Reached(NamedTuple):
     epoch: int
 
 
-@dataclass
-class _Advance:
-    """A request for steps: how many are left, and the future with the step reached."""
-
-    steps: int
-    reached: futures.Future = field(default_factory=futures.Future)
-
-
 class Stepper:
     """Advances a simulation as the wall clock, the lock step and pauses allow.
 
@@ -62,11 +60,11 @@ class Stepper:
         paused: whether to start paused.
         is_over: returns whether to end the loop.
         report_stall: called with the names of the members that hold time back.
-        after_steps: called after each stride, before waiting threads see its end.
         report_lag: called when simulated time is too slow.
         watch: measures the speed.
 
     Attributes:
+        after_steps: called after each stride, before waiting threads see its end.
         paused: whether time is paused.
         epoch: 1 plus the number of resets, of the world or of time.
     """
@@ -80,16 +78,16 @@ class Stepper:
         paused: bool,
         is_over: Callable[[], bool],
         report_stall: Callable[[Sequence[str]], None],
-        after_steps: Callable[[], None],
-        report_lag: Callable[[Lag], None] = lambda _: None,
+        report_lag: Callable[[Lag], None],
         watch: Optional[LoopWatch] = None,
     ):
         self.simulation, self.pace, self.gate = simulation, pace, gate
+        self.after_steps: Callable[[], None] = lambda: None
         self._tick, self.paused = tick, paused
-        self._advances: Deque[_Advance] = deque()
-        self._is_over, self._after_steps = is_over, after_steps
-        self._report_stall, self._report_lag = report_stall, report_lag
-        self.watch = watch or LoopWatch()
+        # Requests for steps: how many are left, and the future with the step reached.
+        self._advances: Deque[Tuple[int, futures.Future]] = deque()
+        self._is_over, self._report_stall, self._report_lag = is_over, report_stall, report_lag
+        self._watch = watch or LoopWatch()
         self._reached = simulation.step
         self._stride = STEPS_AT_A_TIME
         self._stalled_since: Optional[float] = None
@@ -105,7 +103,7 @@ class Stepper:
 
     def run(self) -> None:
         """Run the loop until the end; to be called once, by one thread."""
-        self._restart(self.simulation.step)
+        self._restart()
         try:
             while not self._is_over():
                 # Read first: any later change ends the waiting below.
@@ -141,11 +139,11 @@ class Stepper:
         """
 
         def catch_up_and_act() -> None:
-            step, limit = self.simulation.step, self.gate.limit()
-            if not self.paused and limit is not None:
+            if not self.paused:
+                step = self.simulation.step
                 # At a very high real-time factor, the moment may be years away.
-                most = MOST_TO_CATCH_UP * self._stride
-                self._run_until(min(limit, self.pace.due(step), step + most))
+                most = step + MOST_TO_CATCH_UP * self._stride
+                self._run_until(min(self.gate.limit(), self.pace.due(step), most))
             action()
 
         if self.pace.free:
@@ -153,20 +151,24 @@ class Stepper:
         else:
             self.do(catch_up_and_act)
 
-    def pause(self) -> None:
-        """Pause time, and end the calls of `advance_by` with an error."""
-        self.do(partial(self._set_paused, True))
+    def set_paused(self, paused: bool) -> None:
+        """Pause time, which ends the calls of `advance_by` with an error, or let it advance."""
 
-    def unpause(self) -> None:
-        """Let time advance."""
-        self.do(partial(self._set_paused, False))
+        def change() -> None:
+            self.paused = paused
+            while paused and self._advances:
+                steps, reached = self._advances.popleft()
+                reached.set_exception(StepperError(f"paused with {steps} steps to go"))
+            self._restart()
+
+        self.do(change)
 
     def set_real_time_factor(self, factor: float) -> None:
         """Set the simulated seconds per wall second; 0 for full speed."""
 
         def change() -> None:
             self.pace.real_time_factor = factor
-            self._restart(self.simulation.step)
+            self._restart()
 
         self.do(change)
 
@@ -176,17 +178,28 @@ class Stepper:
         Other requests are served in between. Raises StepperError if time is paused, or the
         simulation ends, before.
         """
-        advance = _Advance(steps)
-        self.do(partial(self._advances.append, advance))
-        return self._result_of(advance.reached)
+        reached: futures.Future = futures.Future()
+        self.do(lambda: self._advances.append((steps, reached)))
+        return self._result_of(reached)
 
-    def reset_world(self) -> None:
-        """Reset all models but not the time."""
-        self.do(partial(self._reset, self.simulation.reset_world))
+    def reset(self, reset: Callable[[], None]) -> None:
+        """Reset all models, or also time, and revoke the grants of members.
 
-    def reset_simulation(self) -> None:
-        """Reset all models and set time to 0."""
-        self.do(partial(self._reset, self.simulation.reset_simulation))
+        They do not know of the reset yet.
+        """
+
+        def change() -> None:
+            before = self.simulation.step
+            reset()
+            if self.simulation.step != before:
+                self._restart()
+            with self._wake:
+                self._reached = self.simulation.step
+                self.gate.restart(self._reached)
+                self.epoch += 1
+                self._wake.notify_all()
+
+        self.do(change)
 
     def join(self, member: str) -> Reached:
         """Hold time for a new member, and return when it is held."""
@@ -224,8 +237,8 @@ class Stepper:
         return future.result()
 
     def _reached_in(self, epoch: int, step: float) -> Reached:
-        reached = self._reached >= step and self.epoch == epoch
-        return Reached(reached, self._reached, self.epoch)
+        success = self._reached >= step and self.epoch == epoch
+        return Reached(success, self._reached, self.epoch)
 
     # The loop
 
@@ -236,19 +249,19 @@ class Stepper:
             return
         step = self.simulation.step
         limit = -1 if self.paused else self.gate.limit()
-        if limit is None or limit <= step:
-            if limit is None:
-                self._restart(step)
+        if limit <= step:
+            if limit == NOT_YET:
+                self._restart()
             self.pace.restart(step)
             self._watch_the_stall()
-            with self.watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
+            with self._watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
                 self._wait(LONGEST_WAIT, wakeups)
             return
         self._stalled_since = None
         due = self.pace.due(step)
         if due <= step:
             wait = self.pace.seconds_until(step + self._tick)
-            with self.watch.doing(WAITING):
+            with self._watch.doing(WAITING):
                 self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
         self._run_until(min(limit, due, step + self._stride))
@@ -259,10 +272,10 @@ class Stepper:
 
     def _run_until(self, step: float) -> None:
         before, start = self.simulation.step, time.perf_counter()
-        with self.watch.doing("steps"):
+        with self._watch.doing("steps"):
             self.simulation.run_until(int(max(before, step)))
-        with self.watch.doing("handing messages to subscribers"):
-            self._after_steps()
+        with self._watch.doing("handing messages to subscribers"):
+            self.after_steps()
         self._reached = self.simulation.step
         if self._reached > before:
             self._adapt_stride(self._reached - before, time.perf_counter() - start)
@@ -281,58 +294,38 @@ class Stepper:
         # Only the present ones: steps are made however many new tasks come.
         for _ in range(self._tasks.qsize()):
             result, action = self._tasks.get()
-            with self.watch.doing("services"):
+            with self._watch.doing("services"):
                 try:
                     result.set_result(action())
                 except Exception as error:
                     # The requesting thread raises it.
                     result.set_exception(error)
 
-    def _set_paused(self, paused: bool) -> None:
-        self.paused = paused
-        while paused and self._advances:
-            advance = self._advances.popleft()
-            left = f"paused with {advance.steps} steps to go"
-            advance.reached.set_exception(StepperError(left))
-        self._restart(self.simulation.step)
-
     def _advance(self) -> None:
         """Make some steps of the oldest request for steps, and put it at the end of the queue."""
-        advance = self._advances[0]
-        batch = min(advance.steps, self._stride)
+        steps, reached = self._advances[0]
+        batch = min(steps, self._stride)
         self._run_until(self.simulation.step + batch)
-        advance.steps -= batch
-        self._advances.rotate(-1)
-        if not advance.steps:
-            self._advances.pop()
-            self._restart(self.simulation.step)
-            advance.reached.set_result(self.simulation.step)
+        self._advances.popleft()
+        if batch < steps:
+            self._advances.append((steps - batch, reached))
+        else:
+            self._restart()
+            reached.set_result(self.simulation.step)
 
-    def _reset(self, reset: Callable[[], None]) -> None:
-        """Reset, and revoke the grants of members, which do not know of the reset yet."""
-        before = self.simulation.step
-        reset()
-        if self.simulation.step != before:
-            self._restart(self.simulation.step)
-        with self._wake:
-            self._reached = self.simulation.step
-            self.gate.restart(self._reached)
-            self.epoch += 1
-            self._wake.notify_all()
-
-    def _restart(self, step: int) -> None:
-        """Measure the speed from now on, with simulated time at a step."""
-        self.pace.restart(step)
-        self.watch.restart(step)
+    def _restart(self) -> None:
+        """Measure the speed from now on."""
+        self.pace.restart(self.simulation.step)
+        self._watch.restart(self.simulation.step)
         self.simulation.take_spent()
 
     def _watch_the_speed(self) -> None:
-        if not self.watch.due:
+        if not self._watch.due:
             return
         for what, seconds in self.simulation.take_spent().items():
-            self.watch.spend(what, seconds)
-            self.watch.spend("steps", -seconds)
-        lag = self.watch.measure(self.simulation.step, self.pace.real_time_factor)
+            self._watch.spend(what, seconds)
+            self._watch.spend("steps", -seconds)
+        lag = self._watch.measure(self.simulation.step, self.pace.real_time_factor)
         if lag is not None:
             self._report_lag(lag)
 
@@ -343,5 +336,5 @@ class Stepper:
         elif now - self._stalled_since >= PATIENCE:
             self._stalled_since = now
             # The stall is reported here; it does not count as a lag.
-            self._restart(self.simulation.step)
+            self._restart()
             self._report_stall(self.gate.holding())

@@ -4,8 +4,8 @@ The lock step is the conservative scheme of distributed simulation (Chandy and M
 advance request" in the High Level Architecture): time never exceeds what each member has
 granted, so no member ever sees a world that ran ahead of it, whatever the speed of the machine.
 
-No rospy. `Pace` and `LoopWatch` are for the thread of the stepper's loop, except for
-`LoopWatch.stuck`; `TimeGate` is thread-safe.
+No rospy. `Pace` and `LoopWatch` are for the thread of the stepper's loop; `TimeGate` is
+thread-safe.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from typing import Callable, Dict, Iterable, Iterator, NamedTuple, Optional, Tup
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 
 FOR_EVER = math.inf
+# The grant of a member that has not joined yet.
+NOT_YET = -math.inf
 # A longer delay of simulated time, in wall seconds, is not made up for.
 FORGIVEN_SECONDS = 0.1
 # Wall seconds over which the speed is measured.
@@ -32,6 +34,7 @@ TOLERATED = 0.9
 SMALLEST_CAUSE = 0.1
 WAITING = "waiting"
 """The activity of the loop until the next step is due; never reported as a cause."""
+OTHERS = "other threads and programs"
 # Steps per wall second; no machine is faster.
 FASTEST = 1e12
 
@@ -87,25 +90,20 @@ class Lag(NamedTuple):
         reached: likewise, as measured.
         seconds: wall seconds of the measurement.
         causes: activities with their shares of the wall time, the largest first.
-        waiting: share of the wall time that the loop waited for the next step.
     """
 
     wanted: float
     reached: float
     seconds: float
     causes: Tuple[Tuple[str, float], ...]
-    waiting: float = 0.0
 
     def __str__(self) -> str:
-        line = (
+        shares = ", ".join(f"{what} {100.0 * share:.0f} %" for what, share in self.causes)
+        return (
             f"simulated time falls behind: real-time factor {self.reached:.2f} instead of "
             f"{self.wanted:g} in the last {self.seconds:.0f} s"
+            + (f" (of the time: {shares})" if shares else "")
         )
-        rest = 1.0 - self.waiting - sum(share for _, share in self.causes)
-        others = [("other threads and programs", rest)] if rest >= SMALLEST_CAUSE else []
-        causes = sorted([*self.causes, *others], key=lambda cause: -round(cause[1], 9))
-        shares = ", ".join(f"{what} {100.0 * share:.0f} %" for what, share in causes)
-        return f"{line} (of the time: {shares})" if shares else line
 
 
 class LoopWatch:
@@ -114,8 +112,7 @@ class LoopWatch:
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
         self._spent: Counter = Counter()
-        self._busy: Optional[Tuple[str, float]] = None
-        self._stuck_reported = clock()
+        self._activity: Optional[str] = None
         self._silence, self._lag_reported = WINDOW, -math.inf
         self.restart(0)
 
@@ -127,17 +124,16 @@ class LoopWatch:
     @contextlib.contextmanager
     def doing(self, what: str) -> Iterator[None]:
         """Measure the wall time of an activity; activities may be nested."""
-        outer, start = self._busy, self._clock()
-        self._busy = (what, start)
+        outer, start = self._activity, self._clock()
+        self._activity = what
         try:
             yield
         finally:
-            now = self._clock()
-            self.spend(what, now - start)
+            self._activity = outer
+            seconds = self._clock() - start
+            self.spend(what, seconds)
             if outer is not None:
-                self.spend(outer[0], start - now)
-            # The outer activity goes on from now: the loop is not stuck in it.
-            self._busy = None if outer is None else (outer[0], now)
+                self.spend(outer, -seconds)
 
     def spend(self, what: str, seconds: float) -> None:
         """Add wall seconds to an activity."""
@@ -154,72 +150,69 @@ class LoopWatch:
         None if it was not, or if that was reported a short while ago. `wanted` is the real-time
         factor; 0 for full speed.
         """
-        seconds = self._clock() - self._start
-        reached = (step - self._step) / STEPS_PER_SECOND / seconds
-        waiting = self._spent.pop(WAITING, 0.0) / seconds
-        shares = ((what, spent / seconds) for what, spent in self._spent.most_common())
-        causes = tuple(cause for cause in shares if cause[1] >= SMALLEST_CAUSE)
+        now = self._clock()
+        seconds = now - self._start
+        lag = Lag(
+            wanted, (step - self._step) / STEPS_PER_SECOND / seconds, seconds, self._causes(seconds)
+        )
         self.restart(step)
-        if reached >= TOLERATED * wanted:
+        if lag.reached >= TOLERATED * wanted:
             self._silence, self._lag_reported = WINDOW, -math.inf
             return None
-        if self._clock() - self._lag_reported < self._silence:
+        if now - self._lag_reported < self._silence:
             return None
         if self._lag_reported > -math.inf:
             self._silence = min(2.0 * self._silence, LONGEST_SILENCE)
-        self._lag_reported = self._clock()
-        return Lag(wanted, reached, seconds, causes, waiting)
+        self._lag_reported = now
+        return lag
 
-    def stuck(self) -> Optional[Tuple[str, float]]:
-        """Return the activity in which the loop is stuck, and for how many wall seconds.
-
-        None if it is not stuck, or if that was reported less than `WINDOW` ago.
-        """
-        busy, now = self._busy, self._clock()
-        if busy is None or now - busy[1] < WINDOW or now - self._stuck_reported < WINDOW:
-            return None
-        self._stuck_reported = now
-        return busy[0], now - busy[1]
+    def _causes(self, seconds: float) -> Tuple[Tuple[str, float], ...]:
+        """Return the activities that took a large share of the time, with their shares."""
+        waiting = self._spent.pop(WAITING, 0.0) / seconds
+        shares = {what: spent / seconds for what, spent in self._spent.most_common()}
+        causes = Counter({what: s for what, s in shares.items() if s >= SMALLEST_CAUSE})
+        rest = 1.0 - waiting - sum(causes.values())
+        if rest >= SMALLEST_CAUSE:
+            causes[OTHERS] = rest
+        return tuple(causes.most_common())
 
 
 class TimeGate:
     """Keeps the grants of the lock step's members; time starts when all `expected` have joined."""
 
     def __init__(self, expected: Iterable[str] = ()):
-        self._missing = set(expected)
-        self._granted: Dict[str, float] = {}
+        self._granted: Dict[str, float] = dict.fromkeys(expected, NOT_YET)
         self._lock = threading.Lock()
 
     def grant(self, member: str, step: float) -> None:
         """Set the step up to which a member lets time advance; a new member joins."""
         with self._lock:
-            self._missing.discard(member)
             self._granted[member] = step
 
     def leave(self, member: str) -> None:
         """Remove a member."""
         with self._lock:
-            self._missing.discard(member)
             self._granted.pop(member, None)
 
     def has_joined(self, member: str) -> bool:
         """Return whether a member has joined and has not left."""
-        return member in self._granted
+        return self._granted.get(member, NOT_YET) != NOT_YET
 
-    def limit(self) -> Optional[float]:
-        """Return the step up to which time may advance; None while members are missing."""
+    def limit(self) -> float:
+        """Return the step up to which time may advance; NOT_YET while members are missing."""
         with self._lock:
-            return None if self._missing else min(self._granted.values(), default=FOR_EVER)
+            return min(self._granted.values(), default=FOR_EVER)
 
     def holding(self) -> Tuple[str, ...]:
         """Return the members that hold time back: the missing ones, or those of the least grant."""
         with self._lock:
             least = min(self._granted.values(), default=FOR_EVER)
-            late = {m for m, step in self._granted.items() if step == least != FOR_EVER}
-            return tuple(sorted(self._missing or late))
+            late = (member for member, step in self._granted.items() if step == least != FOR_EVER)
+            return tuple(sorted(late))
 
     def restart(self, step: int = 0) -> None:
         """Reduce all grants to a step, except for those without an end."""
         with self._lock:
-            held = {m: min(step, its) for m, its in self._granted.items() if its != FOR_EVER}
-            self._granted.update(held)
+            for member, granted in self._granted.items():
+                if granted != FOR_EVER:
+                    self._granted[member] = min(step, granted)

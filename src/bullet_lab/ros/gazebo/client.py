@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 import re
 import threading
-from dataclasses import dataclass
 from itertools import product
-from typing import Any, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 import rospy
@@ -36,7 +35,8 @@ def call(service: str, kind: type, *arguments: Any) -> Any:
         answer = rospy.ServiceProxy(service, kind)(*arguments)
     except rospy.ServiceException as error:
         raise NodeError(f"{service}: {error}") from error
-    if not answer.success:
+    # std_srvs/Empty has no such field.
+    if not getattr(answer, "success", True):
         raise NodeError(f"{service}: {answer.status_message}")
     return answer
 
@@ -57,19 +57,17 @@ def numbered(names: Iterable[str], name: str) -> List[str]:
     return [found for found in names if pattern.fullmatch(found)]
 
 
-@dataclass(frozen=True)
-class _BoundingBox:
+class _BoundingBox(NamedTuple):
     """The axis-aligned box around a shape in the world: two corners and the shape's origin, m."""
 
-    least: Vector
-    greatest: Vector
+    least: np.ndarray
+    greatest: np.ndarray
     origin: Vector
 
     def distance(self, x: float, y: float) -> float:
         """Return the horizontal distance (m) of a point; 0 inside the box."""
-        dx = max(self.least[0] - x, 0.0, x - self.greatest[0])
-        dy = max(self.least[1] - y, 0.0, y - self.greatest[1])
-        return math.hypot(dx, dy)
+        gaps = np.maximum(self.least[:2] - (x, y), (x, y) - self.greatest[:2])
+        return math.hypot(*gaps.clip(0.0))
 
 
 class StandingModels:
@@ -114,7 +112,7 @@ class StandingModels:
     def nearest(self, x: float, y: float) -> Tuple[str, float]:
         """Return the nearest model that rises above the floor, and its distance in m."""
         with self._lock:
-            found: List[Tuple[float, str]] = [
+            found = [
                 (shape.distance(x, y), name)
                 for (name, _), shape in self._shapes.items()
                 if shape.greatest[2] > FLOOR
@@ -128,8 +126,7 @@ def _bounding_box(marker: Marker) -> _BoundingBox:
     pose = pose_of(marker.pose.position, marker.pose.orientation)
     corners = np.array([pose.rotate(corner) for corner in product(*_bounds(marker).T.tolist())])
     corners += np.array(pose.position)
-    least, greatest = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-    return _BoundingBox(tuple(least), tuple(greatest), pose.position)
+    return _BoundingBox(corners.min(axis=0), corners.max(axis=0), pose.position)
 
 
 def _bounds(marker: Marker) -> np.ndarray:

@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Dict, Iterator, List
 
 import rospy
 from geometry_msgs.msg import Point
@@ -19,14 +19,18 @@ from bullet_lab.core.files import ConfinedFolder, FileError
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription, PluginDescription
-from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.bridge.world_topics import PresentState, WorldMarkers
-from bullet_lab.ros.gazebo import properties, services
-from bullet_lab.ros.gazebo.cameras import SensorServices
-from bullet_lab.ros.gazebo.properties import GazeboPhysics
-from bullet_lab.ros.gazebo.services import Answer, offer
+from bullet_lab.ros.bridge.running_world import PresentState, RunningWorld, WorldMarkers
+from bullet_lab.ros.gazebo.devices import DeviceServices
+from bullet_lab.ros.gazebo.physics import GazeboPhysics
+from bullet_lab.ros.gazebo.services import Answer, offer, offer_services, subscribe_to_states
 from bullet_lab.ros.messages.gazebo_types import msg
-from bullet_lab.ros.messages.poses import pose_message, set_time, time_of, twist_message
+from bullet_lab.ros.messages.poses import (
+    InputError,
+    pose_message,
+    set_time,
+    time_of,
+    twist_message,
+)
 from bullet_lab.simulation.models import (
     Entity,
     ModelInstance,
@@ -37,7 +41,6 @@ from bullet_lab.simulation.models import (
     model_entity,
     survey,
 )
-from bullet_lab.simulation.plugins import Plugin
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.srv import DescribeModels, SaveWorld
@@ -48,10 +51,6 @@ PERFORMANCE_RATE = 5.0
 MOST_WARNINGS = 1000
 # z of the normal of the steepest ground that a robot stands on (60°); a wall is steeper.
 STEEPEST = 0.5
-
-
-class SaveError(LabError):
-    """A world cannot be saved in the requested file."""
 
 
 class WorldSaver:
@@ -69,9 +68,9 @@ class WorldSaver:
 
     def _save(self, request: Any) -> Answer:
         start = time.perf_counter()
+        if not request.path or "\0" in request.path:
+            raise InputError("no file is named")
         try:
-            if not request.path or "\0" in request.path:
-                raise SaveError("no file is named")
             if request.return_text:
                 values = self._describe(self._folder.path / request.path)
             else:
@@ -88,7 +87,7 @@ class WorldSaver:
             path = self._folder.place(name)
         except FileError as error:
             hint = "~save_folder is the bridge's; save_world.py writes anywhere"
-            raise SaveError(f"{error}; {hint}") from error
+            raise InputError(f"{error}; {hint}") from error
         values = self._describe(path)
         self._folder.write(path, values.pop("text"))
         return values
@@ -174,61 +173,26 @@ class _Performance:
         self._last = (now, step)
         # A reset may have set time back.
         if self._publisher.has_connections() and step > before:
-            self._send(step, (step - before) / STEPS_PER_SECOND / (now - then))
+            factor = (step - before) / STEPS_PER_SECOND / (now - then)
+            message = msg.PerformanceMetrics(real_time_factor=factor)
+            set_time(message.header.stamp, step)
+            message.sensors.extend(self._sensors(factor))
+            self._publisher.publish(message)
 
-    def _send(self, step: int, factor: float) -> None:
-        message = msg.PerformanceMetrics(real_time_factor=factor)
-        set_time(message.header.stamp, step)
-        for name, plugin in self._sensors():
-            rate = 1.0 / plugin.schedule.period
-            drawn = any(output.wanted for output in plugin.outputs)
-            pictures = (rate * factor if drawn else 0.0) if isinstance(plugin, Camera) else -1.0
-            sensor = msg.SensorPerformanceMetric(name, rate, rate * factor, pictures)
-            message.sensors.append(sensor)
-        self._publisher.publish(message)
-
-    def _sensors(self) -> Iterator[Tuple[str, Plugin]]:
-        """Yield the full names of all <sensor>s with a plugin, and the plugins."""
+    def _sensors(self, factor: float) -> Iterator[Any]:
+        """Yield the rates of all <sensor>s with a plugin, given the real-time factor."""
         world = self._world.simulation.world.name
         for instance in self._world.models.values():
             for plugin in instance.plugins:
                 tag = plugin.mount.plugin
-                if tag.sensor is not None and plugin.schedule is not None:
-                    link = instance.keeper(tag.link) or instance.model.canonical_link().name
-                    yield f"{world}::{instance.name}::{link}::{tag.sensor.get('name', '')}", plugin
-
-
-class Gazebo:
-    """Gazebo's services and topics on a running world, and the markers of its shapes.
-
-    Args:
-        world: that they are about.
-        frame: of the markers in RViz.
-        hidden: name of the model without markers, which RViz shows as a robot.
-        states_rate: messages on /gazebo/model_states and link_states per simulated second.
-        folder: in which worlds are saved.
-    """
-
-    def __init__(
-        self, world: RunningWorld, frame: str, hidden: str, states_rate: float, folder: Path
-    ):
-        self._world = world
-        self._parts = [
-            WorldMarkers(world, frame, hidden),
-            _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
-            _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
-            _Performance(world),
-            services.offer_services(world),
-            properties.offer_services(world),
-            GazeboPhysics(world),
-            WorldSaver(world, folder),
-            SensorServices(world),
-        ]
-        services.subscribe_to_states(world)
-
-    def everything_moved(self) -> None:
-        """Publish the new poses of all models after a reset."""
-        self._world.do(lambda: self._world.notify(""))
+                if tag.sensor is None or plugin.schedule is None:
+                    continue
+                link = instance.keeper(tag.link) or instance.model.canonical_link().name
+                name = f"{world}::{instance.name}::{link}::{tag.sensor.get('name', '')}"
+                rate = 1.0 / plugin.schedule.period
+                drawn = any(output.wanted for output in plugin.outputs)
+                pictures = (rate * factor if drawn else 0.0) if isinstance(plugin, Camera) else -1.0
+                yield msg.SensorPerformanceMetric(name, rate, rate * factor, pictures)
 
 
 class Warnings(logging.Handler):
@@ -258,27 +222,27 @@ class ModelDescriptions:
         return {"models": models, "said": self._warnings.lines}
 
     def _describe(self, name: str) -> List[ModelDescription]:
-        models = self._world.models
-        chosen = [find_model(models, name)] if name else models.values()
-        return [self._described(instance) for instance in chosen]
-
-    def _described(self, instance: ModelInstance) -> ModelDescription:
-        model = instance.model
-        least, greatest = bounds(instance)
-        touches = list(self._world.simulation.touches(model.name))
-        of_world_file = {one.name for one in self._world.simulation.world.models}
-        return ModelDescription(
-            name=model.name,
-            is_static=model.static,
-            of_world_file=model.name in of_world_file,
-            links=[link.name for link in model.own_links()],
-            joints=[joint.name for joint in model.joints],
-            plugins=[_described_plugin(one) for one in survey(instance)],
-            least=Point(*least),
-            greatest=Point(*greatest),
-            stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
-            touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
-        )
+        models, simulation = self._world.models, self._world.simulation
+        of_world_file = {model.name for model in simulation.world.models}
+        descriptions = []
+        for instance in [find_model(models, name)] if name else models.values():
+            model = instance.model
+            least, greatest = bounds(instance)
+            touches = list(simulation.touches(model.name))
+            description = ModelDescription(
+                name=model.name,
+                is_static=model.static,
+                of_world_file=model.name in of_world_file,
+                links=[link.name for link in model.own_links()],
+                joints=[joint.name for joint in model.joints],
+                plugins=[_described_plugin(one) for one in survey(instance)],
+                least=Point(*least),
+                greatest=Point(*greatest),
+                stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
+                touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
+            )
+            descriptions.append(description)
+        return descriptions
 
 
 def _described_plugin(plugin: PluginSurvey) -> PluginDescription:
@@ -293,3 +257,38 @@ def _described_plugin(plugin: PluginSurvey) -> PluginDescription:
         tags_not_simulated=plugin.unread,
         refused=plugin.refused,
     )
+
+
+def offer_all(
+    world: RunningWorld,
+    frame: str,
+    hidden: str,
+    states_rate: float,
+    folder: Path,
+    warnings: Warnings,
+) -> List[Any]:
+    """Offer Gazebo's services and topics on a running world, and the markers of its shapes.
+
+    Args:
+        world: that they are about.
+        frame: of the markers in RViz.
+        hidden: name of the model without markers, which RViz shows as a robot.
+        states_rate: messages on /gazebo/model_states and link_states per simulated second.
+        folder: in which worlds are saved.
+        warnings: of the world and its models so far and from now on.
+
+    Returns:
+        What has to exist as long as the services and topics.
+    """
+    subscribe_to_states(world)
+    return [
+        WorldMarkers(world, frame, hidden),
+        _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
+        _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
+        _Performance(world),
+        offer_services(world),
+        GazeboPhysics(world),
+        WorldSaver(world, folder),
+        DeviceServices(world),
+        ModelDescriptions(world, warnings),
+    ]

@@ -1,13 +1,15 @@
-"""Gazebo's services on models, links and joints, and the topics that set their states."""
+"""Gazebo's services on models, links, joints and lights, and the topics that set their states."""
 
 from __future__ import annotations
 
+import math
 import traceback
 from dataclasses import replace
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable, Dict, List, Optional, Sequence
 
 import rospy
+from std_msgs.msg import ColorRGBA
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
@@ -27,6 +29,8 @@ from bullet_lab.ros.node.node import Refusals
 from bullet_lab.simulation.forces import Effort, Period, Wrench
 from bullet_lab.simulation.models import (
     WORLD_FRAMES,
+    change_joint,
+    change_link,
     find_joint,
     find_link,
     find_model,
@@ -36,19 +40,24 @@ from bullet_lab.simulation.models import (
     move_link,
     relative_to,
 )
-from bullet_lab.simulation.world.description import FrameState, Light, Model
+from bullet_lab.simulation.world.description import FrameState, Inertia, Light, Model
 from bullet_lab.simulation.world.sdf import read_spawned
+from bullet_lab.simulation.world.tree import INERTIA_KEYS, matrix_from_elements
 
 QUEUE_SIZE = 10
 # Status message of a getter that succeeded, after the type's name.
 GOT = "got properties"
+SET = "properties set"
+JOINT_TYPES = {
+    "revolute": srv.GetJointPropertiesResponse.REVOLUTE,
+    "continuous": srv.GetJointPropertiesResponse.CONTINUOUS,
+    "prismatic": srv.GetJointPropertiesResponse.PRISMATIC,
+}
+# Properties of ODE joints that have no effect in PyBullet.
+UNUSED = ("erp", "cfm", "stop_erp", "stop_cfm", "fudge_factor")
 
 # Fields of a response besides success and status_message; None for no others.
 Answer = Optional[Dict[str, Any]]
-
-
-class SpawnError(LabError):
-    """A model cannot be added to the world."""
 
 
 def offer(
@@ -85,25 +94,6 @@ def offer(
     return rospy.Service(name, kind, handle)
 
 
-def offer_between_steps(
-    world: RunningWorld,
-    name: str,
-    kind: Any,
-    answer: Callable[[RunningWorld, Any], Answer],
-    done: str,
-) -> rospy.Service:
-    """Offer a service of /gazebo that the thread of the simulation answers between two steps.
-
-    Its status messages begin with the name of its type, as Gazebo's do.
-    """
-    prefix = f"{kind.__name__}: "
-
-    def between_steps(request: Any) -> Answer:
-        return world.do(partial(answer, world, request))
-
-    return offer(f"/gazebo/{name}", kind, between_steps, done and prefix + done, prefix)
-
-
 def _spawn(world: RunningWorld, request: Any) -> None:
     name = request.model_name
     pose = normalised_pose(request.initial_pose)
@@ -121,36 +111,25 @@ def _add(
 ) -> None:
     name = request.model_name or model.name
     if name in world.models:
-        raise SpawnError("entity already exists.")
-    frame = frame_state(world.models, request.reference_frame).pose
-    instance = world.simulation.add(
-        model, name, frame * pose * model.pose, request.robot_namespace, prefixes
-    )
-    try:
-        world.topics.connect(instance)
-    except (LabError, ValueError, rospy.ROSException) as error:
-        world.simulation.remove(name)
-        raise SpawnError(f"cannot connect its topics: {error}") from error
+        raise InputError("entity already exists.")
+    place = frame_state(world.models, request.reference_frame).pose * pose * model.pose
+    world.add(model, name, place, request.robot_namespace, prefixes)
     world.notify(name)
 
 
 def _add_light(world: RunningWorld, light: Light) -> None:
     simulation = world.simulation
     if light.name in (*simulation.models, *(one.name for one in simulation.world.lights)):
-        raise SpawnError("entity already exists.")
+        raise InputError("entity already exists.")
     # As in Gazebo, the pose in the SDF counts and not the one in the request.
     simulation.set_light(light)
 
 
 def _delete(world: RunningWorld, request: Any) -> None:
     instance = find_model(world.models, request.model_name)
-    world.topics.disconnect_devices(instance.plugins)
+    world.topics.disconnect(instance.plugins)
     world.simulation.remove(request.model_name)
     world.notify(request.model_name)
-
-
-def _set_model(world: RunningWorld, request: Any) -> None:
-    _move_model(world, request.model_state)
 
 
 def _move_model(world: RunningWorld, message: Any) -> None:
@@ -158,10 +137,6 @@ def _move_model(world: RunningWorld, message: Any) -> None:
     state = _state_in_world(world, message)
     instance.move(state.pose, state.linear, state.angular)
     world.notify(instance.name)
-
-
-def _set_link(world: RunningWorld, request: Any) -> None:
-    _move_link(world, request.link_state)
 
 
 def _move_link(world: RunningWorld, message: Any) -> None:
@@ -252,11 +227,117 @@ def _period(world: RunningWorld, request: Any) -> Period:
     return Period.after(now, request.start_time.to_sec(), request.duration.to_sec())
 
 
+def _joint_properties(world: RunningWorld, request: Any) -> Answer:
+    instance, name = find_joint(world.models, request.joint_name)
+    state = instance.body_of_joint(name).joint_state(name)
+    joint = next(j for j in instance.model.joints if j.name == name)
+    return {
+        "type": JOINT_TYPES[joint.kind],
+        "damping": [joint.damping],
+        "position": [state.position],
+        "rate": [state.velocity],
+    }
+
+
+def _set_joint_properties(world: RunningWorld, request: Any) -> Answer:
+    instance, name = find_joint(world.models, request.joint_name)
+    config, keys = request.ode_joint_config, ("damping", "loStop", "hiStop", "vel", "fmax")
+    damping, lower, upper, speed, effort = (_first(getattr(config, key), key) for key in keys)
+    if damping is not None and damping < 0.0:
+        raise InputError(f"a damping of {damping:g} is negative")
+    change_joint(instance, name, damping, lower, upper)
+    if speed is not None or effort is not None:
+        # ODE's motor: it aims at the speed `vel` with an effort of `fmax` at most.
+        instance.body_of_joint(name).drive_joint(name, speed or 0.0, abs(effort or 0.0))
+    done = f"SetJointProperties: {SET}"
+    unused = [key for key in UNUSED if len(getattr(config, key))]
+    if unused:
+        done += f"; {', '.join(unused)} do nothing here"
+    return {"status_message": done}
+
+
+def _link_properties(world: RunningWorld, request: Any) -> Answer:
+    link = find_link(world.models, request.link_name)
+    model = link.instance.model
+    description = model.links_by_name()[link.link]
+    inertia = description.inertia
+    if inertia is None:
+        return {"com": pose_message(Pose())}
+    gravity = description.gravity and not model.static
+    values = {"gravity_mode": gravity, "mass": inertia.mass, **inertia.elements()}
+    return {"com": pose_message(Pose(inertia.centre)), **values}
+
+
+def _set_link_properties(world: RunningWorld, request: Any) -> None:
+    link = find_link(world.models, request.link_name)
+    elements: Dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
+    if not all(map(math.isfinite, (request.mass, *elements.values()))):
+        raise InputError("mass or inertia is not finite")
+    centre = vector_of(request.com.position, "the centre of mass")
+    inertia = Inertia(request.mass, centre, matrix_from_elements(**elements))
+    change_link(link, inertia, request.gravity_mode)
+
+
+def _light_properties(world: RunningWorld, request: Any) -> Answer:
+    light = world.simulation.light(request.light_name)
+    fade = light.attenuation
+    return {
+        "diffuse": ColorRGBA(*light.diffuse),
+        "attenuation_constant": fade.constant,
+        "attenuation_linear": fade.linear,
+        "attenuation_quadratic": fade.quadratic,
+    }
+
+
+def _set_light_properties(world: RunningWorld, request: Any) -> None:
+    light = world.simulation.light(request.light_name)
+    keys = ("constant", "linear", "quadratic")
+    fading = {key: getattr(request, f"attenuation_{key}") for key in keys}
+    colour = tuple(getattr(request.diffuse, part) for part in "rgba")
+    if not all(0.0 <= value < math.inf for value in (*fading.values(), *colour)):
+        raise InputError("a colour or an attenuation is negative or not finite")
+    direction = vector_of(request.direction, "the direction")
+    changed = replace(
+        light,
+        pose=normalised_pose(request.pose),
+        diffuse=colour,
+        # (0, 0, 0) keeps the direction.
+        direction=direction if any(direction) else light.direction,
+        casts_shadows=request.cast_shadows,
+        attenuation=replace(light.attenuation, **fading),
+    )
+    world.simulation.set_light(changed)
+
+
+def _delete_light(world: RunningWorld, request: Any) -> Answer:
+    world.simulation.remove_light(request.light_name)
+    return {"status_message": f"DeleteLight: {request.light_name} successfully deleted"}
+
+
+def _first(values: Sequence[float], name: str) -> Optional[float]:
+    """Return the value for a joint's first axis, None if there is none; raises InputError."""
+    if not values:
+        return None
+    if math.isnan(values[0]):
+        raise InputError(f"{name} is not a number")
+    return values[0]
+
+
 # Name, type, function and status message of the services that are answered between two steps.
 SERVICES = (
     ("delete_model", srv.DeleteModel, _delete, "successfully deleted model"),
-    ("set_model_state", srv.SetModelState, _set_model, "set model state done"),
-    ("set_link_state", srv.SetLinkState, _set_link, "success"),
+    (
+        "set_model_state",
+        srv.SetModelState,
+        lambda world, request: _move_model(world, request.model_state),
+        "set model state done",
+    ),
+    (
+        "set_link_state",
+        srv.SetLinkState,
+        lambda world, request: _move_link(world, request.link_state),
+        "success",
+    ),
     ("set_model_configuration", srv.SetModelConfiguration, _configure, "success"),
     ("get_world_properties", srv.GetWorldProperties, _world_properties, GOT),
     ("get_model_properties", srv.GetModelProperties, _model_properties, GOT),
@@ -268,19 +349,46 @@ SERVICES = (
     ("clear_joint_forces", srv.JointRequest, _clear_efforts, ""),
     # Gazebo has both names for it.
     ("clear_joint_efforts", srv.JointRequest, _clear_efforts, ""),
+    ("get_joint_properties", srv.GetJointProperties, _joint_properties, GOT),
+    ("set_joint_properties", srv.SetJointProperties, _set_joint_properties, SET),
+    ("get_link_properties", srv.GetLinkProperties, _link_properties, GOT),
+    ("set_link_properties", srv.SetLinkProperties, _set_link_properties, SET),
+    # As in Gazebo, the next two have no status message after a success.
+    ("get_light_properties", srv.GetLightProperties, _light_properties, ""),
+    ("set_light_properties", srv.SetLightProperties, _set_light_properties, ""),
+    ("delete_light", srv.DeleteLight, _delete_light, ""),
 )
 
 
 def offer_services(world: RunningWorld) -> List[rospy.Service]:
-    """Offer the services on models, links and joints."""
+    """Offer the services on models, links, joints and lights."""
     spawn = partial(_spawn, world)
     messages = ("SpawnModel: Successfully spawned entity", "SpawnModel: Failure - ")
     return [
         # As in Gazebo, both services accept SDF and URDF.
         offer("/gazebo/spawn_sdf_model", srv.SpawnModel, spawn, *messages),
         offer("/gazebo/spawn_urdf_model", srv.SpawnModel, spawn, *messages),
-        *(offer_between_steps(world, *row) for row in SERVICES),
+        *(_offer_between_steps(world, *row) for row in SERVICES),
     ]
+
+
+def _offer_between_steps(
+    world: RunningWorld,
+    name: str,
+    kind: Any,
+    answer: Callable[[RunningWorld, Any], Answer],
+    done: str,
+) -> rospy.Service:
+    """Offer a service of /gazebo that the thread of the simulation answers between two steps.
+
+    Its status messages begin with the name of its type, as Gazebo's do.
+    """
+    prefix = f"{kind.__name__}: "
+
+    def between_steps(request: Any) -> Answer:
+        return world.do(partial(answer, world, request))
+
+    return offer(f"/gazebo/{name}", kind, between_steps, done and prefix + done, prefix)
 
 
 def subscribe_to_states(world: RunningWorld) -> None:

@@ -1,10 +1,15 @@
-"""Conversions of the simulation's samples to messages, and of messages to commands."""
+"""Conversions of samples to messages, of messages to commands, and of shapes to markers.
+
+Markers show the world's shapes in RViz as Gazebo's window would.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, Callable, Dict, List, Mapping, Type, Union
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Tuple, Union
 
 import cv2
 import numpy as np
@@ -21,11 +26,19 @@ from sensor_msgs.msg import (
     PointField,
     Range,
 )
-from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_msgs.msg import Bool, ColorRGBA, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.gazebo_types import JointControllerState, msg
-from bullet_lab.ros.messages.poses import set_pose, set_quaternion, set_time, set_vector
+from bullet_lab.ros.messages.poses import (
+    pose_message,
+    set_pose,
+    set_quaternion,
+    set_time,
+    set_vector,
+)
 from bullet_lab.simulation.plugins.samples import (
     CameraInfoSample,
     ContactsSample,
@@ -46,6 +59,10 @@ from bullet_lab.simulation.plugins.samples import (
     TransformSample,
     VelocitySample,
 )
+from bullet_lab.simulation.simulation import ModelInstance
+from bullet_lab.simulation.world.description import BLACK, Material, Texture, Visual
+from bullet_lab.simulation.world.mesh_parts import has_own_looks
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 # The memory layout of PCL's PointXYZRGB, as in Gazebo's messages; the colour is 0x00rrggbb.
 POINT = np.dtype(
@@ -65,31 +82,22 @@ COMPRESSIONS = {
     },
     "png": {cv2.IMWRITE_PNG_COMPRESSION: "png_level"},
 }
-
-
-class Converter:
-    """Converts samples of one kind to messages of the class `message_kind`, with a header.
-
-    All samples share one message, which saves time at a hundred times real time: rospy serialises
-    it in `publish`.
-    """
-
-    def __init__(self, message_kind: Type[Any], fill: Callable[[Any, Any], None]):
-        self.message_kind = message_kind
-        self._message = self._stamped = message_kind()
-        self._fill = fill
-        if message_kind is TFMessage:
-            # The transform has the header.
-            self._stamped = TransformStamped()
-            self._message.transforms.append(self._stamped)
-
-    def convert(self, sample: Any) -> Any:
-        """Return a sample as a message, which the next call overwrites."""
-        header = self._stamped.header
-        set_time(header.stamp, sample.step)
-        header.frame_id = sample.frame
-        self._fill(self._stamped, sample)
-        return self._message
+# m; a plane is a slab just below the floor, or it would flicker with RViz's grid.
+SLAB_THICKNESS = 0.01
+SLAB_DEPTH = 0.005
+# m; longest side of a plane without texture.
+LARGEST_PLANE = 20.0
+# Type and scale of the marker of each shape.
+MARKERS: Dict[type, Callable[[Any], Tuple[int, Tuple[float, ...]]]] = {
+    Box: lambda box: (Marker.CUBE, box.size),
+    Cylinder: lambda c: (Marker.CYLINDER, (2.0 * c.radius, 2.0 * c.radius, c.length)),
+    Sphere: lambda sphere: (Marker.SPHERE, (2.0 * sphere.radius,) * 3),
+    Plane: lambda plane: (
+        Marker.CUBE,
+        (*(min(side, LARGEST_PLANE) for side in plane.size), SLAB_THICKNESS),
+    ),
+    Mesh: lambda mesh: (Marker.MESH_RESOURCE, mesh.scale),
+}
 
 
 def _odometry(message: Odometry, sample: OdometrySample) -> None:
@@ -244,41 +252,155 @@ def _diagonal(value: float, size: int) -> List[float]:
     return matrix
 
 
-# Functions that make the converter for a kind of samples.
-OUTPUT_CONVERTERS: Dict[type, Callable[[], Converter]] = {
-    OdometrySample: partial(Converter, Odometry, _odometry),
-    TransformSample: partial(Converter, TFMessage, _transform),
-    JointSample: partial(Converter, JointState, _joints),
-    ImageSample: partial(Converter, Image, _image),
-    CameraInfoSample: partial(Converter, CameraInfo, _camera_info),
-    PointsSample: partial(Converter, PointCloud2, _points),
-    LaserSample: partial(Converter, LaserScan, _scan),
-    RangeSample: partial(Converter, Range, _range),
-    ImuSample: partial(Converter, Imu, _imu),
-    MotionSample: partial(Converter, Odometry, _motion),
-    LoopSample: partial(Converter, JointControllerState, _loop),
-    VelocitySample: partial(Converter, TwistStamped, _velocity),
-    ContactsSample: partial(Converter, msg.ContactsState, _contacts),
+# The message for each kind of samples, and the function that fills it.
+MESSAGES: Dict[type, Tuple[type, Callable[[Any, Any], None]]] = {
+    OdometrySample: (Odometry, _odometry),
+    TransformSample: (TFMessage, _transform),
+    JointSample: (JointState, _joints),
+    ImageSample: (Image, _image),
+    CameraInfoSample: (CameraInfo, _camera_info),
+    PointsSample: (PointCloud2, _points),
+    LaserSample: (LaserScan, _scan),
+    RangeSample: (Range, _range),
+    ImuSample: (Imu, _imu),
+    MotionSample: (Odometry, _motion),
+    LoopSample: (JointControllerState, _loop),
+    VelocitySample: (TwistStamped, _velocity),
+    ContactsSample: (msg.ContactsState, _contacts),
 }
 
 
-@dataclass(frozen=True)
-class CommandConverter:
-    """Converts messages of the class `message_kind` to commands, by `convert`."""
+class Converter:
+    """Converts samples of one kind to messages of the class `message_kind`, with a header.
 
-    message_kind: Type[Any]
-    convert: Callable[[Any], Any]
+    All samples share one message, which saves time at a hundred times real time: rospy serialises
+    it in `publish`.
+    """
+
+    def __init__(self, sample_kind: type):
+        self.message_kind, self._fill = MESSAGES[sample_kind]
+        self._message = self._stamped = self.message_kind()
+        if self.message_kind is TFMessage:
+            # The transform has the header.
+            self._stamped = TransformStamped()
+            self._message.transforms.append(self._stamped)
+
+    def convert(self, sample: Any) -> Any:
+        """Return a sample as a message, which the next call overwrites."""
+        header = self._stamped.header
+        set_time(header.stamp, sample.step)
+        header.frame_id = sample.frame
+        self._fill(self._stamped, sample)
+        return self._message
 
 
-def _planar(message: Twist) -> PlanarCommand:
-    return PlanarCommand(message.linear.x, message.linear.y, message.angular.z)
-
-
-INPUT_CONVERTERS: Dict[type, CommandConverter] = {
-    PlanarCommand: CommandConverter(Twist, _planar),
-    JointCommand: CommandConverter(Float64, lambda message: JointCommand(message.data)),
-    JointCommands: CommandConverter(
-        Float64MultiArray, lambda message: JointCommands(tuple(message.data))
-    ),
-    Stop: CommandConverter(Bool, lambda message: Stop(message.data)),
+# The message for each kind of commands, and the function that reads it.
+COMMANDS: Dict[type, Tuple[type, Callable[[Any], Any]]] = {
+    PlanarCommand: (Twist, lambda m: PlanarCommand(m.linear.x, m.linear.y, m.angular.z)),
+    JointCommand: (Float64, lambda message: JointCommand(message.data)),
+    JointCommands: (Float64MultiArray, lambda message: JointCommands(tuple(message.data))),
+    Stop: (Bool, lambda message: Stop(message.data)),
 }
+
+
+def world_markers(instance: ModelInstance, frame: str) -> List[Marker]:
+    """Return the visible shapes of a model as markers; their namespace is the model's name.
+
+    A marker has no fields for textures and emissive colours. They are in its text as JSON; RViz
+    displays the text of text markers only.
+    """
+    markers: List[Marker] = []
+    for link in instance.model.links:
+        pose = instance.frame(link.name).pose() if link.visuals else Pose()
+        for visual in link.visuals:
+            placed = pose * visual.pose
+            if isinstance(visual.geometry, Plane):
+                placed = placed * Pose((0.0, 0.0, -SLAB_DEPTH - 0.5 * SLAB_THICKNESS))
+            marker = _marker(visual)
+            marker.header.frame_id = frame
+            marker.ns = instance.name
+            marker.id = len(markers)
+            marker.pose = pose_message(placed)
+            markers.append(marker)
+    return markers
+
+
+def deleted_markers(model: str, numbers: Iterable[int], frame: str) -> List[Marker]:
+    """Return markers that delete those of a model with these numbers."""
+    markers = [Marker(action=Marker.DELETE, ns=model, id=number) for number in numbers]
+    for marker in markers:
+        marker.header.frame_id = frame
+    return markers
+
+
+def _marker(visual: Visual) -> Marker:
+    shape = visual.geometry
+    kind, size = MARKERS[type(shape)](shape)
+    marker = Marker(action=Marker.ADD, frame_locked=True, type=kind, scale=Vector3(*size))
+    marker.color = ColorRGBA(*visual.colour)
+    marker.text = _look_text(visual)
+    if isinstance(shape, Plane) and visual.material.texture is not None:
+        # The full size, which the texture depends on.
+        marker.scale = Vector3(*shape.size, SLAB_THICKNESS)
+    if isinstance(shape, Mesh):
+        # RViz resolves package:// itself.
+        in_package = shape.uri.startswith("package://")
+        marker.mesh_resource = shape.uri if in_package else shape.path.absolute().as_uri()
+        if not visual.material.covers and has_own_looks(shape):
+            # Without a colour of the marker, a mesh has its own colours.
+            marker.mesh_use_embedded_materials, marker.color = True, ColorRGBA()
+    return marker
+
+
+class Look(NamedTuple):
+    """The appearance of a shape besides its colour, and whether its slab is a plane."""
+
+    material: Material = Material()
+    is_plane: bool = False
+
+
+def _look_text(visual: Visual) -> str:
+    """Return the text of a visual's marker for `look_of`; empty if it has only a colour."""
+    material = visual.material
+    look: Dict[str, Any] = {}
+    if material.texture is not None:
+        look = {"texture": asdict(material.texture), "plane": isinstance(visual.geometry, Plane)}
+    if material.emissive != BLACK:
+        look["emissive"] = material.emissive
+    if not material.lit:
+        look["lit"] = False
+    return json.dumps(look, default=str) if look else ""
+
+
+def look_of(text: str) -> Look:
+    """Return the look in the text of a shape's marker; the default look if there is none.
+
+    >>> look_of('{"texture": {"path": "/wood.png"}, "lit": false}').material.texture.path.name
+    'wood.png'
+    >>> look_of("a label") == Look()
+    True
+    """
+    try:
+        look = json.loads(text) if text else {}
+        texture = _texture(**look["texture"]) if "texture" in look else None
+        emissive = _numbers(look.get("emissive", BLACK), 4)
+        lit = bool(look.get("lit", True))
+        return Look(Material(None, emissive, texture, lit), bool(look.get("plane")))
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        return Look()
+
+
+def _texture(path: Any, **values: Any) -> Texture:
+    texture = Texture(Path(path), **values)
+    scale, scroll = _numbers(texture.scale, 2), _numbers(texture.scroll, 2)
+    if not all(scale):
+        raise ValueError(scale)
+    flags = (bool(flag) for flag in (texture.repeats, texture.blends, texture.sharp))
+    return Texture(texture.path, scale, scroll, *_numbers([texture.rotation], 1), *flags)
+
+
+def _numbers(values: Iterable[Any], count: int) -> Tuple[Any, ...]:
+    found = tuple(map(float, values))
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise ValueError(found)
+    return found

@@ -14,7 +14,7 @@
 :ROS Services:
     - /gazebo/pause_physics, unpause_physics, reset_world, reset_simulation (std_srvs/Empty)
     - the other services of /gazebo: see `bullet_lab.ros.gazebo`
-    - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.ros_control`
+    - controller_manager/… of robots with controllers: see `bullet_lab.ros.gazebo.devices`
     - /bullet_lab/save_world (bullet_lab/SaveWorld): write the running world to a file
     - /bullet_lab/describe_models (bullet_lab/DescribeModels): which plugins and tags are simulated
     - /bullet_lab/set_rtf (bullet_lab/SetRtf): change the speed of simulated time
@@ -25,22 +25,24 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
-import threading
-import time
+import xmlrpc.client
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Sequence
+from xml.etree.ElementTree import Element
 
+import rosgraph
+import rospkg
 import rospy
 import rospy.rostime
 from rosgraph_msgs.msg import Clock
-from std_srvs.srv import Empty, EmptyResponse
+from std_srvs.srv import Empty
 
 from bullet_lab.core.parameters import (
     boolean,
-    choice,
     integer,
     name_list,
     number,
@@ -50,34 +52,37 @@ from bullet_lab.core.parameters import (
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.commands import Sent
 from bullet_lab.ros.bridge.running_world import (
-    DeviceTopics,
+    OdometryFrames,
     RunningWorld,
-    answers,
-    refuse_second_simulator,
+    TouchCounter,
     tf_prefixes,
 )
-from bullet_lab.ros.bridge.stepper import Reached, Stepper, StepperError
+from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, TimeGate
-from bullet_lab.ros.bridge.world_topics import OdometryFrames, TouchCounter
-from bullet_lab.ros.gazebo.exports import add_exported_paths
-from bullet_lab.ros.gazebo.interface import Gazebo, ModelDescriptions, Warnings
-from bullet_lab.ros.gazebo.ros_control import ControllerManagers
+from bullet_lab.ros.bridge.topics import DeviceTopics, Route
+from bullet_lab.ros.gazebo.interface import Warnings, offer_all
+from bullet_lab.ros.gazebo.services import offer
 from bullet_lab.ros.messages.poses import (
     NANOSECONDS_PER_STEP,
     first_step_at,
     set_time,
     time_of,
 )
-from bullet_lab.ros.node.node import NodeError, ignore_clock, private_parameters, run_node
+from bullet_lab.ros.node.node import (
+    MASTER_ERRORS,
+    NodeError,
+    ignore_clock,
+    private_parameters,
+    run_node,
+)
 from bullet_lab.simulation.plugins.camera import Camera
-from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
-from bullet_lab.simulation.simulation import ModelInstance, Simulation
+from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Model
-from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.resources import ResourceFinder, listed_folders
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
-from bullet_lab.srv import Advance, AdvanceResponse, Step, StepResponse
+from bullet_lab.simulation.world.xml import parse_text, read_text
+from bullet_lab.srv import Advance, AdvanceResponse, Step
 
 LOG = logging.getLogger(__name__)
 
@@ -85,9 +90,15 @@ LOG = logging.getLogger(__name__)
 LOG_TIME_RATE = 5.0
 # A member of the lock step that fails to answer this often in a row is dead.
 SILENCES = 3
-# Wall seconds between two checks whether the loop is stuck.
-LOOP_CHECK_SECONDS = 1.0
-LOST = "commands of %s were lost (%s to %s)"
+# Environment variables that packages extend, by the attributes of their exports.
+EXPORTED = {
+    "gazebo_model_path": "GAZEBO_MODEL_PATH",
+    "gazebo_media_path": "GAZEBO_RESOURCE_PATH",
+}
+EXPORTER = "gazebo_ros"
+# Wall seconds within which a node that is alive answers.
+ANSWER_SECONDS = 5.0
+CALLER = "/bullet_lab"
 NOT_REACHED = "the world or time was reset, or the bridge shuts down"
 # s; a grant up to the end of ROS time is for ever.
 END_OF_TIME = 2**31 - 1
@@ -106,7 +117,6 @@ class BridgeParameters:
     robot_description: str = text(
         "robot_description", "parameter that holds the robot's URDF; empty for no robot"
     )
-    robot_name: str = text("", "name of the robot's model; empty for that of the URDF")
     robot_namespace: str = text("", "robotNamespace of plugins that have none")
     robot_pose: tuple[float, ...] = number_list(
         (0.0,) * 6, "pose of the robot at the start: x y z in metres, roll pitch yaw in radians"
@@ -116,9 +126,6 @@ class BridgeParameters:
     )
     clock_rate: float = number(
         100.0, "messages on /clock per simulated second", above=0.0, maximum=1000.0
-    )
-    renderer: str = choice(
-        AUTO, "ignored: cameras are always rendered by Panda3D through EGL", CHOICES
     )
     camera_rate: float = number(
         0.0,
@@ -148,140 +155,105 @@ class PyBulletBridge:
     """Connects a simulation with ROS."""
 
     def __init__(self, parameters: BridgeParameters):
-        self._parameters = parameters
-        check_choice(parameters.renderer)
         warnings = Warnings()
         self._failures: set[tuple[str, str]] = set()
-        self.simulation = Simulation.of(parameters.world, parameters.seed)
-        self.simulation.go_on_after(self._report_failure)
+        self.simulation = simulation = Simulation.of(parameters.world, parameters.seed)
+        simulation.go_on_after(self._report_failure)
         self.stepper = Stepper(
-            self.simulation,
+            simulation,
             Pace(parameters.rtf),
             TimeGate(map(rospy.resolve_name, parameters.lock_step)),
             tick=max(1, round(STEPS_PER_SECOND / parameters.clock_rate)),
             paused=parameters.paused,
             is_over=rospy.is_shutdown,
             report_stall=self._report_stall,
-            after_steps=lambda: self._topics.flush(),
             report_lag=lambda lag: rospy.logwarn("%s", lag),
         )
-        self._topics = DeviceTopics(self.stepper)
         self._silences: Counter = Counter()
+        self._world = world = RunningWorld(self.stepper, DeviceTopics(self.stepper))
         ignore_clock()
         self._clock = Clock()
-        self._clock_publisher = self._topics.publisher("/clock", Clock)
-        self.simulation.every(parameters.clock_rate, self._publish_clock)
-        self.simulation.every(LOG_TIME_RATE, _set_log_time)
-        for instance in self.simulation.models.values():
-            self._topics.connect(instance)
-        robot = self._add_robot()
-        world = RunningWorld(self.stepper, self._topics)
-        hidden = "" if robot is None else robot.name
+        self._clock_publisher = world.topics.publisher("/clock", Clock)
+        simulation.every(parameters.clock_rate, self._publish_clock)
+        simulation.every(LOG_TIME_RATE, _set_log_time)
+        for instance in simulation.models.values():
+            world.connect(instance)
+        frame, hidden = parameters.world_frame, _add_robot(world, parameters)
         folder = Path(parameters.save_folder)
-        self._gazebo = Gazebo(
-            world, parameters.world_frame, hidden, parameters.states_rate, folder
-        )
-        self._descriptions = ModelDescriptions(world, warnings)
-        self._controllers = ControllerManagers(world)
-        self._touches = TouchCounter(world)
-        self._frames = OdometryFrames(
-            world, parameters.world_frame if parameters.publish_world_tf else ""
-        )
-        self._services = self._offer_services()
+        self._interfaces = [
+            offer_all(world, frame, hidden, parameters.states_rate, folder, warnings),
+            TouchCounter(world),
+            OdometryFrames(world, frame if parameters.publish_world_tf else ""),
+            self._offer_services(),
+        ]
 
     def spin(self) -> None:
         """Run until ROS shuts down."""
         rospy.on_shutdown(self.stepper.wake)
-        threading.Thread(target=self._watch_the_loop, daemon=True).start()
         try:
             self.stepper.run()
         finally:
             self.simulation.close()
 
-    def _watch_the_loop(self) -> None:
-        """Warn when the loop is stuck; runs in a thread."""
-        while not rospy.is_shutdown():
-            stuck = self.stepper.watch.stuck()
-            if stuck:
-                rospy.logwarn("simulated time stands still: busy with %s for %.0f s", *stuck)
-            time.sleep(LOOP_CHECK_SECONDS)
-
     def _publish_clock(self, step: int) -> None:
         set_time(self._clock.clock, step)
         self._clock_publisher.publish(self._clock)
 
-    # The robot
-
-    def _add_robot(self) -> ModelInstance | None:
-        model = self._read_robot()
-        if model is None:
-            return None
-        x, y, z, roll, pitch, yaw = self._parameters.robot_pose
-        pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
-        name = self._parameters.robot_name
-        # As in spawn_model; the plugins' topics are not in a namespace of the model's name.
-        namespace = self._parameters.robot_namespace or "/"
-        prefixes = tf_prefixes(model, namespace, name)
-        robot = self.simulation.add(model, name, pose, namespace, prefixes)
-        self._topics.connect(robot)
-        if self._parameters.camera_rate:
-            _set_camera_rate(robot, self._parameters.camera_rate)
-        return robot
-
-    def _read_robot(self) -> Model | None:
-        if self._parameters.robot:
-            return read_urdf_file(ResourceFinder.anywhere().find(self._parameters.robot))
-        name = self._parameters.robot_description
-        text = rospy.get_param(name, "") if name else ""
-        return read_urdf(str(text), name) if text else None
-
-    # Services
-
     def _offer_services(self) -> list[rospy.Service]:
-        actions = {
-            "pause_physics": self.stepper.pause,
-            "unpause_physics": self.stepper.unpause,
-            "reset_world": lambda: self._reset(self.stepper.reset_world),
-            "reset_simulation": lambda: self._reset(self.stepper.reset_simulation),
+        stepper, simulation = self.stepper, self.simulation
+        answers: dict[str, Callable[[Any], None]] = {
+            "pause_physics": lambda _: stepper.set_paused(True),
+            "unpause_physics": lambda _: stepper.set_paused(False),
+            "reset_world": lambda _: self._reset(simulation.reset_world),
+            "reset_simulation": lambda _: self._reset(simulation.reset_simulation),
         }
-        services = [_service(f"/gazebo/{name}", Empty, actions[name]) for name in actions]
-        services.append(_service("/bullet_lab/step", Step, self._handle_step))
-        services.append(_service("/bullet_lab/advance", Advance, self._handle_advance))
-        return services
+        return [
+            *(offer(f"/gazebo/{name}", Empty, answer) for name, answer in answers.items()),
+            offer("/bullet_lab/step", Step, self._step),
+            rospy.Service("/bullet_lab/advance", Advance, self._advance),
+        ]
 
     def _reset(self, reset: Callable[[], None]) -> None:
-        reset()
-        self._gazebo.everything_moved()
+        self.stepper.reset(reset)
+        self._world.do(lambda: self._world.notify(""))
 
-    def _handle_step(self, request: Any) -> StepResponse:
+    def _step(self, request: Any) -> dict[str, Any]:
         try:
-            reached = self.stepper.advance_by(request.steps)
+            return {"now": time_of(self.stepper.advance_by(request.steps))}
         except StepperError as error:
-            return StepResponse(time_of(self.simulation.step), False, str(error))
-        return StepResponse(now=time_of(reached), success=True, status_message="")
+            now = time_of(self.simulation.step)
+            return {"now": now, "success": False, "status_message": str(error)}
 
-    def _handle_advance(self, request: Any) -> AdvanceResponse:
+    def _advance(self, request: Any) -> AdvanceResponse:
+        try:
+            return self._advance_for(request)
+        except LabError as error:
+            raise rospy.ServiceException(str(error)) from error
+
+    def _advance_for(self, request: Any) -> AdvanceResponse:
         """Let a member join the lock step, or advance time for it."""
         caller = request._connection_header["callerid"]
         if request.node != caller and answers(request.node):
             line = f"{request.node} is alive and advances time itself"
             raise NodeError(f"{line}; request of {caller} refused")
-        sent = [Sent(*one) for one in zip(request.topics, request.receivers, request.messages)]
-        if not request.epoch and request.until.secs < END_OF_TIME:
-            heard = self._topics.commands.heard(request.node, sent)
-            return self._advanced(self.stepper.join(request.node), sorted(heard))
-        for lost in self._topics.commands.wait(request.node, sent):
-            rospy.logwarn(LOST, request.node, lost.topic, lost.receiver)
-        until = FOR_EVER if request.until.secs >= END_OF_TIME else first_step_at(request.until)
-        return self._advanced(self.stepper.grant(request.node, until, request.epoch))
-
-    def _advanced(self, reached: Reached, heard: Sequence[str] = ()) -> AdvanceResponse:
+        routes = zip(request.topics, request.receivers)
+        sent = dict(zip((Route(request.node, *route) for route in routes), request.messages))
+        counter, heard = self._world.topics.commands, set()
+        has_left = request.until.secs >= END_OF_TIME
+        if not request.epoch and not has_left:
+            heard = counter.heard(sent)
+            reached = self.stepper.join(request.node)
+        else:
+            for lost in counter.wait(sent):
+                rospy.logwarn("commands of %s were lost (%s to %s)", *lost)
+            until = FOR_EVER if has_left else first_step_at(request.until)
+            reached = self.stepper.grant(request.node, until, request.epoch)
         return AdvanceResponse(
             now=time_of(reached.step),
             epoch=reached.epoch,
             success=reached.success,
             status_message="" if reached.success else NOT_REACHED,
-            heard=heard,
+            heard=sorted(heard),
         )
 
     def _report_failure(self, device: str, error: LabError) -> None:
@@ -304,30 +276,92 @@ class PyBulletBridge:
                 rospy.loginfo("simulated time waits for %s", member)
 
 
-def _service(name: str, kind: type, handle: Callable[..., Any]) -> rospy.Service:
-    """Offer a service that answers a LabError with its message."""
-
-    def answer(request: Any) -> Any:
-        try:
-            if kind is not Empty:
-                return handle(request)
-            handle()
-            return EmptyResponse()
-        except LabError as error:
-            raise rospy.ServiceException(str(error)) from error
-
-    return rospy.Service(name, kind, answer)
-
-
-def _set_camera_rate(robot: ModelInstance, rate: float) -> None:
-    for device in robot.plugins:
+def _add_robot(world: RunningWorld, parameters: BridgeParameters) -> str:
+    """Add the robot of the parameters, if there is one, and return its name."""
+    model = _read_robot(parameters)
+    if model is None:
+        return ""
+    pose = Pose.from_rpy(parameters.robot_pose[:3], parameters.robot_pose[3:])
+    # As in spawn_model; the plugins' topics are not in a namespace of the model's name.
+    namespace = parameters.robot_namespace or "/"
+    robot = world.add(model, "", pose, namespace, tf_prefixes(model, namespace))
+    for device in robot.plugins if parameters.camera_rate else ():
         if isinstance(device, Camera):
-            device.set_rate(rate, 0)
+            device.set_rate(parameters.camera_rate, 0)
+    return robot.name
+
+
+def _read_robot(parameters: BridgeParameters) -> Model | None:
+    if parameters.robot:
+        return read_urdf_file(ResourceFinder.anywhere().find(parameters.robot))
+    name = parameters.robot_description
+    text = rospy.get_param(name, "") if name else ""
+    return read_urdf(str(text), name) if text else None
 
 
 def _set_log_time(step: int) -> None:
     """Set the time of this node's log messages, as it does not subscribe to /clock."""
     rospy.rostime._set_rostime(rospy.Time(*divmod(step * NANOSECONDS_PER_STEP, 10**9)))
+
+
+class _Transport(xmlrpc.client.Transport):
+    """Has a timeout, for nodes that do not answer."""
+
+    def make_connection(self, host):
+        connection = super().make_connection(host)
+        connection.timeout = ANSWER_SECONDS
+        return connection
+
+
+def answers(node: str) -> bool:
+    """Return whether a node is registered with the master and alive."""
+    try:
+        uri = rosgraph.Master(CALLER).lookupNode(node)
+        with xmlrpc.client.ServerProxy(uri, transport=_Transport()) as proxy:
+            proxy.getPid(CALLER)
+    except MASTER_ERRORS:
+        return False
+    return True
+
+
+def refuse_second_simulator() -> None:
+    """Raise NodeError if another node publishes /clock and is alive."""
+    publishers, _, _ = rosgraph.Master(CALLER).getSystemState()
+    for node in dict(publishers).get("/clock", ()):
+        if answers(node):
+            raise NodeError(
+                f"{node} publishes /clock already; a ROS master can have only one simulator"
+            )
+
+
+def add_exported_paths() -> None:
+    """Add the folders that packages export for Gazebo to the environment of this process.
+
+    `<export><gazebo_ros gazebo_model_path="${prefix}/models"/></export>` in a package.xml adds a
+    folder to GAZEBO_MODEL_PATH; gazebo_media_path adds one to GAZEBO_RESOURCE_PATH.
+    """
+    packages = rospkg.RosPack()
+    found = {name: list(map(str, listed_folders(name))) for name in EXPORTED.values()}
+    for package in sorted(packages.list()):
+        prefix = packages.get_path(package)
+        for element in _exports(Path(prefix, "package.xml")):
+            for attribute, name in EXPORTED.items():
+                value = element.get(attribute, "").replace("${prefix}", prefix)
+                found[name] += filter(None, value.split(os.pathsep))
+    for name, folders in found.items():
+        os.environ[name] = os.pathsep.join(dict.fromkeys(folders))
+
+
+def _exports(manifest: Path) -> list[Element]:
+    """Return the elements of a package.xml for Gazebo; none if it is invalid."""
+    try:
+        text = read_text(manifest)
+        # A quick test first: of hundreds of packages, few export anything for Gazebo.
+        if EXPORTER not in text:
+            return []
+        return parse_text(text, str(manifest)).findall(f"export/{EXPORTER}")
+    except LabError:
+        return []
 
 
 def serve(name: str, read: Callable[[], BridgeParameters]) -> None:

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from argparse import Namespace
 from pathlib import Path
 from typing import Sequence
 
@@ -51,36 +51,25 @@ IGNORED_FLAGS = (
 REFUSED = ("-p --play", "--iters", "--initial_sim_time")
 
 
-@dataclass(frozen=True)
-class ServerArguments:
-    """The command line of gzserver.
+def parse_server_arguments(words: Sequence[str]) -> Namespace:
+    """Read the arguments of gzserver, without those of ROS.
 
-    Attributes:
+    Options without a meaning here (recording, the choice of a physics engine, …) are ignored.
+
+    Returns:
         world: name of the world file, as given.
         paused: whether to start paused.
         seed: of the random draws.
         plugins: server plugins that are not simulated, by the names of their files.
-    """
-
-    world: str = "worlds/empty.world"
-    paused: bool = False
-    seed: int = 0
-    plugins: tuple[str, ...] = ()
-
-
-def parse_server_arguments(words: Sequence[str]) -> ServerArguments:
-    """Read the arguments of gzserver, without those of ROS.
-
-    Options without a meaning here (recording, the choice of a physics engine, …) are ignored.
 
     Raises:
         ArgumentsError: an option that is unknown or refused.
     """
     parser = ArgumentParser(prog="gzserver", add_help=False, allow_abbrev=False)
-    parser.add_argument("world", nargs="?", default=ServerArguments.world)
-    parser.add_argument("-u", "--pause", action="store_true")
+    parser.add_argument("world", nargs="?", default="worlds/empty.world")
+    parser.add_argument("-u", "--pause", dest="paused", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("-s", "--server-plugin", action="append", default=[])
+    parser.add_argument("-s", "--server-plugin", dest="plugins", action="append", default=[])
     for names in IGNORED_FLAGS:
         parser.add_argument(*names.split(), action="store_true")
     for names in (*IGNORED_VALUES, *REFUSED):
@@ -93,12 +82,12 @@ def parse_server_arguments(words: Sequence[str]) -> ServerArguments:
             raise ArgumentsError(f"{option} is not simulated")
     if found.seed < 0:
         raise ArgumentsError(f"--seed {found.seed} is negative")
-    plugins = (Path(name).name for name in found.server_plugin)
-    others = tuple(name for name in plugins if not name.startswith(ROS_PLUGINS))
-    return ServerArguments(found.world, found.pause, found.seed, others)
+    names = [Path(name).name for name in found.plugins]
+    found.plugins = [name for name in names if not name.startswith(ROS_PLUGINS)]
+    return found
 
 
-def bridge_parameters(arguments: ServerArguments) -> BridgeParameters:
+def bridge_parameters(arguments: Namespace) -> BridgeParameters:
     """Return the bridge's parameters; raises LabError."""
     for name in arguments.plugins:
         rospy.logwarn("server plugin %s is not simulated and skipped", name)
@@ -115,22 +104,19 @@ def bridge_parameters(arguments: ServerArguments) -> BridgeParameters:
         raise ParameterError(str(error).replace("~clock_rate", CLOCK_RATE)) from error
 
 
-def find_world(name: str, folder: Path | None = None) -> str:
+def find_world(name: str) -> str:
     """Return the path or URI of a world file.
 
     As in Gazebo, a relative name is looked up in the working folder, then in the folders of
-    GAZEBO_RESOURCE_PATH, then in this package, which has worlds/empty.world.
-
-    Args:
-        name: a path, or a URI, which is returned unchanged.
-        folder: the working folder, by default that of the process.
+    GAZEBO_RESOURCE_PATH, then in this package, which has worlds/empty.world. A URI is returned
+    unchanged.
 
     Raises:
         ArgumentsError: there is no such file.
     """
     if "://" in name or Path(name).is_absolute():
         return name
-    folders = [folder or Path.cwd(), *listed_folders("GAZEBO_RESOURCE_PATH"), package_share()]
+    folders = [Path.cwd(), *listed_folders("GAZEBO_RESOURCE_PATH"), package_share()]
     for place in folders:
         if (place / name).is_file():
             return str((place / name).absolute())

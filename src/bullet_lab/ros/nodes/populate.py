@@ -1,19 +1,28 @@
-"""Spawns models in a pattern, and deletes them.
+"""Spawns models in a pattern, deletes them, and spawns a beacon at each point clicked in RViz.
 
-:ROS Parameters: see `PopulateParameters` and, for depopulate, `DepopulateParameters`.
+:ROS Parameters: see `PopulateParameters`, `DepopulateParameters` and `PlaceBeaconParameters`.
 :ROS Service clients: /gazebo/spawn_sdf_model (gazebo_msgs/SpawnModel); depopulate:
-    /gazebo/get_world_properties, /gazebo/delete_model
+    /gazebo/get_world_properties, /gazebo/delete_model; place_beacon: /gazebo/get_world_properties,
+    /gazebo/get_model_state
+:ROS Subscribers of place_beacon:
+    - /clicked_point (geometry_msgs/PointStamped): in any frame; the height is ignored
+    - /bullet_lab/world (visualization_msgs/MarkerArray): the models of the world
+:ROS Publishers of place_beacon: ~placed (std_msgs/String), latched: name of the last beacon
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from dataclasses import dataclass
-from typing import Any, List, Tuple
+from typing import Any, Collection, List, Tuple
 from xml.sax.saxutils import escape
 
 import rospy
+from geometry_msgs.msg import PointStamped
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import (
@@ -27,14 +36,22 @@ from bullet_lab.core.parameters import (
 )
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw
-from bullet_lab.ros.gazebo.client import call, numbered
+from bullet_lab.errors import LabError
+from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call, numbered
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.messages.poses import pose_message
-from bullet_lab.ros.node.node import NodeError, node
+from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
+from bullet_lab.ros.node.node import NodeError, Refusals, node, wait_until
+from bullet_lab.ros.node.publishers import Publisher
+from bullet_lab.ros.node.transforms import FrameFinder
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import read_text
 
 SERVICE = "/gazebo/spawn_sdf_model"
+CLICKED = "/clicked_point"
+# Frame of the world.
+FRAME = "world"
+# m
+ROBOT_RADIUS = 0.3
 # The three beacons of the report.
 BEACONS: Tuple[se2.PlanarPose, ...] = ((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0))
 
@@ -84,6 +101,19 @@ class PopulateParameters(DepopulateParameters):
     name: str = text("", "name of the model, if it is only one")
     namespace: str = text(
         "", "robotNamespace of plugins that have none; the node's own namespace if empty"
+    )
+
+
+@dataclass(frozen=True)
+class PlaceBeaconParameters:
+    """Private parameters of place_beacon."""
+
+    model: str = text(
+        "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
+    )
+    prefix: str = text("beacon", "first part of the names: beacon_0, beacon_1 …")
+    clearance: float = number(
+        0.3, "m from the point to other models: a beacon's radius and a margin", above=0.0
     )
 
 
@@ -148,3 +178,58 @@ def depopulate(parameters: DepopulateParameters) -> None:
     for name in names:
         call("/gazebo/delete_model", srv.DeleteModel, name)
     rospy.loginfo("%d models deleted", len(names))
+
+
+def free_name(prefix: str, taken: Collection[str]) -> str:
+    """Return the first of prefix_0, prefix_1 … that is not taken."""
+    names = (f"{prefix}_{number}" for number in itertools.count())
+    return next(name for name in names if name not in taken)
+
+
+class PlaceBeacon:
+    """Spawns a beacon for each click."""
+
+    def __init__(self, parameters: PlaceBeaconParameters):
+        self._parameters = parameters
+        self._text = description_of(parameters.model)
+        self._refusals = Refusals()
+        self._frames = FrameFinder()
+        self._standing = StandingModels()
+        self._placed = Publisher("~placed", String, queue_size=10, latch=True)
+        # The first message has all models, later ones have changes.
+        self._world = rospy.Subscriber(WORLD, MarkerArray, self._standing.take)
+        wait_until(self._standing.is_known, f"a publisher of {WORLD}")
+        self._clicks = rospy.Subscriber(CLICKED, PointStamped, self._receive, queue_size=10)
+
+    def _receive(self, message: PointStamped) -> None:
+        try:
+            point = vector_of(message.point, "the point")
+            x, y, _ = self._frames.bring(Pose(point), message.header.frame_id, FRAME).position
+            name = self._spawn(x, y)
+        except LabError as error:
+            self._refusals.refuse(CLICKED, str(error))
+            return
+        rospy.loginfo("%s placed at (%.2f, %.2f) m", name, x, y)
+        self._placed.publish(String(name))
+
+    def _spawn(self, x: float, y: float) -> str:
+        names = call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names
+        nearest, distance = self._standing.nearest(x, y)
+        if distance < self._parameters.clearance:
+            raise InputError(f"({x:.2f}, {y:.2f}) m is too near to {nearest}")
+        room = self._parameters.clearance + ROBOT_RADIUS
+        # The markers leave out the robot, which RViz draws from its description.
+        for name in set(names) - set(self._standing.names()):
+            place = call("/gazebo/get_model_state", srv.GetModelState, name, "").pose.position
+            if math.hypot(place.x - x, place.y - y) < room:
+                raise InputError(f"({x:.2f}, {y:.2f}) m is too near to {name}")
+        name = free_name(self._parameters.prefix, names)
+        call(SERVICE, srv.SpawnModel, name, self._text, "", pose_message(Pose((x, y, 0.0))), "")
+        return name
+
+
+@node
+def place_beacon(parameters: PlaceBeaconParameters) -> None:
+    """Run until ROS shuts down."""
+    PlaceBeacon(parameters)
+    rospy.spin()

@@ -18,9 +18,8 @@ import contextlib
 import math
 import re
 import sys
-import threading
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Sequence
 
 import rospy
 from std_srvs.srv import Empty
@@ -111,21 +110,15 @@ def spawn(arguments: argparse.Namespace) -> str:
     if arguments.wait:
         _wait_for(arguments.wait, f"{gazebo}/model_states")
     service = f"{gazebo}/spawn_{'urdf' if arguments.urdf else 'sdf'}_model"
-    answer = call(
-        service,
-        srv.SpawnModel,
-        arguments.model,
-        description_of(arguments),
-        arguments.robot_namespace,
-        pose_message(arguments.pose),
-        arguments.reference_frame,
-    )
+    place = (arguments.robot_namespace, pose_message(arguments.pose), arguments.reference_frame)
+    text = description_of(arguments)
+    answer = call(service, srv.SpawnModel, arguments.model, text, *place)
     if arguments.joints:
         names, positions = zip(*arguments.joints.items())
         configure = f"{gazebo}/set_model_configuration"
         call(configure, srv.SetModelConfiguration, arguments.model, "", names, positions)
     if arguments.unpause:
-        _unpause(f"{gazebo}/unpause_physics")
+        call(f"{gazebo}/unpause_physics", Empty)
     return answer.status_message
 
 
@@ -149,24 +142,11 @@ def packages_to_models(text: str) -> str:
     return PACKAGE_MESH.sub(r"\1model://", text)
 
 
-def _unpause(service: str) -> None:
-    rospy.wait_for_service(service)
-    try:
-        rospy.ServiceProxy(service, Empty)()
-    except rospy.ServiceException as error:
-        raise NodeError(f"{service}: {error}") from error
-
-
 def _wait_for(model: str, topic: str) -> None:
     """Wait until a model is in the world; in wall time, since simulated time may stand still."""
-    is_there = threading.Event()
-
-    def receive(states: Any) -> None:
-        if model in states.name:
-            is_there.set()
-
-    subscriber = rospy.Subscriber(topic, msg.ModelStates, receive, queue_size=1)
-    wait_until(is_there.is_set, f"model '{model}'")
+    names: set[str] = set()
+    subscriber = rospy.Subscriber(topic, msg.ModelStates, lambda states: names.update(states.name))
+    wait_until(lambda: model in names, f"model '{model}'")
     subscriber.unregister()
 
 
@@ -176,9 +156,8 @@ def _delete_at_the_end(arguments: argparse.Namespace) -> None:
     def delete() -> None:
         # The simulation may have ended already.
         with contextlib.suppress(rospy.ServiceException, rospy.ROSException):
-            rospy.ServiceProxy(f"{arguments.gazebo_namespace}/delete_model", srv.DeleteModel)(
-                arguments.model
-            )
+            service = f"{arguments.gazebo_namespace}/delete_model"
+            rospy.ServiceProxy(service, srv.DeleteModel)(arguments.model)
 
     rospy.on_shutdown(delete)
     rospy.spin()

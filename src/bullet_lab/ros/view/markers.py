@@ -14,9 +14,9 @@ from visualization_msgs.msg import MarkerArray
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD
+from bullet_lab.ros.messages.conversions import look_of
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import normalised_pose, vector_of
-from bullet_lab.ros.messages.world import look_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
 from bullet_lab.ros.view.displays import finite, placed
 from bullet_lab.ros.view.frames import DisplayContext

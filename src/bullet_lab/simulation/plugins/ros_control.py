@@ -1,19 +1,20 @@
-"""libgazebo_ros_control.so: joints that controllers of ros_control command."""
+"""libgazebo_ros_control.so: joints that controllers of ros_control command, and their manager."""
 
 from __future__ import annotations
 
 import logging
 import math
-from typing import Any, Optional
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.plugins.controllers.controller import ControllerManager
+from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller
 from bullet_lab.simulation.plugins.controllers.description import (
+    ControlError,
     ControlParameters,
     RobotDescription,
 )
-from bullet_lab.simulation.plugins.controllers.hardware import joint_handles
+from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, joint_handles
 from bullet_lab.simulation.plugins.plugin import Input, Mount, Plugin
 from bullet_lab.simulation.plugins.samples import Stop
 
@@ -61,8 +62,8 @@ class RosControl(Plugin):
             topic = stop if stop.startswith("/") else self.namespace + stop
             self.inputs = (Input(topic, Stop, self._press),)
         self.manager: Optional[ControllerManager] = None
-        self._stopped = self._was_stopped = False
-        self._last_step = 0
+        self._stopped = False
+        self._step = 0
 
     def configure(self, urdf: str, parameters: Any) -> ControllerManager:
         """Read the robot's joints, and return the manager of its controllers.
@@ -79,33 +80,152 @@ class RosControl(Plugin):
         description = RobotDescription.read(urdf, where)
         given = ControlParameters(parameters, self.namespace.rstrip("/"))
         joints = joint_handles(self.mount.bodies, description, given)
-        self.manager = ControllerManager(joints, self.namespace)
-        self.manager.step = self._last_step
+        self.manager = ControllerManager(joints, self.namespace, self._period, self._step)
         return self.manager
 
     def before_step(self, step: int) -> None:
-        manager = self.manager
-        if manager is None:
-            self._last_step = step
-            return
-        if step - self._last_step >= self._period:
-            seconds = (step - self._last_step) / STEPS_PER_SECOND
-            self._last_step = manager.step = step
-            manager.read()
-            if self._was_stopped and not self._stopped:
-                manager.restart()
-            self._was_stopped = self._stopped
-            manager.update(seconds)
-        manager.write(STEP_SECONDS, self._stopped)
+        self._step = step
+        if self.manager is not None:
+            self.manager.before_step(step, self._stopped)
 
     def placed(self) -> None:
         if self.manager is not None:
             self.manager.placed()
 
     def reset(self, step: int) -> None:
-        self._last_step = step
+        self._step = step
         if self.manager is not None:
             self.manager.reset(step)
 
     def _press(self, stop: Stop) -> None:
         self._stopped = stop.pressed
+
+
+class ControllerManager:
+    """Loads, starts, stops, runs and unloads the controllers of one robot.
+
+    Args:
+        joints: of the robot, by name.
+        namespace: of the robot, with slashes around it.
+        period: steps between two updates.
+        step: the present simulated time.
+
+    Attributes:
+        controllers: all that are loaded, by name.
+    """
+
+    def __init__(self, joints: Mapping[str, JointHandle], namespace: str, period: int, step: int):
+        self.joints = joints
+        self.controllers: Dict[str, Controller] = {}
+        self._namespace, self._period = namespace, period
+        # The simulated time of the last update.
+        self._step = step
+        self._was_stopped = False
+
+    def load(self, name: str, parameters: ControlParameters) -> Controller:
+        """Make a controller by its parameters, and return it; it does not run yet.
+
+        Raises:
+            ControlError: the name is loaded already, the type is not simulated, or a parameter
+                is invalid.
+        """
+        if name in self.controllers:
+            raise ControlError(f"controller '{name}' is loaded already")
+        kind = parameters.get("type", "")
+        if not kind:
+            raise ControlError(f"controller '{name}': {parameters.where}/type is missing")
+        if kind not in CONTROLLERS:
+            known = f"known are {', '.join(sorted(CONTROLLERS))}"
+            raise ControlError(f"controller '{name}': the type '{kind}' is not simulated; {known}")
+        try:
+            controller = CONTROLLERS[kind](name, kind, self._namespace, parameters, self.joints)
+        except ControlError as error:
+            raise ControlError(f"controller '{name}': {error}") from error
+        self.controllers[name] = controller
+        return controller
+
+    def unload(self, name: str) -> Controller:
+        """Remove a controller, and return it; raises ControlError if it is unknown or runs."""
+        if name not in self.controllers:
+            raise ControlError(f"no controller '{name}' is loaded")
+        if self.controllers[name].running:
+            raise ControlError(f"controller '{name}' is running: it has to be stopped first")
+        return self.controllers.pop(name)
+
+    def switch(self, start: Sequence[str], stop: Sequence[str], strict: bool = True) -> None:
+        """Stop some controllers and start others, between two steps.
+
+        If not `strict`, controllers that cannot be started or stopped are ignored, except that
+        no two running controllers may command the same joint.
+
+        Raises:
+            ControlError: a controller cannot be started or stopped; nothing is changed.
+        """
+        for name in set(start) & set(stop) & set(self.controllers):
+            raise ControlError(f"controller '{name}' cannot be started and stopped at once")
+        to_stop = self._chosen(stop, True, strict)
+        to_start = self._chosen(start, False, strict)
+        running = [one for one in self.controllers.values() if one.running and one not in to_stop]
+        _refuse_conflicts(running + to_start)
+        for controller in to_stop:
+            controller.stop()
+        for controller in to_start:
+            controller.start(self._step)
+
+    def before_step(self, step: int, stopped: bool) -> None:
+        """Control the joints in the coming step; `stopped` is the emergency stop."""
+        if step - self._step >= self._period:
+            seconds = (step - self._step) / STEPS_PER_SECOND
+            self._step = step
+            self._read()
+            is_released = self._was_stopped and not stopped
+            self._was_stopped = stopped
+            running = [controller for controller in self.controllers.values() if controller.running]
+            for controller in running if is_released else ():
+                controller.stop()
+                controller.start(step)
+            for controller in running:
+                controller.update(step, seconds)
+        for joint in self.joints.values():
+            joint.write(STEP_SECONDS, stopped)
+
+    def _read(self) -> None:
+        for joint in self.joints.values():
+            joint.read()
+
+    def placed(self) -> None:
+        """Handle that the robot was placed somewhere else."""
+        self._read()
+        for one in (*self.joints.values(), *self.controllers.values()):
+            one.placed()
+
+    def reset(self, step: int) -> None:
+        """Start anew after a reset of the robot; simulated time is now `step`."""
+        self._step = step
+        self._read()
+        for controller in self.controllers.values():
+            controller.reset(step)
+
+    def _chosen(self, names: Iterable[str], running: bool, strict: bool) -> List[Controller]:
+        """Return the controllers of those names that run, or that do not run."""
+        chosen: List[Controller] = []
+        for name in dict.fromkeys(names):
+            controller = self.controllers.get(name)
+            if controller is not None and controller.running is running:
+                chosen.append(controller)
+            elif strict and controller is None:
+                raise ControlError(f"no controller '{name}' is loaded")
+            elif strict:
+                state = "not running" if running else "running already"
+                raise ControlError(f"controller '{name}' is {state}")
+        return chosen
+
+
+def _refuse_conflicts(controllers: Iterable[Controller]) -> None:
+    owners: Dict[str, str] = {}
+    for controller in controllers:
+        for joint in controller.joints:
+            owner = owners.setdefault(joint.name, controller.name)
+            if owner != controller.name:
+                both = f"'{owner}' and '{controller.name}'"
+                raise ControlError(f"{both} would both command the joint '{joint.name}'")

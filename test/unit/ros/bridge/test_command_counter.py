@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from bullet_lab.ros.bridge import commands
-from bullet_lab.ros.bridge.commands import Arrival, CommandCounter, Sent
+from bullet_lab.ros.bridge import topics
+from bullet_lab.ros.bridge.topics import Arrival, CommandCounter, Route
 
 STRAIGHT = Arrival("/cmd_vel", "/a")
 RELAYED = Arrival("/cmd_vel", "/relay")
@@ -13,7 +13,7 @@ RELAYED = Arrival("/cmd_vel", "/relay")
 
 @pytest.fixture(autouse=True)
 def _no_settling(monkeypatch):
-    monkeypatch.setattr(commands, "SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr(topics, "SETTLE_SECONDS", 0.0)
 
 
 class Waiting(threading.Condition):
@@ -46,14 +46,14 @@ class Sender:
     def report(self):
         straight = self.arrival == STRAIGHT
         topic, receiver = ("/cmd_vel", "/bridge") if straight else ("/wish", "/relay")
-        return [Sent(topic, receiver, self.sent)]
+        return {Route(self.member, topic, receiver): self.sent}
 
     def join(self):
-        return self.counter.heard(self.member, self.report())
+        return self.counter.heard(self.report())
 
     def wait(self):
         """Return whether all has come."""
-        return not self.counter.wait(self.member, self.report())
+        return not self.counter.wait(self.report())
 
     def waits_for_a_late_one(self):
         """Return whether it waited, and all came in the end."""
@@ -133,7 +133,7 @@ def test_a_multiplexer_that_drops_commands_is_waited_for_once():
     for number in range(1, 201):
         sender.sent = number
         assert sender.wait() == (number > 1)
-    assert sender.waiting.patience == [commands.FIRST_PATIENCE]
+    assert sender.waiting.patience == [topics.FIRST_PATIENCE]
 
 
 def test_a_multiplexer_that_passes_commands_on_again_is_waited_for_again():
@@ -141,7 +141,7 @@ def test_a_multiplexer_that_passes_commands_on_again_is_waited_for_again():
     sender.join()
     sender.sent = 1
     assert not sender.wait()
-    for _ in range(commands.STREAK):
+    for _ in range(topics.STREAK):
         sender.sent += 1
         sender.arrive()
         assert sender.wait()
@@ -177,10 +177,10 @@ def test_what_comes_after_it_was_given_up_is_not_taken_for_the_next():
 
 
 def test_what_another_thread_notes_ends_the_waiting(monkeypatch):
-    monkeypatch.setattr(commands, "PATIENCE", 60.0)
+    monkeypatch.setattr(topics, "PATIENCE", 60.0)
     counter = CommandCounter(lambda *_: {STRAIGHT})
-    counter.heard("/a", [Sent("/cmd_vel", "/bridge", 0)])
+    counter.heard({Route("/a", "/cmd_vel", "/bridge"): 0})
     late = threading.Thread(target=counter.note, args=(STRAIGHT,))
     late.start()
-    assert not counter.wait("/a", [Sent("/cmd_vel", "/bridge", 1)])
+    assert not counter.wait({Route("/a", "/cmd_vel", "/bridge"): 1})
     late.join()

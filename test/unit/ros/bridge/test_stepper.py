@@ -37,8 +37,9 @@ class Running:
             paused=paused,
             is_over=self.over.is_set,
             report_stall=self.stalls.append,
-            after_steps=lambda: self.flushed.append(self.simulation.step),
+            report_lag=lambda _: None,
         )
+        self.stepper.after_steps = lambda: self.flushed.append(self.simulation.step)
         self.thread = threading.Thread(target=self.stepper.run, daemon=True)
         self.thread.start()
 
@@ -102,9 +103,9 @@ def test_runs_by_itself_without_members(running):
 def test_paused_from_the_start_until_told(running):
     run = running(paused=True)
     assert assert_stands(run) == 0
-    run.stepper.unpause()
+    run.stepper.set_paused(False)
     wait_for(lambda: run.step > 100)
-    run.stepper.pause()
+    run.stepper.set_paused(True)
     assert_stands(run)
 
 
@@ -120,9 +121,9 @@ def test_who_advances_far_stops_nobody_else(running):
     wait_for(lambda: run.step > 0)
     assert run.stepper.advance_by(7) > 0
     assert run.stepper.do(lambda: "served") == "served"
-    run.stepper.reset_simulation()
+    run.stepper.reset(run.simulation.reset_simulation)
     wait_for(lambda: run.step > 500)
-    run.stepper.pause()
+    run.stepper.set_paused(True)
     assert_stands(run)
     thread.join(PATIENCE)
     assert ["paused with" in str(error) for error in errors] == [True]
@@ -189,7 +190,7 @@ def test_what_steps_have_brought_goes_out_before_anybody_is_told(running):
     for step in range(0, 2000, 130):
         run.grant("/a", step)
         assert step == 0 or run.flushed[-1] == step
-    run.stepper.pause()
+    run.stepper.set_paused(True)
     assert run.stepper.advance_by(7) == run.flushed[-1]
 
 
@@ -224,7 +225,7 @@ def test_reset_releases_who_waits(running, granted):
     in_thread(run.grant, "/b", granted)
     thread, results = in_thread(run.grant, "/a", 100)
     wait_for(lambda: run.step == granted and run.stepper.gate.has_joined("/a"))
-    run.stepper.reset_simulation()
+    run.stepper.reset(run.simulation.reset_simulation)
     thread.join(PATIENCE)
     assert results == [False]
     assert assert_stands(run) == 0
@@ -234,8 +235,8 @@ def test_reset_releases_who_waits(running, granted):
 def test_a_grant_from_before_a_reset_is_never_given(running, world_only):
     run = running(expected=["/a"])
     busy = run.stepper.grant("/a", 100, run.stepper.join("/a").epoch)
-    reset = run.stepper.reset_world if world_only else run.stepper.reset_simulation
-    reset()
+    world = run.simulation
+    run.stepper.reset(world.reset_world if world_only else world.reset_simulation)
     now = 100 if world_only else 0
     assert assert_stands(run) == now
     # The member thinks of what it does next, and knows nothing of the reset.
@@ -248,10 +249,10 @@ def test_a_grant_from_before_a_reset_is_never_given(running, world_only):
 def test_who_is_gone_for_good_stays_so_after_a_reset(running):
     run = running(expected=["/a"])
     epoch = run.stepper.join("/a").epoch
-    run.stepper.reset_simulation()
+    run.stepper.reset(run.simulation.reset_simulation)
     assert run.stepper.grant("/a", FOR_EVER, epoch).success
     wait_for(lambda: run.step > 100)
-    run.stepper.reset_simulation()
+    run.stepper.reset(run.simulation.reset_simulation)
     wait_for(lambda: run.step > 100)
 
 
@@ -326,9 +327,9 @@ def test_what_cannot_be_kept_up_with_does_not_stop_the_loop(running):
 def test_reset_world_keeps_time(running):
     run = running(paused=True)
     run.stepper.advance_by(123)
-    run.stepper.reset_world()
+    run.stepper.reset(run.simulation.reset_world)
     assert run.step == 123
-    run.stepper.reset_simulation()
+    run.stepper.reset(run.simulation.reset_simulation)
     assert run.step == 0
 
 
@@ -361,7 +362,7 @@ def test_steps_that_are_asked_for_are_in_a_hurry(running):
     run = running(rtf=0.001, paused=True)
     seen = []
     assert not run.stepper.lossless
-    run.stepper._after_steps = lambda: seen.append(run.stepper.lossless)
+    run.stepper.after_steps = lambda: seen.append(run.stepper.lossless)
     run.stepper.advance_by(500)
     assert seen == [True, True, True]
     assert not run.stepper.lossless
@@ -397,7 +398,6 @@ class SlowWorld:
             paused=paused,
             is_over=lambda: self.now >= self.end,
             report_stall=self.stalls.append,
-            after_steps=lambda: None,
             report_lag=self.lags.append,
             watch=LoopWatch(lambda: self.now),
         )
@@ -433,9 +433,10 @@ def test_a_pause_is_no_lag(monkeypatch):
     assert (world.lags, world.stalls) == ([], [])
     # Nor does it count afterwards.
     world = SlowWorld(monkeypatch, cost=1e-4)
-    world.stepper._set_paused(True)
+    world.stepper.do = lambda change: change()
+    world.stepper.set_paused(True)
     world.now += 30.0
-    world.stepper._set_paused(False)
+    world.stepper.set_paused(False)
     world.run(20.0)
     assert world.lags == []
 

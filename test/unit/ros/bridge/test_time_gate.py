@@ -1,6 +1,6 @@
 import threading
 
-from bullet_lab.ros.bridge.timing import FOR_EVER, TimeGate
+from bullet_lab.ros.bridge.timing import FOR_EVER, NOT_YET, TimeGate
 
 
 def test_without_members_time_is_free():
@@ -12,7 +12,7 @@ def test_without_members_time_is_free():
 def test_time_does_not_start_before_all_have_joined():
     gate = TimeGate(["b", "a"])
     gate.grant("b", 100)
-    assert gate.limit() is None
+    assert gate.limit() == NOT_YET
     assert gate.holding() == ("a",)
     gate.grant("a", 50)
     assert gate.limit() == 50
@@ -49,7 +49,7 @@ def test_a_restart_takes_grants_back_but_not_those_for_ever():
     gate.grant("a", 500)
     gate.grant("b", FOR_EVER)
     gate.restart()
-    assert gate.limit() is None
+    assert gate.limit() == NOT_YET
     gate.grant("late", 100)
     assert gate.limit() == 0
     assert gate.holding() == ("a",)

@@ -6,8 +6,7 @@ import pytest
 pytest.importorskip("rospy")
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.bridge.world_topics import TouchCounter
+from bullet_lab.ros.bridge.running_world import RunningWorld, TouchCounter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 

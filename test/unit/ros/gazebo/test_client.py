@@ -8,7 +8,7 @@ from geometry_msgs.msg import Vector3
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.ros.gazebo.client import StandingModels
-from bullet_lab.ros.nodes.place_beacon import free_name
+from bullet_lab.ros.nodes.populate import free_name
 
 
 def marker(name, kind, x=0.0, y=0.0, z=0.5, scale=(1.0, 1.0, 1.0), yaw=0.0, number=0):

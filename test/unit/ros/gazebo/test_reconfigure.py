@@ -11,10 +11,11 @@ pytest.importorskip("dynamic_reconfigure.encoding")
 from dynamic_reconfigure.encoding import decode_description, encode_description
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.gazebo import reconfigure
-from bullet_lab.ros.gazebo.cameras import COMPRESSION, check_calibration
-from bullet_lab.ros.gazebo.reconfigure import Setting, _type_of
+from bullet_lab.ros.gazebo import physics
+from bullet_lab.ros.gazebo.devices import COMPRESSION, check_calibration
+from bullet_lab.ros.gazebo.physics import _type_of
 from bullet_lab.ros.messages.poses import InputError
+from bullet_lab.simulation.plugins.controllers.controller import Setting
 
 
 def test_clients_read_names_kinds_limits_and_choices():
@@ -36,14 +37,14 @@ def test_what_is_changed_is_asked_for_and_the_start_is_not(monkeypatch):
             self.config = take(dict(kind.defaults), -1)
             self.take = take
 
-    monkeypatch.setattr(reconfigure, "Server", Server)
+    monkeypatch.setattr(physics, "Server", Server)
     asked = []
 
     def change(values):
         asked.append(values)
         return {"rate": 5.0}
 
-    made = reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], change)
+    made = physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], change)
     assert not asked
     assert made._server.take({"rate": 9.0}, 1) == {"rate": 5.0}
     assert asked == [{"rate": 9.0}]
@@ -61,8 +62,8 @@ def test_what_is_refused_changes_nothing(monkeypatch, rate):
             raise LabError("the rate has to be positive")
         return values
 
-    monkeypatch.setattr(reconfigure, "Server", Server)
-    made = reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 0.0, 50.0)], change)
+    monkeypatch.setattr(physics, "Server", Server)
+    made = physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 0.0, 50.0)], change)
     assert made._server.take({"rate": rate}, 1) == {"rate": 2.0}
     assert made._server.take({"rate": 9.0}, 1) == {"rate": 9.0}
     assert made._server.take({"rate": rate}, 1) == {"rate": 9.0}
@@ -86,8 +87,8 @@ def test_a_calibration_has_numbers_and_a_usual_size(part, wrong):
 
 
 def test_without_the_package_nothing_is_offered(monkeypatch):
-    monkeypatch.setattr(reconfigure, "Server", None)
-    reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()
+    monkeypatch.setattr(physics, "Server", None)
+    physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()
 
 
 def test_groups_of_a_request_are_ignored(monkeypatch):
@@ -98,7 +99,7 @@ def test_groups_of_a_request_are_ignored(monkeypatch):
         def _set_callback(self, request):
             return request.config.groups
 
-    monkeypatch.setattr(reconfigure, "Server", Server)
-    made = reconfigure.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], dict)
+    monkeypatch.setattr(physics, "Server", Server)
+    made = physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], dict)
     without_a_first = SimpleNamespace(config=SimpleNamespace(groups=["id 7, parent 7"]))
     assert made._server._set_callback(without_a_first) == []

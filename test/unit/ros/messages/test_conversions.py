@@ -9,7 +9,7 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
+from bullet_lab.ros.messages.conversions import COMMANDS, Converter
 from bullet_lab.ros.messages.poses import first_step_at, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.simulation.plugins.samples import (
@@ -23,7 +23,7 @@ POSE = Pose.from_rpy((1.0, 2.0, 3.0), (0.0, 0.0, 0.5))
 
 
 def message_of(sample):
-    return OUTPUT_CONVERTERS[type(sample)]().convert(sample)
+    return Converter(type(sample)).convert(sample)
 
 
 @pytest.mark.parametrize("step", [0, 1, 999, 1000, 123456789, 2**31])
@@ -71,7 +71,8 @@ def test_twist_keeps_its_planar_part():
     twist = Twist()
     twist.linear.x, twist.linear.y, twist.linear.z = 1.0, 2.0, 9.0
     twist.angular.x, twist.angular.z = 9.0, 3.0
-    assert INPUT_CONVERTERS[PlanarCommand].convert(twist) == PlanarCommand(1.0, 2.0, 3.0)
+    _, command_of = COMMANDS[PlanarCommand]
+    assert command_of(twist) == PlanarCommand(1.0, 2.0, 3.0)
 
 
 def odometry(x=0.0, quaternion=(0.0, 0.0, 0.0, 1.0), frame="odom", child="base"):

@@ -6,7 +6,7 @@ pytest.importorskip("rospy")
 
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 
-from bullet_lab.ros.messages.conversions import INPUT_CONVERTERS, OUTPUT_CONVERTERS
+from bullet_lab.ros.messages.conversions import COMMANDS, Converter
 from bullet_lab.simulation.plugins.samples import (
     JointCommand,
     JointCommands,
@@ -26,15 +26,15 @@ from bullet_lab.simulation.plugins.samples import (
     ],
 )
 def test_commands(message, command):
-    converter = INPUT_CONVERTERS[type(command)]
-    assert converter.message_kind is type(message)
-    assert converter.convert(message) == command
+    message_kind, command_of = COMMANDS[type(command)]
+    assert message_kind is type(message)
+    assert command_of(message) == command
 
 
 def test_the_state_of_a_loop():
     gains = (4.0, 3.0, 2.0, 1.0)
     sample = LoopSample(1500, 1.0, 0.75, 0.1, 0.25, 0.001, -7.0, gains, True)
-    message = OUTPUT_CONVERTERS[LoopSample]().convert(sample)
+    message = Converter(LoopSample).convert(sample)
     assert message._type == "control_msgs/JointControllerState"
     assert message.header.stamp.to_sec() == 1.5
     assert (message.set_point, message.process_value, message.error) == (1.0, 0.75, 0.25)
@@ -45,6 +45,6 @@ def test_the_state_of_a_loop():
 
 def test_what_is_left_of_a_command():
     sample = VelocitySample(20, "", PlanarCommand(vx=0.3, wz=-0.4))
-    message = OUTPUT_CONVERTERS[VelocitySample]().convert(sample)
+    message = Converter(VelocitySample).convert(sample)
     assert message._type == "geometry_msgs/TwistStamped"
     assert (message.twist.linear.x, message.twist.angular.z) == (0.3, -0.4)

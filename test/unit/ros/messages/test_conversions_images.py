@@ -7,14 +7,14 @@ import pytest
 pytest.importorskip("rospy")
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS, compressed_message
+from bullet_lab.ros.messages.conversions import Converter, compressed_message
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
 
 
 def message_of(sample):
-    return OUTPUT_CONVERTERS[type(sample)]().convert(sample)
+    return Converter(type(sample)).convert(sample)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_points_are_read_as_what_they_were():
     points = np.random.default_rng(0).normal(size=(3, 4, 3)).astype(np.float32)
     colours = np.random.default_rng(1).integers(0, 256, (3, 4, 3), dtype=np.uint8)
     sample = PointsSample(9, "optical", points, colours)
-    converter = OUTPUT_CONVERTERS[PointsSample]()
+    converter = Converter(PointsSample)
     message = converter.convert(sample)
     assert message.header.stamp.to_nsec() == 9_000_000
     assert (message.height, message.width, message.is_dense) == (3, 4, True)

@@ -12,7 +12,7 @@ import genpy
 from sensor_msgs.msg import Range
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.conversions import OUTPUT_CONVERTERS
+from bullet_lab.ros.messages.conversions import Converter
 from bullet_lab.simulation.plugins.samples import (
     ContactsSample,
     ImuSample,
@@ -29,7 +29,7 @@ POSE = Pose.from_rpy((1.0, 2.0, 3.0), (0.1, 0.2, 0.5))
 
 def message_of(sample):
     """The message as it comes out at the other end."""
-    converter = OUTPUT_CONVERTERS[type(sample)]()
+    converter = Converter(type(sample))
     buffer = BytesIO()
     converter.convert(sample).serialize(buffer)
     message = converter.message_kind()
@@ -133,13 +133,13 @@ def test_no_contacts():
 
 
 def test_a_message_is_made_anew_for_each_sample():
-    convert = OUTPUT_CONVERTERS[ContactsSample]().convert
+    convert = Converter(ContactsSample).convert
     full = ContactsSample(1, "a", (ShapeContact("a", "b", (), (), (), (), ()),))
     assert len(convert(full).states) == 1
     assert convert(ContactsSample(2, "b", ())).states == []
 
 
 def test_types_are_gazebos():
-    kind = OUTPUT_CONVERTERS[ContactsSample]().message_kind
+    kind = Converter(ContactsSample).message_kind
     assert kind._type == "gazebo_msgs/ContactsState"
     assert kind._md5sum == "acbcb1601a8e525bf72509f18e6f668d"

@@ -6,35 +6,33 @@ from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader
 
 from bullet_lab.core.parameters import ArgumentsError
-from bullet_lab.ros.nodes.gzserver import (
-    ServerArguments,
-    find_world,
-    parse_server_arguments,
-)
+from bullet_lab.ros.nodes.gzserver import find_world, parse_server_arguments
 from bullet_lab.simulation.world.resources import package_share
 
 
 def parse(line):
-    return parse_server_arguments(line.split(" "))
+    found = parse_server_arguments(line.split(" "))
+    return found.world, found.paused, found.seed, found.plugins
 
 
 def test_the_arguments_of_empty_world_launch():
-    assert parse("-u    --verbose -e ode  worlds/empty.world") == ServerArguments(paused=True)
-    assert parse("   -e ode  /a/b.world") == ServerArguments("/a/b.world")
+    paused = ("worlds/empty.world", True, 0, [])
+    assert parse("-u    --verbose -e ode  worlds/empty.world") == paused
+    assert parse("   -e ode  /a/b.world") == ("/a/b.world", False, 0, [])
 
 
 def test_no_arguments():
-    assert parse_server_arguments([]) == ServerArguments("worlds/empty.world", False, 0, ())
+    assert parse("") == ("worlds/empty.world", False, 0, [])
 
 
 def test_what_has_no_meaning_here_is_passed_over():
     line = "-r --record_path /tmp/x -q --minimal_comms --lockstep -e bullet -o default my.world"
-    assert parse(line) == ServerArguments("my.world")
+    assert parse(line) == ("my.world", False, 0, [])
 
 
 def test_seed_and_plugins():
     line = "--seed 7 -s libgazebo_ros_api_plugin.so -s /lib/libgazebo_ros_paths_plugin.so -s w.so a"
-    assert parse(line) == ServerArguments("a", seed=7, plugins=("w.so",))
+    assert parse(line) == ("a", False, 7, ["w.so"])
 
 
 @pytest.mark.parametrize(
@@ -59,12 +57,13 @@ def test_worlds_are_looked_up_as_in_gazebo(tmp_path, monkeypatch):
         (folder / "worlds").mkdir(parents=True)
     monkeypatch.setenv("GAZEBO_RESOURCE_PATH", os.pathsep.join(map(str, (first, "", second))))
     own = package_share() / "worlds" / "empty.world"
-    assert find_world("worlds/empty.world", here) == str(own)
+    monkeypatch.chdir(here)
+    assert find_world("worlds/empty.world") == str(own)
     for folder in (second, first, here):
         (folder / "worlds" / "empty.world").write_text("<sdf/>")
-        assert find_world("worlds/empty.world", here) == str(folder / "worlds" / "empty.world")
+        assert find_world("worlds/empty.world") == str(folder / "worlds" / "empty.world")
     with pytest.raises(ArgumentsError, match="'nix.world' is in none of .*first.*second"):
-        find_world("nix.world", here)
+        find_world("nix.world")
 
 
 @pytest.mark.parametrize("name", ["/nix/a.world", "package://p/w.world", "model://m/w.world"])

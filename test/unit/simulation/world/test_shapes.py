@@ -65,7 +65,7 @@ def test_a_shape_is_read_as_it_measures(shape):
 
 def test_all_that_makes_something_of_shapes_knows_each():
     pytest.importorskip("rospy")
-    from bullet_lab.ros.messages.world import MARKERS
+    from bullet_lab.ros.messages.conversions import MARKERS
 
     assert set(MARKERS) == set(SHAPES.values())
     # A mesh is made by its corners.

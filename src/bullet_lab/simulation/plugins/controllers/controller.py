@@ -1,70 +1,60 @@
-"""Controllers and their manager, as ros_control's controller_manager has them."""
+"""Controllers of ros_control: their base, and those of single joints.
+
+They pass commands on, run a PID loop, or report joint states.
+"""
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Dict, Iterable, List, Mapping, Sequence, Tuple, Type
+from typing import Any, ClassVar, Dict, Iterator, Mapping, Sequence, Tuple, Type, Union
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.hardware import JointHandle
+from bullet_lab.simulation.plugins.controllers.description import (
+    EFFORT,
+    POSITION,
+    VELOCITY,
+    ControlError,
+    ControlParameters,
+)
+from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, Pid
 from bullet_lab.simulation.plugins.plugin import Input, Output
+from bullet_lab.simulation.plugins.samples import (
+    JointCommand,
+    JointCommands,
+    JointSample,
+    LoopSample,
+    is_sound,
+)
+
+LOG = logging.getLogger(__name__)
 
 # States of a controller in controller_manager_msgs/ControllerState.
 INITIALIZED = "initialized"
 RUNNING = "running"
 STOPPED = "stopped"
+# The interface of a controller that only reads joints.
+STATES = "JointStateInterface"
+EFFORT_FOR_VELOCITY = "effort_controllers/JointVelocityController"
+# Updates between two samples of a loop's state.
+STATE_EVERY = 10
+EXTRA_STATE = ("position", "velocity", "effort")
 
 
 @dataclass(frozen=True)
-class ControllerSetup:
-    """What a controller is made from.
+class Setting:
+    """A setting that can change while its owner runs.
 
-    Attributes:
-        name: of the controller.
-        kind: its type in ros_control.
-        namespace: of the robot, with a slash at its end.
-        parameters: of the controller.
-        handles: all joints of the robot that have a transmission, by name.
+    It has the type of its default; a number has limits, and a text choices.
     """
 
     name: str
-    kind: str
-    namespace: str
-    parameters: ControlParameters
-    handles: Mapping[str, JointHandle]
-
-    def topic(self, name: str) -> str:
-        """Return a topic's name within the controller's namespace."""
-        return f"{self.namespace}{self.name}/{name}"
-
-    def joints(self, names: Sequence[str], interface: str) -> Tuple[JointHandle, ...]:
-        """Return joints that take commands of an interface; raises ControlError."""
-        usable = {name: one for name, one in self.handles.items() if one.interface == interface}
-        for name in names:
-            if name not in usable:
-                have = ", ".join(usable) or "none"
-                raise ControlError(f"no joint '{name}' has a {interface}; those are: {have}")
-        return tuple(usable[name] for name in names)
-
-    def schedule(self, rate: float) -> Schedule:
-        """Return the schedule for a rate in Hz; raises ControlError."""
-        try:
-            return Schedule(rate)
-        except ScheduleError as error:
-            raise ControlError(f"{self.parameters.where}/publish_rate: {error}") from error
-
-
-@dataclass(frozen=True)
-class Adjustable:
-    """A setting that can change while its controller runs; limits are for numbers only."""
-
-    name: str
-    value: Any
+    default: Any
     description: str
-    least: Any = ""
-    greatest: Any = ""
+    min: Any = ""
+    max: Any = ""
+    choices: Tuple[str, ...] = ()
 
 
 class Controller(ABC):
@@ -72,6 +62,13 @@ class Controller(ABC):
 
     While a controller runs, `update` is called at each control period. It reads its joints and
     writes their commands, which act until the next ones.
+
+    Args:
+        name: of the controller.
+        kind: its type in ros_control.
+        namespace: of the robot, with a slash at its end.
+        parameters: of the controller.
+        handles: all joints of the robot that have a transmission, by name.
 
     Attributes:
         kinds: the types of ros_controllers that the class implements, each with its hardware
@@ -86,17 +83,42 @@ class Controller(ABC):
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
-        _KINDS.update(dict.fromkeys(cls.__dict__.get("kinds", ()), cls))
+        CONTROLLERS.update(dict.fromkeys(cls.__dict__.get("kinds", ()), cls))
 
-    def __init__(self, setup: ControllerSetup):
-        self.setup = setup
-        self.name = setup.name
-        self.interface = self.kinds[setup.kind]
+    def __init__(
+        self,
+        name: str,
+        kind: str,
+        namespace: str,
+        parameters: ControlParameters,
+        handles: Mapping[str, JointHandle],
+    ):
+        self.name, self.kind, self.namespace = name, kind, namespace
+        self.handles = handles
+        self.interface = self.kinds[kind]
         self.state = INITIALIZED
         self.joints: Tuple[JointHandle, ...] = ()
         self.inputs: Tuple[Input, ...] = ()
         self.outputs: Tuple[Output, ...] = ()
-        self.adjustables: Tuple[Adjustable, ...] = ()
+        self.adjustables: Tuple[Setting, ...] = ()
+        self.configure(parameters)
+
+    @abstractmethod
+    def configure(self, given: ControlParameters) -> None:
+        """Read the parameters; raises ControlError."""
+
+    def topic(self, name: str) -> str:
+        """Return a topic's name within the controller's namespace."""
+        return f"{self.namespace}{self.name}/{name}"
+
+    def find_joints(self, names: Sequence[str]) -> Tuple[JointHandle, ...]:
+        """Return joints that take commands of the controller's interface; raises ControlError."""
+        usable = {name: j for name, j in self.handles.items() if j.interface == self.interface}
+        for name in names:
+            if name not in usable:
+                have = ", ".join(usable) or "none"
+                raise ControlError(f"no joint '{name}' has a {self.interface}; those are: {have}")
+        return tuple(usable[name] for name in names)
 
     @property
     def running(self) -> bool:
@@ -133,135 +155,180 @@ class Controller(ABC):
         """Change the adjustable settings, by name, from the simulated time `step` on."""
 
 
-_KINDS: Dict[str, Type[Controller]] = {}
+CONTROLLERS: Dict[str, Type[Controller]] = {}
+"""The controllers that are simulated, by the types of ros_controllers."""
 
 
-def known_controllers() -> Tuple[str, ...]:
-    """Return the types of controllers that are simulated."""
-    return tuple(sorted(_KINDS))
+def schedule_of(rate: float, where: str) -> Schedule:
+    """Return the schedule for a publish_rate in Hz; raises ControlError."""
+    try:
+        return Schedule(rate)
+    except ScheduleError as error:
+        raise ControlError(f"{where}/publish_rate: {error}") from error
 
 
-class ControllerManager:
-    """Loads, starts, stops and unloads the controllers of one robot.
+class JointTargets(Controller):
+    """Takes a number for a joint, or one for each joint of a group, on the topic `command`.
 
-    Attributes:
-        joints: of the robot, by name.
-        controllers: all that are loaded, by name.
-        step: the present simulated time.
+    Parameters: joint, or joints for the kinds named JointGroup….
     """
 
-    def __init__(self, joints: Mapping[str, JointHandle], namespace: str):
-        self.joints = joints
-        self.controllers: Dict[str, Controller] = {}
-        self.step = 0
-        self._namespace = namespace
+    def configure(self, given: ControlParameters) -> None:
+        self.grouped = "/JointGroup" in self.kind
+        if self.grouped:
+            kind, names = JointCommands, given.required_names("joints")
+        else:
+            kind, names = JointCommand, (given.get("joint", ""),)
+            if not names[0]:
+                raise ControlError(f"{given.where}/joint names no joint")
+        self.joints = self.find_joints(names)
+        self.inputs = (Input(self.topic("command"), kind, self.command),)
+        self.targets: Tuple[float, ...] = (0.0,) * len(names)
 
-    def load(self, name: str, parameters: ControlParameters) -> Controller:
-        """Make a controller by its parameters, and return it; it does not run yet.
-
-        Raises:
-            ControlError: the name is loaded already, the type is not simulated, or a parameter
-                is invalid.
-        """
-        if name in self.controllers:
-            raise ControlError(f"controller '{name}' is loaded already")
-        kind = parameters.text("type")
-        if not kind:
-            raise ControlError(f"controller '{name}': {parameters.where}/type is missing")
-        if kind not in _KINDS:
-            known = f"known are {', '.join(known_controllers())}"
-            raise ControlError(f"controller '{name}': the type '{kind}' is not simulated; {known}")
-        try:
-            setup = ControllerSetup(name, kind, self._namespace, parameters, self.joints)
-            self.controllers[name] = _KINDS[kind](setup)
-        except ControlError as error:
-            raise ControlError(f"controller '{name}': {error}") from error
-        return self.controllers[name]
-
-    def unload(self, name: str) -> Controller:
-        """Remove a controller, and return it; raises ControlError if it is unknown or runs."""
-        if name not in self.controllers:
-            raise ControlError(f"no controller '{name}' is loaded")
-        if self.controllers[name].running:
-            raise ControlError(f"controller '{name}' is running: it has to be stopped first")
-        return self.controllers.pop(name)
-
-    def switch(self, start: Sequence[str], stop: Sequence[str], strict: bool = True) -> None:
-        """Stop some controllers and start others, between two steps.
-
-        If not `strict`, controllers that cannot be started or stopped are ignored, except that
-        no two running controllers may command the same joint.
+    def command(self, command: Union[JointCommand, JointCommands]) -> None:
+        """Take over new targets of the joints.
 
         Raises:
-            ControlError: a controller cannot be started or stopped; nothing is changed.
+            ControlError: the number of values is not that of the joints, or a value is not finite
+                or exceeds `LARGEST_COMMAND`.
         """
-        for name in set(start) & set(stop) & set(self.controllers):
-            raise ControlError(f"controller '{name}' cannot be started and stopped at once")
-        to_stop = self._chosen(stop, True, strict)
-        to_start = self._chosen(start, False, strict)
-        running = [one for one in self.controllers.values() if one.running and one not in to_stop]
-        _refuse_conflicts(running + to_start)
-        for controller in to_stop:
-            controller.stop()
-        for controller in to_start:
-            controller.start(self.step)
+        values = (command.value,) if isinstance(command, JointCommand) else command.values
+        if len(values) != len(self.joints):
+            joints = len(self.joints)
+            raise ControlError(f"{len(values)} numbers for the {joints} joints of '{self.name}'")
+        if not is_sound(*values):
+            raise ControlError(f"a command to '{self.name}' is not finite, or too large")
+        self.targets = tuple(values)
 
-    def restart(self) -> None:
-        """Stop and start again all running controllers."""
-        for controller in self.controllers.values():
-            if controller.running:
-                controller.stop()
-                controller.start(self.step)
 
-    def update(self, seconds: float) -> None:
-        """Update all running controllers, `seconds` after the last time."""
-        for controller in self.controllers.values():
-            if controller.running:
-                controller.update(self.step, seconds)
+class ForwardCommand(JointTargets):
+    """Passes commands on to the joints.
 
-    def read(self) -> None:
-        """Read the state of all joints."""
-        for joint in self.joints.values():
-            joint.read()
+    Until the first command, the targets are the present positions, or no velocity or effort. As
+    in ros_controllers, a joint keeps its last command when the controller stops.
+    """
 
-    def write(self, seconds: float, stopped: bool) -> None:
-        """Let all joints act on the coming step; `stopped` is the emergency stop."""
-        for joint in self.joints.values():
-            joint.write(seconds, stopped)
+    kinds = {
+        "position_controllers/JointPositionController": POSITION,
+        "position_controllers/JointGroupPositionController": POSITION,
+        "velocity_controllers/JointVelocityController": VELOCITY,
+        "velocity_controllers/JointGroupVelocityController": VELOCITY,
+        "effort_controllers/JointEffortController": EFFORT,
+        "effort_controllers/JointGroupEffortController": EFFORT,
+    }
 
-    def placed(self) -> None:
-        """Handle that the robot was placed somewhere else."""
-        self.read()
-        for one in (*self.joints.values(), *self.controllers.values()):
-            one.placed()
+    def starting(self, step: int) -> None:
+        by_position = self.interface == POSITION
+        self.targets = tuple(joint.position if by_position else 0.0 for joint in self.joints)
+
+    def update(self, step: int, seconds: float) -> None:
+        for joint, target in zip(self.joints, self.targets):
+            joint.command = target
+
+
+class JointPid(JointTargets):
+    """Brings joints to a position or velocity by an effort, or to a position by a velocity.
+
+    Parameters besides those of the joints: the gains in pid, or <joint>/pid in a group. The state
+    of a single joint is sent at each tenth update.
+    """
+
+    kinds = {
+        "effort_controllers/JointPositionController": EFFORT,
+        "effort_controllers/JointGroupPositionController": EFFORT,
+        "velocity_controllers/JointPositionController": VELOCITY,
+        EFFORT_FOR_VELOCITY: EFFORT,
+    }
+
+    def configure(self, given: ControlParameters) -> None:
+        super().configure(given)
+        paths = [f"{joint.name}/pid" if self.grouped else "pid" for joint in self.joints]
+        self._pids = [Pid(given.below(path)) for path in paths]
+        self._by_velocity = self.kind == EFFORT_FOR_VELOCITY
+        self._updates = 0
+        self.states = Output(self.topic("state"), LoopSample)
+        self.outputs = () if self.grouped else (self.states,)
+
+    def starting(self, step: int) -> None:
+        self.targets = tuple(0.0 if self._by_velocity else one.position for one in self.joints)
+        for pid in self._pids:
+            pid.reset()
+
+    def update(self, step: int, seconds: float) -> None:
+        for joint, pid, target in zip(self.joints, self._pids, self.targets):
+            if self._by_velocity:
+                value, slope = joint.velocity, 0.0
+                error = target - value
+            else:
+                value, slope = joint.position, joint.velocity
+                target = joint.described.within_limits(target)
+                error = joint.described.error(value, target)
+            joint.command = pid.command(error, seconds)
+            if self._updates % STATE_EVERY == 0 and self.outputs and self.states.wanted:
+                loop = (target, value, slope, error, seconds, joint.command)
+                gains = (pid.p, pid.i, pid.d, pid.i_max)
+                self.states.send(LoopSample(step, *loop, gains, pid.antiwindup))
+        self._updates += 1
+
+
+class JointStateController(Controller):
+    """Sends the states of the joints that have a transmission, or of those in `joints`.
+
+    Parameters: publish_rate in Hz, joints, and extra_joints, whose states are given there.
+    """
+
+    kinds = {"joint_state_controller/JointStateController": STATES}
+
+    def configure(self, given: ControlParameters) -> None:
+        rate = given.get("publish_rate")
+        if rate is None:
+            raise ControlError(f"{given.where}/publish_rate is missing")
+        # As in ros_controllers, nothing is sent without a rate.
+        self._schedule = schedule_of(rate, given.where) if rate > 0.0 else None
+        names = given.names("joints") or tuple(self.handles)
+        for name in names:
+            if name not in self.handles:
+                raise ControlError(f"no joint '{name}' has a transmission")
+        self._read = [self.handles[name] for name in names]
+        self._extra = tuple(_extra_joints(given, names))
+        self._names = (*names, *(name for name, *_ in self._extra))
+        self.states = Output(f"{self.namespace}joint_states", JointSample)
+        self.outputs = (self.states,)
+        self._begun = False
+
+    def starting(self, step: int) -> None:
+        if not self._begun:
+            self.reset(step)
 
     def reset(self, step: int) -> None:
-        """Start anew after a reset of the robot; simulated time is now `step`."""
-        self.step = step
-        self.read()
-        for controller in self.controllers.values():
-            controller.reset(step)
+        self._begun = False
+        if self._schedule is not None:
+            self._schedule.restart(step)
 
-    def _chosen(self, names: Iterable[str], running: bool, strict: bool) -> List[Controller]:
-        """Return the controllers of those names that run, or that do not run."""
-        chosen: List[Controller] = []
-        for name in dict.fromkeys(names):
-            controller = self.controllers.get(name)
-            if controller is not None and controller.running is running:
-                chosen.append(controller)
-            elif strict and controller is None:
-                raise ControlError(f"no controller '{name}' is loaded")
-            elif strict:
-                state = "not running" if running else "running already"
-                raise ControlError(f"controller '{name}' is {state}")
-        return chosen
+    def update(self, step: int, seconds: float) -> None:
+        if self._schedule is None or (self._begun and step < self._schedule.next_step):
+            return
+        while self._schedule.next_step <= step:
+            self._schedule.advance()
+        self._begun = True
+        if self.states.wanted:
+            states = [(joint.position, joint.velocity, joint.effort) for joint in self._read]
+            states += [state for _, *state in self._extra]
+            self.states.send(JointSample(step, self._names, *zip(*states)))
 
 
-def _refuse_conflicts(controllers: Iterable[Controller]) -> None:
-    owners: Dict[str, str] = {}
-    for controller in controllers:
-        for joint in controller.joints:
-            owner = owners.setdefault(joint.name, controller.name)
-            if owner != controller.name:
-                both = f"'{owner}' and '{controller.name}'"
-                raise ControlError(f"{both} would both command the joint '{joint.name}'")
+def _extra_joints(
+    parameters: ControlParameters, taken: Sequence[str]
+) -> Iterator[Tuple[str, float, float, float]]:
+    """Yield name, position, velocity and effort of each extra joint; ignore invalid entries."""
+    extra = parameters.value("extra_joints")
+    if extra is not None and not isinstance(extra, list):
+        LOG.warning("%s/extra_joints is not a list; ignored", parameters.where)
+        return
+    for number, entry in enumerate(extra or ()):
+        given = ControlParameters(entry, f"{parameters.where}/extra_joints[{number}]")
+        name = given.get("name", "")
+        if not name or name in taken:
+            LOG.warning("%s: the name '%s' is missing or taken; ignored", given.where, name)
+            continue
+        yield (name, *(given.get(key, 0.0) for key in EXTRA_STATE))

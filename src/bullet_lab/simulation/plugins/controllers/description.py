@@ -1,4 +1,4 @@
-"""What ros_control reads of a robot: parameters, and the joints and transmissions of its URDF."""
+"""A robot for ros_control: its parameters, and the joints and transmissions of its URDF."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ POSITION = "PositionJointInterface"
 VELOCITY = "VelocityJointInterface"
 EFFORT = "EffortJointInterface"
 INTERFACES = (POSITION, VELOCITY, EFFORT)
+# What a parameter of a kind has to be.
+EXPECTED = {float: "a finite number", bool: "true or false", str: "a text"}
 # Tags of shapes that have a radius.
 ROUND = ("cylinder", "sphere")
 
@@ -50,34 +52,23 @@ class ControlParameters:
         """Return the parameters below a path."""
         return ControlParameters(self.value(path), f"{self.where}/{path}")
 
-    def number(self, path: str, default: float) -> float:
-        """Return a finite number."""
-        found = self.optional_number(path)
-        return default if found is None else found
+    def get(self, path: str, default: Any = None) -> Any:
+        """Return a value of the default's type: a finite number, true or false, or a text.
 
-    def optional_number(self, path: str) -> Optional[float]:
-        """Return a finite number, or None."""
-        found = self._checked(path, _is_number(self.value(path)), "a finite number")
-        return None if found is None else float(found)
-
-    def boolean(self, path: str, default: bool) -> bool:
-        """Return true or false."""
-        found = self._checked(path, isinstance(self.value(path), bool), "true or false")
-        return default if found is None else found
-
-    def text(self, path: str, default: str = "") -> str:
-        """Return a text."""
-        found = self._checked(path, isinstance(self.value(path), str), "a text")
-        return default if found is None else found
+        Without a default, it is a number.
+        """
+        found, kind = self.value(path), float if default is None else type(default)
+        is_valid = _is_number(found) if kind is float else isinstance(found, kind)
+        return kind(found) if is_valid else self._ignored(path, EXPECTED[kind], default)
 
     def names(self, path: str) -> Optional[Tuple[str, ...]]:
         """Return a list of names, or None; a text is a list of one name."""
         found = self.value(path)
         if isinstance(found, str):
             return (found,)
-        is_list = isinstance(found, list) and all(isinstance(name, str) for name in found)
-        found = self._checked(path, is_list, "a list of names")
-        return None if found is None else tuple(found)
+        if isinstance(found, list) and all(isinstance(name, str) for name in found):
+            return tuple(found)
+        return self._ignored(path, "a list of names", None)
 
     def required_names(self, path: str) -> Tuple[str, ...]:
         """Return a list of names; raises ControlError if there are none."""
@@ -93,13 +84,12 @@ class ControlParameters:
             raise ControlError(f"{self.where}/{path} has to be a list of {count} numbers")
         return tuple(map(float, found))
 
-    def _checked(self, path: str, is_valid: bool, expected: str) -> Any:
-        """Return the value at a path if it is valid; else None, with a warning if there is one."""
+    def _ignored(self, path: str, expected: str, default: Any) -> Any:
+        """Return the default, with a warning if there is an invalid value at a path."""
         found = self.value(path)
-        if is_valid or found is None:
-            return found
-        LOG.warning("%s/%s: %.80r is not %s; ignored", self.where, path, found, expected)
-        return None
+        if found is not None:
+            LOG.warning("%s/%s: %.80r is not %s; ignored", self.where, path, found, expected)
+        return default
 
 
 def _is_number(value: Any) -> bool:
@@ -130,21 +120,21 @@ class JointLimits:
 
     def changed_by(self, given: ControlParameters) -> JointLimits:
         """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
-        limits = self
+        changed: Dict[str, float] = {}
         for kind in ("velocity", "acceleration", "effort"):
-            most = given.optional_number(f"max_{kind}")
+            most = given.get(f"max_{kind}")
             switch = given.value(f"has_{kind}_limits")
             if switch is False:
-                limits = replace(limits, **{kind: math.inf})
+                changed[kind] = math.inf
             elif switch is True and most is not None:
-                limits = replace(limits, **{kind: most})
+                changed[kind] = most
         switch = given.value("has_position_limits")
-        ends = given.optional_number("min_position"), given.optional_number("max_position")
+        lower, upper = given.get("min_position"), given.get("max_position")
         if switch is False:
-            return replace(limits, lower=-math.inf, upper=math.inf)
-        if switch is True and None not in ends:
-            return replace(limits, lower=ends[0], upper=ends[1])
-        return limits
+            changed.update(lower=-math.inf, upper=math.inf)
+        elif switch is True and None not in (lower, upper):
+            changed.update(lower=lower, upper=upper)
+        return replace(self, **changed)
 
 
 @dataclass(frozen=True)
@@ -199,25 +189,27 @@ class RobotDescription:
         As in Gazebo, an invalid transmission is ignored with a warning.
         """
         robot = parse_text(urdf, source)
-        radii = _radii(robot)
+        radii = {link.get("name"): _radius(link) for link in robot.findall("link")}
         joints = [_joint(element, radii, source) for element in robot.findall("joint")]
         return cls({joint.name: joint for joint in joints}, _interfaces(robot, source))
 
 
-def _joint(element: Element, radii: Mapping[str, float], source: str) -> DescribedJoint:
+def _joint(
+    element: Element, radii: Mapping[Optional[str], Optional[float]], source: str
+) -> DescribedJoint:
     name, kind = element.get("name", ""), element.get("type", "")
     where = f"{source}: joint '{name}'"
     limits, limit = JointLimits(), element.find("limit")
     if limit is not None:
-        ends = ("lower", "upper", "velocity", "effort")
-        values = {key: _attribute(limit, key, where) for key in (*limit.attrib, *ends)}
-        limits = JointLimits(**{key: values[key] for key in ends}, soft=_soft(element, where))
-    if limit is not None and kind == "continuous":
-        limits = replace(limits, lower=-math.inf, upper=math.inf)
+        keys = ("lower", "upper", "velocity", "effort")
+        values = {key: _attribute(limit, key, where) for key in keys}
+        if kind == "continuous":
+            values.update(lower=-math.inf, upper=math.inf)
+        limits = JointLimits(**values, soft=_soft(element, where))
     origin, child = element.find("origin"), element.find("child")
     text = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
     place = numbers(text, 3, f"{where}: <origin>")
-    radius = None if child is None else radii.get(child.get("link", ""))
+    radius = None if child is None else radii.get(child.get("link"))
     return DescribedJoint(name, kind, place, limits, radius)
 
 
@@ -235,15 +227,12 @@ def _attribute(element: Element, key: str, where: str) -> float:
     return math.inf if text.strip() == "inf" else number(text, f"{where}: <{element.tag}> {key}")
 
 
-def _radii(robot: Element) -> Dict[str, float]:
-    """Return the radius of the first collision by link, if it is a cylinder or a sphere."""
-    radii = {}
-    for link in robot.findall("link"):
-        name = link.get("name", "")
-        for shape in link.findall("collision[1]/geometry/*"):
-            if shape.tag in ROUND:
-                radii[name] = number(shape.get("radius"), f"link '{name}': <{shape.tag}> radius")
-    return radii
+def _radius(link: Element) -> Optional[float]:
+    """Return the radius (m) of the first collision, if it is a cylinder or a sphere."""
+    shape = link.find("collision[1]/geometry/*")
+    if shape is None or shape.tag not in ROUND:
+        return None
+    return number(shape.get("radius"), f"link '{link.get('name')}': <{shape.tag}> radius")
 
 
 def _interfaces(robot: Element, source: str) -> Dict[str, str]:

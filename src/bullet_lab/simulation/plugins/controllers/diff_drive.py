@@ -11,15 +11,14 @@ from typing import Any, Deque, Dict, Mapping, Optional, Tuple
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins.controllers.controller import (
-    Adjustable,
     Controller,
-    ControllerSetup,
+    Setting,
+    schedule_of,
 )
 from bullet_lab.simulation.plugins.controllers.description import (
     VELOCITY,
     ControlError,
     ControlParameters,
-    DescribedJoint,
 )
 from bullet_lab.simulation.plugins.mobile_base import STANDSTILL
 from bullet_lab.simulation.plugins.plugin import Input, Output
@@ -54,18 +53,16 @@ class SpeedLimiter:
         """Read has_…_limits, max_… and min_…, which is -max_… by default."""
 
         def limits(kind: str) -> Optional[Tuple[float, float]]:
-            most = parameters.number(f"max_{kind}", 0.0)
-            least = parameters.number(f"min_{kind}", -most)
-            if not parameters.boolean(f"has_{kind}_limits", False):
+            most = parameters.get(f"max_{kind}", 0.0)
+            least = parameters.get(f"min_{kind}", -most)
+            if not parameters.get(f"has_{kind}_limits", False):
                 return None
             if least > most:
-                raise ControlError(
-                    f"{parameters.where}/max_{kind} is {most:g}: "
-                    f"it must be at least min_{kind}, {least:g}"
-                )
+                what = f"{parameters.where}/max_{kind} is {most:g}"
+                raise ControlError(f"{what}: it must be at least min_{kind}, {least:g}")
             return least, most
 
-        return cls(limits("velocity"), limits("acceleration"), limits("jerk"))
+        return cls(*map(limits, ("velocity", "acceleration", "jerk")))
 
     def limited(self, speed: float, last: float, before: float, seconds: float) -> float:
         """Return a speed within the limits, given the last two speeds, `seconds` apart."""
@@ -94,56 +91,52 @@ class DiffDriveController(Controller):
 
     kinds = {"diff_drive_controller/DiffDriveController": VELOCITY}
 
-    def __init__(self, setup: ControllerSetup):
-        super().__init__(setup)
-        given = setup.parameters
+    def configure(self, given: ControlParameters) -> None:
         sides = [given.required_names(f"{side}_wheel") for side in ("left", "right")]
         if len(sides[0]) != len(sides[1]):
             raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
-        self._left, self._right = (setup.joints(names, VELOCITY) for names in sides)
+        self._left, self._right = map(self.find_joints, sides)
         self.joints = self._left + self._right
         self._measured = self._geometry(given)
         self._set_multipliers(_multipliers(given))
         self._linear_limits = SpeedLimiter.of(given.below("linear/x"))
         self._angular_limits = SpeedLimiter.of(given.below("angular/z"))
-        self._timeout = given.number("cmd_vel_timeout", 0.5)
-        self._open_loop = given.boolean("open_loop", False)
-        rate = given.number("publish_rate", 50.0)
-        self._schedule = setup.schedule(rate)
+        self._timeout = given.get("cmd_vel_timeout", 0.5)
+        self._open_loop = given.get("open_loop", False)
+        self._where, rate = given.where, given.get("publish_rate", 50.0)
+        self._schedule = schedule_of(rate, self._where)
         self._frames = (
-            given.text("odom_frame_id", "odom"),
-            given.text("base_frame_id", "base_link"),
+            given.get("odom_frame_id", "odom"),
+            given.get("base_frame_id", "base_link"),
         )
         self._variances = (
             given.numbers("pose_covariance_diagonal", 6),
             given.numbers("twist_covariance_diagonal", 6),
         )
-        window = given.number("velocity_rolling_window_size", 10)
+        window = given.get("velocity_rolling_window_size", 10.0)
         # Linear and angular velocity of the last updates.
         self._velocities: Deque[Tuple[float, float]] = deque(
             maxlen=int(min(max(window, 1), LONGEST_WINDOW))
         )
         # With distances of the rims instead of angles: the sides may have different radii.
         self._reckoning = DeadReckoning(self.separation, 1.0)
-        self._sends_transforms = given.boolean("enable_odom_tf", True)
+        self._sends_transforms = given.get("enable_odom_tf", True)
+        multipliers = self._multipliers.items()
         self.adjustables = (
-            *(
-                Adjustable(name, value, name, *MULTIPLIERS)
-                for name, value in self._multipliers.items()
-            ),
-            Adjustable("publish_rate", rate, "Hz of the odometry", *RATES),
-            Adjustable("enable_odom_tf", self._sends_transforms, "odometry on /tf"),
+            *(Setting(name, value, name, *MULTIPLIERS) for name, value in multipliers),
+            Setting("publish_rate", rate, "Hz of the odometry", *RATES),
+            Setting("enable_odom_tf", self._sends_transforms, "odometry on /tf"),
         )
-        alone = not given.boolean("allow_multiple_cmd_vel_publishers", True)
-        self.inputs = (Input(setup.topic("cmd_vel"), PlanarCommand, self.command, alone),)
-        self.odometry = Output(setup.topic("odom"), OdometrySample)
+        alone = not given.get("allow_multiple_cmd_vel_publishers", True)
+        self.inputs = (Input(self.topic("cmd_vel"), PlanarCommand, self.command, alone),)
+        self.odometry = Output(self.topic("odom"), OdometrySample)
         self.transform = Output("/tf", TransformSample)
-        self.commanded = Output(setup.topic("cmd_vel_out"), VelocitySample)
+        self.commanded = Output(self.topic("cmd_vel_out"), VelocitySample)
         self.outputs = (self.odometry, self.transform)
-        if given.boolean("publish_cmd", False):
+        if given.get("publish_cmd", False):
             self.outputs += (self.commanded,)
         self.reset(0)
-        if given.boolean("publish_wheel_joint_controller_state", False):
+        if given.get("publish_wheel_joint_controller_state", False):
             LOG.warning("%s/publish_wheel_joint_controller_state is not simulated", given.where)
 
     def command(self, command: PlanarCommand) -> None:
@@ -160,7 +153,7 @@ class DiffDriveController(Controller):
         self._asked = [command]
 
     def adjust(self, values: Mapping[str, Any], step: int) -> None:
-        schedule = self.setup.schedule(min(values["publish_rate"], STEPS_PER_SECOND))
+        schedule = schedule_of(min(values["publish_rate"], STEPS_PER_SECOND), self._where)
         self._set_multipliers({name: values[name] for name in self._multipliers})
         self._reckoning.separation = self.separation
         self.placed()
@@ -260,11 +253,12 @@ class DiffDriveController(Controller):
         Values that are no parameters come from the URDF, of the first wheel of each side.
         """
         left, right = self._left[0].described, self._right[0].described
-        separation = given.optional_number("wheel_separation")
-        radius = given.optional_number("wheel_radius")
-        if separation is None:
-            separation = math.dist(left.origin, right.origin)
-        return separation, _wheel_radius(left) if radius is None else radius
+        radius = given.get("wheel_radius", left.radius)
+        if radius is None:
+            what = f"the first collision of the wheel on '{left.name}'"
+            raise ControlError(f"{what} is no cylinder or sphere, and there is no wheel_radius")
+        apart = math.dist(left.origin, right.origin)
+        return given.get("wheel_separation", apart), radius
 
     def _set_multipliers(self, multipliers: Dict[str, float]) -> None:
         """Set the multipliers; raises ControlError for invalid ones, and changes nothing then."""
@@ -279,15 +273,8 @@ class DiffDriveController(Controller):
 
 def _multipliers(given: ControlParameters) -> Dict[str, float]:
     """Return the multipliers of the left and right radius and of the separation, by their names."""
-    both = given.optional_number("wheel_radius_multiplier")
+    both = given.get("wheel_radius_multiplier")
     radii = (f"{side}_wheel_radius_multiplier" for side in ("left", "right"))
-    found = {name: given.number(name, 1.0) if both is None else both for name in radii}
+    found = {name: given.get(name, 1.0) if both is None else both for name in radii}
     name = "wheel_separation_multiplier"
-    return {**found, name: given.number(name, 1.0)}
-
-
-def _wheel_radius(joint: DescribedJoint) -> float:
-    if joint.radius is None:
-        what = f"the first collision of the wheel on '{joint.name}'"
-        raise ControlError(f"{what} is no cylinder or sphere, and there is no wheel_radius")
-    return joint.radius
+    return {**found, name: given.get(name, 1.0)}

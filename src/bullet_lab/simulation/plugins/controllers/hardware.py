@@ -1,4 +1,4 @@
-"""A robot's joints as ros_control's simulated hardware: read, commanded and limited."""
+"""A robot's joints as ros_control's simulated hardware: read, commanded and limited; and PIDs."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
     POSITION,
     VELOCITY,
+    ControlError,
     ControlParameters,
     DescribedJoint,
     JointLimits,
     RobotDescription,
     SoftLimits,
 )
-from bullet_lab.simulation.plugins.controllers.pid import Pid, PidGains
 from bullet_lab.simulation.plugins.wheel_drives import Wheel
 
 LOG = logging.getLogger(__name__)
@@ -28,6 +28,52 @@ LOG = logging.getLogger(__name__)
 STRONGEST = 1e6
 # Share of its distance that a position-controlled joint moves in one step: all, as in Gazebo.
 AT_ONCE = 1.0
+
+
+class Pid:
+    """A PID loop with the gains, clamps and anti-windup of control_toolbox.
+
+    With `antiwindup` the integral itself is kept so small that its contribution is within the
+    clamps, else only its contribution.
+
+    Args:
+        parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup.
+
+    Raises:
+        ControlError: there is no p.
+    """
+
+    def __init__(self, parameters: ControlParameters):
+        self.p = parameters.get("p")
+        if self.p is None:
+            raise ControlError(f"{parameters.where}/p is missing")
+        self.i, self.d = parameters.get("i", 0.0), parameters.get("d", 0.0)
+        clamp = parameters.get("i_clamp", 0.0)
+        self.i_min = -abs(parameters.get("i_clamp_min", clamp))
+        self.i_max = abs(parameters.get("i_clamp_max", clamp))
+        self.antiwindup = parameters.get("antiwindup", False)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the errors so far."""
+        self._integral = 0.0
+        # As in control_toolbox, the loop starts at error 0, so its first step has a derivative.
+        self._last = 0.0
+
+    def command(self, error: float, seconds: float) -> float:
+        """Return the command for an error, `seconds` after the last one; 0 if it is not finite."""
+        if seconds <= 0.0 or not math.isfinite(error):
+            return 0.0
+        slope = (error - self._last) / seconds
+        self._last = error
+        self._integral += seconds * error
+        if self.antiwindup and self.i:
+            low, high = sorted((self.i_min / self.i, self.i_max / self.i))
+            self._integral = _between(self._integral, low, high)
+        contribution = self.i * self._integral
+        if not self.antiwindup:
+            contribution = _between(contribution, self.i_min, self.i_max)
+        return self.p * error + contribution + self.d * slope
 
 
 @dataclass(eq=False)
@@ -210,7 +256,7 @@ def joint_handles(
         limits = described.limits.changed_by(parameters.below(f"joint_limits/{name}"))
         gains = parameters.below(f"gazebo_ros_control/pid_gains/{name}")
         pid = None
-        if interface != EFFORT and gains.optional_number("p") is not None:
-            pid = Pid(PidGains.of(gains))
+        if interface != EFFORT and gains.get("p") is not None:
+            pid = Pid(gains)
         handles[name] = KINDS[interface](owners[name], described, limits, pid)
     return handles

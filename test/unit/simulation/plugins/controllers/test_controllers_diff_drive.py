@@ -167,7 +167,7 @@ def test_the_transform_is_a_parameter(world, switch):
 
 
 def settings(controller, **changed):
-    return {**{one.name: one.value for one in controller.adjustables}, **changed}
+    return {**{one.name: one.default for one in controller.adjustables}, **changed}
 
 
 def test_it_is_adjusted_while_it_drives(world):

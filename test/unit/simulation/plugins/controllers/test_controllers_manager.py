@@ -1,7 +1,7 @@
 import pytest
 from control_robots import control_of, run, spawn
 
-from bullet_lab.simulation.plugins.controllers.controller import known_controllers
+from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS
 from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
     POSITION,
@@ -191,7 +191,7 @@ def test_the_control_period_is_a_tag(world):
 
 
 def test_the_kinds_are_those_of_ros_controllers():
-    assert "diff_drive_controller/DiffDriveController" in known_controllers()
-    groups = [kind for kind in known_controllers() if "/JointGroup" in kind]
+    assert "diff_drive_controller/DiffDriveController" in CONTROLLERS
+    groups = [kind for kind in CONTROLLERS if "/JointGroup" in kind]
     assert len(groups) == 4
-    assert len(known_controllers()) == 12
+    assert len(CONTROLLERS) == 12

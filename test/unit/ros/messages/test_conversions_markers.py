@@ -4,7 +4,7 @@ pytest.importorskip("rospy")
 
 from visualization_msgs.msg import Marker
 
-from bullet_lab.ros.messages.world import (
+from bullet_lab.ros.messages.conversions import (
     LARGEST_PLANE,
     Look,
     _marker,
@@ -39,7 +39,7 @@ def markers(tmp_path):
     path = tmp_path / "shapes.world"
     path.write_text(WORLD)
     with Simulation(read_world_file(path)) as simulation:
-        yield world_markers(simulation.models.values(), "map").markers
+        yield world_markers(simulation.models["things"], "map")
 
 
 def size(marker):

@@ -1,0 +1,350 @@
+"""Services of cameras, IMUs and controllers, and compressed images, as models come and go.
+
+Below a camera's name: set_camera_info, and set_parameters of dynamic_reconfigure (imager_rate).
+Below its image topic: `compressed`, as image_transport publishes it, with the parameters of
+compressed_image_transport. An image is compressed only while somebody listens.
+
+In the namespace of a robot with libgazebo_ros_control.so: controller_manager/list_controllers,
+list_controller_types, load_controller, unload_controller, switch_controller,
+reload_controller_libraries (controller_manager_msgs), and below the name of an adjustable
+controller, set_parameters of dynamic_reconfigure.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import threading
+from functools import partial
+from typing import Any, Callable, Dict, List, Optional
+
+import rosgraph
+import rospy
+from sensor_msgs.msg import CompressedImage
+from sensor_msgs.srv import SetCameraInfo
+from std_srvs.srv import Empty
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.bridge.running_world import RunningWorld
+from bullet_lab.ros.bridge.stepper import StepperError
+from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
+from bullet_lab.ros.gazebo.services import offer
+from bullet_lab.ros.messages.conversions import compressed_message
+from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
+from bullet_lab.ros.messages.poses import InputError
+from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
+from bullet_lab.simulation.models import ModelInstance
+from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
+from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
+from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.motion_sensors import Imu
+from bullet_lab.simulation.plugins.ros_control import RosControl
+from bullet_lab.simulation.plugins.samples import ImageSample
+
+LOG = logging.getLogger(__name__)
+
+# Those of compressed_image_transport, without the restart interval of a JPEG.
+COMPRESSION = (
+    Setting("format", "jpeg", "compression format", choices=("jpeg", "png")),
+    Setting("jpeg_quality", 80, "quality of a JPEG, in percent", 1, 100),
+    Setting("jpeg_progressive", False, "JPEGs that are seen before they are whole"),
+    Setting("jpeg_optimize", False, "smaller JPEGs, in more time"),
+    Setting("png_level", 9, "compression level of a PNG: 1 is fast, 9 is small", 1, 9),
+)
+# Hz.
+LEAST_RATE = 1.0
+GREATEST_RATE = 50.0
+# The fields of CameraInfo that set_camera_info changes.
+CALIBRATED = ("height", "width", "distortion_model", "D", "K", "R", "P", "binning_x", "binning_y")
+# The largest of OpenCV's distortion models has 14 coefficients.
+MOST_COEFFICIENTS = 14
+# Characters of a distortion model's name.
+LONGEST_NAME = 100
+BASE_CLASS = "controller_interface::ControllerBase"
+INTERFACE_SPACE = "hardware_interface::"
+# Wall seconds between two searches for the robot's description.
+RETRY_SECONDS = 0.1
+# Wall seconds until a warning that the robot's description is missing.
+PATIENCE = 3.0
+
+
+class CompressedImages:
+    """The compressed images of one camera; for the thread of the simulation."""
+
+    def __init__(self, world: RunningWorld, camera: Camera):
+        self.topic = f"{camera.image.topic}/compressed"
+        self._settings: Values = {setting.name: setting.default for setting in COMPRESSION}
+        self._publisher = world.topics.publisher(self.topic, CompressedImage)
+        camera.image.connect(self._publish, self._publisher.has_connections)
+
+    def set(self, values: Values) -> Values:
+        """Set the compression, and return the settings; raises InputError."""
+        choices = COMPRESSION[0].choices
+        if values["format"] not in choices:
+            raise InputError(f"format is '{values['format']}'; known are {', '.join(choices)}")
+        self._settings = values
+        return values
+
+    def _publish(self, sample: ImageSample) -> None:
+        if self._publisher.has_connections():
+            self._publisher.publish(compressed_message(sample, self._settings))
+
+
+class DeviceServices:
+    """Offers the services of the cameras, IMUs and controllers of all models."""
+
+    def __init__(self, world: RunningWorld):
+        self._world = world
+        # Functions to call when a model is removed.
+        self._ends: Dict[str, List[Callable[[], Any]]] = {}
+        world.follow(self._begin, self._end)
+
+    def _begin(self, instance: ModelInstance) -> None:
+        registrar, services = self._world.registrar, []
+        ends = self._ends[instance.name] = [partial(registrar.submit, _shut_down, services)]
+        for plugin in instance.plugins:
+            offers: List[Callable[[], Any]] = []
+            if isinstance(plugin, RosControl):
+                ends.append(ControllerServices(self._world, plugin).end)
+            elif type(plugin) in (Camera, DepthCamera):
+                images = CompressedImages(self._world, plugin)
+                ends.append(partial(self._world.topics.release, images.topic))
+                offers = self._camera_services(plugin, images)
+            elif type(plugin) is Imu:
+                name = rospy.resolve_name(plugin.service)
+                offers = [partial(rospy.Service, name, Empty, lambda _: ())]
+            sensor = plugin.mount.plugin.name
+            registrar.submit(_start, offers, services, f"sensor '{sensor}'")
+
+    def _end(self, model: str) -> None:
+        for end in self._ends.pop(model):
+            end()
+
+    def _camera_services(self, camera: Camera, images: CompressedImages) -> List[Callable[[], Any]]:
+        name = rospy.resolve_name(camera.topic("set_camera_info"))
+        topic = rospy.resolve_name(images.topic)
+        offers: List[Callable[[], Any]] = [
+            partial(offer, name, SetCameraInfo, partial(self._calibrate, camera)),
+            partial(Reconfigurable, topic, COMPRESSION, images.set),
+        ]
+        if camera.name:
+            default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
+            what = "pictures per simulated second"
+            rate = Setting("imager_rate", default, what, LEAST_RATE, GREATEST_RATE)
+            space, change = name.rsplit("/", 1)[0], partial(self._set_rate, camera)
+            offers.append(partial(Reconfigurable, space, [rate], change))
+        return offers
+
+    def _calibrate(self, camera: Camera, request: Any) -> None:
+        calibration = {name: getattr(request.camera_info, name) for name in CALIBRATED}
+        check_calibration(calibration)
+        self._world.do(lambda: setattr(camera, "calibration", calibration))
+
+    def _set_rate(self, camera: Camera, values: Values) -> Values:
+        rate, simulation = values["imager_rate"], self._world.simulation
+        self._world.do(lambda: camera.set_rate(rate, simulation.step))
+        return values
+
+
+def check_calibration(calibration: Dict[str, Any]) -> None:
+    """Raise InputError for an invalid calibration of set_camera_info."""
+    for name in "DKRP":
+        if not all(map(math.isfinite, calibration[name])):
+            raise InputError(f"{name} has a number that is not finite")
+    count = len(calibration["D"])
+    if count > MOST_COEFFICIENTS:
+        raise InputError(f"D has {count} coefficients; at most {MOST_COEFFICIENTS} are allowed")
+    if len(calibration["distortion_model"]) > LONGEST_NAME:
+        raise InputError(f"distortion_model has more than {LONGEST_NAME} characters")
+
+
+def _start(offers: List[Callable[[], Any]], services: List[Any], where: str) -> None:
+    for start in offers:
+        try:
+            services.append(start())
+        except (rospy.ServiceException, *MASTER_ERRORS) as error:
+            # Two sensors of the same name have the same services.
+            if not rospy.is_shutdown():
+                rospy.logwarn("%s: %s", where, error)
+
+
+def _shut_down(services: List[Any]) -> None:
+    for service in services:
+        service.shutdown()
+
+
+class ControllerServices:
+    """Offers the controller manager of one robot once its description is a parameter.
+
+    All calls of the master are made in other threads: the simulation does not wait.
+    """
+
+    def __init__(self, world: RunningWorld, plugin: RosControl):
+        self._world, self._plugin = world, plugin
+        self._where = f"controller_manager in {plugin.namespace}"
+        self._ended = threading.Event()
+        self._services: List[rospy.Service] = []
+        self._adjustable: Dict[str, Reconfigurable] = {}
+        # Serves one client at a time.
+        self._lock = threading.Lock()
+        threading.Thread(target=self._begin, daemon=True).start()
+
+    def end(self) -> None:
+        """Shut down all topics and services; in the thread of the simulation."""
+        self._ended.set()
+        manager = self._plugin.manager
+        if manager is not None:
+            self._world.topics.disconnect(tuple(manager.controllers.values()))
+        self._world.registrar.submit(self._shut_down)
+
+    def _shut_down(self) -> None:
+        with self._lock:
+            _shut_down([*self._services, *self._adjustable.values()])
+
+    def _begin(self) -> None:
+        try:
+            urdf = self._wait_for_description()
+            if urdf is not None:
+                parameters = _parameters(self._plugin.namespace)
+                self._world.do(lambda: self._plugin.configure(urdf, parameters))
+                self._world.registrar.submit(self._offer_services)
+        except StepperError:
+            return
+        except (LabError, *MASTER_ERRORS) as error:
+            LOG.error("%s: %s; it is left out", self._where, error)
+
+    def _wait_for_description(self) -> Optional[str]:
+        """Return the robot's URDF once the parameter is set; None if the robot was removed."""
+        name, waited = self._plugin.description, 0.0
+        while not (self._ended.is_set() or rospy.is_shutdown()):
+            with contextlib.suppress(NodeError):
+                text = search_parameter(name, self._plugin.namespace)
+                if text:
+                    return text
+            if waited <= PATIENCE < waited + RETRY_SECONDS:
+                LOG.warning("controllers in %s wait for %s", self._plugin.namespace, name)
+            waited += RETRY_SECONDS
+            self._ended.wait(RETRY_SECONDS)
+        return None
+
+    def _offer_services(self) -> None:
+        """Offer the services, unless the robot was removed in the meantime."""
+        answers = {
+            "list_controllers": (control_srv.ListControllers, self._list),
+            "list_controller_types": (control_srv.ListControllerTypes, self._list_types),
+            "load_controller": (control_srv.LoadController, self._ok(self._load)),
+            "unload_controller": (control_srv.UnloadController, self._ok(self._unload)),
+            "switch_controller": (control_srv.SwitchController, self._ok(self._switch)),
+            "reload_controller_libraries": (
+                control_srv.ReloadControllerLibraries,
+                self._ok(self._reload),
+            ),
+        }
+        space = f"{self._plugin.namespace}controller_manager"
+        offers: List[Callable[[], Any]] = [
+            partial(rospy.Service, f"{space}/{name}", *answer) for name, answer in answers.items()
+        ]
+        _start([] if self._ended.is_set() else offers, self._services, self._where)
+
+    def _ok(self, act: Callable[[Any], None]) -> Callable[[Any], bool]:
+        """Return a service that returns whether an action succeeded, and logs its error."""
+
+        def answer(request: Any) -> bool:
+            try:
+                with self._lock:
+                    act(request)
+                return True
+            except StepperError as error:
+                raise rospy.ServiceException(str(error)) from error
+            except LabError as error:
+                LOG.error("%scontroller_manager: %s", self._plugin.namespace, error)
+                return False
+
+        return answer
+
+    def _load(self, request: Any) -> None:
+        where = f"{self._plugin.namespace}{request.name}"
+        if not request.name or not rosgraph.names.is_legal_name(where):
+            raise ControlError(f"invalid controller name '{request.name}'")
+        parameters = ControlParameters(_parameters(where), where)
+        refused = self._plugin.refused
+        if request.name not in self._manager().controllers:
+            refused[request.name] = f"{request.name} ({parameters.get('type', '') or 'no type'})"
+        controller = self._world.do(lambda: self._add(request.name, parameters))
+        refused.pop(request.name, None)
+        if controller.adjustables:
+            change = partial(self._adjust, controller)
+            adjustable = Reconfigurable(where, controller.adjustables, change)
+            self._adjustable[request.name] = adjustable
+
+    def _adjust(self, controller: Controller, values: Values) -> Values:
+        self._world.do(lambda: controller.adjust(values, self._world.simulation.step))
+        return values
+
+    def _add(self, name: str, parameters: ControlParameters) -> Controller:
+        manager = self._manager()
+        controller = manager.load(name, parameters)
+        try:
+            self._world.topics.connect((controller,), f"controller '{name}'")
+        except LabError:
+            manager.unload(name)
+            raise
+        return controller
+
+    def _unload(self, request: Any) -> None:
+        self._world.do(lambda: self._remove(request.name))
+        self._shut_down_settings()
+
+    def _remove(self, *names: str) -> None:
+        self._world.topics.disconnect(tuple(map(self._manager().unload, names)))
+
+    def _shut_down_settings(self) -> None:
+        """Shut down the settings of controllers that were removed."""
+        for name in self._adjustable.keys() - self._manager().controllers.keys():
+            self._adjustable.pop(name).shutdown()
+
+    def _switch(self, request: Any) -> None:
+        strict = request.strictness == control_srv.SwitchControllerRequest.STRICT
+        wanted = (request.start_controllers, request.stop_controllers, strict)
+        self._world.do(lambda: self._manager().switch(*wanted))
+
+    def _reload(self, request: Any) -> None:
+        def remove_all() -> None:
+            manager = self._manager()
+            names = tuple(manager.controllers)
+            if names and not request.force_kill:
+                raise ControlError(
+                    f"{len(names)} controllers are loaded, and force_kill is not set"
+                )
+            manager.switch((), names, strict=False)
+            self._remove(*names)
+
+        self._world.do(remove_all)
+        self._shut_down_settings()
+
+    def _list(self, _request: Any) -> Any:
+        loaded = self._world.do(lambda: [_state(c) for c in self._manager().controllers.values()])
+        return control_srv.ListControllersResponse(controller=loaded)
+
+    def _list_types(self, _request: Any) -> Any:
+        known = sorted(CONTROLLERS)
+        return control_srv.ListControllerTypesResponse(known, [BASE_CLASS] * len(known))
+
+    def _manager(self) -> Any:
+        if self._ended.is_set():
+            raise ControlError("the robot was removed from the world")
+        return self._plugin.manager
+
+
+def _state(controller: Controller) -> Any:
+    resources = control_msg.HardwareInterfaceResources(
+        INTERFACE_SPACE + controller.interface, sorted(joint.name for joint in controller.joints)
+    )
+    names = (controller.name, controller.state, controller.kind)
+    return control_msg.ControllerState(*names, [resources])
+
+
+def _parameters(namespace: str) -> Any:
+    """Return the tree of parameters in a namespace; None if there is none."""
+    return rospy.get_param(namespace.rstrip("/") or "/", None)
