@@ -9,7 +9,7 @@ import pytest
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import MODELS, rule_of
 from bullet_lab.reports import Reading
-from bullet_lab.simulation.plugins import plugin
+from bullet_lab.simulation import plugins
 from bullet_lab.simulation.world.sdf import read_model_text
 from bullet_lab.studies.noise_study.study import StudySettings, run_study
 
@@ -33,7 +33,7 @@ def named(text, name):
 @pytest.fixture
 def forgotten(monkeypatch):
     """Plugins that a test makes known are unknown afterwards."""
-    monkeypatch.setattr(plugin, "_KINDS", dict(plugin._KINDS))
+    monkeypatch.setattr(plugins, "_KINDS", dict(plugins._KINDS))
 
 
 def test_the_plugin_measures(world, forgotten):

@@ -18,7 +18,19 @@ import math
 import time
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import Any, Callable, DefaultDict, Dict, Iterator, List, Mapping, Optional, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    DefaultDict,
+    Dict,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Set,
+    Tuple,
+    Union,
+)
 
 import numpy as np
 
@@ -28,10 +40,17 @@ from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
-from bullet_lab.simulation.physics.physics import Body, Physics
-from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
-from bullet_lab.simulation.plugins.plugin import NAMESPACE
+from bullet_lab.simulation.physics.attached_frame import shape_name
+from bullet_lab.simulation.physics.bodies import Body
+from bullet_lab.simulation.physics.physics import Physics
+from bullet_lab.simulation.plugins import (
+    NAMESPACE,
+    Mount,
+    Plugin,
+    kind_of,
+    known_plugins,
+    namespace_of,
+)
 from bullet_lab.simulation.rendering.renderer import Renderer, Shot
 from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -178,9 +197,8 @@ class Simulation:
 
     def remove(self, name: str) -> None:
         """Take a model out of the world; raises SimulationError for an unknown name."""
-        instance = self._instances.pop(name, None)
-        if instance is None:
-            raise SimulationError(f"there is no model '{name}'")
+        instance = self._instance(name)
+        del self._instances[name]
         self._physics.remove(instance.bodies)
         self.forces.clear(target=(instance,))
         for plugin in instance.plugins:
@@ -190,17 +208,22 @@ class Simulation:
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
-    def contacts(self, name: str) -> Dict[str, Contact]:
-        """Return a model's contacts in the last step, by the other models' names.
+    def _instance(self, name: str) -> ModelInstance:
+        if name not in self._instances:
+            raise SimulationError(f"there is no model '{name}'")
+        return self._instances[name]
+
+    def contacts(self, name: str) -> Set[str]:
+        """Return the names of the models that a model touched in the last step.
 
         A robot on the floor touches the floor.
 
         Raises:
             SimulationError: there is no such model.
         """
-        if name not in self._instances:
-            raise SimulationError(f"there is no model '{name}'")
-        return contacts_of(self._instances[name].bodies.values(), self._owners, name)
+        bodies = self._instance(name).bodies.values()
+        points = [point for body in bodies for point in body.touching_points()]
+        return {self._owners[point[2]] for point in points} - {name}
 
     def touches(self, name: str) -> Iterator[Tuple[str, str, float]]:
         """Yield a model's contacts in the last step: its own link, and the other's model::link.
@@ -208,12 +231,15 @@ class Simulation:
         The third value is the z of the unit normal towards the model: 1 on level ground.
         """
         for body in self._instances[name].bodies.values():
-            for point in body.touching_points():
-                _, _, second, index, other_index, _, _, normal, *_ = point
+            for _, _, second, index, other_index, _, _, normal, *_ in body.touching_points():
                 owner = self._owners[second]
                 if owner != name:
                     other = self._bodies[second].link_at(other_index).link.name
                     yield body.link_at(index).link.name, f"{owner}::{other}", normal[2]
+
+    def shape_name(self, unique_id: int, index: int, place: Vector) -> str:
+        """Return the full name of the shape at a place (m) on a link of a body."""
+        return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²; raises SimulationError if it is not finite."""
@@ -221,9 +247,6 @@ class Simulation:
             raise SimulationError("gravity is not finite")
         self.world = replace(self.world, gravity=gravity)
         self._physics.set_gravity(gravity)
-        for instance in self._instances.values():
-            for plugin in instance.plugins:
-                plugin.gravity = gravity
 
     def light(self, name: str) -> Light:
         """Return a light; raises SimulationError for an unknown name."""
@@ -343,7 +366,7 @@ class Simulation:
 
     def _cancel_gravity(self, _step: int) -> None:
         for body in self._bodies.values():
-            body.cancel_gravity(self._physics.gravity)
+            body.cancel_gravity(self.world.gravity)
 
     def _reset_lost_models(self) -> None:
         """Place models where they were added if their pose is not finite.
@@ -368,29 +391,24 @@ class Simulation:
             self._warned_of_reset[name] = now
             LOG.warning("model '%s': its pose is no longer finite; reset to its first pose", name)
 
-    def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
-        return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
-
     def _make_plugins(
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
     ) -> Tuple[Plugin, ...]:
         plugins = []
-        common = (self.world.gravity, self.seed)
-        draws = (self.renderer, self._shape_name)
         for tag in model.plugins:
-            space = namespace_of(tag, model.name)
-            prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
             what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
-            try:
-                plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
-            except LabError as error:
-                LOG.warning("%s is left out: %s", what, error)
-                continue
-            if plugin is None:
+            kind, space = kind_of(tag), namespace_of(tag, model.name)
+            if kind is None:
                 known = f"; known are {', '.join(known_plugins())}"
                 hint = "" if self._has_listed_plugins else known
                 self._has_listed_plugins = True
                 LOG.warning("%s is not simulated and skipped%s", what, hint)
+                continue
+            prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
+            try:
+                plugin = kind(Mount(model, bodies, tag, self, space, prefix))
+            except LabError as error:
+                LOG.warning("%s is left out: %s", what, error)
                 continue
             plugin.reset(self.step)
             if plugin.schedule is not None:

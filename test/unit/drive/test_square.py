@@ -11,7 +11,7 @@ from bullet_lab.drive.square import (
     approach,
     open_loop_side,
 )
-from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS, SupportPatch
+from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS, SupportPatch
 
 BLOCK = SupportPatch(1.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)
 ICE = SupportPatch(0.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)

@@ -24,11 +24,9 @@ from bullet_lab.ros.node.node import (
     search_parameter,
 )
 from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, BatchPublisher
-from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
+from bullet_lab.simulation.plugins import NAMESPACE, Input, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.controllers.controller import Controller
-from bullet_lab.simulation.plugins.mobile_base import STANDSTILL
-from bullet_lab.simulation.plugins.plugin import NAMESPACE
-from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.plugins.samples import STANDSTILL, PlanarCommand
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.world.description import Model
 

@@ -13,25 +13,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterable,
-    List,
-    Mapping,
-    Optional,
-    Protocol,
-    Sequence,
-    Tuple,
-)
+from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.physics import is_contact, pybullet
-from bullet_lab.simulation.physics.bodies import BulletLink
+from bullet_lab.simulation.physics import pybullet
+from bullet_lab.simulation.physics.bodies import Body, is_contact
 from bullet_lab.simulation.physics.surfaces import SkiddingWheel
 from bullet_lab.simulation.world.description import Joint, Link
 
@@ -95,20 +84,6 @@ def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> Tuple[float, floa
         slope = u * u * p / (1.0 + s * p) + v * v * q / (1.0 + s * q)
         s += (length - 1.0) * square / slope
     return u / length * limits[0], v / length * limits[1], 1.0 / (1.0 + s * min(p, q))
-
-
-class Body(Protocol):
-    """The members of `physics.Body` that are used here."""
-
-    unique_id: int
-    client: int
-    links: Tuple[Link, ...]
-    bullet_links: Tuple[BulletLink, ...]
-    com_place: Callable[[], Tuple[Vector, Any]]
-    near_points: Callable[[], Sequence[tuple]]
-    velocity: Callable[[], Tuple[Vector, Vector]]
-    link_indices: Callable[[str], Tuple[int, ...]]
-    link_at: Callable[[int], BulletLink]
 
 
 @dataclass(frozen=True)
@@ -280,9 +255,10 @@ class Traction:
                 x * rolling[1] + y * lateral[1],
                 x * rolling[2] + y * lateral[2],
             )
-            _push(self._body, wheel.index, force, place)
+            self._body.push_at(wheel.index, force, place)
             if partner.link is not None:
-                _push(*partner.link, (-force[0], -force[1], -force[2]), place)
+                other, index = partner.link
+                other.push_at(index, (-force[0], -force[1], -force[2]), place)
 
     def _partner(self, point: tuple) -> Partner:
         key = (point[3], point[2], point[4])
@@ -301,12 +277,6 @@ class Traction:
         mass = sum(link.inertia.mass for link in other.links if link.inertia is not None)
         yields = YIELDING * len(self._wheels) * max(self._owners[index].gains) / STEPS_PER_SECOND
         return Partner((along, across), (other, other_index), mass / (mass + yields))
-
-
-def _push(body: Body, index: int, force: Vector, place: Vector) -> None:
-    pybullet.applyExternalForce(
-        body.unique_id, index, force, place, pybullet.WORLD_FRAME, body.client
-    )
 
 
 def _slip(state: tuple, place: Vector, partner: Partner) -> Vector:

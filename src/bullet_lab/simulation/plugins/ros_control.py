@@ -8,13 +8,13 @@ from typing import Any, Optional
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
+from bullet_lab.simulation.plugins import Input, Mount, Plugin
 from bullet_lab.simulation.plugins.controllers.controller import ControllerManager
 from bullet_lab.simulation.plugins.controllers.description import (
     ControlParameters,
     RobotDescription,
 )
 from bullet_lab.simulation.plugins.controllers.hardware import joint_handles
-from bullet_lab.simulation.plugins.plugin import Input, Mount, Plugin
 from bullet_lab.simulation.plugins.samples import Stop
 
 LOG = logging.getLogger(__name__)

@@ -48,6 +48,9 @@ class PlanarCommand:
     wz: float = 0.0
 
 
+STANDSTILL = PlanarCommand()
+
+
 @dataclass(frozen=True)
 class JointCommand:
     """A command to a joint: a position (rad or m), a velocity or an effort."""

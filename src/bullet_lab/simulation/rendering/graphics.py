@@ -63,6 +63,13 @@ class RendererError(LabError):
     """A picture cannot be drawn."""
 
 
+def check_samples(samples: float) -> None:
+    """Raise RendererError unless a pixel may have this number of samples."""
+    if samples not in SAMPLES:
+        known = ", ".join(map(str, SAMPLES))
+        raise RendererError(f"{samples:g} samples per pixel; allowed are {known}")
+
+
 def check_choice(renderer: str) -> None:
     """Warn if the removed renderer "tiny" is chosen."""
     if renderer == "tiny":

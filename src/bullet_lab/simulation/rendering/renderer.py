@@ -13,7 +13,6 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.rendering import graphics, shaders
 from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
 from bullet_lab.simulation.rendering.graphics import (
     DEPTHS,
@@ -21,11 +20,23 @@ from bullet_lab.simulation.rendering.graphics import (
     Graphics,
     RendererError,
     Target,
+    check_samples,
     panda3d,
     set_pose,
+    shared_graphics,
 )
-from bullet_lab.simulation.rendering.lights import BITS, PICTURE, Lighting
-from bullet_lab.simulation.rendering.shaders import MOVING, PLAIN, SLANTED, STILL, TEXTURED
+from bullet_lab.simulation.rendering.lights import (
+    BITS,
+    DEPTH_FRAGMENT,
+    DEPTH_VERTEX,
+    MOVING,
+    PICTURE,
+    PLAIN,
+    SLANTED,
+    STILL,
+    TEXTURED,
+    Lighting,
+)
 from bullet_lab.simulation.world.description import Mesh, World
 from bullet_lab.simulation.world.meshes import file_version
 
@@ -58,9 +69,7 @@ class Shot:
         if not 0.0 < self.near < self.far < math.inf:
             limits = f"near {self.near:g} m, far {self.far:g} m"
             raise RendererError(f"{limits}; 0 < near < far is needed")
-        if self.samples not in SAMPLES:
-            known = ", ".join(map(str, SAMPLES))
-            raise RendererError(f"{self.samples:g} samples per pixel; allowed are {known}")
+        check_samples(self.samples)
         if any(self.camera.distortion):
             raise RendererError("a pinhole camera has no distortion; bend the picture with a Lens")
 
@@ -199,12 +208,12 @@ class Renderer:
     """
 
     def __init__(self, world: World, models: Mapping[str, Any]):
-        self._graphics = shared = graphics.shared_graphics()
+        self._graphics = shared = shared_graphics()
         self.driver = shared.driver
         self._scene = Scene(world, models, shared)
         self._background = np.asarray(world.background[:3])
         self._states = {samples: shared.state(samples=samples) for samples in SAMPLES}
-        program = shared.program(shaders.DEPTH_VERTEX, shaders.DEPTH_FRAGMENT)
+        program = shared.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
         self._states[DEPTHS] = shared.state(program)
 
     def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:

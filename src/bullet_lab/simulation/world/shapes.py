@@ -1,8 +1,8 @@
 """Describe the shapes of bodies, with one class for each.
 
 Lengths are metres in the shape's frame, whose origin is in the middle of all but planes and meshes.
-A new shape is a class here, in SHAPES, and an entry in the tables of `physics.bodies`,
-`rendering.surfaces` and `ros.messages.world`.
+A new shape is a class here, in SHAPES, and an entry in the tables of `physics.physics`,
+`rendering.drawables` and `ros.messages.world`.
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive.square import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.simulation.plugins import Output
 from bullet_lab.simulation.plugins.controllers.description import ControlParameters
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController
-from bullet_lab.simulation.plugins.plugin import Output
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, DiffDrive

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS, SupportPatch
+from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS, SupportPatch
 
 DT, G = 1e-3, 9.8
 BLOCK = SupportPatch(friction=1.0, radius=0.0102, mass=4.51, inertia=7.5125e-3)

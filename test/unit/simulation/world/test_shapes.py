@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bullet_lab.simulation.physics.bodies import SHAPES as BODIES
+from bullet_lab.simulation.physics.physics import SHAPES as BODIES
 from bullet_lab.simulation.world.meshes import MeshError
 from bullet_lab.simulation.world.sdf import read_model_text
 from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plane, Sphere

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Dict, Iterable, List, Mapping, Sequence, Tuple, Type
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
+from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.hardware import JointHandle
-from bullet_lab.simulation.plugins.plugin import Input, Output
 
 # States of a controller in controller_manager_msgs/ControllerState.
 INITIALIZED = "initialized"

@@ -10,6 +10,7 @@ from typing import Any, Deque, Dict, Mapping, Optional, Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers.controller import (
     Adjustable,
     Controller,
@@ -21,9 +22,8 @@ from bullet_lab.simulation.plugins.controllers.description import (
     ControlParameters,
     DescribedJoint,
 )
-from bullet_lab.simulation.plugins.mobile_base import STANDSTILL
-from bullet_lab.simulation.plugins.plugin import Input, Output
 from bullet_lab.simulation.plugins.samples import (
+    STANDSTILL,
     OdometrySample,
     PlanarCommand,
     TransformSample,

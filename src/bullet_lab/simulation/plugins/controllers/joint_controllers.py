@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Iterator, Sequence, Tuple, Union
 
+from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers.controller import Controller, ControllerSetup
 from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
@@ -15,7 +16,6 @@ from bullet_lab.simulation.plugins.controllers.description import (
 )
 from bullet_lab.simulation.plugins.controllers.hardware import JointHandle
 from bullet_lab.simulation.plugins.controllers.pid import Pid, PidGains
-from bullet_lab.simulation.plugins.plugin import Input, Output
 from bullet_lab.simulation.plugins.samples import (
     JointCommand,
     JointCommands,
