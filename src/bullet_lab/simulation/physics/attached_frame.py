@@ -102,10 +102,9 @@ class AttachedFrame:
         # The points of the whole world: if asked for one body, PyBullet turns points round so
         # that the body comes first, but not their friction.
         found = []
-        for point in pybullet.getContactPoints(physicsClientId=body.client):
-            if is_contact(point):
-                first, second = (point[1], point[3]), (point[2], point[4])
-                found += [_seen_from(point, end) for end in own if end in (first, second)]
+        for point in filter(is_contact, pybullet.getContactPoints(physicsClientId=body.client)):
+            ends = ((point[1], point[3]), (point[2], point[4]))
+            found += [_seen_from(point, end) for end in (0, 1) if ends[end] in own]
         return found
 
     def _principal_pose(self) -> Pose:
@@ -160,18 +159,21 @@ class Rays:
         return start + (end - start) * fractions, np.array([hit[0] for hit in hits])
 
 
-def _seen_from(point: tuple, own: Tuple[int, int]) -> ContactPoint:
-    """Return one of PyBullet's points as the link `own` (body and index) sees it."""
-    first, second, first_link, second_link, on_first, on_second, normal, distance = point[1:9]
+def _seen_from(point: tuple, end: int) -> ContactPoint:
+    """Return one of PyBullet's points as its first link (0) or its second one (1) sees it."""
+    own, other = 1 + end, 2 - end
+    sign = -1.0 if end else 1.0
     pressure, friction, along, cross_friction, across = point[9:]
     slip = add(_times(friction, along), _times(cross_friction, across))
-    force = add(_times(pressure, normal), slip)
-    if own == (first, first_link):
-        other = (second, second_link)
-        return ContactPoint(own, other, on_first, on_second, normal, -distance, force)
-    back, opposite = _times(-1.0, normal), _times(-1.0, force)
-    other = (first, first_link)
-    return ContactPoint(own, other, on_second, on_first, back, -distance, opposite)
+    return ContactPoint(
+        own=(point[own], point[own + 2]),
+        other=(point[other], point[other + 2]),
+        place=point[own + 4],
+        place_on_other=point[other + 4],
+        normal=_times(sign, point[7]),
+        depth=-point[8],
+        force=_times(sign, add(_times(pressure, point[7]), slip)),
+    )
 
 
 def _times(factor: float, vector: Vector) -> Vector:

@@ -10,7 +10,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics import PhysicsError, pybullet
-from bullet_lab.simulation.physics.surfaces import Surface
+from bullet_lab.simulation.physics.surfaces import ContactSurface
 from bullet_lab.simulation.world.description import Collision, Inertia, Joint, Link
 from bullet_lab.simulation.world.inertia import mobility, principal_axes
 
@@ -76,7 +76,7 @@ class BulletLink:
     parent: int
     shapes: Tuple[Collision, ...] = ()
     shape: int = NO_SHAPE
-    surface: Surface = Surface()
+    surface: ContactSurface = ContactSurface()
     origin: Vector = ZERO
 
     def mass_properties(self) -> Tuple[float, Vector, Pose]:
@@ -312,7 +312,7 @@ class Body:
         the limits of friction. Do not use it on rolling wheels: they would bump.
         """
         for index in self._indices[self.link_at(self._joints[name]).link.name]:
-            if self.traction is not None and self.traction.acts_on(index):
+            if self.traction is not None and index in self.traction.owners:
                 continue
             self._call(pybullet.changeDynamics, index, frictionAnchor=int(sticking))
             if sticking:

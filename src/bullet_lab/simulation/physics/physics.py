@@ -29,7 +29,7 @@ from bullet_lab.simulation.physics.bodies import (
     BulletLink,
 )
 from bullet_lab.simulation.physics.surfaces import (
-    Surface,
+    ContactSurface,
     axle_of,
     fit_for_skidding,
     on_treads,
@@ -97,14 +97,14 @@ class ShapeMaker:
 
     def groups(
         self, link: Link, axle: Optional[Vector], static: bool, origin: Vector
-    ) -> List[Tuple[Tuple[Collision, ...], int, Surface]]:
+    ) -> List[Tuple[Tuple[Collision, ...], int, ContactSurface]]:
         """Return groups of the link's shapes, each with PyBullet's id and the common surface.
 
         `origin` is PyBullet's origin of the link in the link's frame, in m.
         """
-        by_surface: Dict[Surface, List[Collision]] = {}
+        by_surface: Dict[ContactSurface, List[Collision]] = {}
         for shape in link.collisions:
-            by_surface.setdefault(Surface.of(shape, axle), []).append(shape)
+            by_surface.setdefault(ContactSurface.of(shape, axle), []).append(shape)
         found = []
         for surface, shapes in by_surface.items():
             simple = [shape for shape in shapes if not isinstance(shape.geometry, Mesh)]
@@ -301,7 +301,7 @@ class Physics:
             joint = above.get(link.name)
             origin, parent = (joint.anchor, places[joint.parent]) if joint else (ZERO, ROOT)
             groups = self._shapes.groups(link, axle_of(joint), static, origin)
-            first, *more = groups or [((), NO_SHAPE, Surface())]
+            first, *more = groups or [((), NO_SHAPE, ContactSurface())]
             found.append(BulletLink(link, joint, parent, *first, origin))
             helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]
         return found + helpers

@@ -54,7 +54,7 @@ SINKING_SPEED = 0.02
 
 
 @dataclass(frozen=True)
-class Surface:
+class ContactSurface:
     """Friction and softness of a shape, in the axes of its link.
 
     Attributes:
@@ -74,7 +74,7 @@ class Surface:
     damping: Optional[float] = None
 
     @classmethod
-    def of(cls, shape: Collision, axle: Optional[Vector]) -> Surface:
+    def of(cls, shape: Collision, axle: Optional[Vector]) -> ContactSurface:
         """Return the surface of a shape of a link; `axle` is what the link turns about, or None.
 
         A direction that is not the axle's turns with the wheel. It then means that the first
@@ -84,7 +84,7 @@ class Surface:
         axis = shape.direction and shape.pose.rotate(shape.direction)
         if axis and shape.cross_friction is not None:
             second = shape.cross_friction
-            if axle and abs(cosine(axis, axle)) < ALIGNED:
+            if axle and abs(dot(axis, axle)) < ALIGNED:
                 axis, first, second = axle, second, first
         if first == second:
             return cls(first, stiffness=shape.stiffness, damping=shape.damping)
@@ -151,20 +151,20 @@ def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bo
     return any(_parallel_and_apart(*pair) for pair in combinations(lines, 2))
 
 
-def cosine(one: Vector, other: Vector) -> float:
-    """Return the cosine of the angle between two unit vectors."""
-    return sum(a * b for a, b in zip(one, other))
+def dot(one: Vector, other: Vector) -> float:
+    """Return the scalar product of two vectors."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
 def _parallel_and_apart(one: Axle, other: Axle) -> bool:
     (place, axis), (other_place, other_axis) = one, other
-    if abs(cosine(axis, other_axis)) <= ALIGNED:
+    if abs(dot(axis, other_axis)) <= ALIGNED:
         return False
     return math.hypot(*cross(subtract(other_place, place), axis)) > NEAR
 
 
 def _turns_about(cylinder: Collision, axle: Vector) -> bool:
-    return abs(cosine(cylinder.pose.rotate((0.0, 0.0, 1.0)), axle)) >= ALIGNED
+    return abs(dot(cylinder.pose.rotate((0.0, 0.0, 1.0)), axle)) >= ALIGNED
 
 
 @dataclass(frozen=True)
@@ -187,8 +187,7 @@ def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[Skid
     """
     above = {joint.child: joint for joint in joints}
     poses = {link.name: link.pose for link in links}
-    wheels: List[SkiddingWheel] = []
-    lines: List[Axle] = []
+    found: List[Tuple[SkiddingWheel, Axle]] = []
     for link in links:
         joint = above.get(link.name)
         if joint is None or not _turns_freely(joint) or _is_steered(joint, above, poses):
@@ -196,13 +195,11 @@ def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[Skid
         radius = max((_radius(shape, joint) for shape in link.collisions), default=0.0)
         axle = link.pose.rotate(joint.axis)
         if radius > 0.0 and abs(axle[2]) < LEVEL:
-            wheels.append(SkiddingWheel(link.name, joint.axis, radius))
-            lines.append(((link.pose * Pose(joint.anchor)).position, axle))
-    skidding = set()
-    for one, other in combinations(range(len(wheels)), 2):
-        if _parallel_and_apart(lines[one], lines[other]):
-            skidding.update((one, other))
-    return [wheels[index] for index in sorted(skidding)]
+            wheel = SkiddingWheel(link.name, joint.axis, radius)
+            found.append((wheel, ((link.pose * Pose(joint.anchor)).position, axle)))
+    return [
+        wheel for wheel, line in found if any(_parallel_and_apart(line, one) for _, one in found)
+    ]
 
 
 def _turns_freely(joint: Joint) -> bool:
@@ -248,20 +245,17 @@ def fit_for_skidding(links: Sequence[Link], wheels: Sequence[SkiddingWheel]) -> 
     How hard wheels share the load of a body is undetermined, and Bullet's solver would decide.
     On springs, the load of each wheel follows from where the wheel is.
     """
-    load = sum(link.inertia.mass for link in links if link.inertia is not None) / len(wheels)
+    load = sum(link.inertia.mass for link in links) / len(wheels)
     spring = {"stiffness": load * GRAVITY / SINKING, "damping": load * GRAVITY / SINKING_SPEED}
-    by_name = {wheel.link: wheel for wheel in wheels}
-    fitted = []
-    for link in links:
-        wheel = by_name.get(link.name)
-        if wheel is not None and link.inertia is not None:
-            matrix = link.inertia.matrix
-            lacking = LEAST_RIM * load * wheel.radius**2 - wheel.axle @ matrix @ wheel.axle
-            inertia = replace(link.inertia, matrix=matrix + max(0.0, lacking) * np.eye(3))
-            shapes = tuple(
-                replace(shape, **spring) if shape.stiffness is shape.damping is None else shape
-                for shape in link.collisions
-            )
-            link = replace(link, inertia=inertia, collisions=shapes)
-        fitted.append(link)
-    return fitted
+    by_name = {link.name: link for link in links}
+    for wheel in wheels:
+        link = by_name[wheel.link]
+        matrix = link.inertia.matrix
+        lacking = LEAST_RIM * load * wheel.radius**2 - wheel.axle @ matrix @ wheel.axle
+        inertia = replace(link.inertia, matrix=matrix + max(0.0, lacking) * np.eye(3))
+        shapes = tuple(
+            replace(shape, **spring) if shape.stiffness is shape.damping is None else shape
+            for shape in link.collisions
+        )
+        by_name[wheel.link] = replace(link, inertia=inertia, collisions=shapes)
+    return list(by_name.values())

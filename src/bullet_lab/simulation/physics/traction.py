@@ -21,7 +21,7 @@ from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.bodies import Body, is_contact
-from bullet_lab.simulation.physics.surfaces import SkiddingWheel
+from bullet_lab.simulation.physics.surfaces import SkiddingWheel, dot
 from bullet_lab.simulation.world.description import Joint, Link
 
 # Something along a wheel's rolling direction, and the same along its axle.
@@ -149,6 +149,9 @@ class Traction:
         body: that has the wheels.
         wheels: its skidding wheels.
         others: all bodies in the world by their unique ids.
+
+    Attributes:
+        owners: the wheels by PyBullet's index of their links and of their helper links.
     """
 
     def __init__(self, body: Body, wheels: Sequence[SkiddingWheel], others: Mapping[int, Body]):
@@ -156,16 +159,15 @@ class Traction:
         self._described = tuple(wheels)
         self._others = others
         self._wheels: List[WheelFriction] = []
-        # By PyBullet's index of a wheel's link, or of a helper link of the wheel.
-        self._owners: Dict[int, WheelFriction] = {}
+        self.owners: Dict[int, WheelFriction] = {}
         for described in wheels:
             indices = body.link_indices(described.link)
             frame = body.link_at(indices[0]).mass_properties()[2]
             wheel = WheelFriction(indices[0], frame.inverse().rotate(described.axle))
             self._wheels.append(wheel)
-            self._owners.update(dict.fromkeys(indices, wheel))
+            self.owners.update(dict.fromkeys(indices, wheel))
         self.update_gains()
-        for index in self._owners:
+        for index in self.owners:
             pybullet.changeDynamics(
                 body.unique_id, index, lateralFriction=0.0, physicsClientId=body.client
             )
@@ -196,10 +198,6 @@ class Traction:
         for wheel in self._wheels:
             wheel.reset()
 
-    def acts_on(self, index: int) -> bool:
-        """Return whether the friction of the link with PyBullet's index is computed here."""
-        return index in self._owners
-
     def before_step(self, _: int) -> None:
         """Apply the wheels' friction in the coming step."""
         if not self._points_are_valid:
@@ -208,8 +206,8 @@ class Traction:
             return
         touching: Dict[int, List[tuple]] = {wheel.index: [] for wheel in self._wheels}
         for point in self._body.near_points():
-            if point[3] in self._owners and is_contact(point):
-                touching[self._owners[point[3]].index].append(point)
+            if point[3] in self.owners and is_contact(point):
+                touching[self.owners[point[3]].index].append(point)
         for wheel, state in zip(self._wheels, self._states()):
             points = touching[wheel.index]
             load = sum([point[9] for point in points])
@@ -234,13 +232,15 @@ class Traction:
         for point, weight in points:
             partner, place = self._partner(point), point[5]
             rolling, lateral = _directions(axle, point[7])
-            slip = _slip(state, place, partner)
+            slip = add(state[6], cross(state[7], subtract(place, state[0])))
+            if partner.link is not None:
+                slip = subtract(slip, _velocity_of(*partner.link, place))
             part_along = weight * partner.coefficients[0]
             part_across = weight * partner.coefficients[1]
             mu_along += part_along
             mu_across += part_across
-            slip_along += part_along * _dot(slip, rolling)
-            slip_across += part_across * _dot(slip, lateral)
+            slip_along += part_along * dot(slip, rolling)
+            slip_across += part_across * dot(slip, lateral)
             share = min(share, partner.share)
             parts.append((partner, place, rolling, lateral, part_along, part_across))
         mu_along = max(mu_along, LEAST_COEFFICIENT)
@@ -262,9 +262,10 @@ class Traction:
 
     def _partner(self, point: tuple) -> Partner:
         key = (point[3], point[2], point[4])
-        if key not in self._partners:
-            self._partners[key] = self._new_partner(*key)
-        return self._partners[key]
+        partner = self._partners.get(key)
+        if partner is None:
+            partner = self._partners[key] = self._new_partner(*key)
+        return partner
 
     def _new_partner(self, index: int, unique_id: int, other_index: int) -> Partner:
         other = self._others[unique_id]
@@ -272,19 +273,11 @@ class Traction:
         # The axis of a wheel's surface with two coefficients is its axle.
         along = min(own.across * own.friction, theirs.friction)
         across = min(own.along * own.friction, theirs.friction)
-        if other.bullet_links[0].link.inertia is None or other is self._body:
+        if not other.moves or other is self._body:
             return Partner((along, across))
-        mass = sum(link.inertia.mass for link in other.links if link.inertia is not None)
-        yields = YIELDING * len(self._wheels) * max(self._owners[index].gains) / STEPS_PER_SECOND
+        mass = sum(link.inertia.mass for link in other.links)
+        yields = YIELDING * len(self._wheels) * max(self.owners[index].gains) / STEPS_PER_SECOND
         return Partner((along, across), (other, other_index), mass / (mass + yields))
-
-
-def _slip(state: tuple, place: Vector, partner: Partner) -> Vector:
-    """Return the velocity (m/s) of a place on a wheel relative to what it touches there."""
-    slip = add(state[6], cross(state[7], subtract(place, state[0])))
-    if partner.link is None:
-        return slip
-    return subtract(slip, _velocity_of(*partner.link, place))
 
 
 def _directions(axle: Vector, normal: Vector) -> Tuple[Vector, Vector]:
@@ -308,13 +301,8 @@ def _velocity_of(body: Body, index: int, place: Vector) -> Vector:
     return add(linear, cross(angular, subtract(place, centre)))
 
 
-def _dot(one: Vector, other: Vector) -> float:
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
-
-
-# A degree of freedom: its column in a Jacobian, its axis, and a place on the axis; the place is
-# None for a translation.
-Freedom = Tuple[int, np.ndarray, Optional[np.ndarray]]
+# A degree of freedom: its axis, and a place on the axis; the place is None for a translation.
+Freedom = Tuple[np.ndarray, Optional[np.ndarray]]
 
 
 def wheel_mobility(
@@ -327,22 +315,21 @@ def wheel_mobility(
     in space, and its joints are loose and at zero.
     """
     poses = {link.name: link.pose for link in links}
-    freedoms, count = _freedoms(links, joints)
-    inertia = np.zeros((count, count))
+    freedoms, columns = _freedoms(links, joints)
+    inertia = np.zeros((len(freedoms), len(freedoms)))
     for link in links:
         if link.inertia is not None:
             centre = np.array((link.pose * Pose(link.inertia.centre)).position)
-            linear, angular = _jacobian(centre, freedoms[link.name], count)
+            linear, angular = _jacobian(centre, freedoms, columns[link.name])
             turn = link.pose.rotation_matrix().T @ angular
             inertia += link.inertia.mass * linear.T @ linear + turn.T @ link.inertia.matrix @ turn
     rows = []
     for wheel in wheels:
         axle = np.array(poses[wheel.link].rotate(wheel.axle))
         rolling = np.cross(axle, UP) / np.linalg.norm(np.cross(axle, UP))
-        above = reversed(freedoms[wheel.link])
-        hub = next(place for _, _, place in above if place is not None)
-        touch = hub - wheel.radius * np.cross(rolling, axle)
-        linear, _ = _jacobian(touch, freedoms[wheel.link], count)
+        own = columns[wheel.link]
+        _, hub = freedoms[own[-1]]
+        linear, _ = _jacobian(hub - wheel.radius * np.cross(rolling, axle), freedoms, own)
         rows += [rolling @ linear, axle @ linear]
     touches = np.array(rows)
     # Links without inertia of their own change nothing for those that carry them.
@@ -351,34 +338,29 @@ def wheel_mobility(
 
 def _freedoms(
     links: Sequence[Link], joints: Sequence[Joint]
-) -> Tuple[Dict[str, List[Freedom]], int]:
-    """Return the joints' freedoms that move each link, and how many there are with the root's 6."""
+) -> Tuple[List[Freedom], Dict[str, List[int]]]:
+    """Return the freedoms, those of the root first, and which of them move each link."""
     above = {joint.child: joint for joint in joints}
-    freedoms: Dict[str, List[Freedom]] = {}
-    count = 6
-    for link in links:
-        joint = above.get(link.name)
-        if joint is None:
-            freedoms[link.name] = []
-            continue
+    freedoms: List[Freedom] = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
+    columns: Dict[str, List[int]] = {links[0].name: list(range(len(freedoms)))}
+    for link in links[1:]:
+        joint = above[link.name]
         place = np.array((link.pose * Pose(joint.anchor)).position)
         turn = link.pose.rotation_matrix()
         axes = {"ball": turn.T, "fixed": ()}.get(joint.kind, [turn @ joint.axis])
-        at = None if joint.kind == "prismatic" else place
-        own = [(column, axis, at) for column, axis in enumerate(axes, count)]
-        freedoms[link.name] = freedoms[joint.parent] + own
-        count += len(own)
-    return freedoms, count
+        first = len(freedoms)
+        freedoms += [(axis, None if joint.kind == "prismatic" else place) for axis in axes]
+        columns[link.name] = [*columns[joint.parent], *range(first, len(freedoms))]
+    return freedoms, columns
 
 
 def _jacobian(
-    place: np.ndarray, freedoms: Sequence[Freedom], count: int
+    place: np.ndarray, freedoms: Sequence[Freedom], columns: Sequence[int]
 ) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the linear and angular Jacobian, (3, count) each, of a place (m) on a link."""
-    linear, angular = np.zeros((3, count)), np.zeros((3, count))
-    linear[:, :3] = angular[:, 3:6] = np.eye(3)
-    linear[:, 3:6] = np.cross(np.eye(3), place).T
-    for column, axis, at in freedoms:
+    """Return the linear and angular Jacobian of a place (m) that some of the freedoms move."""
+    linear, angular = np.zeros((2, 3, len(freedoms)))
+    for column in columns:
+        axis, at = freedoms[column]
         linear[:, column] = axis if at is None else np.cross(axis, place - at)
         if at is not None:
             angular[:, column] = axis
