@@ -111,15 +111,14 @@ def _check(numbers: Tuple[float, ...]) -> None:
 
 
 class Forces:
-    """All forces that act now or later. Use it in the simulation's thread only."""
+    """The forces on models. Use it in the simulation's thread only.
+
+    Attributes:
+        active: the forces that act now or later.
+    """
 
     def __init__(self) -> None:
-        self._forces: List[Union[Wrench, Effort]] = []
-
-    @property
-    def active(self) -> bool:
-        """Whether there are forces, now or later."""
-        return bool(self._forces)
+        self.active: List[Union[Wrench, Effort]] = []
 
     def add(self, force: Union[Wrench, Effort]) -> None:
         """Add a force, which acts in its period.
@@ -131,23 +130,19 @@ class Forces:
         model = force.target[0].model
         if model.static:
             raise ForceError(f"model '{model.name}' is static; it cannot be moved")
-        self._forces.append(force)
+        self.active.append(force)
 
     def before_step(self, step: int) -> None:
         """Apply the forces of the coming step, and remove those that have ended."""
-        ended = False
-        for force in self._forces:
-            if force.period.end <= step:
-                ended = True
-            elif force.period.first <= step:
+        self.active = [force for force in self.active if force.period.end > step]
+        for force in self.active:
+            if force.period.first <= step:
                 force.apply()
-        if ended:
-            self._forces = [force for force in self._forces if force.period.end > step]
 
     def clear(self, kind: type = object, target: Tuple[Any, ...] = ()) -> None:
         """End all forces of a kind on a model's link or joint, on a model, or on everything."""
-        self._forces = [
+        self.active = [
             force
-            for force in self._forces
+            for force in self.active
             if not (isinstance(force, kind) and force.target[: len(target)] == target)
         ]

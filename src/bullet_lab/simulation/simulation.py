@@ -51,7 +51,7 @@ from bullet_lab.simulation.plugins import (
     known_plugins,
     namespace_of,
 )
-from bullet_lab.simulation.rendering.renderer import Renderer, Shot
+from bullet_lab.simulation.rendering.renderer import Renderer, RendererError, Shot
 from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
@@ -433,10 +433,6 @@ def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:
     return replace(tag, tags={**tag.tags, NAMESPACE: namespace})
 
 
-class ViewError(LabError):
-    """A view with invalid values."""
-
-
 @dataclass(frozen=True)
 class View:
     """An ideal pinhole camera in the world, upright, that looks from `eye` at `target`.
@@ -467,20 +463,17 @@ def take_picture(simulation: Simulation, view: View, samples: int = 1) -> np.nda
         (height, width, 3) array of uint8, RGB. The same world and view give the same bytes.
 
     Raises:
-        ViewError: a value of the view is invalid, or the target is straight above or below the
-            eye.
-        LabError: nothing can be drawn on this machine.
+        RendererError: a value of the view is invalid, the target is straight above or below the
+            eye, or nothing can be drawn on this machine.
     """
-    if not all(map(math.isfinite, (*view.eye, *view.target, view.near, view.far))):
-        raise ViewError("view: a number is not finite")
-    if not 0.0 < view.near < view.far:
-        raise ViewError(f"view: near {view.near:g} m, far {view.far:g} m; needs 0 < near < far")
+    if not all(map(math.isfinite, (*view.eye, *view.target))):
+        raise RendererError("view: a number is not finite")
     if view.width < 1 or view.height < 1:
-        raise ViewError(f"view: {view.width} x {view.height} pixels; needs 1 at least")
+        raise RendererError(f"view: {view.width} x {view.height} pixels; needs 1 at least")
     if not 0.0 < view.horizontal_fov < math.pi:
-        raise ViewError(f"view: field of view {view.horizontal_fov:g} rad; needs 0 < fov < pi")
+        raise RendererError(f"view: field of view {view.horizontal_fov:g} rad; needs 0 < fov < pi")
     if math.dist(view.eye[:2], view.target[:2]) == 0.0:
-        raise ViewError("view: the target is straight above or below the eye")
+        raise RendererError("view: the target is straight above or below the eye")
     focal = 0.5 * view.width / math.tan(0.5 * view.horizontal_fov)
     centre = (0.5 * (view.width - 1), 0.5 * (view.height - 1))
     camera = PinholeCamera(view.width, view.height, focal, focal, *centre)

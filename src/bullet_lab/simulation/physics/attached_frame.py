@@ -42,7 +42,7 @@ class ContactPoint:
 
 
 class AttachedFrame:
-    """A frame at a pose `offset` in a link of a body; raises KeyError for an unknown link.
+    """A frame at a pose `offset` in a link of a body.
 
     Attributes:
         index: PyBullet's index of the link.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, DefaultDict, Dict, List, Optional, Sequence, Tuple
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -155,11 +156,11 @@ class Body:
         # The normal of the deepest contact since the body was placed.
         self._way_out = ZERO
         self._placed_velocity = (ZERO, ZERO)
-        self._indices: Dict[str, Tuple[int, ...]] = {}
+        self._indices: DefaultDict[str, List[int]] = defaultdict(list)
         self._joints: Dict[str, int] = {}
         self._balls: List[int] = []
         for index, one in enumerate(bullet_links, start=ROOT):
-            self._indices[one.link.name] = (*self._indices.get(one.link.name, ()), index)
+            self._indices[one.link.name].append(index)
             if one.joint and one.joint.kind == "ball":
                 self._balls.append(index)
                 # PyBullet holds every joint still with a motor until told otherwise.
@@ -329,10 +330,10 @@ class Body:
         self.traction = None
 
     def link_index(self, name: str) -> int:
-        """Return PyBullet's index of a link, -1 for the root; raises KeyError."""
+        """Return PyBullet's index of a link, -1 for the root."""
         return self.link_indices(name)[0]
 
-    def link_indices(self, name: str) -> Tuple[int, ...]:
+    def link_indices(self, name: str) -> List[int]:
         """Return PyBullet's indices of a link and of its helper links."""
         return self._indices[name]
 
