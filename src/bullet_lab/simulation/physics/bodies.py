@@ -154,7 +154,7 @@ class Body:
         self.turned_inertia = self._com.quaternion != NO_TURN
         self.settling = 0
         # The normal of the deepest contact since the body was placed.
-        self._way_out = ZERO
+        self._exit_direction = ZERO
         self._placed_velocity = (ZERO, ZERO)
         self._indices: DefaultDict[str, List[int]] = defaultdict(list)
         self._joints: Dict[str, int] = {}
@@ -163,7 +163,7 @@ class Body:
             self._indices[one.link.name].append(index)
             if one.joint and one.joint.kind == "ball":
                 self._balls.append(index)
-                # PyBullet holds every joint still with a motor until told otherwise.
+                # PyBullet holds every joint still with a motor of its own.
                 free = {"targetPosition": NO_TURN, "positionGain": 0.0, "force": ZERO}
                 mode = pybullet.POSITION_CONTROL
                 self._call(pybullet.setJointMotorControlMultiDof, index, mode, **free)
@@ -222,7 +222,7 @@ class Body:
         self._call(pybullet.resetBasePositionAndOrientation, com.position, com.quaternion)
         self._placed_velocity = (add(linear, cross(angular, arm)), angular)
         self.set_velocity(*self._placed_velocity)
-        self._way_out = ZERO
+        self._exit_direction = ZERO
         self.settling = SETTLING_STEPS
         if self.traction is not None:
             self.traction.reset()
@@ -410,10 +410,10 @@ class Body:
         deepest = min(self.near_points(), key=lambda point: point[8], default=None)
         deep = deepest is not None and deepest[8] < -DEEP
         if deep:
-            self._way_out = deepest[7]
-        if self._way_out != ZERO:
+            self._exit_direction = deepest[7]
+        if self._exit_direction != ZERO:
             linear, _ = self.velocity()
-            if sum(v * n for v, n in zip(linear, self._way_out)) > SLOW:
+            if sum(v * n for v, n in zip(linear, self._exit_direction)) > SLOW:
                 self.set_velocity(*self._placed_velocity)
         if not deep:
             self.settling = 0

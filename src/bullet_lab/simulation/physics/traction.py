@@ -225,8 +225,10 @@ class Traction:
         point gets a part of the friction in the same ratio.
         """
         axle = Pose(quaternion=state[1]).rotate(wheel.axle)
-        mu_along = mu_across = 0.0
-        slip_along = slip_across = 0.0
+        mu_along = 0.0
+        mu_across = 0.0
+        slip_along = 0.0
+        slip_across = 0.0
         share = 1.0
         parts = []
         for point, weight in points:

@@ -116,7 +116,7 @@ def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
 
 
 class Lens:
-    """A distorting lens: it gives the ideal picture to draw, and distorts that.
+    """A distorting lens: the ideal camera to draw with, and the distortion of its pictures.
 
     Pixels outside the lens, or that would need too large an ideal picture, are black.
 

@@ -244,7 +244,7 @@ class TruePose(Sensor):
         return into * pose, into.rotate(linear), into.rotate(angular)
 
 
-class JointStates(Sensor):
+class JointStatePublisher(Sensor):
     """Reports positions and velocities of joints."""
 
     filenames = ("libgazebo_ros_joint_state_publisher.so",)

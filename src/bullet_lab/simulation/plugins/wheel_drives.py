@@ -159,7 +159,9 @@ class DeadReckoning:
 
     def restart(self, left: float, right: float) -> None:
         """Start at the origin, with the wheels at these angles (rad)."""
-        self._x = self._y = self._yaw = 0.0
+        self._x = 0.0
+        self._y = 0.0
+        self._yaw = 0.0
         self.resume(left, right)
 
     def resume(self, left: float, right: float) -> None:

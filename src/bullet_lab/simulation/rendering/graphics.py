@@ -76,7 +76,7 @@ def check_choice(renderer: str) -> None:
         LOG.warning("renderer 'tiny' was removed; Panda3D draws all pictures, through EGL")
 
 
-class Target:
+class Canvas:
     """A buffer of Panda3D, with the texture that holds the result.
 
     It has tiles that are `size` pixels wide, and a camera for each tile, row by row.
@@ -95,7 +95,7 @@ class Target:
         # Panda3D's own picture, and a numpy view of it.
         self._seen: Tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
 
-    def look(self, root: Any, state: Any, bit: int, matrices: Sequence[np.ndarray]) -> None:
+    def aim(self, root: Any, state: Any, bit: int, matrices: Sequence[np.ndarray]) -> None:
         """Let the cameras show the nodes with a bit below a root, with projection matrices."""
         core = panda3d()
         for path, matrix in zip(self.cameras, matrices):
@@ -131,7 +131,7 @@ class Graphics:
         make = functools.partial(core.Shader.make, core.Shader.SL_GLSL)
         self.program = functools.lru_cache(maxsize=KEPT_PROGRAMS)(make)
         self._lock = threading.Lock()
-        self._kept: Dict[Tuple[int, int, int], Target] = {}
+        self._kept: Dict[Tuple[int, int, int], Canvas] = {}
         try:
             self._egl = ctypes.CDLL("libEGL.so.1")
         except OSError as error:
@@ -154,7 +154,7 @@ class Graphics:
         self._shared = (context.get_gsg(), context)
         self.driver = context.get_gsg().get_driver_renderer()
 
-    def target(self, width: int, height: int, samples: int) -> Target:
+    def target(self, width: int, height: int, samples: int) -> Canvas:
         """Return a target for pictures, RGB of 8 bits, or float32 DEPTHS; raise RendererError."""
         # The target used last is removed last.
         kept = self._kept.pop((width, height, samples), None)
@@ -173,7 +173,7 @@ class Graphics:
         self._kept[(width, height, samples)] = kept
         return kept
 
-    def shadow_target(self, size: int, tiles: Size) -> Target:
+    def shadow_target(self, size: int, tiles: Size) -> Canvas:
         """Return a new target for columns and rows of square shadow maps; raise RendererError."""
         core = panda3d()
         properties, texture = core.FrameBufferProperties(), core.Texture("shadow")
@@ -201,7 +201,7 @@ class Graphics:
             state.set_transparency(core.TransparencyAttrib.M_none, OVERRIDE)
         return state.get_state()
 
-    def draw(self, targets: Sequence[Target]) -> None:
+    def draw(self, targets: Sequence[Canvas]) -> None:
         """Draw into some targets."""
         for target in targets:
             target.buffer.set_active(True)
@@ -211,12 +211,12 @@ class Graphics:
             for target in targets:
                 target.buffer.set_active(False)
 
-    def remove(self, target: Target) -> None:
+    def remove(self, target: Canvas) -> None:
         """Release a target."""
         self._with_context(self._engine.remove_window, target.buffer)
         target.texture.release_all()
 
-    def _target(self, texture: Any, properties: Any, size: Size, tiles: Size = (1, 1)) -> Target:
+    def _target(self, texture: Any, properties: Any, size: Size, tiles: Size = (1, 1)) -> Canvas:
         largest = self._shared[0].get_max_texture_dimension()
         if max(size) > largest:
             raise RendererError(f"{self.driver} draws up to {largest} pixels along each side")
@@ -228,7 +228,7 @@ class Graphics:
         buffer.add_render_texture(texture, *(coloured if properties.get_red_bits() else deep))
         # Otherwise events of new buffers pile up.
         panda3d().EventQueue.get_global_event_queue().clear()
-        return Target(buffer, texture, tiles)
+        return Canvas(buffer, texture, tiles)
 
     def _buffer(self, properties: Any, size: Size) -> Any:
         core = panda3d()

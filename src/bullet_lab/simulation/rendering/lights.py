@@ -25,7 +25,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 
 import numpy as np
 
-from bullet_lab.simulation.rendering.graphics import Graphics, Target, panda_matrix
+from bullet_lab.simulation.rendering.graphics import Canvas, Graphics, panda_matrix
 from bullet_lab.simulation.world.description import Light, World
 
 LOG = logging.getLogger(__name__)
@@ -307,13 +307,13 @@ class _ShadowMap:
     def __init__(self, graphics: Graphics, root: Any, light: Light, name: str, kind: str):
         self.kind = kind
         self._graphics, self._root, self._light, self._name = graphics, root, light, name
-        self._target: Optional[Target] = None
+        self._target: Optional[Canvas] = None
         self._version = -1
         program = graphics.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
         # Both sides of a triangle cast shadows, since a mesh may be open.
         self._state = graphics.state(program, cull="none")
 
-    def update(self, version: int, boxes: Callable[[str], np.ndarray]) -> List[Target]:
+    def update(self, version: int, boxes: Callable[[str], np.ndarray]) -> List[Canvas]:
         """Return the map if it must be drawn again: for another version."""
         if self._version == version:
             return []
@@ -323,7 +323,7 @@ class _ShadowMap:
             self.remove()
             tiles = (3, 2) if len(matrices) > 1 else (1, 1)
             self._target = self._graphics.shadow_target(size, tiles)
-        self._target.look(self._root, self._state, BITS[self.kind], matrices)
+        self._target.aim(self._root, self._state, BITS[self.kind], matrices)
         put = self._root.set_shader_input
         put(f"{self._name}_{self.kind}", self._target.texture)
         put(f"{self._name}_into_{self.kind}", panda_matrix(matrices[0]))
@@ -362,7 +362,7 @@ class Lighting:
             program = graphics.program(*picture_programs(lit, paint))
             self.programs[moving][paint] = program
 
-    def update(self, now: Dict[str, int], boxes: Callable[[str], np.ndarray]) -> List[Target]:
+    def update(self, now: Dict[str, int], boxes: Callable[[str], np.ndarray]) -> List[Canvas]:
         """Return the maps that must be drawn again.
 
         `now` has the version of the STILL models, and of the MOVING ones if these are needed; a

@@ -17,9 +17,9 @@ from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
 from bullet_lab.simulation.rendering.graphics import (
     DEPTHS,
     SAMPLES,
+    Canvas,
     Graphics,
     RendererError,
-    Target,
     check_samples,
     panda3d,
     set_pose,
@@ -108,7 +108,7 @@ class _LinkNode:
             path.set_shader(programs[SLANTED if slanted else TEXTURED])
 
 
-class Scene:
+class VisibleWorld:
     """The visible objects of a world, below its `root`, a node path of Panda3D."""
 
     def __init__(self, world: World, models: Mapping[str, Any], graphics: Graphics):
@@ -141,7 +141,7 @@ class Scene:
             moved = [link.follow() for link in self._shown[name][1]]
             self._versions[kind] += is_new or any(moved)
 
-    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> List[Target]:
+    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> List[Canvas]:
         """Choose the programs for an eye at a point, m; return the shadow maps to draw first.
 
         `in_view` returns whether any of several hulls may be visible, see `Lighting.shadows_of`.
@@ -210,7 +210,7 @@ class Renderer:
     def __init__(self, world: World, models: Mapping[str, Any]):
         self._graphics = shared = shared_graphics()
         self.driver = shared.driver
-        self._scene = Scene(world, models, shared)
+        self._scene = VisibleWorld(world, models, shared)
         self._background = np.asarray(world.background[:3])
         self._states = {samples: shared.state(samples=samples) for samples in SAMPLES}
         program = shared.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
@@ -251,12 +251,12 @@ class Renderer:
         """Release everything."""
         self._scene.close()
 
-    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Target:
+    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Canvas:
         self._scene.update()
         target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
         # Blue first: Panda3D returns red and blue exchanged.
         target.buffer.set_clear_color((*background[::-1], 1.0))
-        target.look(self._scene.root, self._states[samples], BITS[PICTURE], [projection(shot)])
+        target.aim(self._scene.root, self._states[samples], BITS[PICTURE], [projection(shot)])
         set_pose(target.cameras[0], pose * AHEAD)
         return target
 
