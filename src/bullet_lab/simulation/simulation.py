@@ -81,6 +81,13 @@ class Simulation:
 
     The same calls in the same order give the same numbers, to the last bit. Not thread-safe:
     PyBullet allows calls from one thread at a time.
+
+    Attributes:
+        world: the world, without the models that were added later.
+        models: all models by name.
+        seed: of the noise of all sensors.
+        step: simulated time in steps.
+        forces: on models.
     """
 
     def __init__(self, world: Optional[World] = None, seed: int = 0):
@@ -90,10 +97,8 @@ class Simulation:
         self.seed = seed
         self.step = 0
         self._physics = Physics(self.world.gravity)
-        self._instances: Dict[str, ModelInstance] = {}
-        # Names of the models, and their bodies, by the bodies' unique ids.
-        self._owners: Dict[int, str] = {}
-        self._bodies: Dict[int, Body] = {}
+        self.models: Dict[str, ModelInstance] = {}
+        self._bodies = self._physics.bodies
         self._acting: List[Plugin] = []
         self._measuring: List[Union[Plugin, Timer]] = []
         self._timers: List[Union[Plugin, Timer]] = []
@@ -137,15 +142,10 @@ class Simulation:
         """Simulated time in seconds."""
         return self.step / STEPS_PER_SECOND
 
-    @property
-    def models(self) -> Mapping[str, ModelInstance]:
-        """All models by name."""
-        return self._instances
-
     def renderer(self) -> Renderer:
         """Return the renderer of this world, which the first call loads; raises RendererError."""
         if self._renderer is None:
-            self._renderer = Renderer(self.world, self._instances)
+            self._renderer = Renderer(self.world, self.models)
         return self._renderer
 
     def spawn(self, urdf: str, *place: Any, **names: Any) -> ModelInstance:
@@ -175,7 +175,7 @@ class Simulation:
             LabError: the name is taken or invalid, or the model cannot be simulated.
         """
         name = name or model.name
-        if name in self._instances:
+        if name in self.models:
             raise SimulationError(f"a model named '{name}' exists already")
         if not name.isprintable():
             raise SimulationError(f"model name {name!r}: has characters that cannot be printed")
@@ -187,10 +187,7 @@ class Simulation:
         bodies = self._physics.add(model)
         plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)
-        self._instances[name] = instance
-        for body in bodies.values():
-            self._owners[body.unique_id] = name
-            self._bodies[body.unique_id] = body
+        self.models[name] = instance
         self._acting.extend(plugin for plugin in plugins if plugin.acts)
         self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
@@ -198,20 +195,18 @@ class Simulation:
     def remove(self, name: str) -> None:
         """Take a model out of the world; raises SimulationError for an unknown name."""
         instance = self._instance(name)
-        del self._instances[name]
+        del self.models[name]
         self._physics.remove(instance.bodies)
         self.forces.clear(target=(instance,))
         for plugin in instance.plugins:
             self._spent.pop(plugin, None)
-        for body in instance.bodies.values():
-            del self._owners[body.unique_id], self._bodies[body.unique_id]
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
     def _instance(self, name: str) -> ModelInstance:
-        if name not in self._instances:
+        if name not in self.models:
             raise SimulationError(f"there is no model '{name}'")
-        return self._instances[name]
+        return self.models[name]
 
     def contacts(self, name: str) -> Set[str]:
         """Return the names of the models that a model touched in the last step.
@@ -223,23 +218,23 @@ class Simulation:
         """
         bodies = self._instance(name).bodies.values()
         points = [point for body in bodies for point in body.touching_points()]
-        return {self._owners[point[2]] for point in points} - {name}
+        return {self._bodies[point[2]].model for point in points} - {name}
 
     def touches(self, name: str) -> Iterator[Tuple[str, str, float]]:
         """Yield a model's contacts in the last step: its own link, and the other's model::link.
 
         The third value is the z of the unit normal towards the model: 1 on level ground.
         """
-        for body in self._instances[name].bodies.values():
+        for body in self.models[name].bodies.values():
             for _, _, second, index, other_index, _, _, normal, *_ in body.touching_points():
-                owner = self._owners[second]
-                if owner != name:
-                    other = self._bodies[second].link_at(other_index).link.name
-                    yield body.link_at(index).link.name, f"{owner}::{other}", normal[2]
+                other = self._bodies[second]
+                if other.model != name:
+                    touched = f"{other.model}::{other.link_at(other_index).link.name}"
+                    yield body.link_at(index).link.name, touched, normal[2]
 
     def shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         """Return the full name of the shape at a place (m) on a link of a body."""
-        return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
+        return shape_name(self._bodies[unique_id], index, place)
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²; raises SimulationError if it is not finite."""
@@ -274,7 +269,7 @@ class Simulation:
 
     def snapshot(self) -> Snapshot:
         """Return the world with the present state of its models."""
-        models = tuple((i.model, i.state()) for i in self._instances.values())
+        models = tuple((i.model, i.state()) for i in self.models.values())
         return Snapshot(self.world, self.step, models)
 
     def every(self, rate: float, call: Callable[[int], None]) -> None:
@@ -322,7 +317,7 @@ class Simulation:
 
     def reset_world(self) -> None:
         """Place all models where they were added; time continues."""
-        for instance in self._instances.values():
+        for instance in self.models.values():
             self._reset(instance)
 
     def reset_simulation(self) -> None:
@@ -373,8 +368,8 @@ class Simulation:
 
         The floor may be among them: Bullet passes NaN on to all that a body touches.
         """
-        lost = {self._owners[i] for i, body in self._bodies.items() if not body.is_finite()}
-        instances = [self._instances[name] for name in sorted(lost)]
+        lost = {body.model for body in self._bodies.values() if not body.is_finite()}
+        instances = [self.models[name] for name in sorted(lost)]
         # Static models come last, and are made anew: otherwise Bullet finds no contacts of them.
         for instance in sorted(instances, key=lambda one: one.model.static):
             self._warn_of_reset(instance.name)

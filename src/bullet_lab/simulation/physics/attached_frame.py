@@ -189,11 +189,11 @@ def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
     return min(collisions, key=distance)
 
 
-def shape_name(model: str, body: Body, index: int, place: Vector) -> str:
+def shape_name(body: Body, index: int, place: Vector) -> str:
     """Return the name of the shape at a place (m, world) on a link: model::link::collision."""
     touched = body.link_at(index)
-    link, shapes = touched.link.name, touched.shapes
-    if len(shapes) == 1:
-        return f"{model}::{link}::{shapes[0].name}"
-    point = AttachedFrame(body, link).pose().inverse() * Pose(place)
-    return f"{model}::{link}::{nearest_shape(shapes, point.position).name}"
+    link, shape = touched.link.name, touched.shapes[0]
+    if len(touched.shapes) > 1:
+        point = AttachedFrame(body, link).pose().inverse() * Pose(place)
+        shape = nearest_shape(touched.shapes, point.position)
+    return f"{body.model}::{link}::{shape.name}"

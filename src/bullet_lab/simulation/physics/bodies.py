@@ -126,6 +126,7 @@ class Body:
 
     Attributes:
         client: its PyBullet client.
+        model: name of the model that it belongs to.
         unique_id: PyBullet's id of it.
         bullet_links: PyBullet's links of it, in order; the first is the root, with index -1.
         links: of the description, the root first.
@@ -138,6 +139,7 @@ class Body:
         traction: the `Traction` of its skidding wheels, if it has any.
     """
 
+    model: str = ""
     traction: Any = None
 
     def __init__(self, client: int, unique_id: int, bullet_links: Sequence[BulletLink]):

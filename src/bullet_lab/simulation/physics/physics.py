@@ -167,7 +167,11 @@ def _moved(shape: Collision, origin: Vector) -> Collision:
 
 
 class Physics:
-    """A PyBullet world, headless; `step()` advances it by 1 ms."""
+    """A PyBullet world, headless; `step()` advances it by 1 ms.
+
+    Attributes:
+        bodies: all bodies by PyBullet's ids.
+    """
 
     def __init__(self, gravity: Vector):
         self.client = pybullet.connect(pybullet.DIRECT)
@@ -176,10 +180,8 @@ class Physics:
         pybullet.setTimeStep(STEP_SECONDS, self.client)
         self._set_engine(deterministicOverlappingPairs=1)
         self._shapes = ShapeMaker(self.client)
-        self._bodies: Dict[int, Body] = {}
-        # Shape and surface by body, of static bodies with one link; None for other bodies.
-        self._kinds: Dict[int, Hashable] = {}
-        # The same of removed bodies that are kept, the oldest first.
+        self.bodies: Dict[int, Body] = {}
+        # The kinds of removed bodies that are kept, by their ids, the oldest first.
         self._removed: Dict[int, Hashable] = {}
 
     def close(self) -> None:
@@ -214,23 +216,20 @@ class Physics:
     def remove(self, bodies: Mapping[str, Body]) -> None:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
-            self._remove(body.unique_id)
-            del self._bodies[body.unique_id]
-        for body in self._bodies.values():
-            if body.traction is not None:
-                body.traction.forget_others()
-
-    def _remove(self, body: int) -> None:
-        kind = self._kinds.pop(body)
-        if kind is None:
-            pybullet.removeBody(body, self.client)
-            return
-        self._place(body, Pose(REMOVED_PLACE), REMOVED_FILTER)
-        self._removed[body] = kind
-        if len(self._removed) > KEPT_BODIES:
+            del self.bodies[body.unique_id]
+            kind = _kind(body.bullet_links)
+            if kind is None:
+                pybullet.removeBody(body.unique_id, self.client)
+            else:
+                self._place(body.unique_id, Pose(REMOVED_PLACE), REMOVED_FILTER)
+                self._removed[body.unique_id] = kind
+        while len(self._removed) > KEPT_BODIES:
             oldest = next(iter(self._removed))
             del self._removed[oldest]
             pybullet.removeBody(oldest, self.client)
+        for body in self.bodies.values():
+            if body.traction is not None:
+                body.traction.forget_others()
 
     def _add_tree(self, model: Model, root: Link) -> Body:
         by_name = model.links_by_name()
@@ -249,9 +248,10 @@ class Physics:
         if skidding:
             links = fit_for_skidding(links, skidding)
         body = self._make(links, joints, model.static, pose)
-        self._bodies[body.unique_id] = body
+        body.model = model.name
+        self.bodies[body.unique_id] = body
         if skidding:
-            body.traction = Traction(body, skidding, self._bodies)
+            body.traction = Traction(body, skidding, self.bodies)
         if any(link.self_collide for link in links):
             _set_self_collisions(body)
         body.place(pose)
@@ -280,14 +280,12 @@ class Physics:
             if len(made) - 1 > MOST_LINKS:
                 need = f"its joints and shapes need {len(made) - 1} links beside the root"
                 raise PhysicsError(f"{need}; the engine allows {MOST_LINKS}")
-            kind = (made[0].shape, made[0].surface) if static and len(made) == 1 else None
-            body = self._restored(kind, pose)
+            body = self._restored(_kind(made), pose)
             if body is None:
                 body = self._create(made, pose)
             self._set_dynamics(body, made, static)
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet cannot make it: {error}") from error
-        self._kinds[body] = kind
         return Body(self.client, body, made)
 
     def _bullet_links(
@@ -362,6 +360,15 @@ class Physics:
             change(index, localInertiaDiagonal=moments, **surface, **joint)
             if static and index > ROOT:
                 pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self.client)
+
+
+def _kind(links: Sequence[BulletLink]) -> Optional[Hashable]:
+    """Return what bodies that can replace each other share; None for those that no other can.
+
+    Only bodies with one link that does not move can be replaced.
+    """
+    root = links[0]
+    return (root.shape, root.surface) if len(links) == 1 and root.link.inertia is None else None
 
 
 def _set_self_collisions(body: Body) -> None:
