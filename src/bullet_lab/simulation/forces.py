@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, List, Tuple, Union
+from typing import Any
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -104,7 +104,7 @@ class Effort:
         self.instance.body_of_joint(self.joint).exert(self.joint, self.effort)
 
 
-def _check(numbers: Tuple[float, ...]) -> None:
+def _check(numbers: tuple[float, ...]) -> None:
     for number in numbers:
         if not abs(number) <= STRONGEST:
             raise ForceError(f"force of {number:g}: not within {STRONGEST:g} N or N m")
@@ -118,9 +118,9 @@ class Forces:
     """
 
     def __init__(self) -> None:
-        self.active: List[Union[Wrench, Effort]] = []
+        self.active: list[Wrench | Effort] = []
 
-    def add(self, force: Union[Wrench, Effort]) -> None:
+    def add(self, force: Wrench | Effort) -> None:
         """Add a force, which acts in its period.
 
         Raises:
@@ -139,7 +139,7 @@ class Forces:
             if force.period.first <= step:
                 force.apply()
 
-    def clear(self, kind: type = object, target: Tuple[Any, ...] = ()) -> None:
+    def clear(self, kind: type = object, target: tuple[Any, ...] = ()) -> None:
         """End all forces of a kind on a model's link or joint, on a model, or on everything."""
         self.active = [
             force

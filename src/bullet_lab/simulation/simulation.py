@@ -18,23 +18,10 @@ import math
 import time
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import (
-    Any,
-    Callable,
-    DefaultDict,
-    Dict,
-    Iterator,
-    List,
-    Mapping,
-    Optional,
-    Set,
-    Tuple,
-    Union,
-)
+from typing import Any, Callable, Iterator, Mapping, Union
 
 import numpy as np
 
-from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
@@ -51,7 +38,12 @@ from bullet_lab.simulation.plugins import (
     known_plugins,
     namespace_of,
 )
-from bullet_lab.simulation.rendering.renderer import Renderer, RendererError, Shot
+from bullet_lab.simulation.rendering.renderer import (
+    Renderer,
+    RendererError,
+    Shot,
+    centred_camera,
+)
 from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
@@ -90,24 +82,24 @@ class Simulation:
         forces: on models.
     """
 
-    def __init__(self, world: Optional[World] = None, seed: int = 0):
+    def __init__(self, world: World | None = None, seed: int = 0):
         """Load a world, an empty one by default; the noise of all sensors follows the seed."""
         self.world = world or World("default")
-        self._renderer: Optional[Renderer] = None
+        self._renderer: Renderer | None = None
         self.seed = seed
         self.step = 0
         self._physics = Physics(self.world.gravity)
-        self.models: Dict[str, ModelInstance] = {}
+        self.models: dict[str, ModelInstance] = {}
         self._bodies = self._physics.bodies
-        self._acting: List[Plugin] = []
-        self._measuring: List[Union[Plugin, Timer]] = []
-        self._timers: List[Union[Plugin, Timer]] = []
-        self._on_failure: Optional[Callable[[str, LabError], None]] = None
-        self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
+        self._acting: list[Plugin] = []
+        self._measuring: list[Plugin | Timer] = []
+        self._timers: list[Plugin | Timer] = []
+        self._on_failure: Callable[[str, LabError], None] | None = None
+        self._spent: defaultdict[Plugin | Timer, float] = defaultdict(float)
         self.forces = Forces()
         self._has_listed_plugins = False
         # Wall time (s) of the last warning that a model was reset, by its name.
-        self._warned_of_reset: Dict[str, float] = {}
+        self._warned_of_reset: dict[str, float] = {}
         for model in self.world.models:
             with leaving_out(lambda message: LOG.warning("%s", message)):
                 instance = self.add(model, namespace="")
@@ -156,7 +148,7 @@ class Simulation:
         self,
         model: Model,
         name: str = "",
-        pose: Optional[Pose] = None,
+        pose: Pose | None = None,
         namespace: str = "/",
         tf_prefix: TfPrefix = "",
     ) -> ModelInstance:
@@ -208,7 +200,7 @@ class Simulation:
             raise SimulationError(f"there is no model '{name}'")
         return self.models[name]
 
-    def contacts(self, name: str) -> Set[str]:
+    def contacts(self, name: str) -> set[str]:
         """Return the names of the models that a model touched in the last step.
 
         A robot on the floor touches the floor.
@@ -220,7 +212,7 @@ class Simulation:
         points = [point for body in bodies for point in body.touching_points()]
         return {self._bodies[point[2]].model for point in points} - {name}
 
-    def touches(self, name: str) -> Iterator[Tuple[str, str, float]]:
+    def touches(self, name: str) -> Iterator[tuple[str, str, float]]:
         """Yield a model's contacts in the last step: its own link, and the other's model::link.
 
         The third value is the z of the unit normal towards the model: 1 on level ground.
@@ -262,7 +254,7 @@ class Simulation:
         gone = self.light(name)
         self._set_lights(tuple(light for light in self.world.lights if light is not gone))
 
-    def _set_lights(self, lights: Tuple[Light, ...]) -> None:
+    def _set_lights(self, lights: tuple[Light, ...]) -> None:
         self.world = replace(self.world, lights=lights)
         if self._renderer is not None:
             self._renderer.relight(self.world)
@@ -307,9 +299,9 @@ class Simulation:
                         self._on_failure(_name_of(timer), error)
                     self._spent[timer] += time.perf_counter() - start
 
-    def take_spent(self) -> Dict[str, float]:
+    def take_spent(self) -> dict[str, float]:
         """Return the wall seconds of each plugin's samples since the last call."""
-        taken: DefaultDict[str, float] = defaultdict(float)
+        taken: defaultdict[str, float] = defaultdict(float)
         for timer, seconds in self._spent.items():
             taken[_name_of(timer)] += seconds
         self._spent.clear()
@@ -336,7 +328,7 @@ class Simulation:
     def _advance(self, stop: int) -> None:
         """Advance the physics. This loop decides the speed of the simulation."""
         bodies = self._bodies.values()
-        acting: List[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
+        acting: list[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
         if self.forces.active:
             acting.append(self.forces.before_step)
         acting += [body.settle for body in bodies if body.settling]
@@ -388,7 +380,7 @@ class Simulation:
 
     def _make_plugins(
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
-    ) -> Tuple[Plugin, ...]:
+    ) -> tuple[Plugin, ...]:
         plugins = []
         for tag in model.plugins:
             what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
@@ -414,7 +406,7 @@ class Simulation:
         return tuple(plugins)
 
 
-def _name_of(timer: Union[Plugin, Timer]) -> str:
+def _name_of(timer: Plugin | Timer) -> str:
     """Return the name of a timer or plugin for messages."""
     if isinstance(timer, Timer):
         return "clock and states"
@@ -469,9 +461,7 @@ def take_picture(simulation: Simulation, view: View, samples: int = 1) -> np.nda
         raise RendererError(f"view: field of view {view.horizontal_fov:g} rad; needs 0 < fov < pi")
     if math.dist(view.eye[:2], view.target[:2]) == 0.0:
         raise RendererError("view: the target is straight above or below the eye")
-    focal = 0.5 * view.width / math.tan(0.5 * view.horizontal_fov)
-    centre = (0.5 * (view.width - 1), 0.5 * (view.height - 1))
-    camera = PinholeCamera(view.width, view.height, focal, focal, *centre)
+    camera = centred_camera(view.width, view.height, view.horizontal_fov)
     shot = Shot(camera, view.near, view.far, samples)
     # The camera looks along its x axis, without roll.
     dx, dy, dz = subtract(view.target, view.eye)

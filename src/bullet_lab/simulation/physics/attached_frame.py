@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Iterable, List, Sequence, Tuple
+from typing import Iterable, Sequence
 
 import numpy as np
 
@@ -32,8 +32,8 @@ class ContactPoint:
         force: on this link in N, with friction unless it is a wheel with a `Traction`.
     """
 
-    own: Tuple[int, int]
-    other: Tuple[int, int]
+    own: tuple[int, int]
+    other: tuple[int, int]
     place: Vector
     place_on_other: Vector
     normal: Vector
@@ -75,7 +75,7 @@ class AttachedFrame:
         """Return the frame's pose in the world."""
         return self._principal_pose() * self._in_principal
 
-    def velocity(self) -> Tuple[Vector, Vector]:
+    def velocity(self) -> tuple[Vector, Vector]:
         """Return linear (m/s, of the frame's origin) and angular (rad/s) velocity, in the world."""
         if self.index < 0:
             linear, angular = self.body.velocity()
@@ -93,7 +93,7 @@ class AttachedFrame:
         """Return rays from the frame's origin along unit vectors in the frame, shape (n, 3)."""
         return Rays(self.body, self.index, self._in_principal, directions)
 
-    def contact_points(self) -> List[ContactPoint]:
+    def contact_points(self) -> list[ContactPoint]:
         """Return the contact points of the link."""
         body = self.body
         own = [(body.unique_id, index) for index in body.link_indices(self.link)]
@@ -122,7 +122,7 @@ class Rays:
         self._index = index
         self._origin = np.array(frame.position)
         self._directions = directions @ frame.rotation_matrix().T
-        self._limits: Tuple[float, ...] = ()
+        self._limits: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self._directions)
@@ -133,7 +133,7 @@ class Rays:
         rays._directions, rays._limits = self._directions[chosen], ()
         return rays
 
-    def cast(self, start: float, end: float) -> Tuple[np.ndarray, np.ndarray]:
+    def cast(self, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
         """Cast the rays between two distances (m) from their origin.
 
         Returns:

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Callable, DefaultDict, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -73,20 +73,20 @@ class BulletLink:
     """
 
     link: Link
-    joint: Optional[Joint]
+    joint: Joint | None
     parent: int
-    shapes: Tuple[Collision, ...] = ()
+    shapes: tuple[Collision, ...] = ()
     shape: int = NO_SHAPE
     surface: ContactSurface = ContactSurface()
     origin: Vector = ZERO
 
-    def mass_properties(self) -> Tuple[float, Vector, Pose]:
+    def mass_properties(self) -> tuple[float, Vector, Pose]:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
         if self.joint is HELPER_JOINT or self.link.inertia is None:
             return 0.0, ZERO, Pose()
         return (self.link.inertia.mass, *principal_axes(self.link.inertia))
 
-    def joint_properties(self, parent: Link) -> Dict[str, float]:
+    def joint_properties(self, parent: Link) -> dict[str, float]:
         """Return damping and limits of its joint to a parent, as PyBullet's properties of it.
 
         PyBullet computes the damping in a step from the velocity before the step. A strong damper
@@ -158,9 +158,9 @@ class Body:
         # The normal of the deepest contact since the body was placed.
         self._exit_direction = ZERO
         self._placed_velocity = (ZERO, ZERO)
-        self._indices: DefaultDict[str, List[int]] = defaultdict(list)
-        self._joints: Dict[str, int] = {}
-        self._balls: List[int] = []
+        self._indices: defaultdict[str, list[int]] = defaultdict(list)
+        self._joints: dict[str, int] = {}
+        self._balls: list[int] = []
         for index, one in enumerate(bullet_links, start=ROOT):
             self._indices[one.link.name].append(index)
             if one.joint and one.joint.kind == "ball":
@@ -190,11 +190,11 @@ class Body:
         # The last argument lets PyBullet compute the pose anew: its copy may be out of date.
         return pybullet.getLinkState(self.unique_id, index, 0, 1, self.client)[:2]
 
-    def velocity(self) -> Tuple[Vector, Vector]:
+    def velocity(self) -> tuple[Vector, Vector]:
         """Return linear (m/s, of the centre of mass) and angular (rad/s) velocity, in the world."""
         return pybullet.getBaseVelocity(self.unique_id, self.client)
 
-    def origin_velocity(self) -> Tuple[Vector, Vector]:
+    def origin_velocity(self) -> tuple[Vector, Vector]:
         """Return linear (m/s, of the root frame's origin) and angular (rad/s) velocity."""
         (vx, vy, vz), (wx, wy, wz) = self.velocity()
         x, y, z = self.com_pose().rotate(self._com_inverse.position)
@@ -335,7 +335,7 @@ class Body:
         """Return PyBullet's index of a link, -1 for the root."""
         return self.link_indices(name)[0]
 
-    def link_indices(self, name: str) -> List[int]:
+    def link_indices(self, name: str) -> list[int]:
         """Return PyBullet's indices of a link and of its helper links."""
         return self._indices[name]
 
@@ -343,7 +343,7 @@ class Body:
         """Return the link with PyBullet's index."""
         return self.bullet_links[index - ROOT]
 
-    def touching_points(self) -> List[tuple]:
+    def touching_points(self) -> list[tuple]:
         """Return PyBullet's points where the body touches another; the body itself comes first."""
         return [point for point in self.near_points() if is_contact(point)]
 
@@ -427,7 +427,7 @@ class Body:
         function(self.unique_id, *arguments, physicsClientId=self.client, **more)
 
 
-def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, float]:
+def net_motor(joint: Joint, velocity: float, effort: float) -> tuple[float, float]:
     """Return the velocity and greatest effort of a motor, together with the joint's friction.
 
     Friction helps a motor that stops the joint, and hinders one that moves it.

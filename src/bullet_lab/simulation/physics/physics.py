@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import astuple, replace
 from functools import partial
 from itertools import combinations
-from typing import Any, Callable, Dict, Hashable, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Hashable, Mapping, Sequence
 
 from bullet_lab.core.native_output import hidden_native_output
 from bullet_lab.core.pose import Pose, Vector, subtract
@@ -56,7 +56,7 @@ JOINT_TYPES = {
     "ball": pybullet.JOINT_SPHERICAL,
 }
 # Arguments of `createCollisionShapeArray` for each kind of shape; meshes are made otherwise.
-SHAPES: Dict[type, Callable[[Any], Dict[str, Any]]] = {
+SHAPES: dict[type, Callable[[Any], dict[str, Any]]] = {
     Box: lambda box: {
         "shapeTypes": pybullet.GEOM_BOX,
         "halfExtents": tuple(0.5 * side for side in box.size),
@@ -93,16 +93,16 @@ class ShapeMaker:
     def __init__(self, client: int):
         self._client = client
         # PyBullet's ids of shapes by what they are made of.
-        self._made: Dict[Hashable, List[int]] = {}
+        self._made: dict[Hashable, list[int]] = {}
 
     def groups(
-        self, link: Link, axle: Optional[Vector], static: bool, origin: Vector
-    ) -> List[Tuple[Tuple[Collision, ...], int, ContactSurface]]:
+        self, link: Link, axle: Vector | None, static: bool, origin: Vector
+    ) -> list[tuple[tuple[Collision, ...], int, ContactSurface]]:
         """Return groups of the link's shapes, each with PyBullet's id and the common surface.
 
         `origin` is PyBullet's origin of the link in the link's frame, in m.
         """
-        by_surface: Dict[ContactSurface, List[Collision]] = {}
+        by_surface: dict[ContactSurface, list[Collision]] = {}
         for shape in link.collisions:
             by_surface.setdefault(ContactSurface.of(shape, axle), []).append(shape)
         found = []
@@ -116,7 +116,7 @@ class ShapeMaker:
                 found += [(tuple(group), made, surface) for made in self._ids(placed, static)]
         return found
 
-    def _ids(self, shapes: Sequence[Collision], static: bool) -> List[int]:
+    def _ids(self, shapes: Sequence[Collision], static: bool) -> list[int]:
         """Return PyBullet's ids of simple shapes, or of the pieces of a mesh."""
         mesh = shapes[0].geometry
         key: Hashable = tuple((shape.geometry, shape.pose) for shape in shapes)
@@ -142,7 +142,7 @@ class ShapeMaker:
             physicsClientId=self._client,
         )
 
-    def _mesh(self, corners: List[Vector], pose: Pose, hollow: bool) -> int:
+    def _mesh(self, corners: list[Vector], pose: Pose, hollow: bool) -> int:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_MESH,
             vertices=corners,
@@ -180,9 +180,9 @@ class Physics:
         pybullet.setTimeStep(STEP_SECONDS, self.client)
         self._set_engine(deterministicOverlappingPairs=1)
         self._shapes = ShapeMaker(self.client)
-        self.bodies: Dict[int, Body] = {}
+        self.bodies: dict[int, Body] = {}
         # The kinds of removed bodies that are kept, by their ids, the oldest first.
-        self._removed: Dict[int, Hashable] = {}
+        self._removed: dict[int, Hashable] = {}
 
     def close(self) -> None:
         """Disconnect from PyBullet; the object cannot be used afterwards."""
@@ -194,7 +194,7 @@ class Physics:
         """Change gravity, in m/s²."""
         pybullet.setGravity(*gravity, physicsClientId=self.client)
 
-    def add(self, model: Model) -> Dict[str, Body]:
+    def add(self, model: Model) -> dict[str, Body]:
         """Make the bodies of a model at its pose; return them by the names of their root links.
 
         Raises:
@@ -202,7 +202,7 @@ class Physics:
                 refuses it.
             MeshError: a mesh is not usable.
         """
-        bodies: Dict[str, Body] = {}
+        bodies: dict[str, Body] = {}
         try:
             for root in model.root_links():
                 bodies[root.name] = self._add_tree(model, root)
@@ -290,7 +290,7 @@ class Physics:
 
     def _bullet_links(
         self, links: Sequence[Link], joints: Sequence[Joint], static: bool
-    ) -> List[BulletLink]:
+    ) -> list[BulletLink]:
         """Return PyBullet's links, all helpers last."""
         above = {joint.child: joint for joint in joints}
         places = {link.name: place for place, link in enumerate(links)}
@@ -304,7 +304,7 @@ class Physics:
             helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]
         return found + helpers
 
-    def _restored(self, kind: Optional[Hashable], pose: Pose) -> Optional[int]:
+    def _restored(self, kind: Hashable | None, pose: Pose) -> int | None:
         """Return a removed body of a kind, now at a pose; None if there is none."""
         for body, removed in self._removed.items():
             if removed == kind:
@@ -313,7 +313,7 @@ class Physics:
                 return body
         return None
 
-    def _place(self, body: int, pose: Pose, groups: Tuple[int, int]) -> None:
+    def _place(self, body: int, pose: Pose, groups: tuple[int, int]) -> None:
         pybullet.resetBasePositionAndOrientation(body, *astuple(pose), physicsClientId=self.client)
         # This also drops the contacts of the place before.
         pybullet.setCollisionFilterGroupMask(body, ROOT, *groups, self.client)
@@ -362,7 +362,7 @@ class Physics:
                 pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self.client)
 
 
-def _kind(links: Sequence[BulletLink]) -> Optional[Hashable]:
+def _kind(links: Sequence[BulletLink]) -> Hashable | None:
     """Return what bodies that can replace each other share; None for those that no other can.
 
     Only bodies with one link that does not move can be replaced.

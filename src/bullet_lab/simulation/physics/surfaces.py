@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Sequence, Tuple
 
 import numpy as np
 
@@ -70,11 +70,11 @@ class ContactSurface:
     axis: Vector = (1.0, 0.0, 0.0)
     along: float = 1.0
     across: float = 1.0
-    stiffness: Optional[float] = None
-    damping: Optional[float] = None
+    stiffness: float | None = None
+    damping: float | None = None
 
     @classmethod
-    def of(cls, shape: Collision, axle: Optional[Vector]) -> ContactSurface:
+    def of(cls, shape: Collision, axle: Vector | None) -> ContactSurface:
         """Return the surface of a shape of a link; `axle` is what the link turns about, or None.
 
         A direction that is not the axle's turns with the wheel. It then means that the first
@@ -91,14 +91,14 @@ class ContactSurface:
         most = max(first, second)
         return cls(most, axis, first / most, second / most, shape.stiffness, shape.damping)
 
-    def properties(self, frame: Pose, static: bool) -> Dict[str, Any]:
+    def properties(self, frame: Pose, static: bool) -> dict[str, Any]:
         """Return the surface as PyBullet's properties of a link with this principal frame.
 
         Contacts with a stiffness or damping are a spring and damper, which Bullet solves
         implicitly, as ODE does, so that stiff ones stay stable.
         """
         friction = min(self.friction, 1.0) if static else self.friction
-        properties: Dict[str, Any] = {"lateralFriction": friction}
+        properties: dict[str, Any] = {"lateralFriction": friction}
         if self.along != self.across:
             # Bullet knows principal axes alone: the one next to our axis stands for it.
             cosines = [abs(value) for value in frame.inverse().rotate(self.axis)]
@@ -112,13 +112,13 @@ class ContactSurface:
         return properties
 
 
-def axle_of(joint: Optional[Joint]) -> Optional[Vector]:
+def axle_of(joint: Joint | None) -> Vector | None:
     """Return the axis about which a joint lets its child link turn, in that link's axes."""
     turns = joint is not None and joint.kind in ("continuous", "revolute")
     return joint.axis if turns else None
 
 
-def on_treads(shapes: Sequence[Collision], axle: Optional[Vector]) -> List[Collision]:
+def on_treads(shapes: Sequence[Collision], axle: Vector | None) -> list[Collision]:
     """Return the shapes of a link, with a wheel replaced by a narrow tread and a lower rim.
 
     A lying cylinder touches the floor along a line, and Bullet keeps one end of it: all wheels of
@@ -176,7 +176,7 @@ class SkiddingWheel:
     radius: float
 
 
-def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[SkiddingWheel]:
+def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> list[SkiddingWheel]:
     """Return the wheels of a body that skid sideways as it turns, in the order of its links.
 
     These are wheels that nothing steers, on level axles that are parallel and apart.
@@ -187,7 +187,7 @@ def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[Skid
     """
     above = {joint.child: joint for joint in joints}
     poses = {link.name: link.pose for link in links}
-    found: List[Tuple[SkiddingWheel, Axle]] = []
+    found: list[tuple[SkiddingWheel, Axle]] = []
     for link in links:
         joint = above.get(link.name)
         if joint is None or not _turns_freely(joint) or _is_steered(joint, above, poses):
@@ -209,7 +209,7 @@ def _turns_freely(joint: Joint) -> bool:
     return joint.kind == "continuous" or not 0.0 <= most - least <= math.tau
 
 
-def _is_steered(joint: Joint, above: Dict[str, Joint], poses: Dict[str, Pose]) -> bool:
+def _is_steered(joint: Joint, above: dict[str, Joint], poses: dict[str, Pose]) -> bool:
     """Return whether a link that carries the joint can turn about the vertical."""
     while joint.parent in above:
         joint = above[joint.parent]
@@ -239,7 +239,7 @@ def _radius_of_mesh(mesh: Mesh, pose: Pose, joint: Joint) -> float:
     return float(reaches.max()) if np.ptp(reaches) < ROUND * reaches.max() else 0.0
 
 
-def fit_for_skidding(links: Sequence[Link], wheels: Sequence[SkiddingWheel]) -> List[Link]:
+def fit_for_skidding(links: Sequence[Link], wheels: Sequence[SkiddingWheel]) -> list[Link]:
     """Return the links with wheels that are heavy enough at the rim (`LEAST_RIM`), and soft.
 
     How hard wheels share the load of a body is undetermined, and Bullet's solver would decide.

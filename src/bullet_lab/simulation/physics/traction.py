@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -47,7 +47,7 @@ FLANK = 0.05
 UP = np.array((0.0, 0.0, 1.0))
 
 
-def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> Tuple[float, float, float]:
+def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> tuple[float, float, float]:
     """Return the wanted friction within its limits, and the share of the wanted that is left.
 
     The share is that of the direction in which more is left.
@@ -97,7 +97,7 @@ class Partner:
     """
 
     coefficients: Pair
-    link: Optional[Tuple[Body, int]] = None
+    link: tuple[Body, int] | None = None
     share: float = 1.0
 
 
@@ -158,8 +158,8 @@ class Traction:
         self._body = body
         self._described = tuple(wheels)
         self._others = others
-        self._wheels: List[WheelFriction] = []
-        self.owners: Dict[int, WheelFriction] = {}
+        self._wheels: list[WheelFriction] = []
+        self.owners: dict[int, WheelFriction] = {}
         for described in wheels:
             indices = body.link_indices(described.link)
             frame = body.link_at(indices[0]).mass_properties()[2]
@@ -171,7 +171,7 @@ class Traction:
             pybullet.changeDynamics(
                 body.unique_id, index, lateralFriction=0.0, physicsClientId=body.client
             )
-        self._partners: Dict[Tuple[int, int, int], Partner] = {}
+        self._partners: dict[tuple[int, int, int], Partner] = {}
         self._points_are_valid = False
         indices = [wheel.index for wheel in self._wheels]
         self._states = partial(pybullet.getLinkStates, body.unique_id, indices, 1, 0, body.client)
@@ -204,7 +204,7 @@ class Traction:
             # The engine's contact points are still those of the place before.
             self._points_are_valid = True
             return
-        touching: Dict[int, List[tuple]] = {wheel.index: [] for wheel in self._wheels}
+        touching: dict[int, list[tuple]] = {wheel.index: [] for wheel in self._wheels}
         for point in self._body.near_points():
             if point[3] in self.owners and is_contact(point):
                 touching[self.owners[point[3]].index].append(point)
@@ -217,7 +217,7 @@ class Traction:
                 self._apply_friction(wheel, state, zip(points, weights))
 
     def _apply_friction(
-        self, wheel: WheelFriction, state: tuple, points: Iterable[Tuple[tuple, float]]
+        self, wheel: WheelFriction, state: tuple, points: Iterable[tuple[tuple, float]]
     ) -> None:
         """Push the wheel, and what it touches, at PyBullet's points, which have weights.
 
@@ -282,7 +282,7 @@ class Traction:
         return Partner((along, across), (other, other_index), mass / (mass + yields))
 
 
-def _directions(axle: Vector, normal: Vector) -> Tuple[Vector, Vector]:
+def _directions(axle: Vector, normal: Vector) -> tuple[Vector, Vector]:
     """Return a wheel's rolling direction at a contact with this normal, and its lateral one."""
     x, y, z = cross(axle, normal)
     length = math.sqrt(x * x + y * y + z * z)
@@ -340,11 +340,11 @@ def wheel_mobility(
 
 def _freedoms(
     links: Sequence[Link], joints: Sequence[Joint]
-) -> Tuple[List[Freedom], Dict[str, List[int]]]:
+) -> tuple[list[Freedom], dict[str, list[int]]]:
     """Return the freedoms, those of the root first, and which of them move each link."""
     above = {joint.child: joint for joint in joints}
-    freedoms: List[Freedom] = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
-    columns: Dict[str, List[int]] = {links[0].name: list(range(len(freedoms)))}
+    freedoms: list[Freedom] = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
+    columns: dict[str, list[int]] = {links[0].name: list(range(len(freedoms)))}
     for link in links[1:]:
         joint = above[link.name]
         place = np.array((link.pose * Pose(joint.anchor)).position)
@@ -358,7 +358,7 @@ def _freedoms(
 
 def _jacobian(
     place: np.ndarray, freedoms: Sequence[Freedom], columns: Sequence[int]
-) -> Tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the linear and angular Jacobian of a place (m) that some of the freedoms move."""
     linear, angular = np.zeros((2, 3, len(freedoms)))
     for column in columns:

@@ -15,7 +15,7 @@ import logging
 import pkgutil
 import re
 from dataclasses import dataclass, field
-from typing import Any, Callable, ClassVar, Dict, List, Mapping, Optional, Set, Tuple, Type
+from typing import Any, Callable, ClassVar, Mapping
 from zlib import crc32
 
 import numpy as np
@@ -82,7 +82,7 @@ class Mount(TagReader):
     simulation: Any
     namespace: str
     tf_prefix: str
-    _read: Set[str] = field(default_factory=set)
+    _read: set[str] = field(default_factory=set)
 
     @property
     def body(self) -> Body:
@@ -111,7 +111,7 @@ class Mount(TagReader):
     def doubt(self, error: LabError) -> None:
         LOG.warning("%s; the default is used", error)
 
-    def unread_tags(self) -> Tuple[str, ...]:
+    def unread_tags(self) -> tuple[str, ...]:
         """Return the tags that the plugin has not read, without those that have no effect."""
         return tuple(tag for tag in self.plugin.tags if tag not in self._read | QUIET_TAGS)
 
@@ -183,7 +183,7 @@ class SensorTag(ElementReader):
         PluginError: the plugin is not in a sensor of one of the `kinds`.
     """
 
-    def __init__(self, mount: Mount, kinds: Tuple[str, ...]):
+    def __init__(self, mount: Mount, kinds: tuple[str, ...]):
         plugin, where = mount.plugin, mount.name()
         if plugin.sensor is None or plugin.sensor.get("type") not in kinds:
             found = "" if plugin.sensor is None else f', not "{plugin.sensor.get("type")}"'
@@ -238,8 +238,8 @@ class Output:
     def __init__(self, topic: str, kind: type):
         self.topic = topic
         self.kind = kind
-        self._listeners: List[Callable[[Any], None]] = []
-        self._wanted: List[Callable[[], bool]] = []
+        self._listeners: list[Callable[[Any], None]] = []
+        self._wanted: list[Callable[[], bool]] = []
 
     def connect(
         self, listener: Callable[[Any], None], wanted: Callable[[], bool] = lambda: True
@@ -263,7 +263,7 @@ class Output:
 
 
 # The classes of plugins by the names of files.
-_KINDS: Dict[str, Type[Plugin]] = {}
+_KINDS: dict[str, type[Plugin]] = {}
 
 
 class Plugin:
@@ -280,8 +280,8 @@ class Plugin:
         refused: names and types of controllers that could not be loaded.
     """
 
-    filenames: ClassVar[Tuple[str, ...]] = ()
-    named_by_model: ClassVar[Tuple[bool, bool]] = (False, False)
+    filenames: ClassVar[tuple[str, ...]] = ()
+    named_by_model: ClassVar[tuple[bool, bool]] = (False, False)
     acts: ClassVar[bool] = False
 
     def __init_subclass__(cls, **arguments: Any):
@@ -290,10 +290,10 @@ class Plugin:
 
     def __init__(self, mount: Mount):
         self.mount = mount
-        self.inputs: Tuple[Input, ...] = ()
-        self.outputs: Tuple[Output, ...] = ()
-        self.schedule: Optional[Schedule] = None
-        self.refused: Dict[str, str] = {}
+        self.inputs: tuple[Input, ...] = ()
+        self.outputs: tuple[Output, ...] = ()
+        self.schedule: Schedule | None = None
+        self.refused: dict[str, str] = {}
 
     def output(self, topic: str, kind: type, offered: bool = True) -> Output:
         """Return a new output on a topic in the plugin's namespace.
@@ -336,12 +336,12 @@ class Sensor(Plugin):
         raise NotImplementedError
 
 
-def known_plugins() -> Tuple[str, ...]:
+def known_plugins() -> tuple[str, ...]:
     """Return the file names of the plugins that are simulated."""
     return tuple(sorted(_KINDS))
 
 
-def kind_of(tag: PluginTag) -> Optional[Type[Plugin]]:
+def kind_of(tag: PluginTag) -> type[Plugin] | None:
     """Return the class that simulates a tag, or None."""
     # Gazebo accepts the name without .so as well.
     return _KINDS.get(tag.filename) or _KINDS.get(f"{tag.filename}.so")

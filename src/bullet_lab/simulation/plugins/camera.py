@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import astuple, dataclass
-from typing import Any, ClassVar, Mapping, Optional, Tuple
+from dataclasses import astuple, dataclass, replace
+from typing import Any, ClassVar, Mapping
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError, check_samples
-from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 
 LOG = logging.getLogger(__name__)
 
@@ -133,7 +133,7 @@ class Lens:
         self.camera = self.ideal = camera
         self.black = 0.0
         # Where each pixel is in the ideal picture, (2, height, width).
-        self._places: Optional[np.ndarray] = None
+        self._places: np.ndarray | None = None
         if any(camera.distortion):
             self._set_ideal()
 
@@ -193,7 +193,7 @@ class Camera(Plugin):
 
     filenames = ("libgazebo_ros_camera.so",)
     named_by_model = (False, True)
-    sensors: ClassVar[Tuple[str, ...]] = ("camera",)
+    sensors: ClassVar[tuple[str, ...]] = ("camera",)
     # Prefix of the picture's default topics.
     prefix: ClassVar[str] = ""
 
@@ -213,7 +213,7 @@ class Camera(Plugin):
         self._baseline = mount.number("hackBaseline", 0.0)
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
-        self._table: Optional[Tuple[tuple, SensorNoise]] = None
+        self._table: tuple[tuple, SensorNoise] | None = None
         self.name = mount.text("cameraName")
         self.calibration: Mapping[str, Any] = {}
         self.image = self._output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
@@ -306,12 +306,10 @@ def _geometry(mount: Mount, tag: SensorTag) -> PinholeCamera:
     for name in GEOMETRY_TAGS:
         if mount.number(name, 0.0) != 0.0:
             LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
-    focal = 0.5 * width / math.tan(0.5 * fov)
-    centre = (0.5 * (width - 1), 0.5 * (height - 1))
-    return PinholeCamera(width, height, focal, focal, *centre, _distortion(mount, tag))
+    return replace(centred_camera(width, height, fov), distortion=_distortion(mount, tag))
 
 
-def _distortion(mount: Mount, tag: SensorTag) -> Tuple[float, ...]:
+def _distortion(mount: Mount, tag: SensorTag) -> tuple[float, ...]:
     """Return k1, k2, p1, p2, k3, of the plugin's tags or the sensor's.
 
     Gazebo draws with the sensor's and publishes the plugin's.
@@ -350,7 +348,7 @@ class DepthCamera(Camera):
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
-    sensors: ClassVar[Tuple[str, ...]] = ("depth",)
+    sensors: ClassVar[tuple[str, ...]] = ("depth",)
     prefix = "ir/"
 
     def __init__(self, mount: Mount):
@@ -363,7 +361,7 @@ class DepthCamera(Camera):
         tag, info = "depthImageCameraInfoTopicName", "depth/camera_info"
         self.depth_info = self._output(tag, info, CameraInfoSample)
         self.points = self._output("pointCloudTopicName", "points", PointsSample)
-        self._slopes: Optional[np.ndarray] = None
+        self._slopes: np.ndarray | None = None
 
     def produce(self, step: int) -> None:
         image, depth, points = (o.wanted for o in (self.image, self.depth, self.points))
@@ -402,7 +400,7 @@ class DepthCamera(Camera):
         pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
 
-    def _measured_range(self) -> Tuple[float, float]:
+    def _measured_range(self) -> tuple[float, float]:
         """Return the least and the greatest depth that is measured, in m."""
         mount = self.mount
         is_kinect = mount.plugin.filename.startswith(KINECT)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Tuple
+from typing import ClassVar
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -41,7 +41,7 @@ class MobileBase(Plugin):
         frame: name of the odometry's frame.
     """
 
-    directions: ClassVar[Tuple[str, ...]] = ("vx", "wz")
+    directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
     transform: Output
 
     def __init__(self, mount: Mount):
@@ -112,7 +112,7 @@ class SupportPatch:
 
     def slow_down(
         self, vx: float, vy: float, wz: float, load: float, dt: float
-    ) -> Tuple[float, float, float]:
+    ) -> tuple[float, float, float]:
         """Return the velocity (m/s, m/s, rad/s) that friction leaves after a short time `dt` (s).
 
         The `load` on the floor is in N. Friction brings the robot to rest and never reverses it.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import ClassVar, Deque, Dict, Tuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Accelerometer:
     """
 
     def __init__(self) -> None:
-        self._past: Deque[Tuple[int, Vector]] = deque()
+        self._past: deque[tuple[int, Vector]] = deque()
 
     def restart(self, step: int, velocity: Vector) -> None:
         """Start with a velocity in m/s."""
@@ -109,7 +109,7 @@ class InertialUnit(Sensor):
         super().__init__(mount, topic, ImuSample)
         self._frame = frame
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
-        self.axis_noise: Dict[int, AxisNoise] = {}
+        self.axis_noise: dict[int, AxisNoise] = {}
         self._accelerometer = Accelerometer()
         self._step = 0
 
@@ -231,7 +231,7 @@ class TruePose(Sensor):
         variance = self._deviation * self._deviation
         return MotionSample(step, *self._frames, moved, linear, angular, variance)
 
-    def _motion(self) -> Tuple[Pose, Vector, Vector]:
+    def _motion(self) -> tuple[Pose, Vector, Vector]:
         """Return pose, linear and angular velocity in the frame of reference."""
         pose, (linear, angular) = self._place.pose(), self._place.velocity()
         if self._reference is None:

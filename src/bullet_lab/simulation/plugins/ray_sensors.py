@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import dataclass
-from typing import Dict, List, Tuple
 
 import numpy as np
 
@@ -128,7 +127,7 @@ def _angles(tag: SensorTag, path: str) -> Angles:
     return Angles(least, greatest, number)
 
 
-def _noise(tag: SensorTag) -> Tuple[float, float]:
+def _noise(tag: SensorTag) -> tuple[float, float]:
     """Return mean and standard deviation of the noise in m."""
     kind = tag.text("ray/noise/type", "")
     if kind not in SIMULATED_NOISE:
@@ -214,7 +213,7 @@ class Bumper(Sensor):
         into = Pose() if self._reference is None else self._reference.pose().inverse()
         centre = self._place.centre_of_mass()
         # The contact points by the names of the two shapes, the own one first.
-        pairs: Dict[Tuple[str, str], List[ContactPoint]] = {}
+        pairs: dict[tuple[str, str], list[ContactPoint]] = {}
         name = self.mount.simulation.shape_name
         for point in self._place.contact_points():
             first = name(*point.own, point.place)
@@ -226,7 +225,7 @@ class Bumper(Sensor):
 
 
 def _contact(
-    first: str, second: str, points: List[ContactPoint], into: Pose, centre: Vector
+    first: str, second: str, points: list[ContactPoint], into: Pose, centre: Vector
 ) -> ShapeContact:
     """Return the contact of two shapes in a frame.
 
@@ -245,11 +244,11 @@ def _contact(
     )
 
 
-def _watched(mount: Mount, tag: SensorTag, link: str) -> Tuple[str, ...]:
+def _watched(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
     """Return the full names of the shapes that the sensor watches; raises PluginError."""
     known = [shape.name for shape in mount.model.links_by_name()[link].collisions]
     wanted = [(element.text or "").strip() for element in tag.element.findall("contact/collision")]
-    chosen: List[str] = []
+    chosen: list[str] = []
     for name in wanted:
         found = [name] if name in known else []
         if not found:

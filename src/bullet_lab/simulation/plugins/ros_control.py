@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any, Optional
+from typing import Any
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
@@ -60,7 +60,7 @@ class RosControl(Plugin):
         if stop:
             topic = stop if stop.startswith("/") else self.namespace + stop
             self.inputs = (Input(topic, Stop, self._press),)
-        self.manager: Optional[ControllerManager] = None
+        self.manager: ControllerManager | None = None
         self._stopped = self._was_stopped = False
         self._last_step = 0
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Optional, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -89,7 +88,7 @@ class WheelDrive(MobileBase):
         wheels: the left ones before as many right ones.
     """
 
-    wheels: Tuple[Wheel, ...]
+    wheels: tuple[Wheel, ...]
 
     def __init__(self, mount: Mount, separation: float):
         mount.require_moving()
@@ -152,7 +151,7 @@ class DeadReckoning:
         right_radius: of the right wheel in m, if it differs.
     """
 
-    def __init__(self, separation: float, radius: float, right_radius: Optional[float] = None):
+    def __init__(self, separation: float, radius: float, right_radius: float | None = None):
         self.separation = separation
         self._radii = (radius, radius if right_radius is None else right_radius)
         self.restart(0.0, 0.0)
@@ -169,11 +168,11 @@ class DeadReckoning:
         self._left, self._right = left, right
 
     @property
-    def pose(self) -> Tuple[float, float, float]:
+    def pose(self) -> tuple[float, float, float]:
         """Position x, y in m and yaw in rad within [-pi, pi], since the last restart."""
         return self._x, self._y, self._yaw
 
-    def advance(self, left: float, right: float) -> Tuple[float, float]:
+    def advance(self, left: float, right: float) -> tuple[float, float]:
         """Set new angles (rad); return the distance (m) and turn (rad) since the last ones."""
         left_rim = (left - self._left) * self._radii[0]
         right_rim = (right - self._right) * self._radii[1]
@@ -247,7 +246,7 @@ class DiffDrive(WheelDrive):
         super().placed()
         self._reckoning.resume(*self._angles())
 
-    def _angles(self) -> Tuple[float, float]:
+    def _angles(self) -> tuple[float, float]:
         left, right = self.wheels
         return left.state().position, right.state().position
 
@@ -268,7 +267,7 @@ class DiffDrive(WheelDrive):
             names = tuple(wheel.joint for wheel in self.wheels[::-1])
             self.wheel_states.send(JointSample(step, names, self._angles()[::-1]))
 
-    def _reckoned(self, seconds: float) -> Tuple[Pose, PlanarCommand]:
+    def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
         """Return the pose by the wheels' angles, and the mean velocity since the last update."""
         driven, turned = self._reckoning.advance(*self._angles())
         x, y, yaw = self._reckoning.pose

@@ -11,7 +11,7 @@ import logging
 import weakref
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
 
@@ -87,11 +87,11 @@ class Surface:
 
     corners: np.ndarray
     normals: np.ndarray
-    picture: Optional[np.ndarray] = None
-    look: Optional[Appearance] = None
+    picture: np.ndarray | None = None
+    look: Appearance | None = None
     colour: Colour = WHITE
     glow: Sequence[float] = (0.0, 0.0, 0.0)
-    texture: Optional[Texture] = None
+    texture: Texture | None = None
 
     def shown(self, visual: Visual, ambient: np.ndarray, report: Report) -> Surface:
         """Return the surface with the look of a visual, in the link's frame.
@@ -127,7 +127,7 @@ class Surface:
         return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 15)
 
 
-def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> Tuple[float, ...]:
+def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> tuple[float, ...]:
     """Return the light of a surface that does not depend on lamps.
 
     That is what it emits, and what its ambient colour adds to its diffuse one in ambient light.
@@ -140,7 +140,7 @@ def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> Tuple[floa
     return tuple(glow.tolist())
 
 
-def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> List[Surface]:
+def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> list[Surface]:
     """Return the surfaces of a shape; raise LabError for an unusable mesh.
 
     `report` gets a line for each missing file.
@@ -213,7 +213,7 @@ def _plane(plane: Plane) -> Surface:
 
 
 # The function that makes the surface of each shape but a mesh.
-SURFACES: Dict[type, Callable[[Any], Surface]] = {
+SURFACES: dict[type, Callable[[Any], Surface]] = {
     Box: _box,
     Cylinder: _cylinder,
     Sphere: _sphere,
@@ -271,9 +271,9 @@ class Drawable:
         textures: those of the nodes, to be kept as long as these.
     """
 
-    nodes: List[Tuple[Any, Optional[Patch]]]
+    nodes: list[tuple[Any, Patch | None]]
     boxes: np.ndarray
-    textures: List[LoadedTexture]
+    textures: list[LoadedTexture]
 
 
 class Drawables:
@@ -294,7 +294,7 @@ class Drawables:
         `casts` is the kind of its shadow maps, STILL or MOVING; `where` names it in messages.
         """
         # The surfaces of one draw call: of the same kind, with at most one picture.
-        calls: Dict[tuple, List[Surface]] = {}
+        calls: dict[tuple, list[Surface]] = {}
         boxes = [np.zeros((0, 8, 3))]
         for visual in visuals:
             is_plane = isinstance(visual.geometry, Plane)
@@ -327,7 +327,7 @@ class Drawables:
             made.nodes.append((path.node(), patch))
         return made
 
-    def _surfaces(self, visual: Visual, where: str) -> List[Surface]:
+    def _surfaces(self, visual: Visual, where: str) -> list[Surface]:
         """Return the surfaces of a visual, in the link's frame."""
         if visual.colour[3] <= 0.0:
             return []
@@ -338,7 +338,7 @@ class Drawables:
             return []
         return [surface.shown(visual, self._ambient, self._report) for surface in found]
 
-    def _loaded(self, surface: Surface) -> Optional[LoadedTexture]:
+    def _loaded(self, surface: Surface) -> LoadedTexture | None:
         texture = surface.texture
         if texture is None:
             return None

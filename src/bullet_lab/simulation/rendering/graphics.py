@@ -11,7 +11,7 @@ import importlib.util
 import logging
 import os
 import threading
-from typing import Any, Callable, Dict, List, Sequence, Tuple, Union
+from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
 
@@ -53,6 +53,22 @@ KEPT_BUFFERS = 8
 KEPT_PROGRAMS = 64
 # The priority of a camera's state over that of objects.
 OVERRIDE = 100
+DEPTH_VERTEX = """#version 150
+uniform mat4 p3d_ModelViewProjectionMatrix;
+in vec4 p3d_Vertex;
+
+void main() {
+  gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
+}
+"""
+# The distance along the view, by which a projection divides. Shadow maps do not use it.
+DEPTH_FRAGMENT = """#version 150
+out vec4 depth;
+
+void main() {
+  depth = vec4(1.0 / gl_FragCoord.w);
+}
+"""
 NO_DRIVER = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
 # Values of the parameter `renderer`; Panda3D draws for all of them.
 AUTO = "auto"
@@ -86,14 +102,14 @@ class Canvas:
         core, (columns, rows) = panda3d(), tiles
         self.buffer, self.texture = buffer, texture
         self.size = buffer.get_x_size() // columns
-        self.cameras: List[Any] = []
+        self.cameras: list[Any] = []
         for row, column in np.ndindex(rows, columns):
             sides = (column / columns, (column + 1) / columns, row / rows, (row + 1) / rows)
             self.cameras.append(core.NodePath(core.Camera("camera")))
             buffer.make_display_region(*sides).set_camera(self.cameras[-1])
         buffer.set_active(False)
         # Panda3D's own picture, and a numpy view of it.
-        self._seen: Tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
+        self._seen: tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
 
     def aim(self, root: Any, state: Any, bit: int, matrices: Sequence[np.ndarray]) -> None:
         """Let the cameras show the nodes with a bit below a root, with projection matrices."""
@@ -123,15 +139,16 @@ class Graphics:
     silently draws nothing for a thread while another thread has it.
 
     `driver` is the name of the driver, such as "llvmpipe (LLVM 15.0.6, 256 bits)"; `program` makes
-    a shader from two GLSL programs, the same one for all scenes.
+    a shader from two GLSL programs, the same one for all scenes; `depth_program` draws depths.
     """
 
     def __init__(self):
         core = panda3d()
         make = functools.partial(core.Shader.make, core.Shader.SL_GLSL)
         self.program = functools.lru_cache(maxsize=KEPT_PROGRAMS)(make)
+        self.depth_program = self.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
         self._lock = threading.Lock()
-        self._kept: Dict[Tuple[int, int, int], Canvas] = {}
+        self._kept: dict[tuple[int, int, int], Canvas] = {}
         try:
             self._egl = ctypes.CDLL("libEGL.so.1")
         except OSError as error:
@@ -140,9 +157,9 @@ class Graphics:
             getattr(self._egl, now).restype = ctypes.c_void_p
         self._egl.eglMakeCurrent.argtypes = [ctypes.c_void_p] * 4
         # What the last use released: display, surface twice, context.
-        self._current: Tuple[Any, ...] = ()
+        self._current: tuple[Any, ...] = ()
         self._engine = core.GraphicsEngine.get_global_ptr()
-        self._shared: Tuple[Any, ...] = ()
+        self._shared: tuple[Any, ...] = ()
         with hidden_native_output():
             selection = core.GraphicsPipeSelection.get_global_ptr()
             self._pipe = self._with_context(selection.make_module_pipe, PIPE)
@@ -281,7 +298,7 @@ def set_pose(path: Any, pose: Pose) -> None:
 
 
 @functools.lru_cache(maxsize=None)
-def _made() -> Tuple[int, Union[Graphics, RendererError]]:
+def _made() -> tuple[int, Graphics | RendererError]:
     """Return the id of the process that made the graphics, and the graphics or the error."""
     try:
         return os.getpid(), Graphics()

@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterator, Sequence, Tuple
 
 import numpy as np
 
@@ -57,23 +57,6 @@ WIDEST_SPOT = math.radians(160.0)
 # For a shadow map: a matrix (4, 4) from the world to clip coordinates for each tile; its size in
 # pixels; how far a surface is lifted, in m, or per m of distance from a spot or point light.
 Aim = Tuple[Sequence[np.ndarray], int, float]
-
-DEPTH_VERTEX = """#version 150
-uniform mat4 p3d_ModelViewProjectionMatrix;
-in vec4 p3d_Vertex;
-
-void main() {
-  gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
-}
-"""
-# The distance along the view, by which a projection divides. Shadow maps do not use it.
-DEPTH_FRAGMENT = """#version 150
-out vec4 depth;
-
-void main() {
-  depth = vec4(1.0 / gl_FragCoord.w);
-}
-"""
 
 VERTEX = """#version 150
 uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelMatrix;
@@ -221,7 +204,7 @@ PAINT = {
 Lit = Tuple[str, Sequence[str]]
 
 
-def picture_programs(lights: Sequence[Lit], paint: str) -> Tuple[str, str]:
+def picture_programs(lights: Sequence[Lit], paint: str) -> tuple[str, str]:
     """Return the programs for corners and pixels of PLAIN, TEXTURED or SLANTED surfaces.
 
     The uniforms of the lights are named `light<number>_…`.
@@ -307,13 +290,12 @@ class _ShadowMap:
     def __init__(self, graphics: Graphics, root: Any, light: Light, name: str, kind: str):
         self.kind = kind
         self._graphics, self._root, self._light, self._name = graphics, root, light, name
-        self._target: Optional[Canvas] = None
+        self._target: Canvas | None = None
         self._version = -1
-        program = graphics.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
         # Both sides of a triangle cast shadows, since a mesh may be open.
-        self._state = graphics.state(program, cull="none")
+        self._state = graphics.state(graphics.depth_program, cull="none")
 
-    def update(self, version: int, boxes: Callable[[str], np.ndarray]) -> List[Canvas]:
+    def update(self, version: int, boxes: Callable[[str], np.ndarray]) -> list[Canvas]:
         """Return the map if it must be drawn again: for another version."""
         if self._version == version:
             return []
@@ -344,9 +326,9 @@ class Lighting:
     """
 
     def __init__(self, world: World, graphics: Graphics, root: Any):
-        self._maps: List[_ShadowMap] = []
-        self._positions: List[np.ndarray] = []
-        self.programs: Dict[bool, Dict[str, Any]] = {False: {}, True: {}}
+        self._maps: list[_ShadowMap] = []
+        self._positions: list[np.ndarray] = []
+        self.programs: dict[bool, dict[str, Any]] = {False: {}, True: {}}
         planned = list(zip(world.lights, plan_maps(world)))
         root.set_shader_input("ambient", *world.ambient[:3])
         for number, (light, kinds) in enumerate(planned):
@@ -362,7 +344,7 @@ class Lighting:
             program = graphics.program(*picture_programs(lit, paint))
             self.programs[moving][paint] = program
 
-    def update(self, now: Dict[str, int], boxes: Callable[[str], np.ndarray]) -> List[Canvas]:
+    def update(self, now: dict[str, int], boxes: Callable[[str], np.ndarray]) -> list[Canvas]:
         """Return the maps that must be drawn again.
 
         `now` has the version of the STILL models, and of the MOVING ones if these are needed; a
@@ -388,7 +370,7 @@ class Lighting:
             shadow_map.remove()
 
 
-def _uniforms(light: Light) -> Dict[str, Sequence[float]]:
+def _uniforms(light: Light) -> dict[str, Sequence[float]]:
     """Return the uniforms of a light by their names in the programs."""
     along = np.asarray(light.pose.rotate(light.direction))
     along = along / (np.linalg.norm(along) or 1.0)
@@ -402,9 +384,9 @@ def _uniforms(light: Light) -> Dict[str, Sequence[float]]:
     }
 
 
-def plan_maps(world: World) -> List[Tuple[str, ...]]:
+def plan_maps(world: World) -> list[tuple[str, ...]]:
     """Return the kinds of shadow maps of each light; warn if there are too many."""
-    planned: List[Tuple[str, ...]] = []
+    planned: list[tuple[str, ...]] = []
     for light in world.lights:
         wanted = (STILL,) if light.kind == "point" else (STILL, MOVING)
         wanted = wanted if world.shadows and light.casts_shadows else ()

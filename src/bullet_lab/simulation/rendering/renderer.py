@@ -6,7 +6,7 @@ import math
 import weakref
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, Dict, List, Mapping, Tuple
+from typing import Any, Callable, Mapping
 
 import numpy as np
 
@@ -27,8 +27,6 @@ from bullet_lab.simulation.rendering.graphics import (
 )
 from bullet_lab.simulation.rendering.lights import (
     BITS,
-    DEPTH_FRAGMENT,
-    DEPTH_VERTEX,
     MOVING,
     PICTURE,
     PLAIN,
@@ -72,6 +70,12 @@ class Shot:
         check_samples(self.samples)
         if any(self.camera.distortion):
             raise RendererError("a pinhole camera has no distortion; bend the picture with a Lens")
+
+
+def centred_camera(width: int, height: int, horizontal_fov: float) -> PinholeCamera:
+    """Return a camera with square pixels, its principal point in the middle; the angle in rad."""
+    focal = 0.5 * width / math.tan(0.5 * horizontal_fov)
+    return PinholeCamera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 class _LinkNode:
@@ -120,12 +124,12 @@ class VisibleWorld:
         # models that come back: glibc before 2.38 hardly reuses the memory of released textures.
         self._maker = Drawables(world.ambient)
         self._drawables: Any = weakref.WeakValueDictionary()
-        self._last: Deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
+        self._last: deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
         # Each model with its links, by its name.
-        self._shown: Dict[str, Tuple[Any, List[_LinkNode]]] = {}
+        self._shown: dict[str, tuple[Any, list[_LinkNode]]] = {}
         # How often the static and the moving models have changed.
         self._versions = {STILL: 0, MOVING: 0}
-        self._moves: Dict[str, int] = {}
+        self._moves: dict[str, int] = {}
 
     def update(self) -> None:
         """Move all nodes to the poses of the models."""
@@ -141,7 +145,7 @@ class VisibleWorld:
             moved = [link.follow() for link in self._shown[name][1]]
             self._versions[kind] += is_new or any(moved)
 
-    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> List[Canvas]:
+    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> list[Canvas]:
         """Choose the programs for an eye at a point, m; return the shadow maps to draw first.
 
         `in_view` returns whether any of several hulls may be visible, see `Lighting.shadows_of`.
@@ -181,7 +185,7 @@ class VisibleWorld:
         links = (link for i, links in self._shown.values() if _kind(i) == kind for link in links)
         return np.concatenate([np.zeros((0, 8, 3)), *(link.boxes for link in links)])
 
-    def _nodes_of(self, instance: Any) -> List[_LinkNode]:
+    def _nodes_of(self, instance: Any) -> list[_LinkNode]:
         nodes, kind = [], _kind(instance)
         for body in instance.bodies.values():
             for link in filter(lambda link: link.visuals, body.links):
@@ -213,8 +217,7 @@ class Renderer:
         self._scene = VisibleWorld(world, models, shared)
         self._background = np.asarray(world.background[:3])
         self._states = {samples: shared.state(samples=samples) for samples in SAMPLES}
-        program = shared.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
-        self._states[DEPTHS] = shared.state(program)
+        self._states[DEPTHS] = shared.state(shared.depth_program)
 
     def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
         """Return the picture along the x axis of a pose, with its z axis up.
