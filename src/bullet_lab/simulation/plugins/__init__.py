@@ -71,7 +71,7 @@ class Mount(TagReader):
         model: the model.
         bodies: of the model, by root link.
         plugin: the tag.
-        simulation: with its `seed`, `renderer()` and `shape_name(body, link, place)`.
+        simulation: with its `seed`, `world`, `renderer()` and `shape_name(body, link, place)`.
         namespace: of relative topics.
         tf_prefix: prefix of the names of the robot's frames.
     """
