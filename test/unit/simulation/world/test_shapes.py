@@ -11,7 +11,7 @@ from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plan
 
 WITH_EXAMPLES = (
     "core.pose",
-    "simulation.plugins.planar_move",
+    "simulation.plugins.mobile_base",
     "simulation.plugins.wheel_drives",
     "simulation.world.inertia",
     "simulation.world.shapes",
