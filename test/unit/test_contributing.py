@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import MODELS, rule_of
 from bullet_lab.reports import Reading
-from bullet_lab.simulation.plugins import plugin
+from bullet_lab.simulation import plugins
 from bullet_lab.simulation.plugins.controllers import controller
 from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.studies.noise_study.study import StudySettings, run_study
@@ -46,7 +46,7 @@ def named(file, name):
 @pytest.fixture
 def forgotten(monkeypatch):
     """Plugins and controllers that a test makes known are unknown afterwards."""
-    monkeypatch.setattr(plugin, "_KINDS", dict(plugin._KINDS))
+    monkeypatch.setattr(plugins, "_KINDS", dict(plugins._KINDS))
     monkeypatch.setattr(controller, "_KINDS", dict(controller._KINDS))
 
 

@@ -19,7 +19,7 @@ from bullet_lab.drive import (
     approach,
     open_loop_side,
 )
-from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS, SupportPatch
+from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS, SupportPatch
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 

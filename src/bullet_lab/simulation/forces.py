@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, List, Tuple, Union
+from typing import Any
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -104,24 +104,23 @@ class Effort:
         self.instance.body_of_joint(self.joint).exert(self.joint, self.effort)
 
 
-def _check(numbers: Tuple[float, ...]) -> None:
+def _check(numbers: tuple[float, ...]) -> None:
     for number in numbers:
         if not abs(number) <= STRONGEST:
             raise ForceError(f"force of {number:g}: not within {STRONGEST:g} N or N m")
 
 
 class Forces:
-    """All forces that act now or later. Use it in the simulation's thread only."""
+    """The forces on models. Use it in the simulation's thread only.
+
+    Attributes:
+        active: the forces that act now or later.
+    """
 
     def __init__(self) -> None:
-        self._forces: List[Union[Wrench, Effort]] = []
+        self.active: list[Wrench | Effort] = []
 
-    @property
-    def active(self) -> bool:
-        """Whether there are forces, now or later."""
-        return bool(self._forces)
-
-    def add(self, force: Union[Wrench, Effort]) -> None:
+    def add(self, force: Wrench | Effort) -> None:
         """Add a force, which acts in its period.
 
         Raises:
@@ -131,23 +130,19 @@ class Forces:
         model = force.target[0].model
         if model.static:
             raise ForceError(f"model '{model.name}' is static; it cannot be moved")
-        self._forces.append(force)
+        self.active.append(force)
 
     def before_step(self, step: int) -> None:
         """Apply the forces of the coming step, and remove those that have ended."""
-        ended = False
-        for force in self._forces:
-            if force.period.end <= step:
-                ended = True
-            elif force.period.first <= step:
+        self.active = [force for force in self.active if force.period.end > step]
+        for force in self.active:
+            if force.period.first <= step:
                 force.apply()
-        if ended:
-            self._forces = [force for force in self._forces if force.period.end > step]
 
-    def clear(self, kind: type = object, target: Tuple[Any, ...] = ()) -> None:
+    def clear(self, kind: type = object, target: tuple[Any, ...] = ()) -> None:
         """End all forces of a kind on a model's link or joint, on a model, or on everything."""
-        self._forces = [
+        self.active = [
             force
-            for force in self._forces
+            for force in self.active
             if not (isinstance(force, kind) and force.target[: len(target)] == target)
         ]

@@ -15,7 +15,7 @@ import numpy as np
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.physics.bodies import Body
 from bullet_lab.simulation.plugins import Plugin
 from bullet_lab.simulation.world.description import (
     SEPARATOR,

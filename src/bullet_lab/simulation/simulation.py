@@ -18,21 +18,32 @@ import math
 import time
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import Any, Callable, DefaultDict, Dict, Iterator, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, Iterator, Mapping, Union
 
 import numpy as np
 
-from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
 from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
-from bullet_lab.simulation.physics.contacts import Contact, contacts_of, shape_name
-from bullet_lab.simulation.physics.physics import Body, Physics
-from bullet_lab.simulation.plugins import Mount, Plugin, known_plugins, make_plugin, namespace_of
-from bullet_lab.simulation.plugins.plugin import NAMESPACE
-from bullet_lab.simulation.rendering.renderer import Renderer, Shot
+from bullet_lab.simulation.physics.attached_frame import shape_name
+from bullet_lab.simulation.physics.bodies import Body
+from bullet_lab.simulation.physics.physics import Physics
+from bullet_lab.simulation.plugins import (
+    NAMESPACE,
+    Mount,
+    Plugin,
+    kind_of,
+    known_plugins,
+    namespace_of,
+)
+from bullet_lab.simulation.rendering.renderer import (
+    Renderer,
+    RendererError,
+    Shot,
+    centred_camera,
+)
 from bullet_lab.simulation.world.description import Light, Model, PluginTag, Snapshot, World
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
@@ -62,28 +73,33 @@ class Simulation:
 
     The same calls in the same order give the same numbers, to the last bit. Not thread-safe:
     PyBullet allows calls from one thread at a time.
+
+    Attributes:
+        world: the world, without the models that were added later.
+        models: all models by name.
+        seed: of the noise of all sensors.
+        step: simulated time in steps.
+        forces: on models.
     """
 
-    def __init__(self, world: Optional[World] = None, seed: int = 0):
+    def __init__(self, world: World | None = None, seed: int = 0):
         """Load a world, an empty one by default; the noise of all sensors follows the seed."""
         self.world = world or World("default")
-        self._renderer: Optional[Renderer] = None
+        self._renderer: Renderer | None = None
         self.seed = seed
         self.step = 0
         self._physics = Physics(self.world.gravity)
-        self._instances: Dict[str, ModelInstance] = {}
-        # Names of the models, and their bodies, by the bodies' unique ids.
-        self._owners: Dict[int, str] = {}
-        self._bodies: Dict[int, Body] = {}
-        self._acting: List[Plugin] = []
-        self._measuring: List[Union[Plugin, Timer]] = []
-        self._timers: List[Union[Plugin, Timer]] = []
-        self._on_failure: Optional[Callable[[str, LabError], None]] = None
-        self._spent: DefaultDict[Union[Plugin, Timer], float] = defaultdict(float)
+        self.models: dict[str, ModelInstance] = {}
+        self._bodies = self._physics.bodies
+        self._acting: list[Plugin] = []
+        self._measuring: list[Plugin | Timer] = []
+        self._timers: list[Plugin | Timer] = []
+        self._on_failure: Callable[[str, LabError], None] | None = None
+        self._spent: defaultdict[Plugin | Timer, float] = defaultdict(float)
         self.forces = Forces()
         self._has_listed_plugins = False
         # Wall time (s) of the last warning that a model was reset, by its name.
-        self._warned_of_reset: Dict[str, float] = {}
+        self._warned_of_reset: dict[str, float] = {}
         for model in self.world.models:
             with leaving_out(lambda message: LOG.warning("%s", message)):
                 instance = self.add(model, namespace="")
@@ -118,15 +134,10 @@ class Simulation:
         """Simulated time in seconds."""
         return self.step / STEPS_PER_SECOND
 
-    @property
-    def models(self) -> Mapping[str, ModelInstance]:
-        """All models by name."""
-        return self._instances
-
     def renderer(self) -> Renderer:
         """Return the renderer of this world, which the first call loads; raises RendererError."""
         if self._renderer is None:
-            self._renderer = Renderer(self.world, self._instances)
+            self._renderer = Renderer(self.world, self.models)
         return self._renderer
 
     def spawn(self, urdf: str, *place: Any, **names: Any) -> ModelInstance:
@@ -137,7 +148,7 @@ class Simulation:
         self,
         model: Model,
         name: str = "",
-        pose: Optional[Pose] = None,
+        pose: Pose | None = None,
         namespace: str = "/",
         tf_prefix: TfPrefix = "",
     ) -> ModelInstance:
@@ -156,7 +167,7 @@ class Simulation:
             LabError: the name is taken or invalid, or the model cannot be simulated.
         """
         name = name or model.name
-        if name in self._instances:
+        if name in self.models:
             raise SimulationError(f"a model named '{name}' exists already")
         if not name.isprintable():
             raise SimulationError(f"model name {name!r}: has characters that cannot be printed")
@@ -168,52 +179,54 @@ class Simulation:
         bodies = self._physics.add(model)
         plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)
-        self._instances[name] = instance
-        for body in bodies.values():
-            self._owners[body.unique_id] = name
-            self._bodies[body.unique_id] = body
+        self.models[name] = instance
         self._acting.extend(plugin for plugin in plugins if plugin.acts)
         self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
 
     def remove(self, name: str) -> None:
         """Take a model out of the world; raises SimulationError for an unknown name."""
-        instance = self._instances.pop(name, None)
-        if instance is None:
-            raise SimulationError(f"there is no model '{name}'")
+        instance = self._instance(name)
+        del self.models[name]
         self._physics.remove(instance.bodies)
         self.forces.clear(target=(instance,))
         for plugin in instance.plugins:
             self._spent.pop(plugin, None)
-        for body in instance.bodies.values():
-            del self._owners[body.unique_id], self._bodies[body.unique_id]
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
-    def contacts(self, name: str) -> Dict[str, Contact]:
-        """Return a model's contacts in the last step, by the other models' names.
+    def _instance(self, name: str) -> ModelInstance:
+        if name not in self.models:
+            raise SimulationError(f"there is no model '{name}'")
+        return self.models[name]
+
+    def contacts(self, name: str) -> set[str]:
+        """Return the names of the models that a model touched in the last step.
 
         A robot on the floor touches the floor.
 
         Raises:
             SimulationError: there is no such model.
         """
-        if name not in self._instances:
-            raise SimulationError(f"there is no model '{name}'")
-        return contacts_of(self._instances[name].bodies.values(), self._owners, name)
+        bodies = self._instance(name).bodies.values()
+        points = [point for body in bodies for point in body.touching_points()]
+        return {self._bodies[point[2]].model for point in points} - {name}
 
-    def touches(self, name: str) -> Iterator[Tuple[str, str, float]]:
+    def touches(self, name: str) -> Iterator[tuple[str, str, float]]:
         """Yield a model's contacts in the last step: its own link, and the other's model::link.
 
         The third value is the z of the unit normal towards the model: 1 on level ground.
         """
-        for body in self._instances[name].bodies.values():
-            for point in body.touching_points():
-                _, _, second, index, other_index, _, _, normal, *_ = point
-                owner = self._owners[second]
-                if owner != name:
-                    other = self._bodies[second].link_at(other_index).link.name
-                    yield body.link_at(index).link.name, f"{owner}::{other}", normal[2]
+        for body in self.models[name].bodies.values():
+            for _, _, second, index, other_index, _, _, normal, *_ in body.touching_points():
+                other = self._bodies[second]
+                if other.model != name:
+                    touched = f"{other.model}::{other.link_at(other_index).link.name}"
+                    yield body.link_at(index).link.name, touched, normal[2]
+
+    def shape_name(self, unique_id: int, index: int, place: Vector) -> str:
+        """Return the full name of the shape at a place (m) on a link of a body."""
+        return shape_name(self._bodies[unique_id], index, place)
 
     def set_gravity(self, gravity: Vector) -> None:
         """Change gravity, in m/s²; raises SimulationError if it is not finite."""
@@ -221,9 +234,6 @@ class Simulation:
             raise SimulationError("gravity is not finite")
         self.world = replace(self.world, gravity=gravity)
         self._physics.set_gravity(gravity)
-        for instance in self._instances.values():
-            for plugin in instance.plugins:
-                plugin.gravity = gravity
 
     def light(self, name: str) -> Light:
         """Return a light; raises SimulationError for an unknown name."""
@@ -244,14 +254,14 @@ class Simulation:
         gone = self.light(name)
         self._set_lights(tuple(light for light in self.world.lights if light is not gone))
 
-    def _set_lights(self, lights: Tuple[Light, ...]) -> None:
+    def _set_lights(self, lights: tuple[Light, ...]) -> None:
         self.world = replace(self.world, lights=lights)
         if self._renderer is not None:
             self._renderer.relight(self.world)
 
     def snapshot(self) -> Snapshot:
         """Return the world with the present state of its models."""
-        models = tuple((i.model, i.state()) for i in self._instances.values())
+        models = tuple((i.model, i.state()) for i in self.models.values())
         return Snapshot(self.world, self.step, models)
 
     def every(self, rate: float, call: Callable[[int], None]) -> None:
@@ -289,9 +299,9 @@ class Simulation:
                         self._on_failure(_name_of(timer), error)
                     self._spent[timer] += time.perf_counter() - start
 
-    def take_spent(self) -> Dict[str, float]:
+    def take_spent(self) -> dict[str, float]:
         """Return the wall seconds of each plugin's samples since the last call."""
-        taken: DefaultDict[str, float] = defaultdict(float)
+        taken: defaultdict[str, float] = defaultdict(float)
         for timer, seconds in self._spent.items():
             taken[_name_of(timer)] += seconds
         self._spent.clear()
@@ -299,7 +309,7 @@ class Simulation:
 
     def reset_world(self) -> None:
         """Place all models where they were added; time continues."""
-        for instance in self._instances.values():
+        for instance in self.models.values():
             self._reset(instance)
 
     def reset_simulation(self) -> None:
@@ -318,7 +328,7 @@ class Simulation:
     def _advance(self, stop: int) -> None:
         """Advance the physics. This loop decides the speed of the simulation."""
         bodies = self._bodies.values()
-        acting: List[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
+        acting: list[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
         if self.forces.active:
             acting.append(self.forces.before_step)
         acting += [body.settle for body in bodies if body.settling]
@@ -343,15 +353,15 @@ class Simulation:
 
     def _cancel_gravity(self, _step: int) -> None:
         for body in self._bodies.values():
-            body.cancel_gravity(self._physics.gravity)
+            body.cancel_gravity(self.world.gravity)
 
     def _reset_lost_models(self) -> None:
         """Place models where they were added if their pose is not finite.
 
         The floor may be among them: Bullet passes NaN on to all that a body touches.
         """
-        lost = {self._owners[i] for i, body in self._bodies.items() if not body.is_finite()}
-        instances = [self._instances[name] for name in sorted(lost)]
+        lost = {body.model for body in self._bodies.values() if not body.is_finite()}
+        instances = [self.models[name] for name in sorted(lost)]
         # Static models come last, and are made anew: otherwise Bullet finds no contacts of them.
         for instance in sorted(instances, key=lambda one: one.model.static):
             self._warn_of_reset(instance.name)
@@ -368,29 +378,24 @@ class Simulation:
             self._warned_of_reset[name] = now
             LOG.warning("model '%s': its pose is no longer finite; reset to its first pose", name)
 
-    def _shape_name(self, unique_id: int, index: int, place: Vector) -> str:
-        return shape_name(self._owners[unique_id], self._bodies[unique_id], index, place)
-
     def _make_plugins(
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
-    ) -> Tuple[Plugin, ...]:
+    ) -> tuple[Plugin, ...]:
         plugins = []
-        common = (self.world.gravity, self.seed)
-        draws = (self.renderer, self._shape_name)
         for tag in model.plugins:
-            space = namespace_of(tag, model.name)
-            prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
             what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
-            try:
-                plugin = make_plugin(Mount(model, bodies, tag, *common, prefix, *draws))
-            except LabError as error:
-                LOG.warning("%s is left out: %s", what, error)
-                continue
-            if plugin is None:
+            kind, space = kind_of(tag), namespace_of(tag, model.name)
+            if kind is None:
                 known = f"; known are {', '.join(known_plugins())}"
                 hint = "" if self._has_listed_plugins else known
                 self._has_listed_plugins = True
                 LOG.warning("%s is not simulated and skipped%s", what, hint)
+                continue
+            prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
+            try:
+                plugin = kind(Mount(model, bodies, tag, self, space, prefix))
+            except LabError as error:
+                LOG.warning("%s is left out: %s", what, error)
                 continue
             plugin.reset(self.step)
             if plugin.schedule is not None:
@@ -401,7 +406,7 @@ class Simulation:
         return tuple(plugins)
 
 
-def _name_of(timer: Union[Plugin, Timer]) -> str:
+def _name_of(timer: Plugin | Timer) -> str:
     """Return the name of a timer or plugin for messages."""
     if isinstance(timer, Timer):
         return "clock and states"
@@ -413,10 +418,6 @@ def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:
     if not namespace or NAMESPACE in tag.tags:
         return tag
     return replace(tag, tags={**tag.tags, NAMESPACE: namespace})
-
-
-class ViewError(LabError):
-    """A view with invalid values."""
 
 
 @dataclass(frozen=True)
@@ -449,23 +450,18 @@ def take_picture(simulation: Simulation, view: View, samples: int = 1) -> np.nda
         (height, width, 3) array of uint8, RGB. The same world and view give the same bytes.
 
     Raises:
-        ViewError: a value of the view is invalid, or the target is straight above or below the
-            eye.
-        LabError: nothing can be drawn on this machine.
+        RendererError: a value of the view is invalid, the target is straight above or below the
+            eye, or nothing can be drawn on this machine.
     """
-    if not all(map(math.isfinite, (*view.eye, *view.target, view.near, view.far))):
-        raise ViewError("view: a number is not finite")
-    if not 0.0 < view.near < view.far:
-        raise ViewError(f"view: near {view.near:g} m, far {view.far:g} m; needs 0 < near < far")
+    if not all(map(math.isfinite, (*view.eye, *view.target))):
+        raise RendererError("view: a number is not finite")
     if view.width < 1 or view.height < 1:
-        raise ViewError(f"view: {view.width} x {view.height} pixels; needs 1 at least")
+        raise RendererError(f"view: {view.width} x {view.height} pixels; needs 1 at least")
     if not 0.0 < view.horizontal_fov < math.pi:
-        raise ViewError(f"view: field of view {view.horizontal_fov:g} rad; needs 0 < fov < pi")
+        raise RendererError(f"view: field of view {view.horizontal_fov:g} rad; needs 0 < fov < pi")
     if math.dist(view.eye[:2], view.target[:2]) == 0.0:
-        raise ViewError("view: the target is straight above or below the eye")
-    focal = 0.5 * view.width / math.tan(0.5 * view.horizontal_fov)
-    centre = (0.5 * (view.width - 1), 0.5 * (view.height - 1))
-    camera = PinholeCamera(view.width, view.height, focal, focal, *centre)
+        raise RendererError("view: the target is straight above or below the eye")
+    camera = centred_camera(view.width, view.height, view.horizontal_fov)
     shot = Shot(camera, view.near, view.far, samples)
     # The camera looks along its x axis, without roll.
     dx, dy, dz = subtract(view.target, view.eye)

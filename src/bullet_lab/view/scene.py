@@ -13,8 +13,7 @@ from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tupl
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.simulation.rendering.drawables import read_pixels
-from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
+from bullet_lab.simulation.rendering.drawables import Surface, read_pixels, surfaces_of
 from bullet_lab.simulation.world.description import Texture, Visual
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
 from bullet_lab.simulation.world.xml import leaving_out

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.simulation import Simulation, View, ViewError, take_picture
+from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.simulation import Simulation, View, take_picture
 
 # All three beacons side by side, seen from 10 m away at half their height.
 BESIDE = View(eye=(0.0, -9.0, 1.0), target=(0.0, 1.0, 1.0), width=320, height=240)
@@ -78,5 +79,5 @@ def test_the_same_view_gives_the_same_bytes(beacons):
 )
 def test_bad_views_are_refused(beacons, changed):
     view = {"eye": BESIDE.eye, "target": BESIDE.target, "width": 32, "height": 24, **changed}
-    with pytest.raises(ViewError):
+    with pytest.raises(RendererError):
         take_picture(beacons, View(**view))

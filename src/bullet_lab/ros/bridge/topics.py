@@ -37,8 +37,7 @@ from bullet_lab.ros.node.node import MASTER_ERRORS, Refusals
 from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, BatchPublisher
 from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.controllers.controller import Controller
-from bullet_lab.simulation.plugins.mobile_base import STANDSTILL
-from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.plugins.samples import STANDSTILL, PlanarCommand
 
 # Messages that wait for a slow subscriber while time follows the wall clock.
 QUEUE_SIZE = 100

@@ -1,25 +1,48 @@
-"""Frames that are fixed to a link of a body: their pose, velocity and rays."""
+"""Frames that are fixed to a link of a body: their pose, velocity, rays and contacts."""
 
 from __future__ import annotations
 
 from copy import copy
-from typing import Iterable, Tuple
+from dataclasses import dataclass
+from typing import Iterable, Sequence
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.physics import pybullet
-from bullet_lab.simulation.physics.physics import Body
-from bullet_lab.simulation.world.description import Model
-from bullet_lab.simulation.world.tree import principal_axes
+from bullet_lab.simulation.physics.bodies import Body, is_contact
+from bullet_lab.simulation.world.description import Collision, Model
 
 ORIGIN = Pose()
 # PyBullet's limit of rays in one call.
 RAYS_AT_A_TIME = 16_383
 
 
+@dataclass(frozen=True)
+class ContactPoint:
+    """One contact point of a link in the last step, in the world.
+
+    Attributes:
+        own: the body's unique id, and PyBullet's index of the link, or of its helper link.
+        other: the same of the link that it touches.
+        place: on this link, in m.
+        place_on_other: on the other link, in m.
+        normal: from the other link to this one.
+        depth: of the overlap, in m.
+        force: on this link in N, with friction unless it is a wheel with a `Traction`.
+    """
+
+    own: tuple[int, int]
+    other: tuple[int, int]
+    place: Vector
+    place_on_other: Vector
+    normal: Vector
+    depth: float
+    force: Vector
+
+
 class AttachedFrame:
-    """A frame at a pose `offset` in a link of a body; raises KeyError for an unknown link.
+    """A frame at a pose `offset` in a link of a body.
 
     Attributes:
         index: PyBullet's index of the link.
@@ -29,9 +52,8 @@ class AttachedFrame:
         self.body = body
         self.link = link
         self.index = body.link_index(link)
-        inertia = {one.name: one.inertia for one in body.links}[link]
-        principal = ORIGIN if inertia is None else principal_axes(inertia)[1]
         # PyBullet gives the pose of a link's principal frame.
+        principal = body.link_at(self.index).mass_properties()[2]
         self._in_principal = principal.inverse() * offset
 
     @classmethod
@@ -53,7 +75,7 @@ class AttachedFrame:
         """Return the frame's pose in the world."""
         return self._principal_pose() * self._in_principal
 
-    def velocity(self) -> Tuple[Vector, Vector]:
+    def velocity(self) -> tuple[Vector, Vector]:
         """Return linear (m/s, of the frame's origin) and angular (rad/s) velocity, in the world."""
         if self.index < 0:
             linear, angular = self.body.velocity()
@@ -71,12 +93,22 @@ class AttachedFrame:
         """Return rays from the frame's origin along unit vectors in the frame, shape (n, 3)."""
         return Rays(self.body, self.index, self._in_principal, directions)
 
+    def contact_points(self) -> list[ContactPoint]:
+        """Return the contact points of the link."""
+        body = self.body
+        own = [(body.unique_id, index) for index in body.link_indices(self.link)]
+        if not any(body.near_points(linkIndexA=index) for _, index in own):
+            return []
+        # The points of the whole world: if asked for one body, PyBullet turns points round so
+        # that the body comes first, but not their friction.
+        found = []
+        for point in filter(is_contact, pybullet.getContactPoints(physicsClientId=body.client)):
+            ends = ((point[1], point[3]), (point[2], point[4]))
+            found += [_seen_from(point, end) for end in (0, 1) if ends[end] in own]
+        return found
+
     def _principal_pose(self) -> Pose:
-        if self.index < 0:
-            return self.body.com_pose()
-        # The last argument lets PyBullet compute the pose anew: its copy may be out of date.
-        state = pybullet.getLinkState(self.body.unique_id, self.index, 0, 1, self.body.client)
-        return Pose(*state[:2])
+        return Pose(*self.body.link_place(self.index))
 
 
 class Rays:
@@ -90,7 +122,7 @@ class Rays:
         self._index = index
         self._origin = np.array(frame.position)
         self._directions = directions @ frame.rotation_matrix().T
-        self._limits: Tuple[float, ...] = ()
+        self._limits: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self._directions)
@@ -101,7 +133,7 @@ class Rays:
         rays._directions, rays._limits = self._directions[chosen], ()
         return rays
 
-    def cast(self, start: float, end: float) -> Tuple[np.ndarray, np.ndarray]:
+    def cast(self, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
         """Cast the rays between two distances (m) from their origin.
 
         Returns:
@@ -125,3 +157,43 @@ class Rays:
             )
         fractions = np.array([hit[2] for hit in hits])
         return start + (end - start) * fractions, np.array([hit[0] for hit in hits])
+
+
+def _seen_from(point: tuple, end: int) -> ContactPoint:
+    """Return one of PyBullet's points as its first link (0) or its second one (1) sees it."""
+    own, other = 1 + end, 2 - end
+    sign = -1.0 if end else 1.0
+    pressure, friction, along, cross_friction, across = point[9:]
+    slip = add(_times(friction, along), _times(cross_friction, across))
+    return ContactPoint(
+        own=(point[own], point[own + 2]),
+        other=(point[other], point[other + 2]),
+        place=point[own + 4],
+        place_on_other=point[other + 4],
+        normal=_times(sign, point[7]),
+        depth=-point[8],
+        force=_times(sign, add(_times(pressure, point[7]), slip)),
+    )
+
+
+def _times(factor: float, vector: Vector) -> Vector:
+    return (factor * vector[0], factor * vector[1], factor * vector[2])
+
+
+def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
+    """Return the shape of a link whose surface is nearest to a point in the link's frame."""
+
+    def distance(shape: Collision) -> float:
+        return shape.geometry.distance((shape.pose.inverse() * Pose(point)).position)
+
+    return min(collisions, key=distance)
+
+
+def shape_name(body: Body, index: int, place: Vector) -> str:
+    """Return the name of the shape at a place (m, world) on a link: model::link::collision."""
+    touched = body.link_at(index)
+    link, shape = touched.link.name, touched.shapes[0]
+    if len(touched.shapes) > 1:
+        point = AttachedFrame(body, link).pose().inverse() * Pose(place)
+        shape = nearest_shape(touched.shapes, point.position)
+    return f"{body.model}::{link}::{shape.name}"

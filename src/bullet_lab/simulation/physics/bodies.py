@@ -1,85 +1,61 @@
-"""Making bodies by PyBullet's calls, with the limits and resistance of their joints.
-
-PyBullet's limits: 16 shapes in one call; a mesh by its corners alone; one friction and softness
-for a link. So a link carries the first such group of its shapes, and helper links without mass,
-fixed to it, carry one more group each. PyBullet frees shapes only with the whole world, so equal
-shapes are made once. PyBullet also keeps 0.8 kB or more of each removed body; so the last removed
-static bodies wait far away, for models that come back.
-"""
+"""Bodies in the engine: their places, velocities, joints and links."""
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+import math
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Callable, Sequence
 
-from bullet_lab.core.pose import Pose, Vector, subtract
+from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.entry import hidden_native_output
 from bullet_lab.simulation.physics import PhysicsError, pybullet
-from bullet_lab.simulation.physics.surfaces import Surface, axle_of, on_treads
-from bullet_lab.simulation.world.description import Collision, Joint, Link
-from bullet_lab.simulation.world.meshes import file_version
-from bullet_lab.simulation.world.shapes import (
-    Box,
-    Cylinder,
-    Mesh,
-    Plane,
-    Sphere,
-    hull_corners,
-    triangle_corners,
-)
-from bullet_lab.simulation.world.tree import FARTHEST, FASTEST, mobility, principal_axes
+from bullet_lab.simulation.physics.surfaces import ContactSurface
+from bullet_lab.simulation.world.description import Collision, Inertia, Joint, Link
+from bullet_lab.simulation.world.tree import mobility, principal_axes
 
-# PyBullet's limit of shapes in one call.
-MOST_SHAPES = 16
-# PyBullet's limit of links beside the root in one body.
-MOST_LINKS = 127
 # PyBullet's index of the root link.
 ROOT = -1
 # PyBullet's id of no shape.
 NO_SHAPE = -1
-JOINT_TYPES = {
-    "fixed": pybullet.JOINT_FIXED,
-    "continuous": pybullet.JOINT_REVOLUTE,
-    "revolute": pybullet.JOINT_REVOLUTE,
-    "prismatic": pybullet.JOINT_PRISMATIC,
-    "ball": pybullet.JOINT_SPHERICAL,
-}
-# Arguments of `createCollisionShapeArray` for each kind of shape; meshes are made otherwise.
-SHAPES: Dict[type, Callable[[Any], Dict[str, Any]]] = {
-    Box: lambda box: {
-        "shapeTypes": pybullet.GEOM_BOX,
-        "halfExtents": tuple(0.5 * side for side in box.size),
-    },
-    Cylinder: lambda cylinder: {
-        "shapeTypes": pybullet.GEOM_CYLINDER,
-        "radii": cylinder.radius,
-        "lengths": cylinder.length,
-    },
-    Sphere: lambda sphere: {"shapeTypes": pybullet.GEOM_SPHERE, "radii": sphere.radius},
-    Plane: lambda plane: {"shapeTypes": pybullet.GEOM_PLANE, "planeNormals": plane.normal},
-}
-# Values of the arguments that a shape does not need.
-UNUSED_MEASURES = {
-    "radii": 0.0,
-    "halfExtents": (0.0, 0.0, 0.0),
-    "lengths": 0.0,
-    "planeNormals": (0.0, 0.0, 1.0),
-}
-# Margin of convex meshes in m, instead of Bullet's 1 mm. Without one, most rays pass through them.
-MESH_MARGIN = 1e-4
-ORIGIN: Vector = (0.0, 0.0, 0.0)
-HELPER_JOINT = Joint("", "fixed", "", "")
-# Bullet's collision group and mask of static links: they touch everything but each other.
-STATIC_FILTER = (2, ~2)
-# The same of removed bodies: nothing touches them, and no ray meets them.
-REMOVED_FILTER = (0, 0)
-REMOVED_PLACE: Vector = (0.0, 0.0, -FARTHEST)
-# Removed bodies that are kept: each takes 0.3 us of a step, which takes 5 us for a small robot.
-KEPT_BODIES = 6
+# Share of the distance from its held position that a joint is moved back in one step.
+HOLDING_GAIN = 0.1
+# Rounding error (m, and of a quaternion's components) of a pose that did not change.
+NEARLY = 1e-6
+# A body that was placed into another one is pushed out at once. For this many steps it does not
+# keep the speed of that, ...
+SETTLING_STEPS = 1000
+# ... if it overlaps by more than this (m) ...
+DEEP = 2e-4
+# ... and leaves faster than this (m/s).
+SLOW = 0.1
 # Limit (rad or m) of a joint on the side where it has none, as in SDF.
 NO_LIMIT = 1e16
-LIMITED = ("revolute", "prismatic")
+ZERO: Vector = (0.0, 0.0, 0.0)
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
+# Bullet's collision group and mask of bodies that move: they collide with everything.
+MOVING_FILTER = (1, -1)
+# The joint that fixes a helper link.
+HELPER_JOINT = Joint("", "fixed", "", "")
+
+
+def is_contact(point: tuple) -> bool:
+    """Return whether one of PyBullet's contact points is a contact.
+
+    PyBullet also lists points that are merely near. Shapes that come apart overlap without force.
+    """
+    distance, force = point[8], point[9]
+    return force > 0.0 or distance < 0.0
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Position (rad or m), velocity (rad/s or m/s) and effort (N m or N) of one joint."""
+
+    position: float
+    velocity: float
+    effort: float
 
 
 @dataclass(frozen=True)
@@ -97,264 +73,361 @@ class BulletLink:
     """
 
     link: Link
-    joint: Optional[Joint]
+    joint: Joint | None
     parent: int
-    shapes: Tuple[Collision, ...] = ()
+    shapes: tuple[Collision, ...] = ()
     shape: int = NO_SHAPE
-    surface: Surface = Surface()
-    origin: Vector = ORIGIN
+    surface: ContactSurface = ContactSurface()
+    origin: Vector = ZERO
 
-    def mass_properties(self) -> Tuple[float, Vector, Pose]:
+    def mass_properties(self) -> tuple[float, Vector, Pose]:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
         if self.joint is HELPER_JOINT or self.link.inertia is None:
-            return 0.0, (0.0, 0.0, 0.0), Pose()
+            return 0.0, ZERO, Pose()
         return (self.link.inertia.mass, *principal_axes(self.link.inertia))
 
-    def joint_place(self, parent_origin: Vector) -> Vector:
-        """Return the place (m) of the joint from PyBullet's origin of the parent."""
-        if self.joint is HELPER_JOINT:
-            return ORIGIN
-        pose = self.joint.pose
-        if any(self.origin):
-            pose = pose * Pose(self.origin)
-        return subtract(pose.position, parent_origin)
+    def joint_properties(self, parent: Link) -> dict[str, float]:
+        """Return damping and limits of its joint to a parent, as PyBullet's properties of it.
+
+        PyBullet computes the damping in a step from the velocity before the step. A strong damper
+        on a light link would so reverse the velocity, and oscillate ever more. So the damping is
+        limited to what stops the two links at once, if nothing else held them.
+        """
+        joint = self.joint
+        if joint is None or joint.kind == "ball":
+            return {}
+        properties = {"jointDamping": joint.damping}
+        if joint.damping > 0.0:
+            # The relative acceleration per effort, if nothing else held the two.
+            axis = joint.pose.rotate(joint.axis)
+            ends = ((self.link.inertia, joint.axis), (parent.inertia, axis))
+            turning = joint.kind != "prismatic"
+            loose = sum(mobility(part, axis, turning) for part, axis in ends if part is not None)
+            if loose > 0.0:
+                properties["jointDamping"] = min(joint.damping, STEPS_PER_SECOND / loose)
+        limits = joint.limits
+        if joint.kind in ("revolute", "prismatic") and ("lower" in limits or "upper" in limits):
+            # A lower limit above the upper one means no limit; PyBullet ignores both.
+            properties["jointLowerLimit"] = limits.get("lower", -NO_LIMIT)
+            properties["jointUpperLimit"] = limits.get("upper", NO_LIMIT)
+        return properties
 
 
-class BodyMaker:
-    """Makes and removes the bodies of one PyBullet client."""
+class Body:
+    """A tree of links in the engine.
 
-    def __init__(self, client: int):
-        self._client = client
-        # PyBullet's ids of shapes by what they are made of.
-        self._made: Dict[Hashable, List[int]] = {}
-        # Shape and surface by body, of static bodies with one link; None for other bodies.
-        self._kinds: Dict[int, Hashable] = {}
-        # The same of removed bodies that are kept, the oldest first.
-        self._removed: Dict[int, Hashable] = {}
+    The pose of a body is that of its root link's frame in the world; velocities are those of
+    its centre of mass.
 
-    @hidden_native_output()
-    def make(
-        self, links: Sequence[Link], joints: Sequence[Joint], static: bool, pose: Pose
-    ) -> Tuple[int, List[BulletLink]]:
-        """Make a body; return PyBullet's id of it and its links, all helpers last.
+    Three attributes are PyBullet's functions with this body bound, for the inner loop:
+    `com_place()` returns position and quaternion of `com_pose` as plain tuples;
+    `set_velocity(linear, angular)` sets the root link's velocity in the world (m/s, rad/s);
+    `near_points()` returns PyBullet's tuples of contact points.
 
-        Args:
-            links: the root first, and each link after its parent.
-            joints: between them.
-            static: whether the body never moves; its meshes then keep their hollows.
-            pose: of the root link's frame in the world.
+    Attributes:
+        client: its PyBullet client.
+        model: name of the model that it belongs to.
+        unique_id: PyBullet's id of it.
+        bullet_links: PyBullet's links of it, in order; the first is the root, with index -1.
+        links: of the description, the root first.
+        joint_names: of the movable joints, less ball joints, which have no single position.
+        turned_inertia: whether the root's principal axes differ from its frame's.
+        weightless: PyBullet's index and the mass (kg) of the links that gravity does not pull.
+        moves: whether its root can move.
+        weight: the share of its mass that gravity pulls.
+        settling: the number of steps for which `settle` still limits its speed.
+        traction: the `Traction` of its skidding wheels, if it has any.
+    """
+
+    model: str = ""
+    traction: Any = None
+
+    def __init__(self, client: int, unique_id: int, bullet_links: Sequence[BulletLink]):
+        self.client = client
+        self.unique_id = unique_id
+        self.bullet_links = tuple(bullet_links)
+        self.links = tuple(one.link for one in bullet_links if one.joint is not HELPER_JOINT)
+        self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
+        self.set_velocity = partial(pybullet.resetBaseVelocity, unique_id, physicsClientId=client)
+        self.near_points = partial(pybullet.getContactPoints, unique_id, physicsClientId=client)
+        mass, _, self._com = bullet_links[0].mass_properties()
+        self.moves = mass > 0.0
+        self._com_inverse = self._com.inverse()
+        self.turned_inertia = self._com.quaternion != NO_TURN
+        self.settling = 0
+        # The normal of the deepest contact since the body was placed.
+        self._exit_direction = ZERO
+        self._placed_velocity = (ZERO, ZERO)
+        self._indices: defaultdict[str, list[int]] = defaultdict(list)
+        self._joints: dict[str, int] = {}
+        self._balls: list[int] = []
+        for index, one in enumerate(bullet_links, start=ROOT):
+            self._indices[one.link.name].append(index)
+            if one.joint and one.joint.kind == "ball":
+                self._balls.append(index)
+                # PyBullet holds every joint still with a motor of its own.
+                free = {"targetPosition": NO_TURN, "positionGain": 0.0, "force": ZERO}
+                mode = pybullet.POSITION_CONTROL
+                self._call(pybullet.setJointMotorControlMultiDof, index, mode, **free)
+            elif one.joint and one.joint.kind != "fixed":
+                self._joints[one.joint.name] = index
+                self.drive_joint(one.joint.name, 0.0, 0.0)
+        self.joint_names = tuple(self._joints)
+        self._weigh()
+
+    def pose(self) -> Pose:
+        """Return the pose of the root link's frame in the world."""
+        return self.com_pose() * self._com_inverse
+
+    def com_pose(self) -> Pose:
+        """Return the pose of the root link's principal frame in the world."""
+        return Pose(*self.com_place())
+
+    def link_place(self, index: int) -> tuple:
+        """Return position and quaternion of the principal frame of a link by PyBullet's index."""
+        if index == ROOT:
+            return self.com_place()
+        # The last argument lets PyBullet compute the pose anew: its copy may be out of date.
+        return pybullet.getLinkState(self.unique_id, index, 0, 1, self.client)[:2]
+
+    def velocity(self) -> tuple[Vector, Vector]:
+        """Return linear (m/s, of the centre of mass) and angular (rad/s) velocity, in the world."""
+        return pybullet.getBaseVelocity(self.unique_id, self.client)
+
+    def origin_velocity(self) -> tuple[Vector, Vector]:
+        """Return linear (m/s, of the root frame's origin) and angular (rad/s) velocity."""
+        (vx, vy, vz), (wx, wy, wz) = self.velocity()
+        x, y, z = self.com_pose().rotate(self._com_inverse.position)
+        linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
+        return linear, (wx, wy, wz)
+
+    def is_finite(self) -> bool:
+        """Return whether its pose and its joints' positions are finite."""
+        joints = (self.joint_state(name).position for name in self._joints)
+        position, quaternion = self.com_place()
+        return math.isfinite(sum(position) + sum(quaternion) + sum(joints))
+
+    def place(self, pose: Pose) -> None:
+        """Place the body at rest, its joints at zero."""
+        self.move(pose, ZERO, ZERO)
+        for name in self._joints:
+            self.set_joint(name, 0.0)
+        for index in self._balls:
+            self._call(pybullet.resetJointStateMultiDof, index, NO_TURN, ZERO)
+
+    def move(self, pose: Pose, linear: Vector, angular: Vector) -> None:
+        """Place the body in motion; its joints keep their positions and stand still.
+
+        The velocities, in m/s and rad/s in the world, are those of the root link's frame.
+        """
+        com, arm = pose * self._com, pose.rotate(self._com.position)
+        self._call(pybullet.resetBasePositionAndOrientation, com.position, com.quaternion)
+        self._placed_velocity = (add(linear, cross(angular, arm)), angular)
+        self.set_velocity(*self._placed_velocity)
+        self._exit_direction = ZERO
+        self.settling = SETTLING_STEPS
+        if self.traction is not None:
+            self.traction.reset()
+        for name in self._joints:
+            self.set_joint(name, self.joint_state(name).position)
+        for index in self._balls:
+            turn = pybullet.getJointStateMultiDof(self.unique_id, index, self.client)[0]
+            self._call(pybullet.resetJointStateMultiDof, index, turn, ZERO)
+
+    def push(self, link: str, force: Vector, torque: Vector, point: Vector) -> None:
+        """Apply a force (N, at a point in m) and a torque (N m) to a link in the coming step.
+
+        All vectors are in the world.
+        """
+        index = self.link_index(link)
+        self.push_at(index, force, point)
+        self._call(pybullet.applyExternalTorque, index, torque, pybullet.WORLD_FRAME)
+
+    def push_at(self, index: int, force: Vector, point: Vector) -> None:
+        """Apply a force (N, at a point in m) to the link with PyBullet's index."""
+        pybullet.applyExternalForce(
+            self.unique_id, index, force, point, pybullet.WORLD_FRAME, self.client
+        )
+
+    def exert(self, joint: str, effort: float) -> None:
+        """Apply an effort (N m or N) to a joint in the coming step, in addition to its motor.
+
+        As in Gazebo, the effort is within the joint's effort limit, and zero in the direction in
+        which the joint moves faster than its velocity limit. A negative limit means none.
+        """
+        limits = self._joint(joint).limits
+        most, fastest = (limits.get(key, -1.0) for key in ("effort", "velocity"))
+        if fastest >= 0.0:
+            velocity = self.joint_state(joint).velocity
+            if abs(velocity) > fastest and velocity * effort > 0.0:
+                effort = 0.0
+        if most >= 0.0:
+            effort = min(max(effort, -most), most)
+        self._control(joint, pybullet.TORQUE_CONTROL, force=effort)
+
+    def cancel_gravity(self, gravity: Vector) -> None:
+        """Hold up the links without gravity (m/s²) in the coming step."""
+        for index, mass in self.weightless:
+            lift = tuple(-mass * value for value in gravity)
+            self.push_at(index, lift, self.link_place(index)[0])
+
+    def joint_state(self, name: str) -> JointState:
+        """Return the state of a joint; raises KeyError for an unknown name."""
+        index = self._joints[name]
+        position, velocity, _, effort = pybullet.getJointState(self.unique_id, index, self.client)
+        return JointState(position, velocity, effort)
+
+    def set_joint(self, name: str, position: float, velocity: float = 0.0) -> None:
+        """Place a joint (rad or m); raises KeyError for an unknown name."""
+        self._call(pybullet.resetJointState, self._joints[name], position, velocity)
+
+    def drive_joint(self, name: str, velocity: float, effort: float) -> None:
+        """Drive a joint at a velocity (rad/s or m/s) from now on, with at most `effort` (N m, N).
 
         Raises:
-            MeshError: a mesh is not usable.
-            PhysicsError: the body needs too many links, or PyBullet refuses it.
+            KeyError: an unknown name.
         """
-        try:
-            made = self._bullet_links(links, joints, static)
-            if len(made) - 1 > MOST_LINKS:
-                need = f"its joints and shapes need {len(made) - 1} links beside the root"
-                raise PhysicsError(f"{need}; the engine allows {MOST_LINKS}")
-            kind = (made[0].shape, made[0].surface) if static and len(made) == 1 else None
-            body = self._restored(kind, pose)
-            if body is None:
-                body = self._create(made, pose)
-            self._set_dynamics(body, made, static)
-            self._kinds[body] = kind
-            return body, made
-        except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot make it: {error}") from error
+        velocity, effort = net_motor(self._joint(name), velocity, effort)
+        self._control(name, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=effort)
 
-    def remove(self, body: int) -> None:
-        """Take a body out of the world."""
-        kind = self._kinds.pop(body)
-        if kind is None:
-            pybullet.removeBody(body, self._client)
+    def hold_joint(
+        self, name: str, position: float, effort: float, gain: float = HOLDING_GAIN
+    ) -> None:
+        """Hold a joint at a position (rad or m) from now on, with at most `effort` (N m or N).
+
+        `gain` is the share of its distance that the joint is moved back in one step.
+        """
+        self._control(
+            name,
+            pybullet.POSITION_CONTROL,
+            targetPosition=position,
+            targetVelocity=0.0,
+            force=net_motor(self._joint(name), 0.0, effort)[1],
+            positionGain=gain,
+            velocityGain=1.0,
+        )
+
+    def set_sticking(self, name: str, sticking: bool) -> None:
+        """Let the link below a joint stick to the surface it touches, or roll and slide again.
+
+        Bullet's friction stops velocities up to its solver's tolerance, so a standing robot
+        creeps. A contact point that sticks is pulled back to its first place, by a force within
+        the limits of friction. Do not use it on rolling wheels: they would bump.
+        """
+        for index in self._indices[self.link_at(self._joints[name]).link.name]:
+            if self.traction is not None and index in self.traction.owners:
+                continue
+            self._call(pybullet.changeDynamics, index, frictionAnchor=int(sticking))
+            if sticking:
+                # Only new points stick; setting the unchanged filter drops the old ones.
+                self._call(pybullet.setCollisionFilterGroupMask, index, *MOVING_FILTER)
+
+    def remove_sliding_friction(self) -> None:
+        """Let the body slide freely, for a plugin that computes its friction itself."""
+        for index in range(ROOT, len(self.bullet_links) - 1):
+            self._call(pybullet.changeDynamics, index, lateralFriction=0.0)
+        self.bullet_links = tuple(
+            replace(one, surface=replace(one.surface, friction=0.0)) for one in self.bullet_links
+        )
+        self.traction = None
+
+    def link_index(self, name: str) -> int:
+        """Return PyBullet's index of a link, -1 for the root."""
+        return self.link_indices(name)[0]
+
+    def link_indices(self, name: str) -> list[int]:
+        """Return PyBullet's indices of a link and of its helper links."""
+        return self._indices[name]
+
+    def link_at(self, index: int) -> BulletLink:
+        """Return the link with PyBullet's index."""
+        return self.bullet_links[index - ROOT]
+
+    def touching_points(self) -> list[tuple]:
+        """Return PyBullet's points where the body touches another; the body itself comes first."""
+        return [point for point in self.near_points() if is_contact(point)]
+
+    def change_joint(self, joint: Joint) -> None:
+        """Change limits and damping of the joint of that name; raises KeyError."""
+        index = self._joints[joint.name]
+        changed = self._replace_link(index, joint=joint)
+        parent = self.bullet_links[changed.parent].link
+        self._call(pybullet.changeDynamics, index, **changed.joint_properties(parent))
+
+    def change_link(self, name: str, inertia: Inertia, gravity: bool) -> None:
+        """Change mass and moments of a link, and whether gravity pulls it.
+
+        Raises:
+            PhysicsError: a mass or moment is not positive, or the principal frame would move.
+        """
+        index = self.link_index(name)
+        moments, frame = principal_axes(inertia)
+        if inertia.mass <= 0.0 or min(moments) <= 0.0:
+            raise PhysicsError(f"link '{name}': its mass and its moments must be positive")
+        before = self.link_at(index).mass_properties()[2]
+        shift = frame.inverse() * before
+        if max(map(abs, (*shift.position, *shift.quaternion[:3]))) >= NEARLY:
+            problem = "its centre of mass and its principal axes cannot be changed"
+            raise PhysicsError(f"link '{name}': {problem} in a running simulation")
+        link = replace(self.link_at(index).link, inertia=inertia, gravity=gravity)
+        self._replace_link(index, link=link)
+        properties = {"mass": inertia.mass, "localInertiaDiagonal": moments}
+        self._call(pybullet.changeDynamics, index, **properties)
+        if self.traction is not None:
+            self.traction.update_gains()
+
+    def _weigh(self) -> None:
+        """Note which links gravity does not pull."""
+        masses = [one.mass_properties()[0] for one in self.bullet_links]
+        total = sum(masses)
+        self.weightless = tuple(
+            (index, mass)
+            for index, (mass, one) in enumerate(zip(masses, self.bullet_links), ROOT)
+            if mass and not one.link.gravity
+        )
+        self.weight = 1.0 - sum(mass for _, mass in self.weightless) / total if total else 1.0
+
+    def _replace_link(self, index: int, **changes: Any) -> BulletLink:
+        links = list(self.bullet_links)
+        links[index - ROOT] = replace(links[index - ROOT], **changes)
+        self.bullet_links = tuple(links)
+        self._weigh()
+        return self.link_at(index)
+
+    def _joint(self, name: str) -> Joint:
+        return self.link_at(self._joints[name]).joint
+
+    def settle(self, _step: int) -> None:
+        """Take off, before a step, the speed at which the body is thrown out of an overlap.
+
+        Gazebo lets no contact push faster than its maxVel. Bullet pushes as fast as it needs to
+        end the overlap: a robot that is placed 0.1 m into the floor would fly up by 100 m.
+        """
+        if not self.settling:
             return
-        self._place(body, Pose(REMOVED_PLACE), REMOVED_FILTER)
-        self._removed[body] = kind
-        if len(self._removed) > KEPT_BODIES:
-            oldest = next(iter(self._removed))
-            del self._removed[oldest]
-            pybullet.removeBody(oldest, self._client)
+        self.settling -= 1
+        if self.settling == SETTLING_STEPS - 1:
+            # The engine's contact points are still those of the place before.
+            return
+        deepest = min(self.near_points(), key=lambda point: point[8], default=None)
+        deep = deepest is not None and deepest[8] < -DEEP
+        if deep:
+            self._exit_direction = deepest[7]
+        if self._exit_direction != ZERO:
+            linear, _ = self.velocity()
+            if sum(v * n for v, n in zip(linear, self._exit_direction)) > SLOW:
+                self.set_velocity(*self._placed_velocity)
+        if not deep:
+            self.settling = 0
 
-    def _restored(self, kind: Optional[Hashable], pose: Pose) -> Optional[int]:
-        """Return a removed body of a kind, now at a pose; None if there is none."""
-        for body, removed in self._removed.items():
-            if removed == kind:
-                del self._removed[body]
-                self._place(body, pose, STATIC_FILTER)
-                return body
-        return None
+    def _control(self, joint: str, mode: int, **targets: float) -> None:
+        self._call(pybullet.setJointMotorControl2, self._joints[joint], mode, **targets)
 
-    def _place(self, body: int, pose: Pose, groups: Tuple[int, int]) -> None:
-        pybullet.resetBasePositionAndOrientation(body, *astuple(pose), physicsClientId=self._client)
-        # This also drops the contacts of the place before.
-        pybullet.setCollisionFilterGroupMask(body, ROOT, *groups, self._client)
-
-    def _bullet_links(
-        self, links: Sequence[Link], joints: Sequence[Joint], static: bool
-    ) -> List[BulletLink]:
-        above = {joint.child: joint for joint in joints}
-        places = {link.name: place for place, link in enumerate(links)}
-        found, helpers = [], []
-        for place, link in enumerate(links):
-            joint = above.get(link.name)
-            origin, parent = (joint.anchor, places[joint.parent]) if joint else (ORIGIN, ROOT)
-            groups = self._shapes(link, axle_of(joint), static, origin)
-            first, *more = groups or [((), NO_SHAPE, Surface())]
-            found.append(BulletLink(link, joint, parent, *first, origin))
-            helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]
-        return found + helpers
-
-    def _create(self, links: Sequence[BulletLink], pose: Pose) -> int:
-        (mass, _, centre), *masses = [link.mass_properties() for link in links]
-        root, *rest = links
-        flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MAINTAIN_LINK_ORDER
-        if any(link.link.self_collide for link in links):
-            flags |= pybullet.URDF_USE_SELF_COLLISION
-        return pybullet.createMultiBody(
-            *(mass, root.shape, NO_SHAPE, *astuple(pose), *astuple(centre)),
-            linkMasses=[mass for mass, _, _ in masses],
-            linkCollisionShapeIndices=[link.shape for link in rest],
-            linkVisualShapeIndices=[NO_SHAPE for _ in rest],
-            linkPositions=[link.joint_place(links[link.parent].origin) for link in rest],
-            linkOrientations=[link.joint.pose.quaternion for link in rest],
-            linkInertialFramePositions=[
-                subtract(centre.position, link.origin)
-                for link, (_, _, centre) in zip(rest, masses)
-            ],
-            linkInertialFrameOrientations=[centre.quaternion for _, _, centre in masses],
-            linkParentIndices=[link.parent for link in rest],
-            linkJointTypes=[JOINT_TYPES[link.joint.kind] for link in rest],
-            linkJointAxis=[link.joint.axis for link in rest],
-            flags=flags,
-            physicsClientId=self._client,
-        )
-
-    def _set_dynamics(self, body: int, links: Sequence[BulletLink], static: bool) -> None:
-        """Set the properties of a body that `createMultiBody` does not take."""
-        # A call of its own: together with these, PyBullet takes any link's index for the root's.
-        self._change(body, ROOT, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=FASTEST)
-        for index, link in enumerate(links, start=ROOT):
-            _, moments, frame = link.mass_properties()
-            given = {"localInertiaDiagonal": moments, **link.surface.properties(frame, static)}
-            if link.joint:
-                given.update(joint_properties(link.joint, links[link.parent].link, link.link))
-            self._change(body, index, **given)
-            if static and index > ROOT:
-                pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self._client)
-
-    def _change(self, body: int, index: int, **properties: Any) -> None:
-        pybullet.changeDynamics(body, index, physicsClientId=self._client, **properties)
-
-    def _shapes(
-        self, link: Link, axle: Optional[Vector], static: bool, origin: Vector
-    ) -> List[Tuple[Tuple[Collision, ...], int, Surface]]:
-        """Return groups of the link's shapes, each with PyBullet's id and the common surface.
-
-        `origin` is PyBullet's origin of the link in the link's frame, in m.
-        """
-        by_surface: Dict[Surface, List[Collision]] = {}
-        for shape in link.collisions:
-            by_surface.setdefault(Surface.of(shape, axle), []).append(shape)
-        found = []
-        for surface, shapes in by_surface.items():
-            simple = [shape for shape in shapes if not isinstance(shape.geometry, Mesh)]
-            starts = range(0, len(simple), MOST_SHAPES)
-            groups = [simple[start : start + MOST_SHAPES] for start in starts]
-            groups += [[shape] for shape in shapes if isinstance(shape.geometry, Mesh)]
-            for group in groups:
-                ids = self._ids(group, axle, static, origin)
-                found += [(tuple(group), shape_id, surface) for shape_id in ids]
-        return found
-
-    def _ids(
-        self, group: Sequence[Collision], axle: Optional[Vector], static: bool, origin: Vector
-    ) -> List[int]:
-        """Return PyBullet's ids of a group of shapes, or of the pieces of a mesh."""
-        shapes = on_treads(group, axle)
-        if any(origin):
-            shapes = [replace(shape, pose=_moved(shape.pose, origin)) for shape in shapes]
-        mesh, pose = shapes[0].geometry, shapes[0].pose
-        key: Hashable = tuple((shape.geometry, shape.pose) for shape in shapes)
-        if isinstance(mesh, Mesh):
-            key = (key, file_version(mesh), static)
-            if key not in self._made:
-                pieces = triangle_corners(mesh) if static else [hull_corners(mesh)]
-                self._made[key] = [self._mesh(corners.tolist(), pose, static) for corners in pieces]
-        elif key not in self._made:
-            self._made[key] = [self._simple(shapes)]
-        return self._made[key]
-
-    def _simple(self, shapes: Sequence[Collision]) -> int:
-        given = [
-            {**UNUSED_MEASURES, **SHAPES[type(shape.geometry)](shape.geometry)} for shape in shapes
-        ]
-        return pybullet.createCollisionShapeArray(
-            **{key: [measures[key] for measures in given] for key in given[0]},
-            collisionFramePositions=[shape.pose.position for shape in shapes],
-            collisionFrameOrientations=[shape.pose.quaternion for shape in shapes],
-            physicsClientId=self._client,
-        )
-
-    def _mesh(self, corners: List[Vector], pose: Pose, hollow: bool) -> int:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH,
-            vertices=corners,
-            # Without triangles, Bullet takes the convex hull.
-            indices=list(range(len(corners))) if hollow else [],
-            collisionFramePosition=pose.position,
-            collisionFrameOrientation=pose.quaternion,
-            physicsClientId=self._client,
-        )
-        # A margin that is set for the shape of one body's root holds for all bodies that have it.
-        body = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-        self._change(body, ROOT, collisionMargin=0.0 if hollow else MESH_MARGIN)
-        pybullet.removeBody(body, self._client)
-        return shape
+    def _call(self, function: Callable[..., Any], *arguments: Any, **more: Any) -> None:
+        function(self.unique_id, *arguments, physicsClientId=self.client, **more)
 
 
-def _moved(pose: Pose, origin: Vector) -> Pose:
-    """Return a pose in a link's frame relative to another origin."""
-    return Pose(subtract(pose.position, origin), pose.quaternion)
-
-
-def joint_properties(joint: Joint, parent: Link, child: Link) -> Dict[str, float]:
-    """Return damping and limits of a joint as PyBullet's properties of the child link.
-
-    PyBullet computes the damping in a step from the velocity before the step. A strong damper on
-    a light link would so reverse the velocity, and oscillate ever more. So the damping is limited
-    to what stops the two links at once, if nothing else held them.
-    """
-    if joint.kind == "ball":
-        return {}
-    properties = {"jointDamping": joint.damping}
-    if joint.damping > 0.0:
-        # The relative acceleration per effort, if nothing else held the two.
-        ends = ((child.inertia, joint.axis), (parent.inertia, joint.pose.rotate(joint.axis)))
-        turning = joint.kind != "prismatic"
-        loose = sum(mobility(part, axis, turning) for part, axis in ends if part is not None)
-        if loose > 0.0:
-            properties["jointDamping"] = min(joint.damping, STEPS_PER_SECOND / loose)
-    if joint.kind in LIMITED and {"lower", "upper"} & set(joint.limits):
-        # A lower limit above the upper one means no limit; PyBullet ignores both.
-        properties["jointLowerLimit"] = joint.limits.get("lower", -NO_LIMIT)
-        properties["jointUpperLimit"] = joint.limits.get("upper", NO_LIMIT)
-    return properties
-
-
-def allowed_effort(joint: Joint, effort: float, velocity: float) -> float:
-    """Return an effort (N m or N) within a joint's limits at a velocity (rad/s or m/s).
-
-    As in Gazebo, the effort is within the joint's effort limit, and zero in the direction in
-    which the joint moves faster than its velocity limit. A negative limit means none.
-    """
-    most, fastest = (joint.limits.get(key, -1.0) for key in ("effort", "velocity"))
-    if 0.0 <= fastest < abs(velocity) and velocity * effort > 0.0:
-        return 0.0
-    return effort if most < 0.0 else min(max(effort, -most), most)
-
-
-def net_motor(joint: Joint, velocity: float, effort: float) -> Tuple[float, float]:
+def net_motor(joint: Joint, velocity: float, effort: float) -> tuple[float, float]:
     """Return the velocity and greatest effort of a motor, together with the joint's friction.
 
     Friction helps a motor that stops the joint, and hinders one that moves it.

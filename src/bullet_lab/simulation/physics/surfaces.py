@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Sequence, Tuple
 
 import numpy as np
 
@@ -53,7 +53,7 @@ SINKING_SPEED = 0.02
 
 
 @dataclass(frozen=True)
-class Surface:
+class ContactSurface:
     """Friction and softness of a shape, in the axes of its link.
 
     Attributes:
@@ -69,11 +69,11 @@ class Surface:
     axis: Vector = (1.0, 0.0, 0.0)
     along: float = 1.0
     across: float = 1.0
-    stiffness: Optional[float] = None
-    damping: Optional[float] = None
+    stiffness: float | None = None
+    damping: float | None = None
 
     @classmethod
-    def of(cls, shape: Collision, axle: Optional[Vector]) -> Surface:
+    def of(cls, shape: Collision, axle: Vector | None) -> ContactSurface:
         """Return the surface of a shape of a link; `axle` is what the link turns about, or None.
 
         A direction that is not the axle's turns with the wheel. It then means that the first
@@ -83,21 +83,21 @@ class Surface:
         axis = shape.direction and shape.pose.rotate(shape.direction)
         if axis and shape.cross_friction is not None:
             second = shape.cross_friction
-            if axle and abs(cosine(axis, axle)) < ALIGNED:
+            if axle and abs(dot(axis, axle)) < ALIGNED:
                 axis, first, second = axle, second, first
         if first == second:
             return cls(first, stiffness=shape.stiffness, damping=shape.damping)
         most = max(first, second)
         return cls(most, axis, first / most, second / most, shape.stiffness, shape.damping)
 
-    def properties(self, frame: Pose, static: bool) -> Dict[str, Any]:
+    def properties(self, frame: Pose, static: bool) -> dict[str, Any]:
         """Return the surface as PyBullet's properties of a link with this principal frame.
 
         Contacts with a stiffness or damping are a spring and damper, which Bullet solves
         implicitly, as ODE does, so that stiff ones stay stable.
         """
         friction = min(self.friction, 1.0) if static else self.friction
-        properties: Dict[str, Any] = {"lateralFriction": friction}
+        properties: dict[str, Any] = {"lateralFriction": friction}
         if self.along != self.across:
             # Bullet knows principal axes alone: the one next to our axis stands for it.
             cosines = [abs(value) for value in frame.inverse().rotate(self.axis)]
@@ -111,13 +111,13 @@ class Surface:
         return properties
 
 
-def axle_of(joint: Optional[Joint]) -> Optional[Vector]:
+def axle_of(joint: Joint | None) -> Vector | None:
     """Return the axis about which a joint lets its child link turn, in that link's axes."""
     turns = joint is not None and joint.kind in ("continuous", "revolute")
     return joint.axis if turns else None
 
 
-def on_treads(shapes: Sequence[Collision], axle: Optional[Vector]) -> List[Collision]:
+def on_treads(shapes: Sequence[Collision], axle: Vector | None) -> list[Collision]:
     """Return the shapes of a link, with a wheel replaced by a narrow tread and a lower rim.
 
     A lying cylinder touches the floor along a line, and Bullet keeps one end of it: all wheels of
@@ -150,20 +150,20 @@ def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bo
     return any(_parallel_and_apart(*pair) for pair in combinations(lines, 2))
 
 
-def cosine(one: Vector, other: Vector) -> float:
-    """Return the cosine of the angle between two unit vectors."""
-    return sum(a * b for a, b in zip(one, other))
+def dot(one: Vector, other: Vector) -> float:
+    """Return the scalar product of two vectors."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
 def _parallel_and_apart(one: Axle, other: Axle) -> bool:
     (place, axis), (other_place, other_axis) = one, other
-    if abs(cosine(axis, other_axis)) <= ALIGNED:
+    if abs(dot(axis, other_axis)) <= ALIGNED:
         return False
     return math.hypot(*cross(subtract(other_place, place), axis)) > NEAR
 
 
 def _turns_about(cylinder: Collision, axle: Vector) -> bool:
-    return abs(cosine(cylinder.pose.rotate((0.0, 0.0, 1.0)), axle)) >= ALIGNED
+    return abs(dot(cylinder.pose.rotate((0.0, 0.0, 1.0)), axle)) >= ALIGNED
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class SkiddingWheel:
     radius: float
 
 
-def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[SkiddingWheel]:
+def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> list[SkiddingWheel]:
     """Return the wheels of a body that skid sideways as it turns, in the order of its links.
 
     These are wheels that nothing steers, on level axles that are parallel and apart.
@@ -186,8 +186,7 @@ def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[Skid
     """
     above = {joint.child: joint for joint in joints}
     poses = {link.name: link.pose for link in links}
-    wheels: List[SkiddingWheel] = []
-    lines: List[Axle] = []
+    found: list[tuple[SkiddingWheel, Axle]] = []
     for link in links:
         joint = above.get(link.name)
         if joint is None or not _turns_freely(joint) or _is_steered(joint, above, poses):
@@ -195,13 +194,11 @@ def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> List[Skid
         radius = max((_radius(shape, joint) for shape in link.collisions), default=0.0)
         axle = link.pose.rotate(joint.axis)
         if radius > 0.0 and abs(axle[2]) < LEVEL:
-            wheels.append(SkiddingWheel(link.name, joint.axis, radius))
-            lines.append(((link.pose * Pose(joint.anchor)).position, axle))
-    skidding = set()
-    for one, other in combinations(range(len(wheels)), 2):
-        if _parallel_and_apart(lines[one], lines[other]):
-            skidding.update((one, other))
-    return [wheels[index] for index in sorted(skidding)]
+            wheel = SkiddingWheel(link.name, joint.axis, radius)
+            found.append((wheel, ((link.pose * Pose(joint.anchor)).position, axle)))
+    return [
+        wheel for wheel, line in found if any(_parallel_and_apart(line, one) for _, one in found)
+    ]
 
 
 def _turns_freely(joint: Joint) -> bool:
@@ -211,7 +208,7 @@ def _turns_freely(joint: Joint) -> bool:
     return joint.kind == "continuous" or not 0.0 <= most - least <= math.tau
 
 
-def _is_steered(joint: Joint, above: Dict[str, Joint], poses: Dict[str, Pose]) -> bool:
+def _is_steered(joint: Joint, above: dict[str, Joint], poses: dict[str, Pose]) -> bool:
     """Return whether a link that carries the joint can turn about the vertical."""
     while joint.parent in above:
         joint = above[joint.parent]
@@ -241,26 +238,23 @@ def _radius_of_mesh(mesh: Mesh, pose: Pose, joint: Joint) -> float:
     return float(reaches.max()) if np.ptp(reaches) < ROUND * reaches.max() else 0.0
 
 
-def fit_for_skidding(links: Sequence[Link], wheels: Sequence[SkiddingWheel]) -> List[Link]:
+def fit_for_skidding(links: Sequence[Link], wheels: Sequence[SkiddingWheel]) -> list[Link]:
     """Return the links with wheels that are heavy enough at the rim (`LEAST_RIM`), and soft.
 
     How hard wheels share the load of a body is undetermined, and Bullet's solver would decide.
     On springs, the load of each wheel follows from where the wheel is.
     """
-    load = sum(link.inertia.mass for link in links if link.inertia is not None) / len(wheels)
+    load = sum(link.inertia.mass for link in links) / len(wheels)
     spring = {"stiffness": load * GRAVITY / SINKING, "damping": load * GRAVITY / SINKING_SPEED}
-    by_name = {wheel.link: wheel for wheel in wheels}
-    fitted = []
-    for link in links:
-        wheel = by_name.get(link.name)
-        if wheel is not None and link.inertia is not None:
-            matrix = link.inertia.matrix
-            lacking = LEAST_RIM * load * wheel.radius**2 - wheel.axle @ matrix @ wheel.axle
-            inertia = replace(link.inertia, matrix=matrix + max(0.0, lacking) * np.eye(3))
-            shapes = tuple(
-                replace(shape, **spring) if shape.stiffness is shape.damping is None else shape
-                for shape in link.collisions
-            )
-            link = replace(link, inertia=inertia, collisions=shapes)
-        fitted.append(link)
-    return fitted
+    by_name = {link.name: link for link in links}
+    for wheel in wheels:
+        link = by_name[wheel.link]
+        matrix = link.inertia.matrix
+        lacking = LEAST_RIM * load * wheel.radius**2 - wheel.axle @ matrix @ wheel.axle
+        inertia = replace(link.inertia, matrix=matrix + max(0.0, lacking) * np.eye(3))
+        shapes = tuple(
+            replace(shape, **spring) if shape.stiffness is shape.damping is None else shape
+            for shape in link.collisions
+        )
+        by_name[wheel.link] = replace(link, inertia=inertia, collisions=shapes)
+    return list(by_name.values())

@@ -13,26 +13,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterable,
-    List,
-    Mapping,
-    Optional,
-    Protocol,
-    Sequence,
-    Tuple,
-)
+from typing import Iterable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.physics import is_contact, pybullet
-from bullet_lab.simulation.physics.bodies import BulletLink
-from bullet_lab.simulation.physics.surfaces import SkiddingWheel
+from bullet_lab.simulation.physics import pybullet
+from bullet_lab.simulation.physics.bodies import Body, is_contact
+from bullet_lab.simulation.physics.surfaces import SkiddingWheel, dot
 from bullet_lab.simulation.world.description import Joint, Link
 
 # Something along a wheel's rolling direction, and the same along its axle.
@@ -58,7 +47,7 @@ FLANK = 0.05
 UP = np.array((0.0, 0.0, 1.0))
 
 
-def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> Tuple[float, float, float]:
+def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> tuple[float, float, float]:
     """Return the wanted friction within its limits, and the share of the wanted that is left.
 
     The share is that of the direction in which more is left.
@@ -97,20 +86,6 @@ def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> Tuple[float, floa
     return u / length * limits[0], v / length * limits[1], 1.0 / (1.0 + s * min(p, q))
 
 
-class Body(Protocol):
-    """The members of `physics.Body` that are used here."""
-
-    unique_id: int
-    client: int
-    links: Tuple[Link, ...]
-    bullet_links: Tuple[BulletLink, ...]
-    com_place: Callable[[], Tuple[Vector, Any]]
-    near_points: Callable[[], Sequence[tuple]]
-    velocity: Callable[[], Tuple[Vector, Vector]]
-    link_indices: Callable[[str], Tuple[int, ...]]
-    link_at: Callable[[int], BulletLink]
-
-
 @dataclass(frozen=True)
 class Partner:
     """What a wheel touches.
@@ -122,7 +97,7 @@ class Partner:
     """
 
     coefficients: Pair
-    link: Optional[Tuple[Body, int]] = None
+    link: tuple[Body, int] | None = None
     share: float = 1.0
 
 
@@ -174,27 +149,29 @@ class Traction:
         body: that has the wheels.
         wheels: its skidding wheels.
         others: all bodies in the world by their unique ids.
+
+    Attributes:
+        owners: the wheels by PyBullet's index of their links and of their helper links.
     """
 
     def __init__(self, body: Body, wheels: Sequence[SkiddingWheel], others: Mapping[int, Body]):
         self._body = body
         self._described = tuple(wheels)
         self._others = others
-        self._wheels: List[WheelFriction] = []
-        # By PyBullet's index of a wheel's link, or of a helper link of the wheel.
-        self._owners: Dict[int, WheelFriction] = {}
+        self._wheels: list[WheelFriction] = []
+        self.owners: dict[int, WheelFriction] = {}
         for described in wheels:
             indices = body.link_indices(described.link)
             frame = body.link_at(indices[0]).mass_properties()[2]
             wheel = WheelFriction(indices[0], frame.inverse().rotate(described.axle))
             self._wheels.append(wheel)
-            self._owners.update(dict.fromkeys(indices, wheel))
+            self.owners.update(dict.fromkeys(indices, wheel))
         self.update_gains()
-        for index in self._owners:
+        for index in self.owners:
             pybullet.changeDynamics(
                 body.unique_id, index, lateralFriction=0.0, physicsClientId=body.client
             )
-        self._partners: Dict[Tuple[int, int, int], Partner] = {}
+        self._partners: dict[tuple[int, int, int], Partner] = {}
         self._points_are_valid = False
         indices = [wheel.index for wheel in self._wheels]
         self._states = partial(pybullet.getLinkStates, body.unique_id, indices, 1, 0, body.client)
@@ -221,20 +198,16 @@ class Traction:
         for wheel in self._wheels:
             wheel.reset()
 
-    def acts_on(self, index: int) -> bool:
-        """Return whether the friction of the link with PyBullet's index is computed here."""
-        return index in self._owners
-
     def before_step(self, _: int) -> None:
         """Apply the wheels' friction in the coming step."""
         if not self._points_are_valid:
             # The engine's contact points are still those of the place before.
             self._points_are_valid = True
             return
-        touching: Dict[int, List[tuple]] = {wheel.index: [] for wheel in self._wheels}
+        touching: dict[int, list[tuple]] = {wheel.index: [] for wheel in self._wheels}
         for point in self._body.near_points():
-            if point[3] in self._owners and is_contact(point):
-                touching[self._owners[point[3]].index].append(point)
+            if point[3] in self.owners and is_contact(point):
+                touching[self.owners[point[3]].index].append(point)
         for wheel, state in zip(self._wheels, self._states()):
             points = touching[wheel.index]
             load = sum([point[9] for point in points])
@@ -244,7 +217,7 @@ class Traction:
                 self._apply_friction(wheel, state, zip(points, weights))
 
     def _apply_friction(
-        self, wheel: WheelFriction, state: tuple, points: Iterable[Tuple[tuple, float]]
+        self, wheel: WheelFriction, state: tuple, points: Iterable[tuple[tuple, float]]
     ) -> None:
         """Push the wheel, and what it touches, at PyBullet's points, which have weights.
 
@@ -252,20 +225,24 @@ class Traction:
         point gets a part of the friction in the same ratio.
         """
         axle = Pose(quaternion=state[1]).rotate(wheel.axle)
-        mu_along = mu_across = 0.0
-        slip_along = slip_across = 0.0
+        mu_along = 0.0
+        mu_across = 0.0
+        slip_along = 0.0
+        slip_across = 0.0
         share = 1.0
         parts = []
         for point, weight in points:
             partner, place = self._partner(point), point[5]
             rolling, lateral = _directions(axle, point[7])
-            slip = _slip(state, place, partner)
+            slip = add(state[6], cross(state[7], subtract(place, state[0])))
+            if partner.link is not None:
+                slip = subtract(slip, _velocity_of(*partner.link, place))
             part_along = weight * partner.coefficients[0]
             part_across = weight * partner.coefficients[1]
             mu_along += part_along
             mu_across += part_across
-            slip_along += part_along * _dot(slip, rolling)
-            slip_across += part_across * _dot(slip, lateral)
+            slip_along += part_along * dot(slip, rolling)
+            slip_across += part_across * dot(slip, lateral)
             share = min(share, partner.share)
             parts.append((partner, place, rolling, lateral, part_along, part_across))
         mu_along = max(mu_along, LEAST_COEFFICIENT)
@@ -280,15 +257,17 @@ class Traction:
                 x * rolling[1] + y * lateral[1],
                 x * rolling[2] + y * lateral[2],
             )
-            _push(self._body, wheel.index, force, place)
+            self._body.push_at(wheel.index, force, place)
             if partner.link is not None:
-                _push(*partner.link, (-force[0], -force[1], -force[2]), place)
+                other, index = partner.link
+                other.push_at(index, (-force[0], -force[1], -force[2]), place)
 
     def _partner(self, point: tuple) -> Partner:
         key = (point[3], point[2], point[4])
-        if key not in self._partners:
-            self._partners[key] = self._new_partner(*key)
-        return self._partners[key]
+        partner = self._partners.get(key)
+        if partner is None:
+            partner = self._partners[key] = self._new_partner(*key)
+        return partner
 
     def _new_partner(self, index: int, unique_id: int, other_index: int) -> Partner:
         other = self._others[unique_id]
@@ -296,28 +275,14 @@ class Traction:
         # The axis of a wheel's surface with two coefficients is its axle.
         along = min(own.across * own.friction, theirs.friction)
         across = min(own.along * own.friction, theirs.friction)
-        if other.bullet_links[0].link.inertia is None or other is self._body:
+        if not other.moves or other is self._body:
             return Partner((along, across))
-        mass = sum(link.inertia.mass for link in other.links if link.inertia is not None)
-        yields = YIELDING * len(self._wheels) * max(self._owners[index].gains) / STEPS_PER_SECOND
+        mass = sum(link.inertia.mass for link in other.links)
+        yields = YIELDING * len(self._wheels) * max(self.owners[index].gains) / STEPS_PER_SECOND
         return Partner((along, across), (other, other_index), mass / (mass + yields))
 
 
-def _push(body: Body, index: int, force: Vector, place: Vector) -> None:
-    pybullet.applyExternalForce(
-        body.unique_id, index, force, place, pybullet.WORLD_FRAME, body.client
-    )
-
-
-def _slip(state: tuple, place: Vector, partner: Partner) -> Vector:
-    """Return the velocity (m/s) of a place on a wheel relative to what it touches there."""
-    slip = add(state[6], cross(state[7], subtract(place, state[0])))
-    if partner.link is None:
-        return slip
-    return subtract(slip, _velocity_of(*partner.link, place))
-
-
-def _directions(axle: Vector, normal: Vector) -> Tuple[Vector, Vector]:
+def _directions(axle: Vector, normal: Vector) -> tuple[Vector, Vector]:
     """Return a wheel's rolling direction at a contact with this normal, and its lateral one."""
     x, y, z = cross(axle, normal)
     length = math.sqrt(x * x + y * y + z * z)
@@ -338,13 +303,8 @@ def _velocity_of(body: Body, index: int, place: Vector) -> Vector:
     return add(linear, cross(angular, subtract(place, centre)))
 
 
-def _dot(one: Vector, other: Vector) -> float:
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
-
-
-# A degree of freedom: its column in a Jacobian, its axis, and a place on the axis; the place is
-# None for a translation.
-Freedom = Tuple[int, np.ndarray, Optional[np.ndarray]]
+# A degree of freedom: its axis, and a place on the axis; the place is None for a translation.
+Freedom = Tuple[np.ndarray, Optional[np.ndarray]]
 
 
 def wheel_mobility(
@@ -357,22 +317,21 @@ def wheel_mobility(
     in space, and its joints are loose and at zero.
     """
     poses = {link.name: link.pose for link in links}
-    freedoms, count = _freedoms(links, joints)
-    inertia = np.zeros((count, count))
+    freedoms, columns = _freedoms(links, joints)
+    inertia = np.zeros((len(freedoms), len(freedoms)))
     for link in links:
         if link.inertia is not None:
             centre = np.array((link.pose * Pose(link.inertia.centre)).position)
-            linear, angular = _jacobian(centre, freedoms[link.name], count)
+            linear, angular = _jacobian(centre, freedoms, columns[link.name])
             turn = link.pose.rotation_matrix().T @ angular
             inertia += link.inertia.mass * linear.T @ linear + turn.T @ link.inertia.matrix @ turn
     rows = []
     for wheel in wheels:
         axle = np.array(poses[wheel.link].rotate(wheel.axle))
         rolling = np.cross(axle, UP) / np.linalg.norm(np.cross(axle, UP))
-        above = reversed(freedoms[wheel.link])
-        hub = next(place for _, _, place in above if place is not None)
-        touch = hub - wheel.radius * np.cross(rolling, axle)
-        linear, _ = _jacobian(touch, freedoms[wheel.link], count)
+        own = columns[wheel.link]
+        _, hub = freedoms[own[-1]]
+        linear, _ = _jacobian(hub - wheel.radius * np.cross(rolling, axle), freedoms, own)
         rows += [rolling @ linear, axle @ linear]
     touches = np.array(rows)
     # Links without inertia of their own change nothing for those that carry them.
@@ -381,34 +340,29 @@ def wheel_mobility(
 
 def _freedoms(
     links: Sequence[Link], joints: Sequence[Joint]
-) -> Tuple[Dict[str, List[Freedom]], int]:
-    """Return the joints' freedoms that move each link, and how many there are with the root's 6."""
+) -> tuple[list[Freedom], dict[str, list[int]]]:
+    """Return the freedoms, those of the root first, and which of them move each link."""
     above = {joint.child: joint for joint in joints}
-    freedoms: Dict[str, List[Freedom]] = {}
-    count = 6
-    for link in links:
-        joint = above.get(link.name)
-        if joint is None:
-            freedoms[link.name] = []
-            continue
+    freedoms: list[Freedom] = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
+    columns: dict[str, list[int]] = {links[0].name: list(range(len(freedoms)))}
+    for link in links[1:]:
+        joint = above[link.name]
         place = np.array((link.pose * Pose(joint.anchor)).position)
         turn = link.pose.rotation_matrix()
         axes = {"ball": turn.T, "fixed": ()}.get(joint.kind, [turn @ joint.axis])
-        at = None if joint.kind == "prismatic" else place
-        own = [(column, axis, at) for column, axis in enumerate(axes, count)]
-        freedoms[link.name] = freedoms[joint.parent] + own
-        count += len(own)
-    return freedoms, count
+        first = len(freedoms)
+        freedoms += [(axis, None if joint.kind == "prismatic" else place) for axis in axes]
+        columns[link.name] = [*columns[joint.parent], *range(first, len(freedoms))]
+    return freedoms, columns
 
 
 def _jacobian(
-    place: np.ndarray, freedoms: Sequence[Freedom], count: int
-) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the linear and angular Jacobian, (3, count) each, of a place (m) on a link."""
-    linear, angular = np.zeros((3, count)), np.zeros((3, count))
-    linear[:, :3] = angular[:, 3:6] = np.eye(3)
-    linear[:, 3:6] = np.cross(np.eye(3), place).T
-    for column, axis, at in freedoms:
+    place: np.ndarray, freedoms: Sequence[Freedom], columns: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the linear and angular Jacobian of a place (m) that some of the freedoms move."""
+    linear, angular = np.zeros((2, 3, len(freedoms)))
+    for column in columns:
+        axis, at = freedoms[column]
         linear[:, column] = axis if at is None else np.cross(axis, place - at)
         if at is not None:
             angular[:, column] = axis

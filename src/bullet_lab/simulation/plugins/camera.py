@@ -1,4 +1,4 @@
-"""Cameras: pictures of the simulation, and depth.
+"""Cameras: pictures of the simulation with the errors of lens and sensor, and depth.
 
 libgazebo_ros_camera.so, libgazebo_ros_openni_kinect.so and libgazebo_ros_depth_camera.so.
 """
@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any, ClassVar, Mapping, Optional, Tuple
+from dataclasses import astuple, dataclass, replace
+from typing import Any, ClassVar, Mapping
 
 import cv2
 import numpy as np
@@ -15,22 +16,17 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins.plugin import Mount, Output, Plugin, PluginError, SensorTag
+from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
-from bullet_lab.simulation.rendering.finish import (
-    WHITE,
-    CameraSettings,
-    Lens,
-    SensorNoise,
-    blurred,
-)
-from bullet_lab.simulation.rendering.graphics import SAMPLES
-from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError, check_samples
+from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 
 LOG = logging.getLogger(__name__)
 
 ENCODINGS = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
 LARGEST_SIDE = 8192
+WHITE = 255.0
+# Hz.
 DEFAULT_RATE = 30.0
 DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
 # The step of the generator that draws the table of noise; simulated time never reaches it.
@@ -48,6 +44,139 @@ FARTHER = 1.01
 BRIGHTEST = 4.0
 # The greatest number of millimetres that a 16UC1 image holds.
 MOST_MILLIMETRES = 65535
+# How many numbers the table of noise has beyond those of one picture: the number of its offsets.
+SPARE_NOISE = 1 << 20
+# The ideal picture is at most this many times larger than the distorted one.
+WIDEST = 3.0
+# A coordinate outside every picture.
+NOWHERE = -10.0
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """Settings of a camera that may change between pictures.
+
+    Attributes:
+        samples: samples of each pixel, 1, 2 or 4.
+        exposure: factor of the brightness.
+        blur: standard deviation of the blur in pixels.
+        noise_mean: mean of the noise of each pixel and colour, as a share of white.
+        noise_stddev: its standard deviation, likewise.
+    """
+
+    samples: int = 1
+    exposure: float = 1.0
+    blur: float = 0.0
+    noise_mean: float = 0.0
+    noise_stddev: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise RendererError for a number that is not finite or out of its range."""
+        if not all(map(math.isfinite, astuple(self))):
+            raise RendererError("a camera setting is not finite")
+        check_samples(self.samples)
+        if min(self.exposure, self.blur, self.noise_stddev) < 0.0:
+            raise RendererError("exposure, blur and noise_stddev must not be negative")
+        if abs(self.noise_mean) > 1.0 or self.noise_stddev > 1.0:
+            raise RendererError("noise is a share of white; at most 1 is allowed")
+
+
+class SensorNoise:
+    """Normal noise, drawn once and read from a random offset for each picture.
+
+    Drawing new numbers for each frame would take as long as rendering it. The numbers in a picture
+    are independent. Two pictures share numbers, at different pixels unless their offsets are the
+    same (one in a million). Mean and deviation are shares of white.
+    """
+
+    def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
+        noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
+        noise = np.rint(WHITE * (mean + stddev * noise))
+        # Two arrays, since adding and subtracting bytes is fast and saturates.
+        self._more = np.clip(noise, 0, 255).astype(np.uint8)
+        self._less = np.clip(-noise, 0, 255).astype(np.uint8)
+
+    def add_to(self, picture: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """Return the picture with noise; `random` draws the offset."""
+        first = int(random.integers(SPARE_NOISE))
+        part = slice(first, first + picture.size)
+        more, less = (a[part].reshape(picture.shape) for a in (self._more, self._less))
+        return cv2.subtract(cv2.add(picture, more), less)
+
+
+def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """Return the picture with a Gaussian blur of `sigma` pixels, as uint8.
+
+    A float32 picture is clipped to white afterwards.
+    """
+    if sigma <= 0.0:
+        return picture
+    picture = cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    return picture if picture.dtype == np.uint8 else cv2.convertScaleAbs(picture)
+
+
+class Lens:
+    """A distorting lens: the ideal camera to draw with, and the distortion of its pictures.
+
+    Pixels outside the lens, or that would need too large an ideal picture, are black.
+
+    Attributes:
+        camera: the camera with distortion.
+        ideal: the camera without distortion that draws.
+        black: the share of black pixels.
+
+    Raises:
+        RendererError: all pixels are black.
+    """
+
+    def __init__(self, camera: PinholeCamera):
+        self.camera = self.ideal = camera
+        self.black = 0.0
+        # Where each pixel is in the ideal picture, (2, height, width).
+        self._places: np.ndarray | None = None
+        if any(camera.distortion):
+            self._set_ideal()
+
+    def _set_ideal(self) -> None:
+        camera = self.camera
+        pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
+        centre, size = np.array((camera.cx, camera.cy)), np.array((camera.width, camera.height))
+        offsets = camera.slopes(pixels) * (camera.fx, camera.fy)
+        shown = (np.abs(offsets) < 0.5 * WIDEST * size).all(axis=1)
+        if not shown.any():
+            problem = "leaves nothing of the picture"
+            raise RendererError(f"a distortion of {camera.distortion} {problem}")
+        places = offsets + centre
+        # One pixel more on each side, for the interpolation.
+        first = np.floor(places[shown].min(axis=0)) - 1
+        width, height = (np.ceil(places[shown].max(axis=0)) + 2 - first).astype(int).tolist()
+        self.ideal = PinholeCamera(width, height, camera.fx, camera.fy, *(centre - first).tolist())
+        places = np.where(shown[:, None], places - first, NOWHERE).astype(np.float32)
+        self._places = places.T.reshape(2, camera.height, camera.width)
+        self.black = 1.0 - float(np.mean(shown))
+
+    def bend(self, picture: np.ndarray) -> np.ndarray:
+        """Return the picture of `camera` from that of `ideal`."""
+        if self._places is None:
+            return picture
+        return cv2.remap(picture, *self._places, cv2.INTER_LINEAR)
+
+    def pick(self, values: np.ndarray) -> np.ndarray:
+        """Return the values of `camera`'s pixels from the nearest pixels of `ideal`.
+
+        Interpolation would mix the depths of two objects.
+        """
+        if self._places is None:
+            return values
+        return cv2.remap(values, *self._places, cv2.INTER_NEAREST, borderValue=math.nan)
+
+    def slopes(self) -> np.ndarray:
+        """Return x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
+        camera, places = self.ideal, self._places
+        if places is None:
+            places = np.indices((camera.height, camera.width))[::-1]
+        slopes = (places[0] - camera.cx) / camera.fx, (places[1] - camera.cy) / camera.fy
+        return np.array(slopes, dtype=np.float32)
 
 
 class Camera(Plugin):
@@ -64,7 +193,7 @@ class Camera(Plugin):
 
     filenames = ("libgazebo_ros_camera.so",)
     named_by_model = (False, True)
-    sensors: ClassVar[Tuple[str, ...]] = ("camera",)
+    sensors: ClassVar[tuple[str, ...]] = ("camera",)
     # Prefix of the picture's default topics.
     prefix: ClassVar[str] = ""
 
@@ -84,14 +213,12 @@ class Camera(Plugin):
         self._baseline = mount.number("hackBaseline", 0.0)
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
-        self._table: Optional[Tuple[tuple, SensorNoise]] = None
+        self._table: tuple[tuple, SensorNoise] | None = None
         self.name = mount.text("cameraName")
         self.calibration: Mapping[str, Any] = {}
-        self.image = self.output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
-        self.info = self.output(
-            "cameraInfoTopicName", f"{self.prefix}camera_info", CameraInfoSample
-        )
-        self.outputs = (self.image, self.info)
+        self.image = self._output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
+        info = f"{self.prefix}camera_info"
+        self.info = self._output("cameraInfoTopicName", info, CameraInfoSample)
         rates = (tag.number("update_rate", 0.0), mount.number("updateRate", 0.0))
         given = [rate for rate in rates if rate != 0.0]
         try:
@@ -113,9 +240,9 @@ class Camera(Plugin):
         """Return the camera's pose in the world: x ahead, z up."""
         return self._place.pose()
 
-    def output(self, tag: str, default: str, kind: type) -> Output:
+    def _output(self, tag: str, default: str, kind: type) -> Output:
         """Return an output on the topic in a tag, in the camera's namespace."""
-        return Output(self.topic(self.mount.text(tag, default)), kind)
+        return self.output(self.topic(self.mount.text(tag, default)), kind)
 
     def topic(self, name: str) -> str:
         """Return the full name of a topic in the camera's namespace."""
@@ -140,38 +267,34 @@ class Camera(Plugin):
 
         Noise depends on the step. Raises LabError if something cannot be drawn.
         """
-        settings = self.settings
-        picture = blurred(self.lens.bend(self._picture()), settings.blur)
+        picture = blurred(self.lens.bend(self._picture()), self.settings.blur)
         if self.encoding == "bgr8":
             picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
         elif self.encoding == "mono8":
             picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        if settings.noise_mean or settings.noise_stddev:
-            picture = self._noisy(picture, step)
-        return picture
+        key = (self.settings.noise_mean, self.settings.noise_stddev)
+        if not any(key):
+            return picture
+        if self._table is None or self._table[0] != key:
+            table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
+            self._table = (key, table)
+        return self._table[1].add_to(picture, self._noise.at(step))
 
     def _picture(self) -> np.ndarray:
         """Return the picture before the lens; if that blurs, with values brighter than white.
 
         A lens blurs the light before the sensor clips it.
         """
-        renderer, exposure, shot = self.mount.renderer(), self.settings.exposure, self._shot()
-        picture = renderer.picture(self.pose(), shot, exposure)
+        draw, exposure = self.mount.simulation.renderer().picture, self.settings.exposure
+        picture = draw(self.pose(), self._shot(), exposure)
         if not self.settings.blur or not (picture == WHITE).any():
             return picture
-        light = BRIGHTEST * renderer.picture(self.pose(), shot, exposure / BRIGHTEST)
+        light = BRIGHTEST * draw(self.pose(), self._shot(), exposure / BRIGHTEST)
         # Near white, a part of the pixel was clipped; elsewhere, the two differ by rounding.
         return np.where(light > picture + BRIGHTEST, light, picture).astype(np.float32)
 
     def _shot(self) -> Shot:
         return Shot(self.lens.ideal, self.near, self.far, self.settings.samples)
-
-    def _noisy(self, picture: np.ndarray, step: int) -> np.ndarray:
-        key = (self.settings.noise_mean, self.settings.noise_stddev)
-        if self._table is None or self._table[0] != key:
-            table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
-            self._table = (key, table)
-        return self._table[1].add_to(picture, self._noise.at(step))
 
 
 def _geometry(mount: Mount, tag: SensorTag) -> PinholeCamera:
@@ -183,12 +306,10 @@ def _geometry(mount: Mount, tag: SensorTag) -> PinholeCamera:
     for name in GEOMETRY_TAGS:
         if mount.number(name, 0.0) != 0.0:
             LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
-    focal = 0.5 * width / math.tan(0.5 * fov)
-    centre = (0.5 * (width - 1), 0.5 * (height - 1))
-    return PinholeCamera(width, height, focal, focal, *centre, _distortion(mount, tag))
+    return replace(centred_camera(width, height, fov), distortion=_distortion(mount, tag))
 
 
-def _distortion(mount: Mount, tag: SensorTag) -> Tuple[float, ...]:
+def _distortion(mount: Mount, tag: SensorTag) -> tuple[float, ...]:
     """Return k1, k2, p1, p2, k3, of the plugin's tags or the sensor's.
 
     Gazebo draws with the sensor's and publishes the plugin's.
@@ -204,18 +325,17 @@ def _distortion(mount: Mount, tag: SensorTag) -> Tuple[float, ...]:
 def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
     given = {key: mount.number(key, getattr(CameraSettings, key)) for key in ("exposure", "blur")}
     kind = tag.text("camera/noise/type", "gaussian")
-    if tag.has("camera/noise") and kind == "gaussian":
+    if kind == "gaussian":
         for key in ("mean", "stddev"):
             given[f"noise_{key}"] = tag.number(f"camera/noise/{key}", 0.0)
-    elif tag.has("camera/noise") and kind != "none":
+    elif kind != "none":
         raise PluginError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
     # Samples of each pixel: the plugin's own tag, or SDF's `<anti_aliasing>`.
     asked = tag.number("camera/image/anti_aliasing", CameraSettings.samples)
     default = max(number for number in SAMPLES if number <= max(asked, SAMPLES[0]))
     samples = mount.number("samples", default)
     # `CameraSettings` refuses all numbers that are not among SAMPLES.
-    given["samples"] = int(samples) if samples == round(samples) else samples
-    return CameraSettings(**given)
+    return CameraSettings(int(samples) if samples in SAMPLES else samples, **given)
 
 
 class DepthCamera(Camera):
@@ -228,7 +348,7 @@ class DepthCamera(Camera):
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
-    sensors: ClassVar[Tuple[str, ...]] = ("depth",)
+    sensors: ClassVar[tuple[str, ...]] = ("depth",)
     prefix = "ir/"
 
     def __init__(self, mount: Mount):
@@ -237,13 +357,11 @@ class DepthCamera(Camera):
         self._in_millimetres = mount.boolean("useDepth16UC1Format", False)
         for tag in NOT_SIMULATED:
             mount.text(tag)
-        self.depth = self.output("depthImageTopicName", "depth/image_raw", ImageSample)
-        self.depth_info = self.output(
-            "depthImageCameraInfoTopicName", "depth/camera_info", CameraInfoSample
-        )
-        self.points = self.output("pointCloudTopicName", "points", PointsSample)
-        self.outputs = (*self.outputs, self.depth, self.depth_info, self.points)
-        self._slopes: Optional[np.ndarray] = None
+        self.depth = self._output("depthImageTopicName", "depth/image_raw", ImageSample)
+        tag, info = "depthImageCameraInfoTopicName", "depth/camera_info"
+        self.depth_info = self._output(tag, info, CameraInfoSample)
+        self.points = self._output("pointCloudTopicName", "points", PointsSample)
+        self._slopes: np.ndarray | None = None
 
     def produce(self, step: int) -> None:
         image, depth, points = (o.wanted for o in (self.image, self.depth, self.points))
@@ -263,7 +381,7 @@ class DepthCamera(Camera):
     def measure(self) -> np.ndarray:
         """Return distances along the optical axis, (height, width) float32 in m, or NaN."""
         shot = Shot(self.lens.ideal, self.near, FARTHER * self._farthest)
-        depths = self.mount.renderer().depths(self.pose(), shot)
+        depths = self.mount.simulation.renderer().depths(self.pose(), shot)
         depths[(depths <= self._closest) | (depths >= self._farthest)] = np.nan
         return self.lens.pick(depths)
 
@@ -282,7 +400,7 @@ class DepthCamera(Camera):
         pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
 
-    def _measured_range(self) -> Tuple[float, float]:
+    def _measured_range(self) -> tuple[float, float]:
         """Return the least and the greatest depth that is measured, in m."""
         mount = self.mount
         is_kinect = mount.plugin.filename.startswith(KINECT)

@@ -1,12 +1,20 @@
-"""The base of plugins that take velocity commands and send odometry."""
+"""Robots that take velocity commands and send odometry: the base, and planar_move.
+
+libgazebo_ros_planar_move.so. The drives on wheels are in `wheel_drives`.
+"""
 
 from __future__ import annotations
 
-from typing import ClassVar, Tuple
+import math
+from dataclasses import dataclass
+from typing import ClassVar
 
-from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.plugin import Input, Mount, Output, Plugin, PluginError
+from bullet_lab.core.pose import Pose, heading_of
+from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.physics.physics import STEP_SECONDS
+from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.samples import (
+    STANDSTILL,
     Diagonal,
     OdometrySample,
     PlanarCommand,
@@ -14,10 +22,15 @@ from bullet_lab.simulation.plugins.samples import (
     is_sound,
 )
 
-STANDSTILL = PlanarCommand()
 # Variance of what the odometry does not know, as in Gazebo.
 UNKNOWN = 1e12
 POSE_VARIANCES = (1e-5, 1e-5, UNKNOWN, UNKNOWN, UNKNOWN, 1e-3)
+# From the three turns in data/fig1_paths.csv: 90.14°, 90.13° and 90.67° in 34 commands at 10 Hz,
+# 0.4636 rad/s where 0.5236 was asked for; r = 0.0600 rad/s · Izz / (m·g·dt).
+PUBLISHED_RADIUS = 0.0102
+# Bullet's contact carries a body in small pushes; the load is their mean over about 20 steps.
+LOAD_SMOOTHING = 0.05
+STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
 
 
 class MobileBase(Plugin):
@@ -28,7 +41,8 @@ class MobileBase(Plugin):
         frame: name of the odometry's frame.
     """
 
-    directions: ClassVar[Tuple[str, ...]] = ("vx", "wz")
+    directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
+    transform: Output
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -37,8 +51,7 @@ class MobileBase(Plugin):
         self._in_root = None if root == Pose() else root.inverse()
         self.frame = mount.frame(mount.text("odometryFrame", "odom"))
         self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
-        self.odometry = Output(mount.topic(mount.text("odometryTopic", "odom")), OdometrySample)
-        self.transform = Output("/tf", TransformSample)
+        self.odometry = self.output(mount.text("odometryTopic", "odom"), OdometrySample)
         topic = mount.topic(mount.text("commandTopic", "cmd_vel"))
         self.inputs = (Input(topic, PlanarCommand, self.command),)
 
@@ -63,16 +76,150 @@ class MobileBase(Plugin):
         return pose if self._in_root is None else pose * self._in_root
 
     def _send_odometry(
-        self, step: int, poses: Tuple[Pose, Pose], velocity: PlanarCommand, *variances: Diagonal
+        self, step: int, pose: Pose, velocity: PlanarCommand, *variances: Diagonal, flat: bool
     ) -> None:
-        """Send one pose as odometry and one as transform."""
+        """Send a pose as odometry, flat with z = 0, and as transform."""
         frames = (self.frame, self._base_frame)
         if self.odometry.wanted:
-            self.odometry.send(OdometrySample(step, *frames, poses[0], velocity, *variances))
+            x, y, z = pose.position
+            seen = Pose((x, y, 0.0 if flat else z), pose.quaternion)
+            self.odometry.send(OdometrySample(step, *frames, seen, velocity, *variances))
         if self.transform.wanted:
-            self.transform.send(TransformSample(step, *frames, poses[1]))
+            self.transform.send(TransformSample(step, *frames, pose))
 
-    @staticmethod
-    def _flat(pose: Pose) -> Pose:
-        x, y, _ = pose.position
-        return Pose((x, y, 0.0), pose.quaternion)
+
+@dataclass(frozen=True)
+class SupportPatch:
+    """The contact of a planar_move robot with the floor.
+
+    Bullet's own contact, four points at the corners of a block, nearly stops its turns. So the
+    friction is that of one support patch (`docs/contact_model.md`), with the ellipsoidal limit
+    surface of Howe and Cutkosky (1996, "Practical force-motion models for sliding manipulation"):
+    force F and moment M about the vertical satisfy (F/μN)² + (M/μNr)² = 1, with N the load and r
+    the effective radius of the patch, and oppose the slip.
+
+    Attributes:
+        friction: Coulomb's coefficient μ.
+        radius: the effective radius r in m; a disc of radius R under even pressure has 2R/3.
+        mass: of the robot, in kg.
+        inertia: of the robot about the vertical through its centre of mass, in kg m².
+    """
+
+    friction: float
+    radius: float
+    mass: float
+    inertia: float
+
+    def slow_down(
+        self, vx: float, vy: float, wz: float, load: float, dt: float
+    ) -> tuple[float, float, float]:
+        """Return the velocity (m/s, m/s, rad/s) that friction leaves after a short time `dt` (s).
+
+        The `load` on the floor is in N. Friction brings the robot to rest and never reverses it.
+
+        >>> patch = SupportPatch(friction=1.0, radius=0.01, mass=2.0, inertia=0.1)
+        >>> vx, vy, wz = patch.slow_down(0.5, 0.0, 0.0, load=19.6, dt=1e-3)
+        >>> round(vx, 9), vy, wz
+        (0.4902, 0.0, 0.0)
+        """
+        spin = self.radius * wz
+        slip = math.sqrt(vx * vx + vy * vy + spin * spin)
+        if slip == 0.0 or load <= 0.0:
+            return vx, vy, wz
+        impulse = self.friction * load * dt / slip
+        keep_linear = max(0.0, 1.0 - impulse / self.mass)
+        keep_angular = max(0.0, 1.0 - impulse * self.radius * self.radius / self.inertia)
+        return keep_linear * vx, keep_linear * vy, keep_angular * wz
+
+
+class PlanarMove(MobileBase):
+    """Moves the robot as commanded, and sends its true pose as odometry.
+
+    Before each step the body gets the last commanded velocity, turned by its yaw and reduced by
+    floor friction (`SupportPatch`), without roll, pitch and vertical velocity. So a robot in the
+    air does not fall but sinks at g·dt, 1 cm/s, as in Gazebo; without a floor under it, no
+    friction slows it down. The command stays until the next one, or until `cmdTimeout` seconds
+    have passed.
+    """
+
+    filenames = ("libgazebo_ros_planar_move.so",)
+    acts = True
+    directions = ("vx", "vy", "wz")
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self.transform = self.output("/tf", TransformSample)
+        timeout = mount.number("cmdTimeout", -1.0)
+        self._timeout = math.inf if timeout < 0.0 else round(timeout * STEPS_PER_SECOND)
+        patch = _support_patch(mount)
+        self._mass = patch.mass
+        # For the inner loop.
+        self._slow_down = patch.slow_down
+        self._set_velocity = self._body.set_velocity
+        self._turned = self._body.turned_inertia
+        self._simulation = mount.simulation
+        self.schedule = mount.schedule("odometryRate", 20.0)
+        self._body.remove_sliding_friction()
+
+    def command(self, command: PlanarCommand) -> None:
+        """Take over a velocity; it acts from the next step on, until the timeout."""
+        super().command(command)
+        self._expires = self._now + self._timeout
+
+    def before_step(self, step: int) -> None:
+        self._now = step + 1
+        command = self._command
+        if step >= self._expires:
+            command = STANDSTILL
+        (_, _, height), quaternion = self._body.com_place()
+        # The load follows from Newton's law: the body started the last step without vertical
+        # velocity, so the floor has carried what did not become a fall.
+        pull = -self._simulation.world.gravity[2] * self._body.weight
+        carried = self._mass * (pull + (height - self._height) / STEP_SQUARED)
+        self._height = height
+        self._load += LOAD_SMOOTHING * (carried - self._load)
+        vx, vy, wz = self._slow_down(command.vx, command.vy, command.wz, self._load, STEP_SECONDS)
+        if self._turned:
+            quaternion = self._body.pose().quaternion
+        cosine, sine = heading_of(quaternion)
+        self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
+
+    def produce(self, step: int) -> None:
+        pose = self._pose()
+        velocity = self._velocity_since(step, pose)
+        self._last_step, self._last_pose = step, pose
+        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
+
+    def reset(self, step: int) -> None:
+        self._now, self._expires = step, math.inf
+        super().reset(step)
+
+    def placed(self) -> None:
+        self._last_pose = self._pose()
+        self._height = self._body.com_pose().position[2]
+        self._load = -self._mass * self._simulation.world.gravity[2] * self._body.weight
+
+    def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
+        """Return the mean velocity since the last sample, in the robot's present frame."""
+        dt = (step - self._last_step) / STEPS_PER_SECOND
+        if dt <= 0.0:
+            return STANDSTILL
+        dx = pose.position[0] - self._last_pose.position[0]
+        dy = pose.position[1] - self._last_pose.position[1]
+        turned = math.remainder(pose.yaw - self._last_pose.yaw, math.tau)
+        cosine, sine = heading_of(pose.quaternion)
+        return PlanarCommand(
+            (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
+        )
+
+
+def _support_patch(mount: Mount) -> SupportPatch:
+    """Return the patch of the robot's root link, with the least friction of its shapes."""
+    root = mount.model.root_links()[0]
+    masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
+    radius = mount.coefficient("supportRadius", PUBLISHED_RADIUS)
+    mount.require_moving()
+    if root.inertia is None:
+        raise PluginError(f"{mount.name()}: its first link cannot move")
+    friction = min((c.friction for c in root.collisions), default=1.0)
+    return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))

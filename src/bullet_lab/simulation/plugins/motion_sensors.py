@@ -8,27 +8,27 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import ClassVar, Deque, Optional, Tuple
+from typing import ClassVar
 
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.plugins.plugin import (
-    Mount,
-    Output,
-    Plugin,
-    PluginError,
-    SensorTag,
-    slower_of,
-)
+from bullet_lab.simulation.plugins import Mount, PluginError, Sensor, SensorTag
 from bullet_lab.simulation.plugins.samples import ImuSample, JointSample, MotionSample
 
 WORLD_FRAMES = ("world", "/world", "map", "/map")
 # Least number of steps over which accelerations are averaged.
 AVERAGING = 10
 AXES = ("x", "y", "z")
+# Elements of `<imu>` that may have noise, in the order of the readings.
+QUANTITIES = ("angular_velocity", "linear_acceleration")
+
+
+def _offset(mount: Mount) -> Pose:
+    """Return the pose in the tags xyzOffset (m) and rpyOffset (rad)."""
+    return Pose.from_rpy(mount.vector("xyzOffset"), mount.vector("rpyOffset"))
 
 
 class Accelerometer:
@@ -41,7 +41,7 @@ class Accelerometer:
     """
 
     def __init__(self) -> None:
-        self._past: Deque[Tuple[int, Vector]] = deque()
+        self._past: deque[tuple[int, Vector]] = deque()
 
     def restart(self, step: int, velocity: Vector) -> None:
         """Start with a velocity in m/s."""
@@ -64,7 +64,7 @@ class Accelerometer:
 class AxisNoise:
     """Noise of three axes by SDF's `<imu>`: gaussian with a mean, and a constant bias.
 
-    `quantity` is "angular_velocity" or "linear_acceleration".
+    `quantity` is one of QUANTITIES.
     """
 
     def __init__(self, mount: Mount, tag: SensorTag, quantity: str):
@@ -86,7 +86,7 @@ class AxisNoise:
         return tag.number(f"{path}/mean", 0.0) + sign * bias
 
 
-class InertialUnit(Plugin):
+class InertialUnit(Sensor):
     """The base of the two inertial units.
 
     It reports the orientation in the world (REP 145), and in the sensor's axes the angular
@@ -94,6 +94,11 @@ class InertialUnit(Plugin):
     reports the acceleration instead (0 at rest). Frames have no prefix. gaussianNoise is the
     standard deviation of each component: in rad/s, in m/s², and in rad as a small turn of the
     orientation.
+
+    Attributes:
+        place: of the sensor.
+        reference: the quaternion that turns the world's axes into those of the orientation.
+        axis_noise: noise by the index of a quantity in QUANTITIES.
     """
 
     feels_gravity: ClassVar[bool] = True
@@ -101,31 +106,18 @@ class InertialUnit(Plugin):
     reference: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def __init__(self, mount: Mount, frame: str, topic: str):
-        super().__init__(mount)
+        super().__init__(mount, topic, ImuSample)
         self._frame = frame
-        self.imu = Output(mount.topic(topic), ImuSample)
-        self.outputs = (self.imu,)
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
-        self._noise = mount.noise()
+        self.axis_noise: dict[int, AxisNoise] = {}
         self._accelerometer = Accelerometer()
-        self._rate_noise: Optional[AxisNoise] = None
-        self._force_noise: Optional[AxisNoise] = None
         self._step = 0
 
     def produce(self, step: int) -> None:
         self._step = step
-        linear, angular = self.place.velocity()
-        acceleration = self._accelerometer.advance(step, linear)
-        if not self.imu.wanted:
-            return
-        pose = self.place.pose()
-        into = Pose(quaternion=pose.inverse().quaternion)
-        rate = np.array(into.rotate(angular))
-        if self.feels_gravity:
-            acceleration = subtract(acceleration, self.gravity)
-        force = np.array(into.rotate(acceleration))
-        orientation = (Pose(quaternion=self.reference) * pose).quaternion
-        self.imu.send(self._reading(step, orientation, rate, force))
+        linear, self._angular = self.place.velocity()
+        self._acceleration = self._accelerometer.advance(step, linear)
+        super().produce(step)
 
     def reset(self, step: int) -> None:
         self._step = step
@@ -134,25 +126,26 @@ class InertialUnit(Plugin):
     def placed(self) -> None:
         self._accelerometer.restart(self._step, self.place.velocity()[0])
 
-    def _reading(
-        self, step: int, orientation: Quaternion, rate: np.ndarray, force: np.ndarray
-    ) -> ImuSample:
+    def measure(self, step: int) -> ImuSample:
+        pose = self.place.pose()
+        into = pose.inverse()
+        acceleration = self._acceleration
+        if self.feels_gravity:
+            acceleration = subtract(acceleration, self.mount.simulation.world.gravity)
+        orientation = (Pose(quaternion=self.reference) * pose).quaternion
+        readings = [np.array(into.rotate(vector)) for vector in (self._angular, acceleration)]
         variance = self._deviation * self._deviation
-        rate_variance = force_variance = variance
+        variances = [variance, variance]
         random = self._noise.at(step)
         if self._deviation:
             orientation = _turned(orientation, random.normal(0.0, self._deviation, 3))
-            rate = rate + random.normal(0.0, self._deviation, 3)
-            force = force + random.normal(0.0, self._deviation, 3)
-        if self._rate_noise is not None:
-            rate = rate + self._rate_noise.draw(random)
-            rate_variance += float(self._rate_noise.deviations.max()) ** 2
-        if self._force_noise is not None:
-            force = force + self._force_noise.draw(random)
-            force_variance += float(self._force_noise.deviations.max()) ** 2
-        measured = (orientation, tuple(rate.tolist()), tuple(force.tolist()))
-        variances = (variance, rate_variance, force_variance)
-        return ImuSample(step, self._frame, *measured, *variances)
+            for reading in readings:
+                reading += random.normal(0.0, self._deviation, 3)
+        for index, noise in self.axis_noise.items():
+            readings[index] += noise.draw(random)
+            variances[index] += float(noise.deviations.max()) ** 2
+        rate, force = (tuple(reading.tolist()) for reading in readings)
+        return ImuSample(step, self._frame, orientation, rate, force, variance, *variances)
 
 
 class Imu(InertialUnit):
@@ -173,7 +166,7 @@ class Imu(InertialUnit):
         frame = mount.text("frameName", body)
         super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
         self.service = mount.topic(mount.text("serviceName", "/default_imu"))
-        self.place = mount.attached(body, mount.offset())
+        self.place = mount.attached(body, _offset(mount))
         self.schedule = mount.schedule("updateRate", 0.0)
 
 
@@ -187,14 +180,13 @@ class ImuSensor(InertialUnit):
         tag = SensorTag(mount, ("imu",))
         frame = mount.required("frameName")
         super().__init__(mount, frame, mount.text("topicName", "imu_data"))
-        self.place = tag.place(mount.offset())
+        self.place = tag.place(_offset(mount))
         if mount.boolean("initialOrientationAsReference", False):
             self.reference = self.place.pose().inverse().quaternion
-        self.schedule = slower_of(mount.schedule("updateRateHZ", 1.0), tag.schedule())
-        if tag.has("imu/angular_velocity"):
-            self._rate_noise = AxisNoise(mount, tag, "angular_velocity")
-        if tag.has("imu/linear_acceleration"):
-            self._force_noise = AxisNoise(mount, tag, "linear_acceleration")
+        self.schedule = tag.schedule("updateRateHZ", 1.0)
+        for index, quantity in enumerate(QUANTITIES):
+            if tag.element.find(f"imu/{quantity}") is not None:
+                self.axis_noise[index] = AxisNoise(mount, tag, quantity)
 
 
 def _turned(quaternion: Quaternion, turn: np.ndarray) -> Quaternion:
@@ -207,7 +199,7 @@ def _turned(quaternion: Quaternion, turn: np.ndarray) -> Quaternion:
     return (Pose(quaternion=quaternion) * small).quaternion
 
 
-class TruePose(Plugin):
+class TruePose(Sensor):
     """Reports the true pose and velocity of a link as odometry (p3d).
 
     As in Gazebo, the velocity is along the axes of frameName, not of the link. xyzOffset and
@@ -219,33 +211,27 @@ class TruePose(Plugin):
     filenames = ("libgazebo_ros_p3d.so",)
 
     def __init__(self, mount: Mount):
-        super().__init__(mount)
         body, topic = mount.required("bodyName"), mount.required("topicName")
-        self._child = mount.frame(body)
+        super().__init__(mount, topic, MotionSample)
         self._place = mount.attached(body)
         frame = mount.text("frameName", WORLD_FRAMES[0])
-        self._frame = mount.frame(frame)
+        self._frames = (mount.frame(frame), mount.frame(body))
         self._reference = None if frame in WORLD_FRAMES else mount.attached(frame)
-        self._offset = mount.offset()
+        self._offset = _offset(mount)
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
-        self._noise = mount.noise()
-        self.odometry = Output(mount.topic(topic), MotionSample)
-        self.outputs = (self.odometry,)
         self.schedule = mount.schedule("updateRate", 0.0)
 
-    def produce(self, step: int) -> None:
-        if not self.odometry.wanted:
-            return
+    def measure(self, step: int) -> MotionSample:
         pose, linear, angular = self._motion()
         shifted = add(pose.position, self._offset.position)
         moved = Pose(shifted, (self._offset * pose).quaternion)
         if self._deviation:
             errors = self._noise.at(step).normal(0.0, self._deviation, 6).tolist()
             linear, angular = add(linear, errors[:3]), add(angular, errors[3:])
-        frames, variance = (self._frame, self._child), self._deviation * self._deviation
-        self.odometry.send(MotionSample(step, *frames, moved, linear, angular, variance))
+        variance = self._deviation * self._deviation
+        return MotionSample(step, *self._frames, moved, linear, angular, variance)
 
-    def _motion(self) -> Tuple[Pose, Vector, Vector]:
+    def _motion(self) -> tuple[Pose, Vector, Vector]:
         """Return pose, linear and angular velocity in the frame of reference."""
         pose, (linear, angular) = self._place.pose(), self._place.velocity()
         if self._reference is None:
@@ -253,19 +239,19 @@ class TruePose(Plugin):
         frame, (base, spin) = self._reference.pose(), self._reference.velocity()
         # The velocity of the frame of reference at the place of the link: base + spin x arm.
         carried = add(base, cross(spin, subtract(pose.position, frame.position)))
-        into = Pose(quaternion=frame.inverse().quaternion)
-        moves = (into.rotate(subtract(linear, carried)), into.rotate(subtract(angular, spin)))
-        return (frame.inverse() * pose, *moves)
+        into = frame.inverse()
+        linear, angular = subtract(linear, carried), subtract(angular, spin)
+        return into * pose, into.rotate(linear), into.rotate(angular)
 
 
-class JointStates(Plugin):
+class JointStatePublisher(Sensor):
     """Reports positions and velocities of joints."""
 
     filenames = ("libgazebo_ros_joint_state_publisher.so",)
     named_by_model = (True, True)
 
     def __init__(self, mount: Mount):
-        super().__init__(mount)
+        super().__init__(mount, "joint_states", JointSample)
         self._body = mount.body
         known = self._body.joint_names
         listed = [name.strip() for name in mount.text("jointName").split(",")]
@@ -273,14 +259,14 @@ class JointStates(Plugin):
         missing = [name for name in self._names if name not in known]
         if missing:
             raise PluginError(f"{mount.where('jointName')}: no movable joint '{missing[0]}'")
-        self.states = Output(mount.topic("joint_states"), JointSample)
-        self.outputs = (self.states,)
         self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:
-        if not self._names or not self.states.wanted:
-            return
+        if self._names:
+            super().produce(step)
+
+    def measure(self, step: int) -> JointSample:
         states = [self._body.joint_state(name) for name in self._names]
         positions, velocities = zip(*((state.position, state.velocity) for state in states))
         # Without efforts, as in Gazebo.
-        self.states.send(JointSample(step, self._names, positions, velocities))
+        return JointSample(step, self._names, positions, velocities)

@@ -1,31 +1,35 @@
-"""Sensors that measure distances along rays: laser scanners, and sonars as fans of rays.
+"""Sensors of surroundings: laser scanners, sonars as fans of rays, and bumpers.
 
-libgazebo_ros_laser.so, libgazebo_ros_gpu_laser.so and libgazebo_ros_range.so.
+libgazebo_ros_laser.so, libgazebo_ros_gpu_laser.so, libgazebo_ros_range.so and
+libgazebo_ros_bumper.so.
 """
 
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
-from bullet_lab.simulation.plugins.plugin import (
-    Mount,
-    Output,
-    Plugin,
-    PluginError,
-    SensorTag,
-    slower_of,
+from bullet_lab.core.pose import Pose, Vector, cross, subtract
+from bullet_lab.simulation.physics.attached_frame import ContactPoint
+from bullet_lab.simulation.plugins import Mount, PluginError, Sensor, SensorTag
+from bullet_lab.simulation.plugins.samples import (
+    ContactsSample,
+    LaserSample,
+    RangeSample,
+    ShapeContact,
 )
-from bullet_lab.simulation.plugins.samples import LaserSample, RangeSample
+from bullet_lab.simulation.world.tree import LUMP
 
 LOG = logging.getLogger(__name__)
 
 RAY_SENSORS = ("ray", "gpu_ray")
 MOST_RAYS = 100_000
 SIMULATED_NOISE = ("gaussian", "none", "")
+# The parts that Gazebo's conversion of URDF adds to a shape's name.
+ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,7 @@ def _angles(tag: SensorTag, path: str) -> Angles:
     return Angles(least, greatest, number)
 
 
-def _noise(tag: SensorTag) -> Tuple[float, float]:
+def _noise(tag: SensorTag) -> tuple[float, float]:
     """Return mean and standard deviation of the noise in m."""
     kind = tag.text("ray/noise/type", "")
     if kind not in SIMULATED_NOISE:
@@ -133,7 +137,7 @@ def _noise(tag: SensorTag) -> Tuple[float, float]:
     return tag.number("ray/noise/mean", 0.0), tag.coefficient("ray/noise/stddev", 0.0)
 
 
-class Laser(Plugin):
+class Laser(Sensor):
     """Measures distances around itself, all at one moment.
 
     No ray is cast without a listener. Intensities are 0, as in Gazebo on surfaces without
@@ -144,27 +148,20 @@ class Laser(Plugin):
     named_by_model = (False, True)
 
     def __init__(self, mount: Mount):
-        super().__init__(mount)
         tag = SensorTag(mount, RAY_SENSORS)
         self._frame = mount.frame(mount.text("frameName", "/world"))
-        self.scan = Output(mount.topic(mount.text("topicName", "/world")), LaserSample)
-        self.outputs = (self.scan,)
+        super().__init__(mount, mount.text("topicName", "/world"), LaserSample)
         self._scanner = RayScan(mount, tag)
-        self._noise = mount.noise()
         self.schedule = tag.schedule()
 
-    def produce(self, step: int) -> None:
-        if not self.scan.wanted:
-            return
+    def measure(self, step: int) -> LaserSample:
         scanner, angles = self._scanner, self._scanner.horizontal
         ranges = scanner.measure(self._noise.at(step))
-        seen = (angles.least, angles.greatest, angles.increment)
-        reach = (scanner.least, scanner.greatest)
-        zeros = np.zeros(len(ranges))
-        self.scan.send(LaserSample(step, self._frame, *seen, *reach, ranges, zeros))
+        seen = (angles.least, angles.greatest, angles.increment, scanner.least, scanner.greatest)
+        return LaserSample(step, self._frame, *seen, ranges, np.zeros(len(ranges)))
 
 
-class RangeSensor(Plugin):
+class RangeSensor(Sensor):
     """Measures the distance of the nearest hit in a fan of rays.
 
     As in Gazebo, it reads the greatest range, without noise, if there is no hit. A hit nearer
@@ -174,26 +171,91 @@ class RangeSensor(Plugin):
     filenames = ("libgazebo_ros_range.so",)
 
     def __init__(self, mount: Mount):
-        super().__init__(mount)
         tag = SensorTag(mount, RAY_SENSORS)
-        self._frame = mount.frame(mount.text("frameName", "/world"))
-        self.range = Output(mount.topic(mount.text("topicName", "/range")), RangeSample)
-        self.outputs = (self.range,)
-        self._infrared = mount.text("radiation", "ultrasound") != "ultrasound"
-        self._fov = mount.number("fov", 0.05)
+        frame = mount.frame(mount.text("frameName", "/world"))
+        super().__init__(mount, mount.text("topicName", "/range"), RangeSample)
+        infrared = mount.text("radiation", "ultrasound") != "ultrasound"
+        self._kind = (frame, infrared, mount.number("fov", 0.05))
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
         self._scanner = RayScan(mount, tag)
-        self._noise = mount.noise()
-        self.schedule = slower_of(mount.schedule("updateRate", 0.0), tag.schedule())
+        self.schedule = tag.schedule("updateRate")
 
-    def produce(self, step: int) -> None:
-        if not self.range.wanted:
-            return
-        scanner = self._scanner
+    def measure(self, step: int) -> RangeSample:
+        least, greatest = self._scanner.least, self._scanner.greatest
         noise = self._noise.at(step).normal(0.0, self._deviation)
         # Infinity stays infinite with noise, and is then limited to the greatest range.
-        reading = max(float(np.min(scanner.distances())), scanner.least) + noise
-        reading = min(max(reading, scanner.least), scanner.greatest)
-        reach = (scanner.least, scanner.greatest)
-        sent = RangeSample(step, self._frame, self._infrared, self._fov, *reach, reading)
-        self.range.send(sent)
+        reading = max(float(np.min(self._scanner.distances())), least) + noise
+        reading = min(max(reading, least), greatest)
+        return RangeSample(step, *self._kind, least, greatest, reading)
+
+
+class Bumper(Sensor):
+    """Reports the contacts of its link's shapes, with their forces in the last step.
+
+    Samples come at the sensor's rate, also without contacts. Vectors are in frameName if that is
+    a link of the model, else in the world. (In Gazebo they are always in the world.)
+    """
+
+    filenames = ("libgazebo_ros_bumper.so",)
+
+    def __init__(self, mount: Mount):
+        tag = SensorTag(mount, ("contact",))
+        self._place = tag.place()
+        self._watched = _watched(mount, tag, self._place.link)
+        frame = mount.text("frameName", "/world")
+        self._frame = mount.frame(frame)
+        is_link = frame in mount.model.frames or frame in mount.model.links_by_name()
+        self._reference = mount.attached(frame) if is_link else None
+        super().__init__(mount, mount.text("bumperTopicName", "bumper_states"), ContactsSample)
+        self.schedule = tag.schedule()
+
+    def measure(self, step: int) -> ContactsSample:
+        into = Pose() if self._reference is None else self._reference.pose().inverse()
+        centre = self._place.centre_of_mass()
+        # The contact points by the names of the two shapes, the own one first.
+        pairs: dict[tuple[str, str], list[ContactPoint]] = {}
+        name = self.mount.simulation.shape_name
+        for point in self._place.contact_points():
+            first = name(*point.own, point.place)
+            if first in self._watched:
+                second = name(*point.other, point.place_on_other)
+                pairs.setdefault((first, second), []).append(point)
+        contacts = [_contact(*names, points, into, centre) for names, points in pairs.items()]
+        return ContactsSample(step, self._frame, tuple(contacts))
+
+
+def _contact(
+    first: str, second: str, points: list[ContactPoint], into: Pose, centre: Vector
+) -> ShapeContact:
+    """Return the contact of two shapes in a frame.
+
+    `into` is the pose of the world in that frame; torques are about `centre`, in the world.
+    """
+    turn = into.rotate
+    torques = [cross(subtract(point.place, centre), point.force) for point in points]
+    return ShapeContact(
+        first,
+        second,
+        tuple(turn(point.force) for point in points),
+        tuple(turn(torque) for torque in torques),
+        tuple((into * Pose(point.place)).position for point in points),
+        tuple(turn(point.normal) for point in points),
+        tuple(point.depth for point in points),
+    )
+
+
+def _watched(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
+    """Return the full names of the shapes that the sensor watches; raises PluginError."""
+    known = [shape.name for shape in mount.model.links_by_name()[link].collisions]
+    wanted = [(element.text or "").strip() for element in tag.element.findall("contact/collision")]
+    chosen: list[str] = []
+    for name in wanted:
+        found = [name] if name in known else []
+        if not found:
+            # Gazebo's versions differ in what they add to the name of a shape of a URDF.
+            found = [one for one in known if ADDED.sub("", one) == ADDED.sub("", name)]
+        if not found:
+            where, shapes = tag.where("collision"), ", ".join(known) or "none"
+            raise PluginError(f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}")
+        chosen += found
+    return tuple(f"{mount.model.name}::{link}::{name}" for name in chosen or known)

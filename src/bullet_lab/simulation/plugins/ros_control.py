@@ -8,6 +8,7 @@ from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
+from bullet_lab.simulation.plugins import Input, Mount, Plugin
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller
 from bullet_lab.simulation.plugins.controllers.description import (
     ControlError,
@@ -15,7 +16,6 @@ from bullet_lab.simulation.plugins.controllers.description import (
     RobotDescription,
 )
 from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, joint_handles
-from bullet_lab.simulation.plugins.plugin import Input, Mount, Plugin
 from bullet_lab.simulation.plugins.samples import Stop
 
 LOG = logging.getLogger(__name__)

@@ -48,6 +48,9 @@ class PlanarCommand:
     wz: float = 0.0
 
 
+STANDSTILL = PlanarCommand()
+
+
 @dataclass(frozen=True)
 class JointCommand:
     """A command to a joint: a position (rad or m), a velocity or an effort."""
@@ -59,7 +62,7 @@ class JointCommand:
 class JointCommands:
     """A command to the joints of a group, in their order."""
 
-    values: Tuple[float, ...]
+    values: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -107,10 +110,10 @@ class JointSample:
     """
 
     step: int
-    names: Tuple[str, ...]
-    positions: Tuple[float, ...]
-    velocities: Tuple[float, ...] = ()
-    efforts: Tuple[float, ...] = ()
+    names: tuple[str, ...]
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...] = ()
+    efforts: tuple[float, ...] = ()
     # Joints have no frame.
     frame: ClassVar[str] = ""
 
@@ -130,7 +133,7 @@ class LoopSample:
     error: float
     seconds: float
     command: float
-    gains: Tuple[float, float, float, float]
+    gains: tuple[float, float, float, float]
     antiwindup: bool
     frame: ClassVar[str] = ""
 
@@ -240,15 +243,15 @@ class ShapeContact:
 
     first: str
     second: str
-    forces: Tuple[Vector, ...]
-    torques: Tuple[Vector, ...]
-    positions: Tuple[Vector, ...]
-    normals: Tuple[Vector, ...]
-    depths: Tuple[float, ...]
+    forces: tuple[Vector, ...]
+    torques: tuple[Vector, ...]
+    positions: tuple[Vector, ...]
+    normals: tuple[Vector, ...]
+    depths: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class ContactsSample(Sample):
     """All pairs of shapes that touch, with vectors in `frame`."""
 
-    contacts: Tuple[ShapeContact, ...]
+    contacts: tuple[ShapeContact, ...]

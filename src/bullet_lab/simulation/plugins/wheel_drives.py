@@ -7,30 +7,25 @@ from __future__ import annotations
 
 import logging
 import math
-from abc import ABC, abstractmethod
-from typing import Optional, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.physics.physics import Body, JointState
-from bullet_lab.simulation.plugins.mobile_base import (
-    POSE_VARIANCES,
+from bullet_lab.simulation.physics.bodies import Body, JointState
+from bullet_lab.simulation.plugins import Mount, PluginError
+from bullet_lab.simulation.plugins.mobile_base import POSE_VARIANCES, UNKNOWN, MobileBase
+from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
-    UNKNOWN,
-    MobileBase,
+    JointSample,
+    PlanarCommand,
+    TransformSample,
 )
-from bullet_lab.simulation.plugins.plugin import Mount, Output, PluginError
-from bullet_lab.simulation.plugins.samples import JointSample, PlanarCommand, TransformSample
 from bullet_lab.simulation.world.description import Joint
 
 LOG = logging.getLogger(__name__)
 
 # A wheel below this speed (rad/s) counts as stopped. The solver's residual is about 3e-4 rad/s.
 STANDING = 0.01
-SOURCES = ("world", "encoder")
 WHEEL_JOINTS = ("continuous", "revolute")
-LEFT = (("leftFrontJoint", "left_front_joint"), ("leftRearJoint", "left_rear_joint"))
-RIGHT = (("rightFrontJoint", "right_front_joint"), ("rightRearJoint", "right_rear_joint"))
 
 
 class Wheel:
@@ -80,7 +75,7 @@ class Wheel:
         self._body.drive_joint(self.joint, self._speed, self._torque)
 
 
-class WheelDrive(MobileBase, ABC):
+class WheelDrive(MobileBase):
     """The base of robots on driven wheels.
 
     Each update sends the odometry, then sets the wheels' motors to the speeds of the last
@@ -93,7 +88,7 @@ class WheelDrive(MobileBase, ABC):
         wheels: the left ones before as many right ones.
     """
 
-    wheels: Tuple[Wheel, ...] = ()
+    wheels: tuple[Wheel, ...]
 
     def __init__(self, mount: Mount, separation: float):
         mount.require_moving()
@@ -107,26 +102,23 @@ class WheelDrive(MobileBase, ABC):
         self._last_step = step
         self._report(step, seconds)
         side = 0.5 * self._command.wz * self.separation
-        left, right = self._command.vx - side, self._command.vx + side
-        on_the_left = len(self.wheels) // 2
+        speeds = (self._command.vx - side, self._command.vx + side)
         for number, wheel in enumerate(self.wheels):
-            is_right = number >= on_the_left
-            wheel.follow((left, right)[is_right] / self.radii[is_right], seconds)
+            on_the_right = 2 * number >= len(self.wheels)
+            wheel.follow(speeds[on_the_right] / self.radii[on_the_right], seconds)
 
     def placed(self) -> None:
         for wheel in self.wheels:
             wheel.stop()
 
-    @abstractmethod
+    def _velocity(self, pose: Pose) -> PlanarCommand:
+        """Return the velocity of the body's origin along the heading of a pose."""
+        (vx, vy, _), (_, _, wz) = self._body.origin_velocity()
+        cosine, sine = heading_of(pose.quaternion)
+        return PlanarCommand(cosine * vx + sine * vy, cosine * vy - sine * vx, wz)
+
     def _report(self, step: int, seconds: float) -> None:
         """Send the odometry, `seconds` after the last time."""
-
-
-def base_velocity(body: Body, pose: Pose) -> PlanarCommand:
-    """Return the velocity of a body's origin along the heading of a pose."""
-    (vx, vy, _), (_, _, wz) = body.origin_velocity()
-    cosine, sine = heading_of(pose.quaternion)
-    return PlanarCommand(cosine * vx + sine * vy, cosine * vy - sine * vx, wz)
 
 
 def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
@@ -159,14 +151,16 @@ class DeadReckoning:
         right_radius: of the right wheel in m, if it differs.
     """
 
-    def __init__(self, separation: float, radius: float, right_radius: Optional[float] = None):
+    def __init__(self, separation: float, radius: float, right_radius: float | None = None):
         self.separation = separation
         self._radii = (radius, radius if right_radius is None else right_radius)
         self.restart(0.0, 0.0)
 
     def restart(self, left: float, right: float) -> None:
         """Start at the origin, with the wheels at these angles (rad)."""
-        self._x = self._y = self._yaw = 0.0
+        self._x = 0.0
+        self._y = 0.0
+        self._yaw = 0.0
         self.resume(left, right)
 
     def resume(self, left: float, right: float) -> None:
@@ -174,11 +168,11 @@ class DeadReckoning:
         self._left, self._right = left, right
 
     @property
-    def pose(self) -> Tuple[float, float, float]:
+    def pose(self) -> tuple[float, float, float]:
         """Position x, y in m and yaw in rad within [-pi, pi], since the last restart."""
         return self._x, self._y, self._yaw
 
-    def advance(self, left: float, right: float) -> Tuple[float, float]:
+    def advance(self, left: float, right: float) -> tuple[float, float]:
         """Set new angles (rad); return the distance (m) and turn (rad) since the last ones."""
         left_rim = (left - self._left) * self._radii[0]
         right_rim = (right - self._right) * self._radii[1]
@@ -215,13 +209,13 @@ class DiffDrive(WheelDrive):
         if mount.boolean("legacyMode", False):
             reason = "as in ROS Noetic: <leftJoint> is the wheel on the left"
             LOG.warning("%s is ignored, %s", mount.where("legacyMode"), reason)
-        self._from_wheels = mount.choice("odometrySource", SOURCES) == "encoder"
+        self._from_wheels = mount.choice("odometrySource", ("world", "encoder")) == "encoder"
         left = wheel_joint(mount, "leftJoint", "left_joint")
         right = wheel_joint(mount, "rightJoint", "right_joint")
         if left is right:
             where = mount.where("rightJoint")
             raise PluginError(f"{where}: '{right.name}' is the left one already")
-        self._joints = joints = (left, right)
+        self._joints = (left, right)
         torque = mount.coefficient("wheelTorque", 5.0)
         limit = mount.coefficient("wheelAcceleration", 0.0)
         tags = ("leftWheelDiameter", "rightWheelDiameter")
@@ -230,20 +224,16 @@ class DiffDrive(WheelDrive):
         )
         self.wheels = tuple(
             Wheel(self._body, joint.name, torque, limit / radius)
-            for joint, radius in zip(joints, self.radii)
+            for joint, radius in zip(self._joints, self.radii)
         )
         self._reckoning = DeadReckoning(self.separation, *self.radii)
-        self.wheel_transforms = Output("/tf", TransformSample)
-        self.wheel_states = Output(mount.topic("joint_states"), JointSample)
-        transforms = mount.boolean("publishTf", True)
-        switches = (
-            (True, self.odometry),
-            (mount.boolean("publishOdomTF", True) and transforms, self.transform),
-            (mount.boolean("publishWheelTF", False) and transforms, self.wheel_transforms),
-            (mount.boolean("publishWheelJointState", False), self.wheel_states),
-        )
-        self.outputs = tuple(output for switch, output in switches if switch)
-        self.reset(0)
+        on_tf = mount.boolean("publishTf", True)
+        base = mount.boolean("publishOdomTF", True) and on_tf
+        self.transform = self.output("/tf", TransformSample, base)
+        wheels = mount.boolean("publishWheelTF", False) and on_tf
+        self.wheel_transforms = self.output("/tf", TransformSample, wheels)
+        states = mount.boolean("publishWheelJointState", False)
+        self.wheel_states = self.output("joint_states", JointSample, states)
 
     def reset(self, step: int) -> None:
         self._reckoning.restart(0.0, 0.0)
@@ -256,7 +246,7 @@ class DiffDrive(WheelDrive):
         super().placed()
         self._reckoning.resume(*self._angles())
 
-    def _angles(self) -> Tuple[float, float]:
+    def _angles(self) -> tuple[float, float]:
         left, right = self.wheels
         return left.state().position, right.state().position
 
@@ -265,8 +255,8 @@ class DiffDrive(WheelDrive):
             pose, velocity = self._reckoned(seconds)
         else:
             pose = self._pose()
-            velocity = base_velocity(self._body, pose)
-        self._send_odometry(step, (pose, pose), velocity, POSE_VARIANCES)
+            velocity = self._velocity(pose)
+        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=False)
         if self.wheel_transforms.wanted:
             for joint, wheel in zip(self._joints, self.wheels):
                 frames = (self.mount.frame(joint.parent), self.mount.frame(joint.child))
@@ -277,7 +267,7 @@ class DiffDrive(WheelDrive):
             names = tuple(wheel.joint for wheel in self.wheels[::-1])
             self.wheel_states.send(JointSample(step, names, self._angles()[::-1]))
 
-    def _reckoned(self, seconds: float) -> Tuple[Pose, PlanarCommand]:
+    def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
         """Return the pose by the wheels' angles, and the mean velocity since the last update."""
         driven, turned = self._reckoning.advance(*self._angles())
         x, y, yaw = self._reckoning.pose
@@ -307,7 +297,11 @@ class SkidSteer(WheelDrive):
     def __init__(self, mount: Mount):
         super().__init__(mount, 0.4)
         torque = mount.coefficient("torque", 5.0)
-        names = [wheel_joint(mount, *tag).name for tag in LEFT + RIGHT]
+        names = [
+            wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint").name
+            for side in ("left", "right")
+            for end in ("Front", "Rear")
+        ]
         if len(set(names)) < len(names):
             where = mount.where("rightRearJoint")
             raise PluginError(f"{where}: the four joints must be different, but one is named twice")
@@ -315,11 +309,9 @@ class SkidSteer(WheelDrive):
         x, y = (mount.coefficient(f"covariance_{axis}", 1e-4) for axis in "xy")
         yaw = mount.coefficient("covariance_yaw", 1e-2)
         self._variances = (x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw)
-        transforms = (self.transform,) if mount.boolean("broadcastTF", False) else ()
-        self.outputs = (self.odometry, *transforms)
-        self.reset(0)
+        self.transform = self.output("/tf", TransformSample, mount.boolean("broadcastTF", False))
 
     def _report(self, step: int, seconds: float) -> None:
         pose = self._pose()
-        velocity = base_velocity(self._body, pose)
-        self._send_odometry(step, (self._flat(pose), pose), velocity, *2 * (self._variances,))
+        variances = (self._variances, self._variances)
+        self._send_odometry(step, pose, self._velocity(pose), *variances, flat=True)

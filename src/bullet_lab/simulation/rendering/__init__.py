@@ -1,7 +1,6 @@
 """Draw the pictures of cameras and of `view.py` with Panda3D.
 
-`graphics` is the engine with its buffers, `surfaces` makes triangles of shapes, `drawables` gives
-them to Panda3D with their textures, `lights` holds the lights with their shadow maps, `shaders` the
-GLSL programs, `renderer` takes pictures and depths through a pinhole camera, and `finish` adds lens
-and sensor errors to a picture.
+`graphics` is the engine with its buffers, `drawables` makes triangles and textures of shapes,
+`lights` has the GLSL programs, the lights and their shadow maps, and `renderer` takes pictures and
+depths through a pinhole camera. `plugins.camera` adds the errors of lens and sensor.
 """

@@ -1,54 +1,60 @@
-"""Make Panda3D's triangles, colours and textures of the links of a model."""
+"""Make triangles, colours and textures of the links of a model, and give them to Panda3D.
+
+Texture coordinates are those of Gazebo: upright and not mirrored on boxes, upside down around
+cylinders.
+"""
 
 from __future__ import annotations
 
 import itertools
+import logging
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.graphics import panda3d
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
-from bullet_lab.simulation.rendering.surfaces import Surface, surfaces_of
-from bullet_lab.simulation.world.description import Plane, Texture, Visual
+from bullet_lab.simulation.world.description import (
+    WHITE,
+    Appearance,
+    Box,
+    Colour,
+    Cylinder,
+    Geometry,
+    Material,
+    Mesh,
+    Plane,
+    Sphere,
+    Texture,
+    Visual,
+)
+from bullet_lab.simulation.world.mesh_parts import Part, Report, mesh_parts
 from bullet_lab.simulation.world.meshes import file_version, read_bytes
 from bullet_lab.simulation.world.xml import ReportOnce
 
+LOG = logging.getLogger(__name__)
 # The longest side of a texture in pixels; larger pictures are shrunk.
 LARGEST_SIDE = 8192
+CYLINDER_SIDES = 48
+# The number of lines of a ball, from pole to pole and around.
+SPHERE_LINES = (18, 16)
+# The directions right and up of a picture on a side of a box, by the side's axis and its sign.
+BOX_SIDES = {
+    (0, 1): ((0, 1, 0), (0, 0, 1)),
+    (0, -1): ((0, -1, 0), (0, 0, 1)),
+    (1, 1): ((-1, 0, 0), (0, 0, 1)),
+    (1, -1): ((1, 0, 0), (0, 0, 1)),
+    (2, 1): ((0, -1, 0), (1, 0, 0)),
+    (2, -1): ((0, -1, 0), (-1, 0, 0)),
+}
 
 
 class TextureError(LabError):
     """A file is not a readable picture."""
-
-
-class LoadedTexture:
-    """A texture of Panda3D, which is released together with this object."""
-
-    def __init__(self, texture: Any):
-        self.texture = texture
-        # Without this, the driver keeps it as long as the context exists.
-        weakref.finalize(self, texture.release_all)
-
-
-class Textures:
-    """The pictures on surfaces; each is read once, and kept while a surface has it."""
-
-    def __init__(self) -> None:
-        self._known: Any = weakref.WeakValueDictionary()
-
-    def of(self, texture: Texture) -> LoadedTexture:
-        """Return a loaded texture; raise LabError for a file that is not a picture."""
-        kind = (texture.blends, texture.repeats, texture.sharp)
-        key = (texture.path, kind, file_version(texture))
-        found = self._known.get(key)
-        if found is None:
-            found = self._known[key] = LoadedTexture(_panda_texture(texture))
-        return found
 
 
 def read_pixels(texture: Texture) -> np.ndarray:
@@ -65,24 +71,189 @@ def read_pixels(texture: Texture) -> np.ndarray:
         raise TextureError(f"{texture.path}: not a readable image: {error}") from error
 
 
-def _panda_texture(texture: Texture) -> Any:
-    core, pixels = panda3d(), read_pixels(texture)
-    height, width = pixels.shape[:2]
-    made = core.Texture("image")
-    kind = core.Texture.F_rgba if texture.blends else core.Texture.F_rgb
-    made.setup_2d_texture(width, height, core.Texture.T_unsigned_byte, kind)
-    # In Panda3D, the lowest row is first, and the order is blue, green, red.
-    made.set_ram_image(np.ascontiguousarray(pixels[::-1, :, _order(texture)]).tobytes())
-    made.minfilter = core.SamplerState.FT_linear_mipmap_linear
-    nearest, linear = core.SamplerState.FT_nearest, core.SamplerState.FT_linear
-    made.magfilter = nearest if texture.sharp else linear
-    if not texture.repeats:
-        made.wrap_u = made.wrap_v = core.SamplerState.WM_clamp
-    return made
+@dataclass(frozen=True)
+class Surface:
+    """Triangles in metres: corner arrays of shape (n, 3, …), three corners each.
+
+    Attributes:
+        corners: (n, 3, 3) positions.
+        normals: (n, 3, 3) unit normals at the corners.
+        picture: (n, 3, 2) coordinates in a picture, from its lower left; None without any.
+        look: colour and material in the file of a mesh; None without any.
+        colour: of scattered light.
+        glow: RGB of the light that it emits.
+        texture: its picture, or None.
+    """
+
+    corners: np.ndarray
+    normals: np.ndarray
+    picture: np.ndarray | None = None
+    look: Appearance | None = None
+    colour: Colour = WHITE
+    glow: Sequence[float] = (0.0, 0.0, 0.0)
+    texture: Texture | None = None
+
+    def shown(self, visual: Visual, ambient: np.ndarray, report: Report) -> Surface:
+        """Return the surface with the look of a visual, in the link's frame.
+
+        `ambient` is the world's light, RGB; `report` gets a line if the texture is left out.
+        """
+        turn = visual.pose.rotation_matrix()
+        corners = self.corners @ turn.T + np.asarray(visual.pose.position)
+        colour, material = visual.colour, visual.material
+        if self.look is not None and not material.covers:
+            (*rgb, alpha), material = self.look
+            colour = (*rgb, alpha * colour[3])
+        texture, picture = material.texture, self.picture
+        if texture is not None and picture is None:
+            report(f"{texture.path}: the mesh has no texture coordinates; drawn without it")
+            texture = None
+        return replace(
+            self,
+            corners=corners,
+            normals=self.normals @ turn.T,
+            picture=None if texture is None else texture.coordinates(picture),
+            colour=colour if material.lit else (0.0, 0.0, 0.0, colour[3]),
+            glow=_glow(colour, material, ambient),
+            texture=texture,
+        )
+
+    def floats(self) -> np.ndarray:
+        """Return position, normal, colour, texture coordinates and glow of corners, (3 n, 15)."""
+        shape = self.corners.shape[:2]
+        colour, glow = (np.broadcast_to(c, (*shape, len(c))) for c in (self.colour, self.glow))
+        picture = np.zeros((*shape, 2)) if self.picture is None else self.picture
+        parts = (self.corners, self.normals, colour, picture, glow)
+        return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 15)
 
 
-def _order(texture: Texture) -> Tuple[int, ...]:
-    return (2, 1, 0, 3) if texture.blends else (2, 1, 0)
+def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> tuple[float, ...]:
+    """Return the light of a surface that does not depend on lamps.
+
+    That is what it emits, and what its ambient colour adds to its diffuse one in ambient light.
+    """
+    if not material.lit:
+        return colour[:3]
+    glow = np.array(material.emissive[:3])
+    if material.ambient is not None:
+        glow += ambient * (np.array(material.ambient[:3]) - colour[:3])
+    return tuple(glow.tolist())
+
+
+def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> list[Surface]:
+    """Return the surfaces of a shape; raise LabError for an unusable mesh.
+
+    `report` gets a line for each missing file.
+    """
+    if isinstance(geometry, Mesh):
+        return [_part(part) for part in mesh_parts(geometry, report)]
+    return [SURFACES[type(geometry)](geometry)]
+
+
+def _box(box: Box) -> Surface:
+    from trimesh import creation
+
+    surface = flat(creation.box(box.size).triangles)
+    axes = np.argmax(np.abs(surface.normals[:, 0]), axis=1)
+    signs = np.sign(np.take_along_axis(surface.normals[:, 0], axes[:, None], axis=1))[:, 0]
+    sides = np.array([BOX_SIDES[(a, int(s))] for a, s in zip(axes.tolist(), signs.tolist())])
+    picture = 0.5 + np.einsum("nki,nji->nkj", surface.corners / box.size, sides)
+    return replace(surface, picture=picture)
+
+
+def _cylinder(cylinder: Cylinder) -> Surface:
+    from trimesh import creation
+
+    made = creation.cylinder(cylinder.radius, cylinder.length, CYLINDER_SIDES)
+    surface = flat(made.triangles)
+    round_ = np.where(
+        np.abs(surface.normals[..., 2:]) > 0.5, surface.normals, surface.corners * (1, 1, 0)
+    )
+    x, y, z = np.moveaxis(surface.corners, -1, 0)
+    # As in Gazebo, the middle of each end shows the upper left corner of the picture.
+    middle = np.hypot(x, y) < 0.5 * cylinder.radius
+    turns = _turns(np.where(middle, np.nan, np.arctan2(x, y)))
+    picture = np.stack((turns, 0.5 - z / cylinder.length), axis=2)
+    picture[middle] = (0.0, 1.0)
+    return replace(surface, normals=_unit(round_), picture=picture)
+
+
+def _sphere(sphere: Sphere) -> Surface:
+    from trimesh import creation
+
+    made = creation.uv_sphere(radius=sphere.radius, count=SPHERE_LINES).triangles
+    # Gazebo's has its poles on y.
+    corners = made[..., (1, 2, 0)]
+    x, y, z = np.moveaxis(corners / sphere.radius, -1, 0)
+    at_pole = np.hypot(x, z) < 1e-6
+    turns = _turns(np.where(at_pole, np.nan, np.arctan2(x, z)))
+    height = 1.0 - np.arccos(np.clip(y, -1.0, 1.0)) / np.pi
+    return Surface(corners, _unit(corners), np.stack((turns, height), axis=2))
+
+
+def _turns(angles: np.ndarray) -> np.ndarray:
+    """Return angles (rad) of corners (n, 3) as shares of a turn, without a jump in a triangle.
+
+    Corners at poles have no angle (NaN); they get the mean of the others.
+    """
+    turns = angles / (2.0 * np.pi) % 1.0
+    turns = np.where(np.nanmax(turns, axis=1, keepdims=True) - turns > 0.5, turns + 1.0, turns)
+    between = np.nanmean(turns, axis=1, keepdims=True)
+    return np.where(np.isnan(turns), between, turns)
+
+
+def _plane(plane: Plane) -> Surface:
+    z = np.asarray(plane.normal) / np.linalg.norm(plane.normal)
+    y = np.cross(z, (1.0, 0.0, 0.0) if abs(z[0]) < 0.9 else (0.0, 1.0, 0.0))
+    y /= np.linalg.norm(y)
+    square = np.array(((-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1)))
+    corners = square * 0.5 * np.array(plane.size) @ (np.cross(y, z), y)
+    picture = (0.5 + 0.5 * square).reshape(2, 3, 2)
+    return replace(flat(corners.reshape(2, 3, 3)), picture=picture)
+
+
+# The function that makes the surface of each shape but a mesh.
+SURFACES: dict[type, Callable[[Any], Surface]] = {
+    Box: _box,
+    Cylinder: _cylinder,
+    Sphere: _sphere,
+    Plane: _plane,
+}
+
+
+def _part(part: Part) -> Surface:
+    normals, picture, order = flat(part.corners).normals, part.picture, slice(None)
+    if part.normals is not None:
+        # A missing normal is replaced by that of the triangle.
+        lengths = np.linalg.norm(part.normals, axis=-1, keepdims=True)
+        given = _unit(np.where(lengths > 1e-9, part.normals, normals))
+        outward = np.median(np.sum(normals * given, axis=-1))
+        # Mirrored, or with the corners in the other order: the given normals point outwards.
+        order = slice(None, None, -1 if outward < 0.0 else 1)
+        normals = given[:, order]
+    picture = None if picture is None else picture[:, order]
+    return Surface(part.corners[:, order], normals, picture, part.look)
+
+
+def flat(corners: np.ndarray) -> Surface:
+    """Return triangles whose corners have the normal of the triangle."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return Surface(corners, np.repeat(_unit(normals)[:, None], 3, axis=1))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors with length 1; zero vectors become (0, 0, 1)."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(lengths > 0.0, vectors / np.where(lengths > 0.0, lengths, 1.0), (0.0, 0.0, 1.0))
+
+
+class LoadedTexture:
+    """A texture of Panda3D, which is released together with this object."""
+
+    def __init__(self, texture: Any):
+        self.texture = texture
+        # Without this, the driver keeps it as long as the context exists.
+        weakref.finalize(self, texture.release_all)
 
 
 # The centre of a textured surface, m in the link's frame, and its mean normal, which has the length
@@ -100,9 +271,9 @@ class Drawable:
         textures: those of the nodes, to be kept as long as these.
     """
 
-    nodes: List[Tuple[Any, Optional[Patch]]]
+    nodes: list[tuple[Any, Patch | None]]
     boxes: np.ndarray
-    textures: List[LoadedTexture]
+    textures: list[LoadedTexture]
 
 
 class Drawables:
@@ -113,7 +284,8 @@ class Drawables:
 
     def __init__(self, ambient: Sequence[float]):
         self._ambient = np.array(ambient[:3])
-        self._textures = Textures()
+        # Textures that a surface has, each read once.
+        self._textures: Any = weakref.WeakValueDictionary()
         self._report = ReportOnce()
 
     def of(self, visuals: Sequence[Visual], casts: str, where: str) -> Drawable:
@@ -122,7 +294,7 @@ class Drawables:
         `casts` is the kind of its shadow maps, STILL or MOVING; `where` names it in messages.
         """
         # The surfaces of one draw call: of the same kind, with at most one picture.
-        calls: Dict[tuple, List[Surface]] = {}
+        calls: dict[tuple, list[Surface]] = {}
         boxes = [np.zeros((0, 8, 3))]
         for visual in visuals:
             is_plane = isinstance(visual.geometry, Plane)
@@ -155,7 +327,7 @@ class Drawables:
             made.nodes.append((path.node(), patch))
         return made
 
-    def _surfaces(self, visual: Visual, where: str) -> List[Surface]:
+    def _surfaces(self, visual: Visual, where: str) -> list[Surface]:
         """Return the surfaces of a visual, in the link's frame."""
         if visual.colour[3] <= 0.0:
             return []
@@ -166,14 +338,37 @@ class Drawables:
             return []
         return [surface.shown(visual, self._ambient, self._report) for surface in found]
 
-    def _loaded(self, surface: Surface) -> Optional[LoadedTexture]:
-        if surface.texture is None:
+    def _loaded(self, surface: Surface) -> LoadedTexture | None:
+        texture = surface.texture
+        if texture is None:
             return None
         try:
-            return self._textures.of(surface.texture)
+            kind = (texture.blends, texture.repeats, texture.sharp)
+            key = (texture.path, kind, file_version(texture))
+            loaded = self._textures.get(key)
+            if loaded is None:
+                loaded = self._textures[key] = LoadedTexture(_panda_texture(texture))
+            return loaded
         except LabError as error:
             self._report(f"{error}; drawn without it")
             return None
+
+
+def _panda_texture(texture: Texture) -> Any:
+    core, pixels = panda3d(), read_pixels(texture)
+    height, width = pixels.shape[:2]
+    made = core.Texture("image")
+    kind = core.Texture.F_rgba if texture.blends else core.Texture.F_rgb
+    made.setup_2d_texture(width, height, core.Texture.T_unsigned_byte, kind)
+    # In Panda3D, the lowest row is first, and the order is blue, green, red.
+    order = (2, 1, 0, 3) if texture.blends else (2, 1, 0)
+    made.set_ram_image(np.ascontiguousarray(pixels[::-1, :, order]).tobytes())
+    made.minfilter = core.SamplerState.FT_linear_mipmap_linear
+    nearest, linear = core.SamplerState.FT_nearest, core.SamplerState.FT_linear
+    made.magfilter = nearest if texture.sharp else linear
+    if not texture.repeats:
+        made.wrap_u = made.wrap_v = core.SamplerState.WM_clamp
+    return made
 
 
 def _node(surfaces: Sequence[Surface]) -> Any:

@@ -11,7 +11,7 @@ import importlib.util
 import logging
 import os
 import threading
-from typing import Any, Callable, Dict, List, Sequence, Tuple, Union
+from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
 
@@ -53,6 +53,22 @@ KEPT_BUFFERS = 8
 KEPT_PROGRAMS = 64
 # The priority of a camera's state over that of objects.
 OVERRIDE = 100
+DEPTH_VERTEX = """#version 150
+uniform mat4 p3d_ModelViewProjectionMatrix;
+in vec4 p3d_Vertex;
+
+void main() {
+  gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
+}
+"""
+# The distance along the view, by which a projection divides. Shadow maps do not use it.
+DEPTH_FRAGMENT = """#version 150
+out vec4 depth;
+
+void main() {
+  depth = vec4(1.0 / gl_FragCoord.w);
+}
+"""
 NO_DRIVER = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
 # Values of the parameter `renderer`; Panda3D draws for all of them.
 AUTO = "auto"
@@ -63,13 +79,20 @@ class RendererError(LabError):
     """A picture cannot be drawn."""
 
 
+def check_samples(samples: float) -> None:
+    """Raise RendererError unless a pixel may have this number of samples."""
+    if samples not in SAMPLES:
+        known = ", ".join(map(str, SAMPLES))
+        raise RendererError(f"{samples:g} samples per pixel; allowed are {known}")
+
+
 def check_choice(renderer: str) -> None:
     """Warn if the removed renderer "tiny" is chosen."""
     if renderer == "tiny":
         LOG.warning("renderer 'tiny' was removed; Panda3D draws all pictures, through EGL")
 
 
-class Target:
+class Canvas:
     """A buffer of Panda3D, with the texture that holds the result.
 
     It has tiles that are `size` pixels wide, and a camera for each tile, row by row.
@@ -79,16 +102,16 @@ class Target:
         core, (columns, rows) = panda3d(), tiles
         self.buffer, self.texture = buffer, texture
         self.size = buffer.get_x_size() // columns
-        self.cameras: List[Any] = []
+        self.cameras: list[Any] = []
         for row, column in np.ndindex(rows, columns):
             sides = (column / columns, (column + 1) / columns, row / rows, (row + 1) / rows)
             self.cameras.append(core.NodePath(core.Camera("camera")))
             buffer.make_display_region(*sides).set_camera(self.cameras[-1])
         buffer.set_active(False)
         # Panda3D's own picture, and a numpy view of it.
-        self._seen: Tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
+        self._seen: tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
 
-    def look(self, root: Any, state: Any, bit: int, matrices: Sequence[np.ndarray]) -> None:
+    def aim(self, root: Any, state: Any, bit: int, matrices: Sequence[np.ndarray]) -> None:
         """Let the cameras show the nodes with a bit below a root, with projection matrices."""
         core = panda3d()
         for path, matrix in zip(self.cameras, matrices):
@@ -116,15 +139,16 @@ class Graphics:
     silently draws nothing for a thread while another thread has it.
 
     `driver` is the name of the driver, such as "llvmpipe (LLVM 15.0.6, 256 bits)"; `program` makes
-    a shader from two GLSL programs, the same one for all scenes.
+    a shader from two GLSL programs, the same one for all scenes; `depth_program` draws depths.
     """
 
     def __init__(self):
         core = panda3d()
         make = functools.partial(core.Shader.make, core.Shader.SL_GLSL)
         self.program = functools.lru_cache(maxsize=KEPT_PROGRAMS)(make)
+        self.depth_program = self.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
         self._lock = threading.Lock()
-        self._kept: Dict[Tuple[int, int, int], Target] = {}
+        self._kept: dict[tuple[int, int, int], Canvas] = {}
         try:
             self._egl = ctypes.CDLL("libEGL.so.1")
         except OSError as error:
@@ -133,9 +157,9 @@ class Graphics:
             getattr(self._egl, now).restype = ctypes.c_void_p
         self._egl.eglMakeCurrent.argtypes = [ctypes.c_void_p] * 4
         # What the last use released: display, surface twice, context.
-        self._current: Tuple[Any, ...] = ()
+        self._current: tuple[Any, ...] = ()
         self._engine = core.GraphicsEngine.get_global_ptr()
-        self._shared: Tuple[Any, ...] = ()
+        self._shared: tuple[Any, ...] = ()
         with hidden_native_output():
             selection = core.GraphicsPipeSelection.get_global_ptr()
             self._pipe = self._with_context(selection.make_module_pipe, PIPE)
@@ -147,7 +171,7 @@ class Graphics:
         self._shared = (context.get_gsg(), context)
         self.driver = context.get_gsg().get_driver_renderer()
 
-    def target(self, width: int, height: int, samples: int) -> Target:
+    def target(self, width: int, height: int, samples: int) -> Canvas:
         """Return a target for pictures, RGB of 8 bits, or float32 DEPTHS; raise RendererError."""
         # The target used last is removed last.
         kept = self._kept.pop((width, height, samples), None)
@@ -166,7 +190,7 @@ class Graphics:
         self._kept[(width, height, samples)] = kept
         return kept
 
-    def shadow_target(self, size: int, tiles: Size) -> Target:
+    def shadow_target(self, size: int, tiles: Size) -> Canvas:
         """Return a new target for columns and rows of square shadow maps; raise RendererError."""
         core = panda3d()
         properties, texture = core.FrameBufferProperties(), core.Texture("shadow")
@@ -194,7 +218,7 @@ class Graphics:
             state.set_transparency(core.TransparencyAttrib.M_none, OVERRIDE)
         return state.get_state()
 
-    def draw(self, targets: Sequence[Target]) -> None:
+    def draw(self, targets: Sequence[Canvas]) -> None:
         """Draw into some targets."""
         for target in targets:
             target.buffer.set_active(True)
@@ -204,12 +228,12 @@ class Graphics:
             for target in targets:
                 target.buffer.set_active(False)
 
-    def remove(self, target: Target) -> None:
+    def remove(self, target: Canvas) -> None:
         """Release a target."""
         self._with_context(self._engine.remove_window, target.buffer)
         target.texture.release_all()
 
-    def _target(self, texture: Any, properties: Any, size: Size, tiles: Size = (1, 1)) -> Target:
+    def _target(self, texture: Any, properties: Any, size: Size, tiles: Size = (1, 1)) -> Canvas:
         largest = self._shared[0].get_max_texture_dimension()
         if max(size) > largest:
             raise RendererError(f"{self.driver} draws up to {largest} pixels along each side")
@@ -221,7 +245,7 @@ class Graphics:
         buffer.add_render_texture(texture, *(coloured if properties.get_red_bits() else deep))
         # Otherwise events of new buffers pile up.
         panda3d().EventQueue.get_global_event_queue().clear()
-        return Target(buffer, texture, tiles)
+        return Canvas(buffer, texture, tiles)
 
     def _buffer(self, properties: Any, size: Size) -> Any:
         core = panda3d()
@@ -274,7 +298,7 @@ def set_pose(path: Any, pose: Pose) -> None:
 
 
 @functools.lru_cache(maxsize=None)
-def _made() -> Tuple[int, Union[Graphics, RendererError]]:
+def _made() -> tuple[int, Graphics | RendererError]:
     """Return the id of the process that made the graphics, and the graphics or the error."""
     try:
         return os.getpid(), Graphics()

@@ -6,26 +6,35 @@ import math
 import weakref
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, Dict, List, Mapping, Tuple
+from typing import Any, Callable, Mapping
 
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.rendering import graphics, shaders
 from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
 from bullet_lab.simulation.rendering.graphics import (
     DEPTHS,
     SAMPLES,
+    Canvas,
     Graphics,
     RendererError,
-    Target,
+    check_samples,
     panda3d,
     set_pose,
+    shared_graphics,
 )
-from bullet_lab.simulation.rendering.lights import BITS, PICTURE, Lighting
-from bullet_lab.simulation.rendering.shaders import MOVING, PLAIN, SLANTED, STILL, TEXTURED
+from bullet_lab.simulation.rendering.lights import (
+    BITS,
+    MOVING,
+    PICTURE,
+    PLAIN,
+    SLANTED,
+    STILL,
+    TEXTURED,
+    Lighting,
+)
 from bullet_lab.simulation.world.description import Mesh, World
 from bullet_lab.simulation.world.meshes import file_version
 
@@ -58,11 +67,15 @@ class Shot:
         if not 0.0 < self.near < self.far < math.inf:
             limits = f"near {self.near:g} m, far {self.far:g} m"
             raise RendererError(f"{limits}; 0 < near < far is needed")
-        if self.samples not in SAMPLES:
-            known = ", ".join(map(str, SAMPLES))
-            raise RendererError(f"{self.samples:g} samples per pixel; allowed are {known}")
+        check_samples(self.samples)
         if any(self.camera.distortion):
             raise RendererError("a pinhole camera has no distortion; bend the picture with a Lens")
+
+
+def centred_camera(width: int, height: int, horizontal_fov: float) -> PinholeCamera:
+    """Return a camera with square pixels, its principal point in the middle; the angle in rad."""
+    focal = 0.5 * width / math.tan(0.5 * horizontal_fov)
+    return PinholeCamera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 class _LinkNode:
@@ -99,7 +112,7 @@ class _LinkNode:
             path.set_shader(programs[SLANTED if slanted else TEXTURED])
 
 
-class Scene:
+class VisibleWorld:
     """The visible objects of a world, below its `root`, a node path of Panda3D."""
 
     def __init__(self, world: World, models: Mapping[str, Any], graphics: Graphics):
@@ -111,12 +124,12 @@ class Scene:
         # models that come back: glibc before 2.38 hardly reuses the memory of released textures.
         self._maker = Drawables(world.ambient)
         self._drawables: Any = weakref.WeakValueDictionary()
-        self._last: Deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
+        self._last: deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
         # Each model with its links, by its name.
-        self._shown: Dict[str, Tuple[Any, List[_LinkNode]]] = {}
+        self._shown: dict[str, tuple[Any, list[_LinkNode]]] = {}
         # How often the static and the moving models have changed.
         self._versions = {STILL: 0, MOVING: 0}
-        self._moves: Dict[str, int] = {}
+        self._moves: dict[str, int] = {}
 
     def update(self) -> None:
         """Move all nodes to the poses of the models."""
@@ -132,7 +145,7 @@ class Scene:
             moved = [link.follow() for link in self._shown[name][1]]
             self._versions[kind] += is_new or any(moved)
 
-    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> List[Target]:
+    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> list[Canvas]:
         """Choose the programs for an eye at a point, m; return the shadow maps to draw first.
 
         `in_view` returns whether any of several hulls may be visible, see `Lighting.shadows_of`.
@@ -172,7 +185,7 @@ class Scene:
         links = (link for i, links in self._shown.values() if _kind(i) == kind for link in links)
         return np.concatenate([np.zeros((0, 8, 3)), *(link.boxes for link in links)])
 
-    def _nodes_of(self, instance: Any) -> List[_LinkNode]:
+    def _nodes_of(self, instance: Any) -> list[_LinkNode]:
         nodes, kind = [], _kind(instance)
         for body in instance.bodies.values():
             for link in filter(lambda link: link.visuals, body.links):
@@ -199,13 +212,12 @@ class Renderer:
     """
 
     def __init__(self, world: World, models: Mapping[str, Any]):
-        self._graphics = shared = graphics.shared_graphics()
+        self._graphics = shared = shared_graphics()
         self.driver = shared.driver
-        self._scene = Scene(world, models, shared)
+        self._scene = VisibleWorld(world, models, shared)
         self._background = np.asarray(world.background[:3])
         self._states = {samples: shared.state(samples=samples) for samples in SAMPLES}
-        program = shared.program(shaders.DEPTH_VERTEX, shaders.DEPTH_FRAGMENT)
-        self._states[DEPTHS] = shared.state(program)
+        self._states[DEPTHS] = shared.state(shared.depth_program)
 
     def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
         """Return the picture along the x axis of a pose, with its z axis up.
@@ -242,12 +254,12 @@ class Renderer:
         """Release everything."""
         self._scene.close()
 
-    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Target:
+    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Canvas:
         self._scene.update()
         target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
         # Blue first: Panda3D returns red and blue exchanged.
         target.buffer.set_clear_color((*background[::-1], 1.0))
-        target.look(self._scene.root, self._states[samples], BITS[PICTURE], [projection(shot)])
+        target.aim(self._scene.root, self._states[samples], BITS[PICTURE], [projection(shot)])
         set_pose(target.cameras[0], pose * AHEAD)
         return target
 

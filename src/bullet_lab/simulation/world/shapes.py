@@ -2,7 +2,7 @@
 
 Lengths are metres in the shape's frame, whose origin is in the middle of all but planes and meshes.
 A new shape is a class here, in SHAPES, in the table of `tags`, and an entry in the tables of
-`physics.bodies`, `rendering.surfaces` and `ros.messages.conversions`.
+`physics.physics`, `rendering.drawables` and `ros.messages.conversions`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
     RIM,
     TREAD,
-    Surface,
+    ContactSurface,
     on_treads,
     wants_friction_pyramid,
 )
@@ -197,6 +197,6 @@ def test_what_a_direction_on_a_wheel_means_does_not_turn_with_it(direction):
     shape = Collision(
         Cylinder(0.1, 0.04), LYING, frictions[0], "", None, None, frictions[1], direction
     )
-    surface = Surface.of(shape, Y)
+    surface = ContactSurface.of(shape, Y)
     assert np.abs(surface.axis) == pytest.approx(Y)
     assert (surface.friction, surface.along, surface.across) == (0.6, 0.5, 1.0)

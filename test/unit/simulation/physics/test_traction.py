@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from contact_forces import pressures
 from rovers import Drive, G, Rover, coulomb_twist
 
 from bullet_lab.core.pose import Pose
@@ -201,7 +202,7 @@ def test_against_a_wall_it_pushes_with_its_torque_and_stays():
         place = drive.robot.pose().position
         drive.go(0.3, 0.3, 0.5)
         assert math.dist(drive.robot.pose().position, place) < 1e-5
-        pressing = drive.simulation.contacts("rover")["thing"].force
+        pressing = pressures(drive.simulation, "rover")["thing"]
     # Without friction on the wall, the floor has all of it.
     assert pressing == pytest.approx(4 * 0.5 / 0.1, rel=0.02)
 

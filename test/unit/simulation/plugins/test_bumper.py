@@ -7,7 +7,7 @@ from conftest import complains
 from sensor_worlds import box, record, thing
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.contacts import nearest_shape
+from bullet_lab.simulation.physics.attached_frame import nearest_shape
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Collision, Cylinder, Plane, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf

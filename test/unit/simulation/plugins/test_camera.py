@@ -8,8 +8,8 @@ from conftest import complains
 from picture_worlds import checkers, plate, simulation_of, thing, write_plate
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.camera import Camera
-from bullet_lab.simulation.rendering.finish import CameraSettings, FinishError
+from bullet_lab.simulation.plugins.camera import Camera, CameraSettings
+from bullet_lab.simulation.rendering.graphics import RendererError
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -270,7 +270,7 @@ def test_a_lens_blurs_before_white_is_cut_off(tmp_path):
     ],
 )
 def test_impossible_settings_are_refused(wrong):
-    with pytest.raises(FinishError):
+    with pytest.raises(RendererError):
         CameraSettings(**wrong)
 
 

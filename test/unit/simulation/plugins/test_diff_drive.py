@@ -7,7 +7,7 @@ from conftest import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import pybullet
-from bullet_lab.simulation.physics.physics import JointState
+from bullet_lab.simulation.physics.bodies import JointState
 from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, Wheel

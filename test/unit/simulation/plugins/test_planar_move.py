@@ -8,7 +8,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports.squares import analyse
 from bullet_lab.simulation.plugins import PluginError
-from bullet_lab.simulation.plugins.planar_move import PUBLISHED_RADIUS
+from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import SimulationError
 from bullet_lab.simulation.world.sdf import read_spawned

@@ -1,12 +1,8 @@
 
 import pytest
 
-from bullet_lab.simulation.plugins import (
-    Output,
-    Plugin,
-    known_plugins,
-    plugin,
-)
+from bullet_lab.simulation import plugins
+from bullet_lab.simulation.plugins import Output, Plugin, known_plugins
 from bullet_lab.simulation.plugins.samples import RangeSample
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -20,7 +16,7 @@ ROBOT = """<robot name="r"><link name="base">
 @pytest.fixture(autouse=True)
 def known_kinds(monkeypatch):
     """What a test adds to the kinds that are known is gone after it."""
-    monkeypatch.setattr(plugin, "_KINDS", dict(plugin._KINDS))
+    monkeypatch.setattr(plugins, "_KINDS", dict(plugins._KINDS))
 
 
 @pytest.fixture

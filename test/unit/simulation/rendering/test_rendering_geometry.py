@@ -14,7 +14,7 @@ from picture_worlds import (
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.rendering.finish import FinishError, Lens
+from bullet_lab.simulation.plugins.camera import Lens
 from bullet_lab.simulation.rendering.graphics import RendererError
 from bullet_lab.simulation.rendering.renderer import Shot
 
@@ -162,7 +162,7 @@ def test_slopes_are_the_inverse_of_a_projection(distortion, focal):
 
 
 def test_a_lens_that_shows_nothing_is_refused():
-    with pytest.raises(FinishError, match="leaves nothing"):
+    with pytest.raises(RendererError, match="leaves nothing"):
         Lens(PinholeCamera(2, 2, 1.0, 1.0, 900.0, 900.0, (-9.0, 0, 0, 0, 0)))
 
 

@@ -175,13 +175,13 @@ def test_shadow_maps_that_are_gone_leave_no_memory_behind():
     """The driver's scenes kept one or two of 64 MB, in seven of seven runs."""
     graphics, matrix = shared_graphics(), np.eye(4)
     picture = graphics.target(64, 64, 1)
-    picture.look(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
+    picture.aim(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
     graphics.draw([picture])
     before = resident_megabytes()
     for _ in range(5):
         maps = [graphics.shadow_target(4096, (1, 1)) for _ in range(3)]
         for each in maps:
-            each.look(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
+            each.aim(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
         for _ in range(3):
             graphics.draw([*maps, picture])
         while maps:
@@ -195,7 +195,7 @@ def test_a_shadow_map_has_no_colours():
     graphics, matrix = shared_graphics(), np.eye(4)
     before = resident_megabytes()
     target = graphics.shadow_target(4096, (1, 1))
-    target.look(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
+    target.aim(panda3d().NodePath("nothing"), graphics.state(), 0, [matrix])
     graphics.draw([target])
     taken = resident_megabytes() - before
     graphics.remove(target)

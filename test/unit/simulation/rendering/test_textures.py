@@ -10,9 +10,8 @@ from PIL import Image
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.drawables import read_pixels
+from bullet_lab.simulation.rendering.drawables import read_pixels, surfaces_of
 from bullet_lab.simulation.rendering.renderer import Shot
-from bullet_lab.simulation.rendering.surfaces import surfaces_of
 from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))

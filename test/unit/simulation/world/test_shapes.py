@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from bullet_lab.simulation.physics.bodies import SHAPES as BODIES
+from bullet_lab.simulation.physics.physics import SHAPES as BODIES
 from bullet_lab.simulation.world.meshes import MeshError
 from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plane, Sphere
 
 WITH_EXAMPLES = (
     "core.pose",
-    "simulation.plugins.planar_move",
+    "simulation.plugins.mobile_base",
     "simulation.plugins.wheel_drives",
     "simulation.world.tree",
     "simulation.world.shapes",

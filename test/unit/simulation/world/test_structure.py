@@ -131,7 +131,7 @@ def test_a_joint_turns_about_its_own_place():
         instance = world.add(found)
         instance.configure({"j": TURN})
         near(instance.frame("b").pose(), 1, 1, 0, 0, 0, TURN)
-        assert world.contacts("m") == {}
+        assert world.contacts("m") == set()
 
 
 def test_what_is_joined_to_the_world_hangs_there():

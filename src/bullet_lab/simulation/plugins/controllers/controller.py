@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Dict, Iterator, Mapping, Sequence, Tuple, Type, Union
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
+from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
     POSITION,
@@ -19,7 +20,6 @@ from bullet_lab.simulation.plugins.controllers.description import (
     ControlParameters,
 )
 from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, Pid
-from bullet_lab.simulation.plugins.plugin import Input, Output
 from bullet_lab.simulation.plugins.samples import (
     JointCommand,
     JointCommands,

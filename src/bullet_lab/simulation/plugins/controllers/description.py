@@ -9,7 +9,7 @@ from typing import Any, Dict, Mapping, Optional, Tuple
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Vector
-from bullet_lab.simulation.plugins.plugin import PluginError
+from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.world.xml import XmlError, child_text, number, numbers, parse_text
 
 LOG = logging.getLogger(__name__)

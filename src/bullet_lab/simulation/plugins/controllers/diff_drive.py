@@ -10,6 +10,7 @@ from typing import Any, Deque, Dict, Mapping, Optional, Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers.controller import (
     Controller,
     Setting,
@@ -20,9 +21,8 @@ from bullet_lab.simulation.plugins.controllers.description import (
     ControlError,
     ControlParameters,
 )
-from bullet_lab.simulation.plugins.mobile_base import STANDSTILL
-from bullet_lab.simulation.plugins.plugin import Input, Output
 from bullet_lab.simulation.plugins.samples import (
+    STANDSTILL,
     OdometrySample,
     PlanarCommand,
     TransformSample,

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Dict, Mapping, Optional, Tuple, Type
 
-from bullet_lab.simulation.physics.physics import Body
+from bullet_lab.simulation.physics.bodies import Body
 from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
     POSITION,
