@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Tuple
 
+from bullet_lab.core.parameters import boolean, number
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive.square import SLOWEST_DRIVE, SLOWEST_TURN, approach
 from bullet_lab.errors import LabError
@@ -30,7 +31,7 @@ LEAST_TOLERANCE = 0.01
 
 
 class GoalDriverError(LabError):
-    """A goal or a limit is invalid."""
+    """A goal is invalid."""
 
 
 class DrivePhase(Enum):
@@ -43,37 +44,19 @@ class DrivePhase(Enum):
 
 @dataclass(frozen=True)
 class GoalLimits:
-    """Speeds and tolerances of a drive to a goal; the defaults are the course's.
+    """Speeds and tolerances of a drive to a goal; the defaults are the course's."""
 
-    Attributes:
-        speed: m/s.
-        turn_speed: rad/s.
-        acceleration: m/s², for speeding up and for braking.
-        turn_acceleration: rad/s².
-        gain: m/s for each remaining metre.
-        turn_gain: rad/s for each remaining radian.
-        tolerance: m from the goal within which the robot may stop.
-        yaw_tolerance: rad from its heading.
-        heading: whether to turn to the goal's heading at the end.
-    """
-
-    speed: float = 0.2
-    turn_speed: float = 0.8
-    acceleration: float = 0.4
-    turn_acceleration: float = 2.0
-    gain: float = 1.0
-    turn_gain: float = 2.0
-    tolerance: float = 0.05
-    yaw_tolerance: float = 0.03
-    heading: bool = True
-
-    def __post_init__(self):
-        numbers = [value for value in vars(self).values() if not isinstance(value, bool)]
-        if not all(math.isfinite(value) and value > 0.0 for value in numbers):
-            raise GoalDriverError(f"limits {numbers}; all must be finite and > 0")
-        least = min(self.tolerance, self.yaw_tolerance)
-        if least < LEAST_TOLERANCE:
-            raise GoalDriverError(f"tolerance {least:g}; at least {LEAST_TOLERANCE:g} is needed")
+    speed: float = number(0.2, "at most, m/s", above=0.0)
+    turn_speed: float = number(0.8, "at most, rad/s", above=0.0)
+    acceleration: float = number(0.4, "at most, m/s²", above=0.0)
+    turn_acceleration: float = number(2.0, "at most, rad/s²", above=0.0)
+    gain: float = number(1.0, "m/s for each m to the goal", above=0.0)
+    turn_gain: float = number(2.0, "rad/s for each rad", above=0.0)
+    tolerance: float = number(0.05, "m from the goal to stop within", minimum=LEAST_TOLERANCE)
+    yaw_tolerance: float = number(
+        0.03, "rad from its heading to stop within", minimum=LEAST_TOLERANCE
+    )
+    heading: bool = boolean(True, "turn to the goal's heading at the end")
 
 
 class GoalDriver:

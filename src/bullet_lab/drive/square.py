@@ -88,20 +88,19 @@ class ClosedLoopSide:
         start: pose (m, m, rad) at the start of the side.
         heading: rad, of the side; the turn ends a quarter turn from it. As each heading is
             computed from the one before, errors of the turns do not accumulate.
+
+    Attributes:
+        next_heading: rad, of the next side.
+        done: whether the turn has ended.
     """
 
     def __init__(self, square: Square, start: PlanarPose, heading: float):
         self._square = square
         self._start = start
-        self._goal = heading + math.copysign(0.5 * math.pi, square.turn_speed)
+        self.next_heading = heading + math.copysign(0.5 * math.pi, square.turn_speed)
         self._heading = heading
         self._turning = False
         self.done = False
-
-    @property
-    def next_heading(self) -> float:
-        """Heading of the next side, rad."""
-        return self._goal
 
     def progress(self, pose: PlanarPose) -> float:
         """Return the distance driven along the side, in m."""
@@ -115,7 +114,7 @@ class ClosedLoopSide:
             if left > DRIVE_TOLERANCE:
                 return approach(left, self._square.speed, SLOWEST_DRIVE), 0.0
             self._turning = True
-        left = wrap(self._goal - pose[2])
+        left = wrap(self.next_heading - pose[2])
         ahead = math.copysign(left, left * self._square.turn_speed)
         if not -TURN_EXCESS <= ahead <= TURN_TOLERANCE:
             speed = approach(abs(left), abs(self._square.turn_speed), SLOWEST_TURN)
@@ -154,7 +153,6 @@ class SquareDriver:
         rate: commands per second.
         needs_pose: whether `command` needs the pose of the robot.
         sides_done: number of sides that have been driven, with the turn after each.
-        distance: m driven so far on all sides.
 
     Raises:
         DriverError: an unknown mode.
@@ -172,7 +170,6 @@ class SquareDriver:
         self.needs_pose = mode == CLOSED_LOOP
         self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
         self.sides_done = 0
-        self.distance = 0.0
         self._commands: Optional[_Commands] = None
 
     def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
@@ -191,9 +188,7 @@ class SquareDriver:
 
     def _by_clock(self) -> _Commands:
         for _ in range(self._square.sides):
-            for number, command in enumerate(open_loop_side(self._square), 1):
-                yield command
-                self._note(number * self._square.side / self._square.side_commands)
+            yield from open_loop_side(self._square)
             self.sides_done += 1
 
     def _by_odometry(self, pose: PlanarPose) -> _Commands:
@@ -202,11 +197,5 @@ class SquareDriver:
             side = ClosedLoopSide(self._square, pose, heading)
             while not side.done:
                 pose = yield side.command(pose)
-                self._note(side.progress(pose))
             heading = side.next_heading
             self.sides_done += 1
-
-    def _note(self, progress: float) -> None:
-        """Update the distance by the progress (m) along the present side."""
-        driven = self.sides_done * self._square.side + min(progress, self._square.side)
-        self.distance = max(self.distance, driven)

@@ -121,14 +121,6 @@ def test_goals_that_are_none(goal):
         GoalDriver(goal)
 
 
-@pytest.mark.parametrize(
-    "change", [{"speed": 0.0}, {"acceleration": -1.0}, {"gain": math.nan}, {"tolerance": 0.005}]
-)
-def test_limits_that_are_none(change):
-    with pytest.raises(GoalDriverError):
-        replace(LIMITS, **change)
-
-
 @pytest.mark.parametrize("robot", ["block_robot", "camera_robot"])
 @pytest.mark.parametrize("goal", [(0.6, 0.4, -1.0), (-0.3, 0.0, 0.0)])
 def test_both_robots_of_the_course_stop_at_the_goal(robot, goal):

@@ -146,16 +146,6 @@ def test_sides_are_counted_after_their_turn():
     assert done == [0] * 13 + [1] * 13
 
 
-def test_the_distance_is_that_of_the_sides():
-    driver = SquareDriver(Square(sides=2, side=0.06, turn_commands=2))
-    distances = []
-    while driver.command() is not None:
-        distances.append(driver.distance)
-    side = [0.0, 0.02, 0.04, 0.06, 0.06]
-    assert distances == pytest.approx(side + [0.06 + distance for distance in side])
-    assert driver.distance == pytest.approx(0.12)
-
-
 def test_closed_loop_drives_a_square_by_the_poses():
     """A robot that follows commands exactly, at 20 Hz."""
     driver = SquareDriver(Square(sides=4, side=0.5), "closed_loop")
@@ -172,7 +162,6 @@ def test_closed_loop_drives_a_square_by_the_poses():
             corners.append((x, y))
     assert command is None
     assert driver.sides_done == 4
-    assert driver.distance == pytest.approx(2.0, abs=0.01)
     assert math.dist((x, y), corners[0]) < 0.01
     assert math.remainder(yaw - math.radians(20.0), math.tau) == pytest.approx(0.0, abs=0.01)
 

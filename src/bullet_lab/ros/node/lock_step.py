@@ -153,21 +153,16 @@ class Rate:
         hz: ticks per simulated second.
         is_ready: in lock step, condition to wait for before time starts.
         what: what that waits for, for the log.
-        always: whether to be in lock step whatever ~lock_step is.
 
     Attributes:
         now: ROS time at the last tick; a reset may have set it back.
     """
 
     def __init__(
-        self,
-        hz: float,
-        is_ready: Optional[Callable[[], bool]] = None,
-        what: str = "",
-        always: bool = False,
+        self, hz: float, is_ready: Optional[Callable[[], bool]] = None, what: str = ""
     ):
         self._hz = hz
-        self._member: Optional[Member] = member() if always or in_lock_step() else None
+        self._member: Optional[Member] = member() if in_lock_step() else None
         if self._member is None:
             self._rate = rospy.Rate(hz)
             self.now = rospy.Time.now()
@@ -199,8 +194,6 @@ class Rate:
 
 
 rate = Rate
-LockStepRate = functools.partial(Rate, always=True)
-"""A rate for nodes without the parameter ~lock_step; commands need the package's `publisher`."""
 
 
 def join_when(is_connected: Callable[[], bool], what: str) -> None:

@@ -80,17 +80,17 @@ def run_node(
         library.propagate = False
         threading.Thread(target=_watch_master, args=(master_is_gone,), daemon=True).start()
         threading.Thread(target=_collect_garbage, daemon=True).start()
+        body()
+    except rospy.ROSInterruptException:
         # Ctrl-C, or another node ended this one: a clean end.
-        with contextlib.suppress(rospy.ROSInterruptException):
-            body()
+        pass
     except Exception as error:
         if is_ending() and not isinstance(error, (ParameterError, FileError)):
             # Another thread has closed the topics that the main thread uses.
             logging.getLogger("rospy").info("%s was ended", name, exc_info=True)
-        elif isinstance(error, ParameterError):
-            _end(name, error, STATUS_BAD_PARAMETER)
         elif isinstance(error, (LabError, rospy.ROSInitException)):
-            _end(name, error, STATUS_CANNOT_GO_ON)
+            is_parameter = isinstance(error, ParameterError)
+            _end(name, error, STATUS_BAD_PARAMETER if is_parameter else STATUS_CANNOT_GO_ON)
         else:
             raise
     finally:

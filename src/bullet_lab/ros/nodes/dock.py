@@ -63,8 +63,8 @@ from bullet_lab.ros.messages.poses import InputError, stamped_pose
 from bullet_lab.ros.node.driving import GoalServer, StoppableSender
 from bullet_lab.ros.node.lock_step import rate
 from bullet_lab.ros.node.node import node
-from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
-from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
+from bullet_lab.ros.node.odometry import FrameError, FrameFinder, MessageQueue, own_frame
+from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.ros.nodes.dock_messages import (
     GoalError,
     NotYetError,

@@ -46,7 +46,7 @@ from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sam
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, SystematicStep
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers, planar_pose
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
@@ -108,9 +108,8 @@ class NoisyOdometry:
     def odom_callback(self, msg: Odometry) -> None:
         """Take the next message; refuse one that is invalid or has other frames than the first."""
         try:
-            pose = planar_pose(msg)
             check_numbers(msg)
-            self._frames.check(msg)
+            pose = self._frames.check(msg)
             if self.msg is not None:
                 self._check_time(msg)
         except OdometryError as error:

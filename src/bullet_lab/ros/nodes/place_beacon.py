@@ -27,8 +27,8 @@ from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError, pose_message
 from bullet_lab.ros.node.node import Refusals, node, wait_until
+from bullet_lab.ros.node.odometry import FrameFinder
 from bullet_lab.ros.node.publishers import Publisher
-from bullet_lab.ros.node.transforms import FrameFinder
 from bullet_lab.ros.nodes.populate import SERVICE, description_of
 
 CLICKED = "/clicked_point"

@@ -29,7 +29,7 @@ from bullet_lab.core.parameters import boolean, checked, text
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 
 Number = Union[int, float]
@@ -120,8 +120,7 @@ class TrackRobot:
     def callback(self, msg: Odometry) -> None:
         """Publish the distances from the pose of a message."""
         try:
-            x, y, _ = planar_pose(msg)
-            self._frames.check(msg)
+            x, y, _ = self._frames.check(msg)
         except OdometryError as error:
             self._refusals.refuse("odom", str(error))
             return

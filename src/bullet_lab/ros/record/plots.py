@@ -31,8 +31,8 @@ from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.node import NodeError, node
+from bullet_lab.ros.node.odometry import own_frame
 from bullet_lab.ros.node.publishers import Publisher
-from bullet_lab.ros.node.transforms import own_frame
 from bullet_lab.ros.nodes.dock_messages import docking_result
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParameters, robot_names
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
