@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from typing import Any, Callable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Sequence
 
 import rospy
 from actionlib import ActionServer, ServerGoalHandle, SimpleActionServer
@@ -33,7 +33,7 @@ class StoppableSender:
         """Return a ticket for `send`; called before a command is computed."""
         return self._stops
 
-    def send(self, command: Tuple[float, float], ticket: Optional[int] = None) -> None:
+    def send(self, command: tuple[float, float], ticket: int | None = None) -> None:
         """Send a command (m/s, rad/s), unless there was a stop after its ticket."""
         with self._lock:
             if ticket in (None, self._stops) and not self._ended:
@@ -52,7 +52,7 @@ class StoppableSender:
             self.stop()
             self._ended = True
 
-    def _publish(self, command: Tuple[float, float]) -> None:
+    def _publish(self, command: tuple[float, float]) -> None:
         twist = Twist()
         twist.linear.x, twist.angular.z = command
         self._publisher.publish(twist)
@@ -114,7 +114,7 @@ class GoalServer(SimpleActionServer):
             if not rospy.is_shutdown():
                 server.feedback_pub.publish(message)
 
-    def end(self, status: int, result: Optional[Any] = None, text: str = "") -> None:
+    def end(self, status: int, result: Any | None = None, text: str = "") -> None:
         """End the current goal as succeeded, preempted or aborted, with a text for the user."""
         if status == GoalStatus.SUCCEEDED:
             self.set_succeeded(result, text)
@@ -172,7 +172,7 @@ class GoalNode(ABC):
         self._sender = StoppableSender(self._commands)
         self._frames = FrameFinder()
         self._queues = queues
-        self._servers: List[GoalServer] = []
+        self._servers: list[GoalServer] = []
 
     def run(self, hz: float, what: str) -> None:
         """Work at a rate of simulated time until ROS shuts down.

@@ -6,13 +6,12 @@ import math
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Generic, List, Optional, Tuple, TypeVar
+from typing import Any, Callable, Generic, TypeVar
 
 import rospy
 import tf2_ros
-from geometry_msgs.msg import PoseStamped, Vector3
+from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
-from tf2_msgs.msg import TFMessage
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose, yaw_from_quaternion
@@ -80,7 +79,7 @@ def check_numbers(message: Odometry) -> None:
         raise OdometryError("a height, twist or covariance that is not finite")
 
 
-def _vector(value: Vector3) -> Tuple[float, float, float]:
+def _vector(value: Vector3) -> tuple[float, float, float]:
     return value.x, value.y, value.z
 
 
@@ -88,7 +87,7 @@ class FrameGuard:
     """Reads the poses of odometry messages that have the frames of the first one."""
 
     def __init__(self):
-        self._frames: Optional[Tuple[str, str]] = None
+        self._frames: tuple[str, str] | None = None
 
     def check(self, message: Odometry) -> PlanarPose:
         """Return the pose of a message as `planar_pose` does.
@@ -127,9 +126,9 @@ class NewestOdometry:
     def __init__(self, topic: str):
         self._topic = topic
         self._new = threading.Condition()
-        self._pose: Optional[PlanarPose] = None
+        self._pose: PlanarPose | None = None
         self._stamp = rospy.Time(0)
-        self._period: Optional[rospy.Duration] = None
+        self._period: rospy.Duration | None = None
         self._received = rospy.Time(0)
         self._refusals = Refusals()
         self._subscriber = subscriber(topic, Odometry, self.take)
@@ -160,12 +159,8 @@ class NewestOdometry:
 
     def take(self, message: Odometry) -> None:
         """Store the pose of a message; an invalid message is refused and counted."""
-        try:
+        with self._refusals.on(self._topic), self._new:
             pose = planar_pose(message)
-        except OdometryError as error:
-            self._refusals.refuse(self._topic, str(error))
-            return
-        with self._new:
             if self._pose is not None and message.header.stamp > self._stamp:
                 self._period = message.header.stamp - self._stamp
             self._pose, self._stamp = pose, message.header.stamp
@@ -192,12 +187,12 @@ class MessageQueue(Generic[T]):
         self.topic, self.trouble = topic, ""
         self._kind, self._read, self._rate = kind, read, rate
         self._new = threading.Condition()
-        self._waiting: Deque[Tuple[int, T]] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[tuple[int, T]] = deque(maxlen=MOST_WAITING)
         # ns
         self._newest = 0
         self._patience = LATEST
         self._refusals = Refusals()
-        self._subscriber: Optional[rospy.Subscriber] = None
+        self._subscriber: rospy.Subscriber | None = None
         if in_lock_step():
             self.open()
 
@@ -227,7 +222,7 @@ class MessageQueue(Generic[T]):
         """Return whether the topic has a publisher."""
         return self._subscriber is not None and self._subscriber.get_num_connections() > 0
 
-    def take(self, now: rospy.Time) -> List[T]:
+    def take(self, now: rospy.Time) -> list[T]:
         """Remove and return the messages with stamps up to now."""
         taken = []
         with self._new:
@@ -271,27 +266,28 @@ class FrameError(LabError):
     """There is no transform between two frames."""
 
 
-class CarefulListener(tf2_ros.TransformListener):
-    """Fills a buffer from /tf and /tf_static; ignores transforms that would end the process."""
+class CarefulBuffer(tf2_ros.Buffer):
+    """A buffer that ignores transforms that would end the process."""
 
-    def __init__(self, buffer: tf2_ros.Buffer):
+    def __init__(self):
+        super().__init__()
         self._refusals = Refusals()
-        super().__init__(buffer)
 
-    def callback(self, data: TFMessage) -> None:
-        """Store the transforms of a message on /tf."""
-        super().callback(self._usable("/tf", data))
+    def set_transform(self, transform: TransformStamped, authority: str) -> None:
+        """Store a transform of /tf."""
+        if self._is_usable("/tf", transform):
+            super().set_transform(transform, authority)
 
-    def static_callback(self, data: TFMessage) -> None:
-        """Store the transforms of a message on /tf_static."""
-        super().static_callback(self._usable("/tf_static", data))
+    def set_transform_static(self, transform: TransformStamped, authority: str) -> None:
+        """Store a transform of /tf_static."""
+        if self._is_usable("/tf_static", transform):
+            super().set_transform_static(transform, authority)
 
-    def _usable(self, topic: str, message: TFMessage) -> TFMessage:
-        usable = [one for one in message.transforms if one.header.stamp.secs < END_OF_TIME]
-        if len(usable) < len(message.transforms):
+    def _is_usable(self, topic: str, transform: TransformStamped) -> bool:
+        is_usable = transform.header.stamp.secs < END_OF_TIME
+        if not is_usable:
             self._refusals.refuse(topic, "a stamp at the end of ROS time")
-            message.transforms = usable
-        return message
+        return is_usable
 
 
 class FrameFinder:
@@ -302,8 +298,8 @@ class FrameFinder:
     """
 
     def __init__(self):
-        self._buffer = tf2_ros.Buffer()
-        self._listener = CarefulListener(self._buffer)
+        self._buffer = CarefulBuffer()
+        self._listener = tf2_ros.TransformListener(self._buffer)
 
     def clear(self) -> None:
         """Remove all transforms after a reset of time."""
@@ -325,7 +321,7 @@ class FrameFinder:
 
     def planar(
         self, message: PoseStamped, target: str, wait: bool = True
-    ) -> Tuple[float, float, float]:
+    ) -> tuple[float, float, float]:
         """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
 
         Raises InputError for an invalid pose, and the errors of `bring`.

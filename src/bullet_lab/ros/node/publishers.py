@@ -8,7 +8,7 @@ import time
 import warnings
 from collections import deque
 from io import BytesIO
-from typing import Any, Callable, Deque, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 import genpy
 import rospy
@@ -19,8 +19,8 @@ from bullet_lab.ros.node.lock_step import in_lock_step, member
 
 # Wall seconds between two checks of a full queue.
 ROOM_CHECK_SECONDS = 0.001
-# Wall seconds between two checks for subscribers that have died.
-LISTENERS_CHECK_SECONDS = 0.5
+# Wall seconds between two checks for subscribers that have come, gone or died.
+LISTENERS_CHECK_SECONDS = 0.05
 # Field in the connection header of a publisher of commands: wall seconds after which the bridge
 # stops the robot if no further command arrives.
 COMMAND_TIMEOUT = "command_timeout"
@@ -91,7 +91,7 @@ class BatchPublisher(Publisher):
                 connection.close()
 
 
-def await_room(connection: Any, size: Optional[int]) -> None:
+def await_room(connection: Any, size: int | None) -> None:
     """Wait until the queue of a rospy connection has room for a message."""
     # The queue is not part of rospy's interface and may be missing.
     while size and len(getattr(connection, "_queue", ())) >= size:
@@ -101,7 +101,7 @@ def await_room(connection: Any, size: Optional[int]) -> None:
 
 
 def publisher(
-    topic: str, kind: type, queue_size: Optional[int] = None, latch: bool = False
+    topic: str, kind: type, queue_size: int | None = None, latch: bool = False
 ) -> Publisher:
     """Return a publisher of messages that other nodes compute with.
 
@@ -128,7 +128,7 @@ def subscriber(
     topic: str,
     kind: type,
     receive: Callable[[Any], None],
-    queue_size: Optional[int] = None,
+    queue_size: int | None = None,
     buffer_bytes: int = rospy.topics.DEFAULT_BUFF_SIZE,
 ) -> rospy.Subscriber:
     """Return a subscriber that drops no message in lock step.
@@ -147,7 +147,7 @@ def subscriber(
     )
 
 
-class Demand(rospy.SubscribeListener):
+class Demand:
     """Publishers of results that are computed only while somebody subscribes.
 
     A thread calls `start` when the first subscriber comes, or at once if `always`, and `stop`
@@ -155,38 +155,28 @@ class Demand(rospy.SubscribeListener):
     """
 
     def __init__(self, start: Callable[[], None], stop: Callable[[], None], always: bool = False):
-        super().__init__()
         self._start, self._stop = start, stop
         self._always = always
-        self._publishers: List[Publisher] = []
-        self._wake = threading.Event()
+        self._publishers: list[Publisher] = []
         self.is_there = False
 
     def publisher(self, topic: str, kind: type, queue_size: int = 10) -> Publisher:
         """Return a publisher of results, see the function `publisher`."""
         made = publisher(topic, kind, queue_size)
         self._publishers.append(made)
-        made.impl.add_subscriber_listener(self)
         return made
 
     def watch(self) -> None:
         """Start the thread that starts and stops the work."""
         threading.Thread(target=self._watch, daemon=True).start()
 
-    def peer_subscribe(self, *_: Any) -> None:
-        """Check the subscribers; called by rospy when one has come or gone."""
-        self._wake.set()
-
-    peer_unsubscribe = peer_subscribe
-
     def _watch(self) -> None:
         while not rospy.is_shutdown():
-            self._wake.clear()
             wanted = self._always or any(map(_has_listeners, self._publishers))
             if wanted != self.is_there:
                 self.is_there = wanted
                 (self._start if wanted else self._stop)()
-            self._wake.wait(LISTENERS_CHECK_SECONDS)
+            time.sleep(LISTENERS_CHECK_SECONDS)
 
 
 def _has_listeners(publisher: Publisher) -> bool:
@@ -236,7 +226,7 @@ class Traffic:
 
     def __init__(self):
         self._lock = threading.Lock()
-        self._done: Deque[Tuple[float, float]] = deque()
+        self._done: deque[tuple[float, float]] = deque()
         self.total = 0
 
     def note(self, seconds: float) -> None:
@@ -246,7 +236,7 @@ class Traffic:
             self._done.append((time.monotonic(), seconds))
             self._forget()
 
-    def figures(self) -> Dict[str, str]:
+    def figures(self) -> dict[str, str]:
         """Return the number of results, their rate and latency as text."""
         with self._lock:
             self._forget()

@@ -24,7 +24,6 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Deque
 
 import rospy
 from actionlib import GoalIDGenerator, ServerGoalHandle
@@ -41,7 +40,7 @@ from bullet_lab.drive.goal import STANDSTILL, DrivePhase, GoalDriver, GoalLimits
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.driving import GoalNode, GoalServer
-from bullet_lab.ros.node.node import Refusals, node
+from bullet_lab.ros.node.node import Refusals, holds_within, node
 from bullet_lab.ros.node.odometry import FrameError, MessageQueue, OdometryError, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher
 
@@ -49,7 +48,6 @@ ACTION = "move_base"
 SIMPLE_GOAL = "move_base_simple/goal"
 # Wall seconds that a goal waits for the first odometry, which has the frame, and for TF.
 PATIENCE = 5.0
-POLL_SECONDS = 0.02
 # m between two points of the driven path.
 PATH_STEP = 0.02
 # Points of the driven path that are kept.
@@ -102,7 +100,7 @@ class GoalTopics:
         self._active: GoalStatus | None = None
         self._frame = ""
         self._target: PlanarPose = (0.0, 0.0, 0.0)
-        self._driven: Deque[PoseStamped] = deque(maxlen=MOST_POINTS)
+        self._driven: deque[PoseStamped] = deque(maxlen=MOST_POINTS)
         self._ticks = 0
 
     def report(self, goal_id: GoalID, status: int, text: str) -> None:
@@ -200,7 +198,7 @@ class DriveToGoal(GoalNode):
         self._moving = STANDSTILL
         self._driver: GoalDriver | None = None
         # Goals that have come, but are not accepted yet.
-        self._pending: Deque[GoalID] = deque()
+        self._pending: deque[GoalID] = deque()
         self._odometry.open()
         self._server = GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
         self._server.start()
@@ -229,9 +227,7 @@ class DriveToGoal(GoalNode):
 
     def _await_frame(self) -> str:
         """Wait for the frame of the odometry; raises OdometryError if none comes."""
-        deadline = time.monotonic() + PATIENCE
-        while not self._frame and time.monotonic() < deadline and not rospy.is_shutdown():
-            time.sleep(POLL_SECONDS)
+        holds_within(lambda: self._frame, PATIENCE)
         return self._known_frame()
 
     def _known_frame(self) -> str:

@@ -13,21 +13,14 @@ With ~robots, one node serves that many robots, each in its namespace: robot1 an
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, make_dataclass, replace
+from io import BytesIO
 from typing import Any, Sequence
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import (
-    Point,
-    Pose,
-    PoseWithCovariance,
-    Quaternion,
-    Twist,
-    TwistWithCovariance,
-    Vector3,
-)
+from geometry_msgs.msg import Point, Quaternion
 from nav_msgs.msg import Odometry
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.parameters import boolean, choice, integer, number
@@ -196,19 +189,16 @@ def _at(msg: Odometry, pose: PlanarPose) -> Odometry:
 
     The node in the report changed the message that it also kept as the last perfect one.
     """
+    data = BytesIO()
+    msg.serialize(data)
+    moved = Odometry().deserialize(data.getvalue())
     x, y, yaw = pose
-    place = Point(x, y, msg.pose.pose.position.z)
-    turn = Quaternion(*quaternion_from_yaw(yaw))
-    linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
-    twist = Twist(
-        Vector3(linear.x, linear.y, linear.z), Vector3(angular.x, angular.y, angular.z)
-    )
-    return Odometry(
-        Header(0, msg.header.stamp, msg.header.frame_id),
-        msg.child_frame_id,
-        PoseWithCovariance(Pose(place, turn), list(msg.pose.covariance)),
-        TwistWithCovariance(twist, list(msg.twist.covariance)),
-    )
+    moved.pose.pose.position.x = x
+    moved.pose.pose.position.y = y
+    moved.pose.pose.orientation = Quaternion(*quaternion_from_yaw(yaw))
+    moved.pose.covariance = list(moved.pose.covariance)
+    moved.twist.covariance = list(moved.twist.covariance)
+    return moved
 
 
 def _add_noise(

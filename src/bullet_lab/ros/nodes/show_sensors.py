@@ -63,24 +63,18 @@ class ShowSensors:
         self._imu = rospy.Subscriber(parameters.imu, Imu, self._show_imu, queue_size=10)
 
     def _show_contacts(self, message: msg.ContactsState) -> None:
-        try:
+        with self._refusals.on(self._parameters.bumper):
             total = total_wrench(message)
             markers = list(contact_markers(message, self._parameters.scale))
-        except InputError as error:
-            self._refusals.refuse(self._parameters.bumper, str(error))
-            return
-        self._contacts.publish(MarkerArray(markers))
-        self._wrench.publish(WrenchStamped(message.header, total))
+            self._contacts.publish(MarkerArray(markers))
+            self._wrench.publish(WrenchStamped(message.header, total))
 
     def _show_imu(self, message: Imu) -> None:
-        try:
+        with self._refusals.on(self._parameters.imu):
             vector_of(message.linear_acceleration, "an acceleration")
-        except InputError as error:
-            self._refusals.refuse(self._parameters.imu, str(error))
-            return
-        shown = AccelStamped(header=message.header)
-        shown.accel.linear = message.linear_acceleration
-        self._acceleration.publish(shown)
+            shown = AccelStamped(header=message.header)
+            shown.accel.linear = message.linear_acceleration
+            self._acceleration.publish(shown)
 
 
 def total_wrench(message: msg.ContactsState) -> Wrench:

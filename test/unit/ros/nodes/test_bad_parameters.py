@@ -40,7 +40,6 @@ BAD = (
     (DriveToGoalParameters, "tolerance", 0.005),
     (PlotNoiseParameters, "plot_period", 0),
     (PlotNoiseParameters, "about", [1]),
-    (PlotNoiseParameters, "show", 2),
     (PlotNoiseParameters, "ot", "x"),
     (ArucoParameters, "tags", "apriltag_37h10"),
     (ArucoParameters, "width", 0),
