@@ -39,41 +39,44 @@ class FleetReport(Report):
     Args:
         folder: for the files.
         seeds: of the robots' noise, by their names, which are also their namespaces.
+
+    Attributes:
+        robots: the recording of each robot.
     """
 
     def __init__(self, folder: Path, seeds: Mapping[str, int]):
         clear_away(folder, seeds)
         super().__init__(folder)
         self._seeds = seeds
-        self._robots = {name: SquaresReport(folder / name, name) for name in seeds}
-        for paths in self._robots.values():
+        self.robots = {name: SquaresReport(folder / name, name) for name in seeds}
+        for paths in self.robots.values():
             self.topics.update(paths.topics)
-            paths.on_reset = lambda namespace, old: self.on_reset(namespace, old)
+            paths.on_reset = lambda old: self.on_reset(old)
 
     def take(self, topic: str, reading: Reading) -> bool:
         # Without the covariances, which the figures of a fleet do not show.
-        return self._robots[topic.partition("/")[0]].take(topic, reading._replace(detail=None))
+        return self.robots[topic.partition("/")[0]].take(topic, reading._replace(detail=None))
 
     def newest(self) -> int | None:
-        return earliest(paths.newest() for paths in self._robots.values())
+        return earliest(paths.newest() for paths in self.robots.values())
 
     def finish(self, until: int | None = None) -> None:
-        for paths in self._robots.values():
+        for paths in self.robots.values():
             paths.finish(until)
 
     def seconds(self) -> float:
-        return max(paths.seconds() for paths in self._robots.values())
+        return max(paths.seconds() for paths in self.robots.values())
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
         robots = []
-        for name, paths in self._robots.items():
+        for name, paths in self.robots.items():
             figures = squares_summary(paths.perfect(), paths.pairs())
             robots.append({"name": name, "seed": self._seeds[name], **figures})
         return {"finished": finished, **run, **fleet_summary(robots)}
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         drawn = {}
-        for name, paths in self._robots.items():
+        for name, paths in self.robots.items():
             pairs = paths.pairs()
             drawn[name] = (paths.perfect(), pairs and pairs[1])
         title = f"{len(drawn)} robots with noisy odometry{settings_line(self.about)}"

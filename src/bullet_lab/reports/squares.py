@@ -156,7 +156,6 @@ class SquaresReport(Report):
 
     def __init__(self, folder: Path, namespace: str = ""):
         super().__init__(folder)
-        self._namespace = namespace
         for name in (self.NOISY, self.PERFECT):
             self.topics[f"{namespace}/{name}".lstrip("/")] = "nav_msgs/Odometry"
         self._runs = 0
@@ -225,7 +224,7 @@ class SquaresReport(Report):
                 move_file(self.folder / file, old)
             self._covariances.clear()
             self._open()
-            self.on_reset(self._namespace, old)
+            self.on_reset(old)
         return True
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:

@@ -131,7 +131,7 @@ def test_a_place_that_cannot_be_written_to(tmp_path):
 def test_time_set_back_begins_a_new_run(recording):
     fill(recording)
     old = []
-    recording.on_reset = lambda namespace, folder: old.append(folder)
+    recording.on_reset = old.append
     assert recording.take("odom", Reading(3 * TICK, POSES[0]))
     assert old == [recording.folder / "run_1"]
     assert len(read_paths_csv(old[0] / "paths.csv")[0]) == 15
@@ -145,11 +145,11 @@ def test_time_set_back_begins_a_new_run(recording):
 def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
     report = SquaresReport(tmp_path)
     resets = []
-    report.on_reset = lambda *what: resets.append(what)
+    report.on_reset = resets.append
     for stamp in (2 * TICK, TICK):
         for topic in ("odom", "noisy_odom"):
             assert report.take(topic, Reading(stamp, POSES[0], ((0.01, 0.0), (0.0, 0.01))))
-    assert resets == [("", tmp_path / "run_1")]
+    assert resets == [tmp_path / "run_1"]
     assert list(report._covariances) == [TICK]
     report.about = {"std": 0.1, "seed": 2}
     figure = report.figures({})["paths.png"]

@@ -11,24 +11,22 @@ nodes also every ~plot_period.
 from __future__ import annotations
 
 import math
-import threading
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, Mapping
+from typing import Mapping
 
 import rospy
 from actionlib import ActionClient, ClientGoalHandle, CommState
 from geometry_msgs.msg import Point, PoseStamped
-from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.msg import DockAction, DockGoal
 from bullet_lab.noise.odometry_noise import derived_seed
+from bullet_lab.reports import Report
 from bullet_lab.reports.dock import DockReport, Station
 from bullet_lab.reports.fleet import FleetReport
 from bullet_lab.reports.goal import Beacon, GoalReport
@@ -58,8 +56,6 @@ WORLD_TIMEOUT_SECONDS = 60.0
 BEACONS = ("beacon_0", "beacon_1", "beacon_2")
 # m; the plan of the station has only objects that the robot can touch.
 ROBOT_HEIGHT = 0.55
-# Wall seconds between two versions of the paths for RViz, which are published for subscribers only.
-PERIOD_SECONDS = 0.5
 # As in all figures: the perfect path is orange, the noisy one blue.
 COLOURS = {"odom": ColorRGBA(0.90, 0.62, 0.0, 1.0), "noisy_odom": ColorRGBA(0.0, 0.45, 0.70, 1.0)}
 # m above the floor.
@@ -71,110 +67,70 @@ LABEL_SIZE = 0.25
 WHITE = ColorRGBA(1.0, 1.0, 1.0, 1.0)
 
 
-def _repeat(publish: Callable[[], None]) -> None:
-    """Call a function every `PERIOD_SECONDS`, in a thread, until ROS shuts down."""
-
-    def run() -> None:
-        while not rospy.is_shutdown():
-            rospy.rostime.wallsleep(PERIOD_SECONDS)
-            publish()
-
-    threading.Thread(target=run, daemon=True).start()
-
-
 class PathTopics:
     """A latched nav_msgs/Path for each topic of odometry; `topics` has the names of both."""
 
     def __init__(self, topics: Mapping[str, str]):
-        self._paths = {topic: PathMessage() for topic in topics}
         self._publishers = {
             topic: Publisher(path, PathMessage, queue_size=1, latch=True)
             for topic, path in topics.items()
         }
-        self._changed: set[str] = set()
-        _repeat(self._publish)
 
-    def append(self, topic: str, message: Odometry) -> None:
-        """Add the pose of a message to its path."""
-        path = self._paths.get(topic)
-        if path is not None:
-            path.header = message.header
-            path.poses.append(PoseStamped(message.header, message.pose.pose))
-            self._changed.add(topic)
-
-    def forget(self, namespace: str) -> None:
-        """Start new paths, as time was set back."""
-        for path in self._paths.values():
-            path.poses = []
-
-    def _publish(self) -> None:
+    def show(self, report: Report, frames: Mapping[str, str]) -> None:
+        """Publish the recorded paths for subscribers; `frames` are those of the topics."""
         for topic, publisher in self._publishers.items():
-            if topic in self._changed and publisher.has_connections():
-                self._changed.discard(topic)
-                path = self._paths[topic]
-                publisher.publish(PathMessage(path.header, list(path.poses)))
+            if topic in frames and publisher.has_connections():
+                stamps, poses = report.series[topic].table()
+                path = [
+                    stamped_pose(rospy.Time.from_sec(stamp), frames[topic], pose)
+                    for stamp, pose in zip(stamps.tolist(), poses.tolist())
+                ]
+                header = path[-1].header if path else Header(frame_id=frames[topic])
+                publisher.publish(PathMessage(header, path))
 
 
 class FleetMarkers:
     """The paths of any number of robots on one topic, fleet_paths."""
 
     def __init__(self):
-        self._lock = threading.Lock()
-        # By <robot>/odom and <robot>/noisy_odom.
-        self._frames: dict[str, str] = {}
-        self._points: dict[str, list[Point]] = defaultdict(list)
-        self._has_changed = False
         self._publisher = Publisher("fleet_paths", MarkerArray, queue_size=1, latch=True)
-        _repeat(self._publish)
 
-    def append(self, topic: str, message: Odometry) -> None:
-        """Add the position of a message on <robot>/odom or <robot>/noisy_odom."""
-        place = message.pose.pose.position
-        with self._lock:
-            self._frames.setdefault(topic, message.header.frame_id)
-            self._points[topic].append(Point(place.x, place.y, 0.0))
-            self._has_changed = True
-
-    def forget(self, namespace: str) -> None:
-        """Start new paths of a robot, as time was set back."""
-        with self._lock:
-            for which in COLOURS:
-                self._points[f"{namespace}/{which}"].clear()
-
-    def _publish(self) -> None:
-        if not self._has_changed or not self._publisher.has_connections():
+    def show(self, report: FleetReport, frames: Mapping[str, str]) -> None:
+        """Publish the recorded paths for subscribers; `frames` are those of the topics."""
+        if not self._publisher.has_connections():
             return
-        with self._lock:
-            self._has_changed = False
-            paths = {topic: list(points) for topic, points in self._points.items() if points}
-        markers = [self._line(topic, points) for topic, points in paths.items()]
-        for topic, points in paths.items():
-            if topic.endswith("/odom"):
-                markers.append(self._label(topic, points[-1]))
+        markers = []
+        for topic, frame in frames.items():
+            robot, _, which = topic.rpartition("/")
+            _, poses = report.robots[robot].series[which].table()
+            points = [Point(x, y, 0.0) for x, y, _ in poses.tolist()]
+            if points:
+                markers.append(_line(topic, frame, points))
+            if points and which == "odom":
+                markers.append(_label(topic, frame, points[-1]))
         self._publisher.publish(MarkerArray(markers))
 
-    def _marker(self, topic: str, name: str, kind: int, color: ColorRGBA) -> Marker:
-        marker = Marker(ns=name, type=kind, color=color)
-        # Without a stamp, RViz uses the newest transform.
-        marker.header.frame_id = self._frames[topic]
-        marker.pose.orientation.w = 1.0
-        return marker
 
-    def _line(self, topic: str, points: list[Point]) -> Marker:
-        which = topic.rpartition("/")[2]
-        marker = self._marker(topic, topic, Marker.LINE_STRIP, COLOURS[which])
-        marker.pose.position.z = HEIGHTS[which]
-        marker.scale.x = LINE_WIDTH
-        marker.points = points
-        return marker
+def _line(topic: str, frame: str, points: list[Point]) -> Marker:
+    which = topic.rpartition("/")[2]
+    # Without a stamp, RViz uses the newest transform.
+    marker = Marker(ns=topic, type=Marker.LINE_STRIP, color=COLOURS[which], points=points)
+    marker.header.frame_id = frame
+    marker.pose.orientation.w = 1.0
+    marker.pose.position.z = HEIGHTS[which]
+    marker.scale.x = LINE_WIDTH
+    return marker
 
-    def _label(self, topic: str, last: Point) -> Marker:
-        """Return a label with the name of a robot, at the end of its perfect path."""
-        marker = self._marker(topic, f"{topic}/label", Marker.TEXT_VIEW_FACING, WHITE)
-        marker.text, _, _ = topic.rpartition("/")
-        marker.scale.z = LABEL_SIZE
-        marker.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
-        return marker
+
+def _label(topic: str, frame: str, last: Point) -> Marker:
+    """Return a label with the name of a robot, at the end of its perfect path."""
+    marker = Marker(ns=f"{topic}/label", type=Marker.TEXT_VIEW_FACING, color=WHITE)
+    marker.header.frame_id = frame
+    marker.pose.orientation.w = 1.0
+    marker.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
+    marker.text, _, _ = topic.rpartition("/")
+    marker.scale.z = LABEL_SIZE
+    return marker
 
 
 @dataclass(frozen=True)

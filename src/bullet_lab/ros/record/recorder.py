@@ -44,6 +44,8 @@ from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 # Wall seconds to wait for the last messages after the end was announced.
 PATIENCE = 5.0
 POLL_SECONDS = 0.02
+# Wall seconds between two versions of the paths in RViz.
+VIEW_PERIOD = 0.5
 # Simulated time at which a goal is sent: between two ticks of the server.
 GOAL_TIME = rospy.Time(0, 525_000_000)
 # States of a goal that may still change.
@@ -111,7 +113,7 @@ class Recorder:
         report: that is recorded.
         parameters: of the node.
         topics: description of the topics, for the log.
-        view: shows the paths in RViz, see `bullet_lab.ros.record.plots`.
+        view: shows the paths in RViz, such as `bullet_lab.ros.record.plots.PathTopics`.
         request: a goal to send first.
     """
 
@@ -132,6 +134,8 @@ class Recorder:
         # Wall seconds of the first and the last message.
         self._first = math.inf
         self._last = 0.0
+        # Of the topics whose paths the view shows.
+        self._frames: dict[str, str] = {}
         self._failure: FileError | None = None
         self._finished = False
         report.about = parameters.about
@@ -152,6 +156,8 @@ class Recorder:
             FileError: a file cannot be written.
             NodeError: the goal was not accepted or not reached.
         """
+        if self._view is not None:
+            threading.Thread(target=self._show, daemon=True).start()
         complete = False
         try:
             if self._request is None:
@@ -231,17 +237,21 @@ class Recorder:
                     self._last = time.monotonic()
                     self._first = min(self._first, self._last)
                     if self._view is not None:
-                        self._view.append(topic, message)
+                        self._frames[topic] = message.header.frame_id
 
     def _receive_end(self, message: Time) -> None:
         with self._lock:
             self._report.until = message.data.to_nsec()
 
-    def _reset(self, namespace: str, old: FilePath) -> None:
+    def _reset(self, old: FilePath) -> None:
         rospy.loginfo("time was set back: the earlier recording is in %s", old)
         self._first = math.inf
-        if self._view is not None:
-            self._view.forget(namespace)
+
+    def _show(self) -> None:
+        while not rospy.is_shutdown():
+            rospy.rostime.wallsleep(VIEW_PERIOD)
+            with self._lock:
+                self._view.show(self._report, self._frames)
 
     # Files
 
