@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Generator, Iterator, Optional, Tuple
+from typing import Any, Generator, Iterator, Optional, Tuple
 
+from bullet_lab.core.parameters import checked, integer, number
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.errors import LabError
 
@@ -32,39 +33,40 @@ TURN_EXCESS = math.radians(0.2)
 
 
 class DriverError(LabError):
-    """A square is invalid."""
+    """A mode is unknown."""
+
+
+def _accept_turn_speed(value: Any) -> float:
+    if isinstance(value, bool) or not math.isfinite(value) or value == 0.0:
+        raise ValueError
+    return float(value)
 
 
 @dataclass(frozen=True)
-class Square:
-    """A square, a part of one, or several in a row.
+class SquareSize:
+    """The size of a square, a part of one, or several in a row; a full square has 4 sides."""
 
-    Attributes:
-        sides: number of sides; a full square has 4.
-        side: length of one, m.
-        speed: on the sides, m/s.
-        turn_speed: at the corners, rad/s; negative turns clockwise.
-        turn_commands: number of commands at 10 Hz of an open-loop turn.
+    sides: int = integer(4, "number of sides", minimum=1)
+    side: float = number(2.0, "length of a side in m", above=0.0)
 
-    Raises:
-        DriverError: there are no sides, or a length or a speed is invalid.
+
+@dataclass(frozen=True)
+class Square(SquareSize):
+    """A square and how it is driven.
 
     Example:
         >>> Square(side=1.0).side_commands
         50
     """
 
-    sides: int = 4
-    side: float = 2.0
-    speed: float = 0.2
-    turn_speed: float = -0.5236
-    turn_commands: int = 34
-
-    def __post_init__(self):
-        finite = all(map(math.isfinite, (self.side, self.speed, self.turn_speed)))
-        drives = self.side > 0.0 and self.speed > 0.0 and self.turn_speed != 0.0
-        if self.sides < 1 or not (finite and drives):
-            raise DriverError(f"{self}: needs sides >= 1, side > 0, speed > 0, turn_speed not 0")
+    speed: float = number(0.2, "on the sides, m/s", above=0.0)
+    turn_speed: float = checked(
+        -0.5236,
+        "at the corners, rad/s; negative is clockwise",
+        "a number other than 0",
+        _accept_turn_speed,
+    )
+    turn_commands: int = integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
 
     @property
     def side_commands(self) -> int:

@@ -2,6 +2,7 @@ import math
 
 import pytest
 
+from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.core.se2 import wrap
 from bullet_lab.drive.square import (
     ClosedLoopSide,
@@ -122,8 +123,9 @@ def test_approach():
     ],
 )
 def test_squares_that_cannot_be_driven(values):
-    with pytest.raises(DriverError):
-        Square(**values)
+    given = {f"~{name}": value for name, value in values.items()}
+    with pytest.raises(ParameterError):
+        read_parameters(Square, given.get)
 
 
 SHORT = Square(sides=2, side=0.2, turn_commands=3)
