@@ -14,8 +14,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Generator, Iterator, Optional, Tuple
+from typing import Any, Generator, Iterator, Optional, Tuple
 
+from bullet_lab.core.parameters import boolean, checked, integer, number
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.errors import LabError
 
@@ -49,39 +50,40 @@ LEAST_TOLERANCE = 0.01
 
 
 class DriverError(LabError):
-    """A square, a goal or a limit is invalid."""
+    """A mode is unknown, or a goal is not finite."""
+
+
+def _accept_turn_speed(value: Any) -> float:
+    if isinstance(value, bool) or not math.isfinite(value) or value == 0.0:
+        raise ValueError
+    return float(value)
 
 
 @dataclass(frozen=True)
-class Square:
-    """A square, a part of one, or several in a row.
+class SquareSize:
+    """The size of a square, a part of one, or several in a row; a full square has 4 sides."""
 
-    Attributes:
-        sides: number of sides; a full square has 4.
-        side: length of one, m.
-        speed: on the sides, m/s.
-        turn_speed: at the corners, rad/s; negative turns clockwise.
-        turn_commands: number of commands at 10 Hz of an open-loop turn.
+    sides: int = integer(4, "number of sides", minimum=1)
+    side: float = number(2.0, "length of a side in m", above=0.0)
 
-    Raises:
-        DriverError: there are no sides, or a length or a speed is invalid.
+
+@dataclass(frozen=True)
+class Square(SquareSize):
+    """A square and how it is driven.
 
     Example:
         >>> Square(side=1.0).side_commands
         50
     """
 
-    sides: int = 4
-    side: float = 2.0
-    speed: float = 0.2
-    turn_speed: float = -0.5236
-    turn_commands: int = 34
-
-    def __post_init__(self):
-        finite = all(map(math.isfinite, (self.side, self.speed, self.turn_speed)))
-        drives = self.side > 0.0 and self.speed > 0.0 and self.turn_speed != 0.0
-        if self.sides < 1 or not (finite and drives):
-            raise DriverError(f"{self}: needs sides >= 1, side > 0, speed > 0, turn_speed not 0")
+    speed: float = number(0.2, "on the sides, m/s", above=0.0)
+    turn_speed: float = checked(
+        -0.5236,
+        "at the corners, rad/s; negative is clockwise",
+        "a number other than 0",
+        _accept_turn_speed,
+    )
+    turn_commands: int = integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
 
     @property
     def side_commands(self) -> int:
@@ -164,9 +166,9 @@ class SquareDriver:
 
     def _by_clock(self) -> _Commands:
         for _ in range(self._square.sides):
-            for number, command in enumerate(open_loop_side(self._square), 1):
+            for count, command in enumerate(open_loop_side(self._square), 1):
                 yield command
-                self._note(number * self._square.side / self._square.side_commands)
+                self._note(count * self._square.side / self._square.side_commands)
             self.sides_done += 1
 
     def _by_odometry(self, pose: PlanarPose) -> _Commands:
@@ -214,37 +216,19 @@ class DrivePhase(Enum):
 
 @dataclass(frozen=True)
 class GoalLimits:
-    """Speeds and tolerances of a drive to a goal; the defaults are the course's.
+    """Speeds and tolerances of a drive to a goal; the defaults are the course's."""
 
-    Attributes:
-        speed: m/s.
-        turn_speed: rad/s.
-        acceleration: m/s², for speeding up and for braking.
-        turn_acceleration: rad/s².
-        gain: m/s for each remaining metre.
-        turn_gain: rad/s for each remaining radian.
-        tolerance: m from the goal within which the robot may stop.
-        yaw_tolerance: rad from its heading.
-        heading: whether to turn to the goal's heading at the end.
-    """
-
-    speed: float = 0.2
-    turn_speed: float = 0.8
-    acceleration: float = 0.4
-    turn_acceleration: float = 2.0
-    gain: float = 1.0
-    turn_gain: float = 2.0
-    tolerance: float = 0.05
-    yaw_tolerance: float = 0.03
-    heading: bool = True
-
-    def __post_init__(self):
-        numbers = [value for value in vars(self).values() if not isinstance(value, bool)]
-        if not all(math.isfinite(value) and value > 0.0 for value in numbers):
-            raise DriverError(f"limits {numbers}; all must be finite and > 0")
-        least = min(self.tolerance, self.yaw_tolerance)
-        if least < LEAST_TOLERANCE:
-            raise DriverError(f"tolerance {least:g}; at least {LEAST_TOLERANCE:g} is needed")
+    speed: float = number(0.2, "at most, m/s", above=0.0)
+    turn_speed: float = number(0.8, "at most, rad/s", above=0.0)
+    acceleration: float = number(0.4, "at most, m/s²", above=0.0)
+    turn_acceleration: float = number(2.0, "at most, rad/s²", above=0.0)
+    gain: float = number(1.0, "m/s for each m to the goal", above=0.0)
+    turn_gain: float = number(2.0, "rad/s for each rad", above=0.0)
+    tolerance: float = number(0.05, "m from the goal to stop within", minimum=LEAST_TOLERANCE)
+    yaw_tolerance: float = number(
+        0.03, "rad from its heading to stop within", minimum=LEAST_TOLERANCE
+    )
+    heading: bool = boolean(True, "turn to the goal's heading at the end")
 
 
 class GoalDriver:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import wrap
 from bullet_lab.drive import (
@@ -131,8 +132,9 @@ def test_approach():
     ],
 )
 def test_squares_that_cannot_be_driven(values):
-    with pytest.raises(DriverError):
-        Square(**values)
+    given = {f"~{name}": value for name, value in values.items()}
+    with pytest.raises(ParameterError):
+        read_parameters(Square, given.get)
 
 
 SHORT = Square(sides=2, side=0.2, turn_commands=3)
@@ -306,8 +308,9 @@ def test_goals_that_are_none(goal):
     "change", [{"speed": 0.0}, {"acceleration": -1.0}, {"gain": math.nan}, {"tolerance": 0.005}]
 )
 def test_limits_that_are_none(change):
-    with pytest.raises(DriverError):
-        replace(LIMITS, **change)
+    given = {f"~{name}": value for name, value in change.items()}
+    with pytest.raises(ParameterError):
+        read_parameters(GoalLimits, given.get)
 
 
 @pytest.mark.parametrize("robot", ["block_robot", "camera_robot"])

@@ -53,8 +53,8 @@ class Report(ABC):
             `bullet_lab.ros.record.recorder` reads.
         series: files of rows, by topic.
         until: end of the recording in ns; None while it is not known.
-        on_reset: called when simulated time was set back, with the namespace of the robot and
-            the folder into which the earlier files were moved.
+        on_reset: called when simulated time was set back, with the folder into which the earlier
+            files were moved.
 
     Raises:
         FileError: a file cannot be written; so do the methods that write.
@@ -66,7 +66,7 @@ class Report(ABC):
         self.topics: dict[str, str] = {}
         self.series: dict[str, Series] = {}
         self.until: int | None = None
-        self.on_reset: Callable[[str, Path], None] = lambda namespace, old: None
+        self.on_reset: Callable[[Path], None] = lambda old: None
 
     def take(self, topic: str, reading: Reading) -> bool:
         """Record a message, or raise LabError; return whether a row was recorded."""

@@ -13,12 +13,8 @@ from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, new_figure
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports.squares import (
-    OdometryReport,
-    PathsRecording,
-    settings_line,
-    squares_summary,
-)
+from bullet_lab.reports import Reading, Report, earliest
+from bullet_lab.reports.squares import SquaresReport, settings_line, squares_summary
 
 # Robots beside each other differ in colour; their numbers tell the others apart.
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, "#56B4E9")
@@ -37,18 +33,39 @@ Paths = Tuple[Optional[Trajectory], Optional[Trajectory]]
 ERRORS = ("final_error_m", "final_heading_error_deg", "ape_rmse_m")
 
 
-class FleetReport(OdometryReport):
+class FleetReport(Report):
     """The perfect and the noisy path of each robot, in a folder of its own.
 
     Args:
         folder: for the files.
         seeds: of the robots' noise, by their names, which are also their namespaces.
+
+    Attributes:
+        robots: the recording of each robot.
     """
 
     def __init__(self, folder: Path, seeds: Mapping[str, int]):
         clear_away(folder, seeds)
-        super().__init__(folder, seeds)
-        self._seeds = dict(seeds)
+        super().__init__(folder)
+        self._seeds = seeds
+        self.robots = {name: SquaresReport(folder / name, name) for name in seeds}
+        for paths in self.robots.values():
+            self.topics.update(paths.topics)
+            paths.on_reset = lambda old: self.on_reset(old)
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        # Without the covariances, which the figures of a fleet do not show.
+        return self.robots[topic.partition("/")[0]].take(topic, reading._replace(detail=None))
+
+    def newest(self) -> int | None:
+        return earliest(paths.newest() for paths in self.robots.values())
+
+    def finish(self, until: int | None = None) -> None:
+        for paths in self.robots.values():
+            paths.finish(until)
+
+    def seconds(self) -> float:
+        return max(paths.seconds() for paths in self.robots.values())
 
     def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
         robots = []
@@ -84,7 +101,7 @@ def clear_away(folder: Path, names: Collection[str]) -> None:
     for old in folder.glob("robot*"):
         if old.name in names or not old.name[len("robot") :].isdigit():
             continue
-        for path in PathsRecording.FILES:
+        for path in SquaresReport.FILES:
             with contextlib.suppress(FileNotFoundError):
                 (old / path).unlink()
         # The folder stays if there are files of the user in it.

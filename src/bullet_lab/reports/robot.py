@@ -1,11 +1,11 @@
-"""The report of the job `robot`: what of a robot is simulated, what it publishes, how it drives."""
+"""The report of the job `robot`: which parts are simulated, what it publishes, how it drives."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,52 +21,18 @@ TRUTH = "truth"
 ODOMETRY = "odometry"
 TABLE = "robot.md"
 # A robot that has driven less than this share of the target has not moved.
-STANDING = 0.05
+LEAST_MOTION = 0.05
 # The share of the target that a robot must reach by the truth. Wheels that slip in a turn lose a
 # tenth (docs/contact_model.md); half as much again is allowed.
 DONE = 0.85
+# A part of the drive ends at this many times the target by the truth, whatever odometry reports.
+FARTHEST = 1.5
 # How many links that were touched a line names.
 MOST_NAMES = 3
 # Relative deviation of a topic's rate that is allowed.
 RATE_TOLERANCE = 0.05
 # A rate needs at least this many messages.
 FEWEST = 3
-
-
-@dataclass(frozen=True)
-class PluginRow:
-    """A `<plugin>` of a model.
-
-    Attributes:
-        name: of the plugin.
-        filename: of its library.
-        link: that it is mounted on.
-        acts: whether it is simulated.
-        rate: Hz; 0 if it has none.
-        inputs: topics that it subscribes to.
-        outputs: topics that it publishes.
-        tags_not_simulated: tags that have no effect.
-        refused: controllers that it could not load, each with its type.
-    """
-
-    name: str
-    filename: str
-    link: str
-    acts: bool
-    rate: float
-    inputs: Tuple[str, ...]
-    outputs: Tuple[str, ...]
-    tags_not_simulated: Tuple[str, ...]
-    refused: Tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Controller:
-    """A controller of ros_control."""
-
-    name: str
-    kind: str
-    state: str
 
 
 @dataclass(frozen=True)
@@ -77,8 +43,8 @@ class Robot:
         name: of its model.
         links: their names.
         joints: their names.
-        plugins: of its model.
-        controllers: that are loaded.
+        plugins: of its model, with the fields of bullet_lab/PluginDescription.
+        controllers: that are loaded, with the fields of controller_manager_msgs/ControllerState.
         drive: topic of its velocity commands; empty if it has none.
         odometry: topic of its odometry; empty if it has none.
         said: warnings of the simulation about it.
@@ -86,14 +52,14 @@ class Robot:
     """
 
     name: str
-    links: Tuple[str, ...] = ()
-    joints: Tuple[str, ...] = ()
-    plugins: Tuple[PluginRow, ...] = ()
-    controllers: Tuple[Controller, ...] = ()
+    links: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+    plugins: tuple[Any, ...] = ()
+    controllers: tuple[Any, ...] = ()
     drive: str = ""
     odometry: str = ""
-    said: Tuple[str, ...] = ()
-    choice: Tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    choice: tuple[str, ...] = ()
 
 
 class Count:
@@ -118,7 +84,7 @@ class Count:
         self.messages += 1
         self._last = stamp
 
-    def rate(self) -> Optional[float]:
+    def rate(self) -> float | None:
         """Return the rate in Hz of simulated time; None if there are too few messages."""
         span = self._last - self._first
         if self.messages < FEWEST or span <= 0:
@@ -132,7 +98,7 @@ class Count:
             return False
         return abs(seen / self.declared - 1.0) > RATE_TOLERANCE
 
-    def figures(self) -> Dict[str, Any]:
+    def figures(self) -> dict[str, Any]:
         """Return the topic's entry in summary.json."""
         seen = self.rate()
         return {
@@ -153,9 +119,9 @@ class Count:
         )
 
 
-def declared_rates(rows: Sequence[PluginRow]) -> Dict[str, float]:
+def declared_rates(rows: Sequence[Any]) -> dict[str, float]:
     """Return the rate (Hz) of each topic: the sum of its plugins', 0 if one of them has none."""
-    shares: Dict[str, List[float]] = {}
+    shares: dict[str, list[float]] = {}
     for row in rows:
         for topic in row.outputs:
             shares.setdefault(topic, []).append(row.rate)
@@ -169,7 +135,7 @@ class Displacement:
     """
 
     def __init__(self):
-        self._start: Optional[PlanarPose] = None
+        self._start: PlanarPose | None = None
         self._last: PlanarPose = (0.0, 0.0, 0.0)
         self._turned = 0.0
 
@@ -180,7 +146,7 @@ class Displacement:
         self._turned += math.remainder(pose[2] - self._last[2], math.tau)
         self._last = pose
 
-    def figures(self) -> Optional[Dict[str, float]]:
+    def figures(self) -> dict[str, float] | None:
         """Return the figures for summary.json; None without a pose."""
         if self._start is None:
             return None
@@ -194,16 +160,16 @@ class Displacement:
         }
 
 
-@dataclass(frozen=True)
+@dataclass
 class Leg:
     """A part of the drive: the target, how far odometry and truth report, and the time it took.
 
     Attributes:
         name: of the part, such as "metre".
         quantity: the figure of `Displacement.figures` that has the target.
-        asked: the target.
-        odometry: figures by the odometry; None without any.
-        truth: figures by the truth.
+        target: m or degrees.
+        odometry: the displacement by the odometry.
+        truth: the displacement by the truth.
         seconds: simulated.
         late: whether it was aborted because it took too long.
         touched: model::link of what the robot has touched from the side.
@@ -212,29 +178,39 @@ class Leg:
 
     name: str
     quantity: str
-    asked: float
-    odometry: Optional[Mapping[str, float]]
-    truth: Mapping[str, float]
-    seconds: float
+    target: float
+    odometry: Displacement = field(default_factory=Displacement)
+    truth: Displacement = field(default_factory=Displacement)
+    seconds: float = 0.0
     late: bool = False
-    touched: Tuple[str, ...] = ()
-    causes: Tuple[str, ...] = ()
+    touched: Sequence[str] = ()
+    causes: Sequence[str] = ()
+
+    def true(self) -> float:
+        """Return how far the robot has come, by the truth."""
+        return self.truth.figures()[self.quantity]
+
+    def is_done(self, odometry_pauses: bool) -> bool:
+        """Return whether the odometry, or the truth while that pauses, has reached the target."""
+        odometry = None if odometry_pauses else self.odometry.figures()
+        reported = odometry[self.quantity] if odometry else self.true()
+        return reported >= self.target or self.true() >= FARTHEST * self.target
 
     def has_failed(self) -> bool:
         """Return whether the robot missed the target, by the truth.
 
         A robot that brakes slowly goes too far, and its odometry reports that.
         """
-        share, error = self.truth[self.quantity] / self.asked, self.error()
+        share, error = self.true() / self.target, self.error()
         is_off = error is not None and error > 100.0 * (1.0 - DONE)
         return self.late or share < DONE or (is_off and share > 2.0 - DONE)
 
-    def reasons(self) -> List[str]:
+    def reasons(self) -> list[str]:
         """Return the known reasons why the robot missed the target."""
         if not self.has_failed():
             return []
         found = [] if self.has_moved() else list(self.causes)
-        if self.has_moved() and self.truth[self.quantity] < 0.0:
+        if self.has_moved() and self.true() < 0.0:
             verb = "turned" if self.quantity == "turned_deg" else "drove"
             found.append(f"{verb} the other way")
         if self.touched:
@@ -245,22 +221,23 @@ class Leg:
 
     def has_moved(self) -> bool:
         """Return whether the robot has moved, by the truth."""
-        return abs(self.truth[self.quantity]) >= STANDING * abs(self.asked)
+        return abs(self.true()) >= LEAST_MOTION * abs(self.target)
 
-    def error(self) -> Optional[float]:
+    def error(self) -> float | None:
         """Return the odometry's error in percent of the truth; None without odometry or motion."""
-        if self.odometry is None or not self.has_moved():
+        odometry, truth = self.odometry.figures(), self.truth.figures()
+        if odometry is None or not self.has_moved():
             return None
         names = ("turned_deg",) if self.quantity == "turned_deg" else ("ahead_m", "aside_m")
-        off = math.hypot(*(self.odometry[name] - self.truth[name] for name in names))
-        return 100.0 * off / abs(self.truth[self.quantity])
+        off = math.hypot(*(odometry[name] - truth[name] for name in names))
+        return 100.0 * off / abs(self.true())
 
-    def figures(self) -> Dict[str, Any]:
+    def figures(self) -> dict[str, Any]:
         """Return the part's entry in summary.json."""
         return {
-            "asked": self.asked,
-            "odometry": self.odometry,
-            "truth": self.truth,
+            "asked": self.target,
+            "odometry": self.odometry.figures(),
+            "truth": self.truth.figures(),
             "moved": self.has_moved(),
             "failed": self.has_failed(),
             "reasons": self.reasons(),
@@ -271,17 +248,18 @@ class Leg:
     def line(self) -> str:
         """Return the outcome in one line."""
         unit = "m" if self.quantity == "ahead_m" else "°"
-        true, reasons = self.truth[self.quantity], ", ".join(self.reasons())
+        true, reasons = self.true(), ", ".join(self.reasons())
         why = f": {reasons}" if reasons else ""
         if not self.has_moved():
-            return f"{self.name}: it does not move ({true:.3f} {unit} of {self.asked:g}){why}"
-        said = "nothing came from its odometry"
-        if self.odometry is not None:
-            said = f"its odometry says {self.odometry[self.quantity]:.3f} {unit}"
-            said += f" ({self.error():.2f} % off)"
-        beside = "" if unit == "°" else f", turned by {self.truth['turned_deg']:.2f}° on the way"
-        come = f"{true:.2f} of {self.asked:g}" if self.has_failed() else f"{true:.3f}"
-        return f"{self.name}: {come} {unit}{why}{beside}; {said}"
+            return f"{self.name}: it does not move ({true:.3f} {unit} of {self.target:g}){why}"
+        odometry, turned = self.odometry.figures(), self.truth.figures()["turned_deg"]
+        reported = "nothing came from its odometry"
+        if odometry is not None:
+            reported = f"its odometry says {odometry[self.quantity]:.3f} {unit}"
+            reported += f" ({self.error():.2f} % off)"
+        on_the_way = "" if unit == "°" else f", turned by {turned:.2f}° on the way"
+        reached = f"{true:.2f} of {self.target:g}" if self.has_failed() else f"{true:.3f}"
+        return f"{self.name}: {reached} {unit}{why}{on_the_way}; {reported}"
 
 
 class RobotReport(Report):
@@ -305,7 +283,11 @@ class RobotReport(Report):
     """
 
     def __init__(
-        self, folder: Path, robot: Robot, kinds: Mapping[str, str], others: Sequence[PluginRow] = ()
+        self,
+        folder: Path,
+        robot: Robot,
+        kinds: Mapping[str, str],
+        others: Sequence[Any] = (),
     ):
         super().__init__(folder)
         self.robot = robot
@@ -315,11 +297,11 @@ class RobotReport(Report):
             TRUTH: PathSeries(folder / "truth.tum"),
             ODOMETRY: PathSeries(folder / "odom.tum"),
         }
-        self.legs: List[Leg] = []
-        self.picture: Optional[np.ndarray] = None
-        self.seen: Dict[str, np.ndarray] = {}
+        self.legs: list[Leg] = []
+        self.picture: np.ndarray | None = None
+        self.seen: dict[str, np.ndarray] = {}
         self.tilt_deg = 0.0
-        self.not_started: List[str] = []
+        self.not_started: list[str] = []
         self.pauses = 0
 
     def take(self, topic: str, reading: Reading) -> bool:
@@ -327,31 +309,31 @@ class RobotReport(Report):
         last = self.series[topic].last
         return (last is None or reading.stamp > last) and super().take(topic, reading)
 
-    def finish(self, until: Optional[int] = None) -> None:
+    def finish(self, until: int | None = None) -> None:
         super().finish(until)
         replace_file(self.folder / TABLE, lambda part: part.write_text(self.table()))
 
-    def refused(self) -> List[str]:
+    def refused(self) -> list[str]:
         """Return the controllers that could not be loaded, each with its type."""
         return [controller for row in self.robot.plugins for controller in row.refused]
 
-    def left_out(self) -> List[str]:
+    def left_out(self) -> list[str]:
         """Return the plugins that are not simulated, and the controllers that were refused."""
         idle = [f"{row.name} ({row.filename})" for row in self.robot.plugins if not row.acts]
         return idle + self.refused()
 
-    def silent(self) -> List[str]:
+    def silent(self) -> list[str]:
         """Return the topics that have a declared rate and no message."""
         return [t for t, count in self.counts.items() if count.declared and not count.messages]
 
-    def off_rate(self) -> List[str]:
+    def off_rate(self) -> list[str]:
         """Return the topics whose rate is not the declared one."""
         return [topic for topic, count in self.counts.items() if count.is_off()]
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> Dict[str, Any]:
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
         return {
             "finished": finished,
-            "robot": asdict(self.robot),
+            "robot": self._parts(),
             "left_out": self.left_out(),
             "not_started": self.not_started,
             "topics": {topic: count.figures() for topic, count in self.counts.items()},
@@ -363,6 +345,17 @@ class RobotReport(Report):
             "sim_time_s": self.seconds(),
             **run,
         }
+
+    def _parts(self) -> dict[str, Any]:
+        plugins = [
+            {name: getattr(plugin, name) for name in plugin.__slots__}
+            for plugin in self.robot.plugins
+        ]
+        controllers = [
+            {"name": one.name, "kind": one.type, "state": one.state}
+            for one in self.robot.controllers
+        ]
+        return {**vars(self.robot), "plugins": plugins, "controllers": controllers}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         if not self.robot.drive:
@@ -378,7 +371,7 @@ class RobotReport(Report):
         """Return robot.md: plugins, controllers, topics, the drive and warnings, in Markdown."""
         return "\n".join(_lines(self)) + "\n"
 
-    def figures(self, summary: Mapping[str, Any]) -> Dict[str, Figure]:
+    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         pictures = [] if self.picture is None else [(self.robot.name, self.picture)]
         pictures += list(self.seen.items())[:2]
         figure = new_figure(5.6 * (len(pictures) + 1), 5.0)
@@ -412,7 +405,7 @@ def _lines(report: RobotReport) -> Iterator[str]:
     yield f"{len(robot.joints)} joints: {', '.join(robot.joints) or 'none'}"
     header = ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated")
     yield from _rows(header, [_plugin_cells(row) for row in robot.plugins])
-    controllers = [astuple(controller) for controller in robot.controllers]
+    controllers = [(one.name, one.type, one.state) for one in robot.controllers]
     controllers += [(*name[:-1].split(" (", 1), "**refused**") for name in report.refused()]
     yield from _rows(("controller", "type", "state"), controllers)
     topics = [(topic, *count.cells()) for topic, count in report.counts.items()]
@@ -427,7 +420,7 @@ def _lines(report: RobotReport) -> Iterator[str]:
     yield from _bullets("What the simulation said of it:", robot.said)
 
 
-def _plugin_cells(row: PluginRow) -> Sequence[str]:
+def _plugin_cells(row: Any) -> Sequence[str]:
     return (
         row.name,
         row.filename,

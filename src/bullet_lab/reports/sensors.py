@@ -49,13 +49,13 @@ class SensorsReport(Report):
             "imu": "sensor_msgs/Imu",
             "bumper": "gazebo_msgs/ContactsState",
         }
-        self.odom = Series(folder / "odom.csv", ("x", "y", "yaw"))
-        self.scan = Series(folder / "scan.csv", [f"range_{ray}" for ray in range(rays)])
-        self.range = Series(folder / "range.csv", ("range",))
-        self.imu = Series(folder / "imu.csv", ("ax", "ay", "az", "wx", "wy", "wz"))
-        self.bumper = Series(folder / "bumper.csv", ("points", "fx", "fy", "fz"))
-        every = (self.odom, self.scan, self.range, self.imu, self.bumper)
-        self.series = dict(zip(self.topics, every))
+        self.series = {
+            "odom": Series(folder / "odom.csv", ("x", "y", "yaw")),
+            "scan": Series(folder / "scan.csv", [f"range_{ray}" for ray in range(rays)]),
+            "sonar": Series(folder / "range.csv", ("range",)),
+            "imu": Series(folder / "imu.csv", ("ax", "ay", "az", "wx", "wy", "wz")),
+            "bumper": Series(folder / "bumper.csv", ("points", "fx", "fy", "fz")),
+        }
         self.angles = (0.0, 0.0)
         self.touched: set[str] = set()
 
@@ -67,15 +67,39 @@ class SensorsReport(Report):
             self.touched.update(reading.detail)
         return True
 
+    def table(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the stamps (s) and the rows of a sensor."""
+        return self.series[topic].table()
+
     def push(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the stamps (s) of the bumper's messages and the horizontal forces (N)."""
-        stamps, rows = self.bumper.table()
+        stamps, rows = self.table("bumper")
         return stamps, np.hypot(rows[:, 1], rows[:, 2])
 
+    def scan_points(self) -> np.ndarray:
+        """Return the points (m) of all scans in the frame of the odometry, shape (n, 2).
+
+        The pose of a scan is that of its stamp, or the last one before. The scanner is taken to be
+        at the origin of the robot.
+        """
+        stamps, poses = self.table("odom")
+        scan_stamps, ranges = self.table("scan")
+        if not len(stamps) or not len(scan_stamps):
+            return np.zeros((0, 2))
+        index = np.searchsorted(stamps, scan_stamps + 1e-9) - 1
+        chosen = index >= 0
+        x, y, yaw = (column[:, None] for column in poses[index[chosen]].T)
+        first, step = self.angles
+        bearing = yaw + (first + step * np.arange(ranges.shape[1]))[None, :]
+        seen = np.isfinite(ranges[chosen])
+        reach = np.where(seen, ranges[chosen], 0.0)
+        points = np.stack([x + reach * np.cos(bearing), y + reach * np.sin(bearing)], axis=-1)
+        return points[seen]
+
     def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
-        _, ranges = self.range.table()
-        _, scans = self.scan.table()
-        _, inertial = self.imu.table()
+        _, ranges = self.table("sonar")
+        _, scans = self.table("scan")
+        _, inertial = self.table("imu")
         stamps, force = self.push()
         pushed = force > TOUCH
         rows = {topic: len(series) for topic, series in self.series.items()}
@@ -99,7 +123,7 @@ class SensorsReport(Report):
         figure.subplots_adjust(
             left=0.06, right=0.98, top=0.93, bottom=0.07, hspace=0.22, wspace=0.18
         )
-        _draw_plan(figure.add_subplot(grid[:, 0]), self)
+        self._draw_plan(figure.add_subplot(grid[:, 0]))
         panels = [figure.add_subplot(grid[row, 1]) for row in range(5)]
         self._draw_curves(panels)
         units = ("nearest ray (m)", "range (m)", "IMU (m/s²)", "IMU (rad/s)", "bumper (N)")
@@ -113,62 +137,35 @@ class SensorsReport(Report):
             panel.set_xticklabels([])
         return {"sensors.png": figure}
 
+    def _draw_plan(self, axes: Axes) -> None:
+        plan_axes(axes, title="laser scans, placed by the odometry")
+        x, y = self.scan_points().T
+        axes.plot(x, y, ".", color=VERMILION, markersize=1.0, alpha=0.3)
+        _, poses = self.table("odom")
+        if len(poses):
+            draw_path(axes, poses, BLACK, 1.4, start="white", end=BLACK)
+            axes.legend(loc="best")
+
     def _draw_curves(self, panels: list[Axes]) -> None:
         scan, sonar, acceleration, rotation, bumper = panels
-        stamps, scans = self.scan.table()
+        stamps, scans = self.table("scan")
         # A ray without an obstacle is +inf, one with an obstacle that is too near is -inf.
         nearest = [row[np.isfinite(row)].min(initial=np.inf) for row in scans]
         scan.plot(stamps, nearest, color=VERMILION, linewidth=1.0)
-        stamps, ranges = self.range.table()
-        sonar.plot(stamps, ranges, color=GREEN, linewidth=1.0)
-        stamps, inertial = self.imu.table()
+        sonar.plot(*self.table("sonar"), color=GREEN, linewidth=1.0)
+        stamps, inertial = self.table("imu")
         for first, panel in ((0, acceleration), (3, rotation)):
             for column, (name, colour) in enumerate(zip("xyz", (BLUE, ORANGE, PURPLE)), first):
                 values = inertial[:, column]
                 panel.plot(stamps, values, color=colour, linewidth=0.8, label=name)
             panel.legend(loc="upper left", ncol=3, fontsize=7)
-        stamps, force = self.push()
-        bumper.plot(stamps, force, color=VERMILION, linewidth=1.0)
+        bumper.plot(*self.push(), color=VERMILION, linewidth=1.0)
         bumper.set(xlabel="simulated time (s)")
-
-
-def scan_points(report: SensorsReport) -> np.ndarray:
-    """Return the points of all scans in the frame of the odometry.
-
-    The pose of a scan is that of its stamp, or the last one before. The scanner is taken to be at
-    the origin of the robot.
-
-    Returns:
-        Points in m, shape (n, 2).
-    """
-    stamps, poses = report.odom.table()
-    scan_stamps, ranges = report.scan.table()
-    if not len(stamps) or not len(scan_stamps):
-        return np.zeros((0, 2))
-    index = np.searchsorted(stamps, scan_stamps + 1e-9) - 1
-    chosen = index >= 0
-    x, y, yaw = (column[:, None] for column in poses[index[chosen]].T)
-    first, step = report.angles
-    bearing = yaw + (first + step * np.arange(ranges.shape[1]))[None, :]
-    seen = np.isfinite(ranges[chosen])
-    reach = np.where(seen, ranges[chosen], 0.0)
-    points = np.stack([x + reach * np.cos(bearing), y + reach * np.sin(bearing)], axis=-1)
-    return points[seen]
 
 
 def _of(figure: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
     """Return a figure of some values; None without a value."""
     return float(figure(values)) if values.size else None
-
-
-def _draw_plan(axes: Axes, report: SensorsReport) -> None:
-    plan_axes(axes, title="laser scans, placed by the odometry")
-    x, y = scan_points(report).T
-    axes.plot(x, y, ".", color=VERMILION, markersize=1.0, alpha=0.3)
-    _, poses = report.odom.table()
-    if len(poses):
-        draw_path(axes, poses, BLACK, 1.4, start="white", end=BLACK)
-        axes.legend(loc="best")
 
 
 class BeaconsReport(Report):

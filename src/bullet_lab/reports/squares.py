@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from functools import partial
 from pathlib import Path
-from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +18,7 @@ from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, closure_error, path_error
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.reports import Reading, Report, earliest
+from bullet_lab.reports import Reading, Report
 
 # Number of ellipses that are drawn along the noisy path.
 ELLIPSES = 12
@@ -129,7 +128,7 @@ def _is_straight(positions: np.ndarray) -> bool:
 def squares_summary(
     perfect: Trajectory | None, pairs: tuple[Trajectory, Trajectory] | None
 ) -> dict[str, Any]:
-    """Return the figures of a square, from the paths of `PathsRecording`; None for unknown."""
+    """Return the figures of a square, from the paths of `SquaresReport`; None for unknown."""
     summary: dict[str, Any] = {"side_lengths_m": [], "turns_deg": []}
     summary.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
     if perfect is not None:
@@ -140,8 +139,8 @@ def squares_summary(
     return summary
 
 
-class PathsRecording:
-    """Writes odom.tum, noisy_odom.tum and paths.csv while poses come in.
+class SquaresReport(Report):
+    """The perfect and the noisy path of one robot: odom.tum, noisy_odom.tum and paths.csv.
 
     Poses of the two paths are paired if their stamps agree to the nanosecond. Each row is written
     at once; `finish` writes the files once more. If simulated time is set back, the earlier files
@@ -149,78 +148,67 @@ class PathsRecording:
 
     Args:
         folder: for the files.
-        on_reset: called with the folder of the earlier files when time was set back.
-
-    Raises:
-        FileError: a file cannot be written; so do the methods.
+        namespace: of the robot's topics; empty for none.
     """
 
     PERFECT, NOISY = "odom", "noisy_odom"
     FILES = ("odom.tum", "noisy_odom.tum", "paths.csv")
 
-    def __init__(self, folder: Path, on_reset: Callable[[Path], None] = lambda old: None):
-        self.folder = folder
-        self._on_reset = on_reset
+    def __init__(self, folder: Path, namespace: str = ""):
+        super().__init__(folder)
+        for name in (self.NOISY, self.PERFECT):
+            self.topics[f"{namespace}/{name}".lstrip("/")] = "nav_msgs/Odometry"
         self._runs = 0
         # The path that may still get messages of the old run, and the last stamp before them.
         self._late: str | None = None
         self._late_after: int | None = None
+        # Covariance (m²) of the noisy position by stamp in ns, for the ellipses in the figure.
+        self._covariances: dict[int, Any] = {}
         self._open()
 
-    def take(self, name: str, stamp: int, pose: Sequence[float]) -> bool:
-        """Record a pose of PERFECT or NOISY; return False if it was sent before time was set back.
-
-        Args:
-            name: of the path.
-            stamp: ns.
-            pose: m, m, rad.
-
-        Raises:
-            SeriesError: the pose is not finite, or its stamp that of the pose before.
-        """
-        if not self._belongs_to_this_run(name, stamp):
+    def take(self, topic: str, reading: Reading) -> bool:
+        """Record a pose; return False if it was sent before time was set back."""
+        name = topic.rpartition("/")[2]
+        if not self._belongs_to_this_run(name, reading.stamp):
             return False
-        self.add(name, stamp, pose)
+        self.add(name, reading.stamp, reading.values)
+        if name == self.NOISY and reading.detail is not None:
+            self._covariances[reading.stamp] = reading.detail
         return True
 
     def add(self, name: str, stamp: int, pose: Sequence[float]) -> None:
-        """Record a pose as `take` does, or raise SeriesError for an out-of-order stamp."""
-        self._series[name].add(stamp, pose)
+        """Record a pose (m, m, rad) of PERFECT or NOISY at a stamp in ns.
+
+        Raises:
+            SeriesError: the pose is not finite, or its stamp is out of order.
+        """
+        self.series[name].add(stamp, pose)
         self._join.add(name, stamp, pose)
-
-    def last(self, name: str) -> int | None:
-        """Return the last stamp in ns of PERFECT or NOISY, or None."""
-        return self._series[name].last
-
-    def newest(self) -> int | None:
-        """Return the stamp in ns that both paths have reached; None before that."""
-        return earliest(self.last(name) for name in (self.PERFECT, self.NOISY))
 
     def perfect(self) -> Trajectory | None:
         """Return the whole perfect path, or None while there is none."""
-        return self._series[self.PERFECT].path()
+        return self.series[self.PERFECT].path()
 
     def pairs(self) -> tuple[Trajectory, Trajectory] | None:
         """Return the paired poses of both paths, or None while there are none."""
         return (self._pairs.path(0), self._pairs.path(3)) if len(self._pairs) else None
 
     def finish(self, until: int | None = None) -> None:
-        """Close the files, without the poses after the stamp `until` in ns, if it is given."""
-        for series in (*self._series.values(), self._pairs):
-            series.finish(until)
+        super().finish(until)
+        self._pairs.finish(until)
 
     def _open(self) -> None:
         perfect, noisy, pairs = (self.folder / name for name in self.FILES)
-        self._series = {self.PERFECT: PathSeries(perfect), self.NOISY: PathSeries(noisy)}
+        self.series = {self.PERFECT: PathSeries(perfect), self.NOISY: PathSeries(noisy)}
         self._pairs = Series(pairs, CSV_HEADER.split(",")[1:])
-        self._join = Join(self._series, self._add_pair)
+        self._join = Join(self.series, self._add_pair)
 
     def _add_pair(self, stamp: int, poses: dict[str, Values]) -> None:
         self._pairs.add(stamp, (*poses[self.PERFECT], *poses[self.NOISY]))
 
     def _belongs_to_this_run(self, name: str, stamp: int) -> bool:
         """Start a new run if time was set back; return False for late messages of the old run."""
-        last = self.last(name)
+        last = self.series[name].last
         if self._late == name:
             if self._late_after is not None and stamp > self._late_after:
                 return False
@@ -228,73 +216,27 @@ class PathsRecording:
         elif last is not None and stamp < last:
             other = self.NOISY if name == self.PERFECT else self.PERFECT
             # Late messages of the old run have stamps after the last one of the other path.
-            self._late, self._late_after = other, self.last(other)
+            self._late, self._late_after = other, self.series[other].last
             self.finish()
             self._runs += 1
             old = make_folder(self.folder / f"run_{self._runs}")
             for file in self.FILES:
                 move_file(self.folder / file, old)
+            self._covariances.clear()
             self._open()
-            self._on_reset(old)
+            self.on_reset(old)
         return True
 
-
-class OdometryReport(Report):
-    """The perfect and the noisy path of each robot, by the robots' namespaces."""
-
-    def __init__(self, folder: Path, namespaces: Iterable[str]):
-        super().__init__(folder)
-        self.robots: dict[str, PathsRecording] = {}
-        for name in namespaces:
-            self.robots[name] = PathsRecording(folder / name, partial(self._reset, name))
-            for path in (PathsRecording.NOISY, PathsRecording.PERFECT):
-                self.topics[f"{name}/{path}".lstrip("/")] = "nav_msgs/Odometry"
-
-    def take(self, topic: str, reading: Reading) -> bool:
-        namespace, _, name = topic.rpartition("/")
-        return self.robots[namespace].take(name, reading.stamp, reading.values)
-
-    def newest(self) -> int | None:
-        return earliest(paths.newest() for paths in self.robots.values())
-
-    def finish(self, until: int | None = None) -> None:
-        for paths in self.robots.values():
-            paths.finish(until)
-
-    def seconds(self) -> float:
-        found = [paths.perfect() for paths in self.robots.values()]
-        return max((p.stamps[-1] - p.stamps[0] for p in found if p is not None), default=0.0)
-
-    def _reset(self, namespace: str, old: Path) -> None:
-        self.on_reset(namespace, old)
-
-
-class SquaresReport(OdometryReport):
-    """The perfect and the noisy path of one robot, with ellipses along the noisy one."""
-
-    def __init__(self, folder: Path):
-        super().__init__(folder, [""])
-        self._paths = self.robots[""]
-        # Covariance (m²) of the noisy position by stamp in ns.
-        self._covariances: dict[int, Any] = {}
-
-    def take(self, topic: str, reading: Reading) -> bool:
-        recorded = super().take(topic, reading)
-        if recorded and topic == PathsRecording.NOISY:
-            self._covariances[reading.stamp] = reading.detail
-        return recorded
-
     def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
-        figures = squares_summary(self._paths.perfect(), self._paths.pairs())
-        return {"finished": finished, **figures, **run}
+        return {"finished": finished, **squares_summary(self.perfect(), self.pairs()), **run}
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
-        perfect, pairs = self._paths.perfect(), self._paths.pairs()
+        pairs = self.pairs()
         title = f"Noise generated by /noisy_odom{settings_line(self.about)}"
         # The algorithm of the report does not change the covariances of the odometry.
         has_covariances = pairs is not None and not self.about.get("as_published")
         ellipses = self._ellipses(pairs[1]) if has_covariances else []
-        return {"paths.png": noise_figure(perfect, pairs, title, ellipses)}
+        return {"paths.png": noise_figure(self.perfect(), pairs, title, ellipses)}
 
     def line(self, summary: Mapping[str, Any]) -> str:
         sides = " ".join(f"{side:.3f}" for side in summary["side_lengths_m"])
@@ -323,10 +265,6 @@ class SquaresReport(OdometryReport):
             if covariance is not None
         ]
 
-    def _reset(self, namespace: str, old: Path) -> None:
-        self._covariances.clear()
-        super()._reset(namespace, old)
-
 
 def settings_line(about: Mapping[str, Any]) -> str:
     """Return the settings of the noise as further lines of a title; may be empty."""
@@ -352,7 +290,7 @@ def noise_figure(
     """Draw both paths, each coordinate against time, and the error against distance.
 
     Args:
-        perfect: path, as `PathsRecording` returns it; None for none.
+        perfect: path, as `SquaresReport` returns it; None for none.
         pairs: likewise.
         title: of the figure.
         ellipses: outlines around noisy poses, (n, 2) arrays in m.

@@ -22,7 +22,7 @@ from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, Squa
 from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, rule_of
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
-from bullet_lab.reports.squares import PathsRecording, noise_figure, squares_summary
+from bullet_lab.reports.squares import SquaresReport, noise_figure, squares_summary
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.studies.study import MOST_SEED, SUMMARY, Tell, run_from
@@ -120,14 +120,14 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
         LabError: the folder cannot be written to.
     """
     noisy = _noise(settings)
-    recording = PathsRecording(folder)
+    recording = SquaresReport(folder)
     drive = drive_square(Square(), settings.mode)
     for step, pose in zip(drive.steps.tolist(), drive.poses.tolist()):
-        recording.add(PathsRecording.PERFECT, step * NANOSECONDS_PER_STEP, pose)
+        recording.add(SquaresReport.PERFECT, step * NANOSECONDS_PER_STEP, pose)
         for x, y, yaw in noisy(step, pose):
             # As read from the quaternion of a message.
             noisy_pose = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
-            recording.add(PathsRecording.NOISY, step * NANOSECONDS_PER_STEP, noisy_pose)
+            recording.add(SquaresReport.NOISY, step * NANOSECONDS_PER_STEP, noisy_pose)
     recording.finish()
     perfect, pairs = recording.perfect(), recording.pairs()
     summary = {

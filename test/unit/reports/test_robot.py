@@ -1,30 +1,35 @@
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bullet_lab.msg import PluginDescription
 
 from bullet_lab.reports import Reading
 from bullet_lab.reports.robot import (
     ODOMETRY,
     TRUTH,
-    Controller,
     Count,
     Displacement,
     Leg,
-    PluginRow,
     Robot,
     RobotReport,
     declared_rates,
 )
 
-WHEELS = PluginRow("wheels", "libwheels.so", "", True, 20.0, ("/go",), ("/odom",), ("warp",))
-SONAR = PluginRow("sonar", "libsonar.so", "nose", False, 0.0, (), (), ())
+WHEELS = PluginDescription(
+    "wheels", "libwheels.so", "", True, 20.0, ("/go",), ("/odom",), ("warp",), ()
+)
+SONAR = PluginDescription("sonar", "libsonar.so", "nose", False, 0.0, (), (), (), ())
+ARM = SimpleNamespace(
+    name="arm", type="position_controllers/JointPositionController", state="running"
+)
 ROBOT = Robot(
     "cart",
     ("base", "left"),
     ("hinge",),
     (WHEELS, SONAR),
-    (Controller("arm", "position_controllers/JointPositionController", "running"),),
+    (ARM,),
     "/go",
     "/odom",
     ("model 'cart': something is odd",),
@@ -42,7 +47,12 @@ def displacement(*poses):
 def leg(reported, true, quantity="ahead_m", asked=1.0):
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
     odometry = None if reported is None else {**figures, **reported}
-    return Leg("metre", quantity, asked, odometry, {**figures, **true}, 5.0)
+    return Leg("metre", quantity, asked, moved(odometry), moved({**figures, **true}), 5.0)
+
+
+def moved(figures):
+    """Return a displacement with these figures."""
+    return SimpleNamespace(figures=lambda: figures)
 
 
 def test_a_displacement_is_measured_along_the_first_heading():
@@ -136,9 +146,9 @@ def test_a_robot_without_a_drive_is_shown(tmp_path):
 
 
 def test_rates_of_plugins_that_share_a_topic_add_up(tmp_path):
-    slow = PluginRow("slow", "a.so", "", True, 20.0, (), ("/joint_states", "/odom"), ())
-    fast = PluginRow("fast", "b.so", "", True, 100.0, (), ("/joint_states",), ())
-    own = PluginRow("own", "c.so", "", True, 0.0, (), ("/odom",), ())
+    slow = PluginDescription("slow", "a.so", "", True, 20.0, (), ("/joint_states", "/odom"), (), ())
+    fast = PluginDescription("fast", "b.so", "", True, 100.0, (), ("/joint_states",), (), ())
+    own = PluginDescription("own", "c.so", "", True, 0.0, (), ("/odom",), (), ())
     assert declared_rates((slow, fast, own)) == {"/joint_states": 120.0, "/odom": 0.0}
     # The other robot's plugin publishes on the topic, too.
     shared = RobotReport(tmp_path, Robot("cart", plugins=(slow,)), KINDS, (fast,))
@@ -166,7 +176,7 @@ def test_a_robot_that_did_not_do_what_it_was_asked(reported, true, asked, late, 
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
     odometry = None if reported is None else {**figures, "ahead_m": reported}
     truth = {**figures, "ahead_m": true}
-    one = Leg("metre", "ahead_m", asked, odometry, truth, 5.0, late, touched)
+    one = Leg("metre", "ahead_m", asked, moved(odometry), moved(truth), 5.0, late, touched)
     assert one.has_failed()
     assert one.figures()["failed"]
     assert one.line().startswith(line)
@@ -174,7 +184,7 @@ def test_a_robot_that_did_not_do_what_it_was_asked(reported, true, asked, late, 
 
 def test_a_turn_the_other_way():
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": -1636.8}
-    one = Leg("turn", "turned_deg", 360.0, figures, figures, 43.7, True)
+    one = Leg("turn", "turned_deg", 360.0, moved(figures), moved(figures), 43.7, True)
     assert one.line().startswith(
         "turn: -1636.80 of 360 °: turned the other way, out of time after 44 s"
     )
@@ -200,7 +210,7 @@ def test_a_robot_that_did_what_it_was_asked(one, report):
 def test_the_line_has_the_reasons():
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
     causes = ("none of its joints turn", "it stands on base")
-    one = Leg("metre", "ahead_m", 1.0, None, figures, 16.0, True, (), causes)
+    one = Leg("metre", "ahead_m", 1.0, moved(None), moved(figures), 16.0, True, (), causes)
     assert one.line() == (
         "metre: it does not move (0.000 m of 1): none of its joints turn, it stands on base, "
         "out of time after 16 s"
@@ -209,7 +219,7 @@ def test_the_line_has_the_reasons():
 
 def test_what_could_not_be_is_in_the_report(tmp_path):
     kind = "effort_controllers/JointTrajectoryController"
-    row = PluginRow("c", "control.so", "", True, 0.0, (), (), (), (f"arm ({kind})",))
+    row = PluginDescription("c", "control.so", "", True, 0.0, (), (), (), (f"arm ({kind})",))
     robot = Robot("ur5", plugins=(row,), choice=("ur5", "ur6"))
     report = RobotReport(tmp_path, robot, {})
     report.not_started = ["tf/view: there is no ROS package 'tf'"]
@@ -223,3 +233,13 @@ def test_what_could_not_be_is_in_the_report(tmp_path):
     summary = report.summary(True, {})
     assert summary["left_out"] == [f"arm ({kind})"]
     assert summary["not_started"] == report.not_started
+
+
+def test_the_truth_decides_while_odometry_pauses():
+    part = Leg("metre", "ahead_m", 1.0)
+    for x in (0.0, 0.5):
+        part.odometry.add((x, 0.0, 0.0))
+    for x in (0.0, 1.1):
+        part.truth.add((x, 0.0, 0.0))
+    assert not part.is_done(odometry_pauses=False)
+    assert part.is_done(odometry_pauses=True)

@@ -5,10 +5,7 @@ import pytest
 
 from bullet_lab.core.files import Series, SeriesError
 from bullet_lab.reports import Reading
-from bullet_lab.reports.sensors import (
-    SensorsReport,
-    scan_points,
-)
+from bullet_lab.reports.sensors import SensorsReport
 
 MS = 1_000_000
 
@@ -47,27 +44,27 @@ def test_rows_that_are_refused(tmp_path, stamp, values):
 def recording(tmp_path):
     found = SensorsReport(tmp_path, 4)
     for k in range(4):
-        found.odom.add(50 * k * MS, (0.1 * k, 0.0, math.pi / 2))
-        found.imu.add((50 * k + 1) * MS, (0.0, 0.0, 9.8, 0.0, 0.0, -0.1 * k))
-        found.range.add(50 * k * MS, (3.0 - k,))
-        found.bumper.add(50 * k * MS, (k // 2, -3.0 * (k // 2), 4.0 * (k // 2), 0.0))
+        found.series["odom"].add(50 * k * MS, (0.1 * k, 0.0, math.pi / 2))
+        found.series["imu"].add((50 * k + 1) * MS, (0.0, 0.0, 9.8, 0.0, 0.0, -0.1 * k))
+        found.series["sonar"].add(50 * k * MS, (3.0 - k,))
+        found.series["bumper"].add(50 * k * MS, (k // 2, -3.0 * (k // 2), 4.0 * (k // 2), 0.0))
     ranges = (1.0, math.inf, 2.0, -math.inf)
     found.take("scan", Reading(100 * MS, ranges, (-math.pi / 2, math.pi / 2)))
     return found
 
 
 def test_scans_are_placed_by_the_pose_of_their_moment(recording):
-    points = scan_points(recording)
+    points = recording.scan_points()
     # The robot is at (0.2, 0) and looks along y: the first ray goes along x, the third along -x.
     np.testing.assert_allclose(points, [(1.2, 0.0), (-1.8, 0.0)], atol=1e-12)
 
 
 def test_a_scan_before_all_odometry_is_left_out(tmp_path):
     found = SensorsReport(tmp_path, 1)
-    found.scan.add(0, (1.0,))
-    assert scan_points(found).shape == (0, 2)
-    found.odom.add(50 * MS, (0.0, 0.0, 0.0))
-    assert scan_points(found).shape == (0, 2)
+    found.series["scan"].add(0, (1.0,))
+    assert found.scan_points().shape == (0, 2)
+    found.series["odom"].add(50 * MS, (0.0, 0.0, 0.0))
+    assert found.scan_points().shape == (0, 2)
 
 
 def test_summary(recording):

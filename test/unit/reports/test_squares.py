@@ -8,7 +8,6 @@ from bullet_lab.core.files import FileError, SeriesError
 from bullet_lab.core.trajectory import CSV_HEADER, read_tum
 from bullet_lab.reports import Reading
 from bullet_lab.reports.squares import (
-    PathsRecording,
     SquaresReport,
     settings_line,
     squares_summary,
@@ -21,7 +20,7 @@ POSES = [tuple(pose) for pose in RNG.uniform(-3, 3, (40, 3)).tolist()]
 
 @pytest.fixture
 def recording(tmp_path):
-    return PathsRecording(tmp_path / "out")
+    return SquaresReport(tmp_path / "out")
 
 
 def lines(recording, name):
@@ -95,12 +94,12 @@ def test_poses_are_finite(recording, bad):
     with pytest.raises(SeriesError, match="not finite"):
         recording.add("noisy_odom", TICK, (0.0, bad, 0.0))
     assert lines(recording, "noisy_odom.tum") == []
-    assert recording.last(recording.NOISY) is None
+    assert recording.series["noisy_odom"].last is None
 
 
 def test_finish_leaves_out_what_came_later(recording):
     fill(recording)
-    assert recording.last(recording.PERFECT) == 20 * TICK
+    assert recording.series["odom"].last == 20 * TICK
     recording.finish(until=12 * TICK)
     assert len(read_tum(recording.folder / "odom.tum")) == 12
     assert len(read_tum(recording.folder / "noisy_odom.tum")) == 12
@@ -126,19 +125,19 @@ def test_an_empty_recording(recording):
 def test_a_place_that_cannot_be_written_to(tmp_path):
     (tmp_path / "odom.tum").mkdir()
     with pytest.raises(FileError, match="^cannot write .*odom.tum: Is a directory$"):
-        PathsRecording(tmp_path)
+        SquaresReport(tmp_path)
 
 
 def test_time_set_back_begins_a_new_run(recording):
     fill(recording)
     old = []
-    recording._on_reset = old.append
-    assert recording.take("odom", 3 * TICK, POSES[0])
+    recording.on_reset = old.append
+    assert recording.take("odom", Reading(3 * TICK, POSES[0]))
     assert old == [recording.folder / "run_1"]
     assert len(read_paths_csv(old[0] / "paths.csv")[0]) == 15
     # A late message of the old run.
-    assert not recording.take("noisy_odom", 16 * TICK, POSES[1])
-    assert recording.take("noisy_odom", 3 * TICK, POSES[1])
+    assert not recording.take("noisy_odom", Reading(16 * TICK, POSES[1]))
+    assert recording.take("noisy_odom", Reading(3 * TICK, POSES[1]))
     assert recording.pairs()[0].stamps.tolist() == [0.15]
     assert recording.newest() == 3 * TICK
 
@@ -146,11 +145,11 @@ def test_time_set_back_begins_a_new_run(recording):
 def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
     report = SquaresReport(tmp_path)
     resets = []
-    report.on_reset = lambda *what: resets.append(what)
+    report.on_reset = resets.append
     for stamp in (2 * TICK, TICK):
         for topic in ("odom", "noisy_odom"):
             assert report.take(topic, Reading(stamp, POSES[0], ((0.01, 0.0), (0.0, 0.01))))
-    assert resets == [("", tmp_path / "run_1")]
+    assert resets == [tmp_path / "run_1"]
     assert list(report._covariances) == [TICK]
     report.about = {"std": 0.1, "seed": 2}
     figure = report.figures({})["paths.png"]

@@ -1,23 +1,25 @@
-"""Commands that can be stopped at any moment, and action servers, for nodes that drive."""
+"""What nodes that drive share: commands that can be stopped, action servers, and their loop."""
 
 from __future__ import annotations
 
 import threading
-from typing import Any, Callable, Optional, Tuple
+from abc import ABC, abstractmethod
+from typing import Any, Callable, Sequence
 
 import rospy
 from actionlib import ActionServer, ServerGoalHandle, SimpleActionServer
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import Twist
 
-from bullet_lab.ros.node.lock_step import in_lock_step
-from bullet_lab.ros.node.publishers import Publisher
+from bullet_lab.ros.node.lock_step import in_lock_step, rate
+from bullet_lab.ros.node.odometry import FrameFinder, MessageQueue
+from bullet_lab.ros.node.publishers import Publisher, publisher
 
 
 class StoppableSender:
     """Sends commands; a stop takes effect at once and voids the command being computed.
 
-    Thread-safe.
+    When the node ends, it stops the robot. Thread-safe.
     """
 
     def __init__(self, publisher: Publisher):
@@ -25,12 +27,13 @@ class StoppableSender:
         self._lock = threading.RLock()
         self._stops = 0
         self._ended = False
+        rospy.on_shutdown(self.end)
 
     def ticket(self) -> int:
         """Return a ticket for `send`; called before a command is computed."""
         return self._stops
 
-    def send(self, command: Tuple[float, float], ticket: Optional[int] = None) -> None:
+    def send(self, command: tuple[float, float], ticket: int | None = None) -> None:
         """Send a command (m/s, rad/s), unless there was a stop after its ticket."""
         with self._lock:
             if ticket in (None, self._stops) and not self._ended:
@@ -49,7 +52,7 @@ class StoppableSender:
             self.stop()
             self._ended = True
 
-    def _publish(self, command: Tuple[float, float]) -> None:
+    def _publish(self, command: tuple[float, float]) -> None:
         twist = Twist()
         twist.linear.x, twist.angular.z = command
         self._publisher.publish(twist)
@@ -111,14 +114,14 @@ class GoalServer(SimpleActionServer):
             if not rospy.is_shutdown():
                 server.feedback_pub.publish(message)
 
-    def end(self, status: int, result: Optional[Any] = None, text: str = "") -> None:
-        """End the current goal with one of these three states and a text for the user."""
-        ends = {
-            GoalStatus.SUCCEEDED: self.set_succeeded,
-            GoalStatus.PREEMPTED: self.set_preempted,
-            GoalStatus.ABORTED: self.set_aborted,
-        }
-        ends[status](result, text)
+    def end(self, status: int, result: Any | None = None, text: str = "") -> None:
+        """End the current goal as succeeded, preempted or aborted, with a text for the user."""
+        if status == GoalStatus.SUCCEEDED:
+            self.set_succeeded(result, text)
+        elif status == GoalStatus.PREEMPTED:
+            self.set_preempted(result, text)
+        else:
+            self.set_aborted(result, text)
 
     def forget_cancels(self) -> None:
         """Accept goals with stamps before the last cancellation, after a reset of time."""
@@ -151,3 +154,52 @@ class GoalServer(SimpleActionServer):
     def _preempt(self) -> None:
         if not self.is_new_goal_available():
             self._on_cancel()
+
+
+class GoalNode(ABC):
+    """A node that drives to the goals of action servers, one goal at a time.
+
+    Goals and cancellations come in threads of rospy, where they only stop the robot; the loop
+    starts and ends them.
+
+    Args:
+        cmd_vel: topic of the commands.
+        queues: messages that the node needs.
+    """
+
+    def __init__(self, cmd_vel: str, queues: Sequence[MessageQueue]):
+        self._commands = publisher(cmd_vel, Twist)
+        self._sender = StoppableSender(self._commands)
+        self._frames = FrameFinder()
+        self._queues = queues
+        self._servers: list[GoalServer] = []
+
+    def run(self, hz: float, what: str) -> None:
+        """Work at a rate of simulated time until ROS shuts down.
+
+        In lock step, time starts when everything is connected; `what` describes that in the log.
+        """
+        ticks = rate(hz, self._is_connected, what)
+        last = ticks.now
+        while not rospy.is_shutdown():
+            ticks.sleep()
+            if ticks.now < last:
+                last = ticks.now
+                self._time_was_set_back()
+            self._tick(ticks.now, (ticks.now - last).to_sec())
+            last = ticks.now
+
+    def _is_connected(self) -> bool:
+        queues = all(queue.is_connected() for queue in self._queues)
+        return queues and self._commands.has_connections()
+
+    def _time_was_set_back(self) -> None:
+        for queue in self._queues:
+            queue.clear()
+        for server in self._servers:
+            server.forget_cancels()
+        self._frames.clear()
+
+    @abstractmethod
+    def _tick(self, now: rospy.Time, seconds: float) -> None:
+        """Take requests and messages, and send a command; `seconds` are those since the last."""

@@ -15,7 +15,7 @@ import contextlib
 import functools
 import time
 import xmlrpc.client
-from typing import Callable, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Iterator, Sequence
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -58,8 +58,8 @@ class Member:
     """
 
     def __init__(self):
-        self.publishers: List[rospy.Publisher] = []
-        self._call: Optional[rospy.ServiceProxy] = None
+        self.publishers: list[rospy.Publisher] = []
+        self._call: rospy.ServiceProxy | None = None
         self._epoch = 0
         self._now = rospy.Time(0)
 
@@ -129,7 +129,7 @@ class Member:
         self._epoch, self._now = answer.epoch, answer.now
         return answer
 
-    def _sent(self) -> Tuple[Sequence[str], Sequence[str], Sequence[int]]:
+    def _sent(self) -> tuple[Sequence[str], Sequence[str], Sequence[int]]:
         """Return the topics, the receivers and the numbers of messages of all connections."""
         sent = [
             (publisher.resolved_name, connection.endpoint_id, connection.stat_num_msg)
@@ -153,21 +153,16 @@ class Rate:
         hz: ticks per simulated second.
         is_ready: in lock step, condition to wait for before time starts.
         what: what that waits for, for the log.
-        always: whether to be in lock step whatever ~lock_step is.
 
     Attributes:
         now: ROS time at the last tick; a reset may have set it back.
     """
 
     def __init__(
-        self,
-        hz: float,
-        is_ready: Optional[Callable[[], bool]] = None,
-        what: str = "",
-        always: bool = False,
+        self, hz: float, is_ready: Callable[[], bool] | None = None, what: str = ""
     ):
         self._hz = hz
-        self._member: Optional[Member] = member() if always or in_lock_step() else None
+        self._member: Member | None = member() if in_lock_step() else None
         if self._member is None:
             self._rate = rospy.Rate(hz)
             self.now = rospy.Time.now()
@@ -199,8 +194,6 @@ class Rate:
 
 
 rate = Rate
-LockStepRate = functools.partial(Rate, always=True)
-"""A rate for nodes without the parameter ~lock_step; commands need the package's `publisher`."""
 
 
 def join_when(is_connected: Callable[[], bool], what: str) -> None:
@@ -253,7 +246,7 @@ def publishers_know_this_node(topic: str = "") -> bool:
     return bool(inbound & outbound) if topic else inbound <= outbound
 
 
-def _connections(uri: str) -> List[Tuple[str, str, str]]:
+def _connections(uri: str) -> list[tuple[str, str, str]]:
     """Return other end, direction and topic of a node's connections; none if it is dead."""
     try:
         with xmlrpc.client.ServerProxy(uri) as node:

@@ -16,7 +16,7 @@ import time
 import xmlrpc.client
 from collections import Counter
 from http.client import HTTPException
-from typing import Any, Callable, Type, TypeVar, get_type_hints
+from typing import Any, Callable, Iterator, TypeVar, get_type_hints
 
 import rosgraph
 import rospy
@@ -80,17 +80,17 @@ def run_node(
         library.propagate = False
         threading.Thread(target=_watch_master, args=(master_is_gone,), daemon=True).start()
         threading.Thread(target=_collect_garbage, daemon=True).start()
+        body()
+    except rospy.ROSInterruptException:
         # Ctrl-C, or another node ended this one: a clean end.
-        with contextlib.suppress(rospy.ROSInterruptException):
-            body()
+        pass
     except Exception as error:
         if is_ending() and not isinstance(error, (ParameterError, FileError)):
             # Another thread has closed the topics that the main thread uses.
             logging.getLogger("rospy").info("%s was ended", name, exc_info=True)
-        elif isinstance(error, ParameterError):
-            _end(name, error, STATUS_BAD_PARAMETER)
         elif isinstance(error, (LabError, rospy.ROSInitException)):
-            _end(name, error, STATUS_CANNOT_GO_ON)
+            is_parameter = isinstance(error, ParameterError)
+            _end(name, error, STATUS_BAD_PARAMETER if is_parameter else STATUS_CANNOT_GO_ON)
         else:
             raise
     finally:
@@ -165,9 +165,7 @@ def _watch_master(is_gone: threading.Event) -> None:
     A new master in its place does not know this node's topics: the node ends, too.
     """
     # rospy registers the node in another thread.
-    end = time.monotonic() + LONGEST_REGISTRATION
-    while not _is_known_to_master() and time.monotonic() < end and not rospy.is_shutdown():
-        time.sleep(0.1)
+    holds_within(_is_known_to_master, LONGEST_REGISTRATION)
     misses = 0
     while not rospy.is_shutdown():
         time.sleep(MASTER_CHECK_SECONDS)
@@ -213,7 +211,7 @@ def node(body: Callable[[Any], None]) -> Callable[[], None]:
     return program
 
 
-def private_parameters(kind: Type[T]) -> T:
+def private_parameters(kind: type[T]) -> T:
     """Read the node's parameters from the master; raises ParameterError.
 
     ~lock_step is a parameter of every node, see `bullet_lab.ros.node.lock_step`.
@@ -250,19 +248,28 @@ def ignore_clock() -> None:
         own.unregister()
 
 
+def holds_within(condition: Callable[[], Any], seconds: float) -> bool:
+    """Wait in wall time, and return whether a condition holds within `seconds`.
+
+    If ROS shuts down first, return False.
+    """
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if rospy.is_shutdown() or time.monotonic() >= deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
 def wait_until(condition: Callable[[], bool], what: str) -> None:
     """Wait in wall time until a condition holds; log `what` after `REPORT_WAIT_SECONDS`.
 
     Raises ROSInterruptException if ROS shuts down first.
     """
-    report = time.monotonic() + REPORT_WAIT_SECONDS
-    while not condition():
-        if rospy.is_shutdown():
+    if not holds_within(condition, REPORT_WAIT_SECONDS):
+        rospy.loginfo("waiting for %s", what)
+        if not holds_within(condition, math.inf):
             raise rospy.ROSInterruptException("shutdown")
-        if time.monotonic() > report:
-            report = math.inf
-            rospy.loginfo("waiting for %s", what)
-        time.sleep(0.01)
 
 
 class Refusals:
@@ -271,6 +278,14 @@ class Refusals:
     def __init__(self):
         self.counts: Counter = Counter()
         self._last_report = -math.inf
+
+    @contextlib.contextmanager
+    def on(self, topic: str) -> Iterator[None]:
+        """Refuse a message on a topic if a LabError is raised within the context."""
+        try:
+            yield
+        except LabError as error:
+            self.refuse(topic, str(error))
 
     def refuse(self, topic: str, reason: str) -> None:
         """Count a refused message on a topic, and log the reason."""

@@ -1,21 +1,24 @@
-"""Checks of nav_msgs/Odometry, and the newest pose for nodes that drive."""
+"""What nodes receive: checked odometry, queues of messages, and transforms between frames."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
-from typing import Optional, Tuple
+from collections import deque
+from typing import Any, Callable, Generic, TypeVar
 
 import rospy
-from geometry_msgs.msg import Vector3
+import tf2_ros
+from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 
-from bullet_lab.core.se2 import yaw_from_quaternion
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.se2 import PlanarPose, yaw_from_quaternion
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import NORM_TOLERANCE
+from bullet_lab.ros.messages.poses import NORM_TOLERANCE, InputError, pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
-from bullet_lab.ros.node.node import NodeError, Refusals
+from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
 from bullet_lab.ros.node.publishers import subscriber
 
 # m; larger than all coordinates on Earth in any grid. Squares of smaller numbers stay finite.
@@ -24,15 +27,30 @@ FARTHEST = 1e8
 STALE_SECONDS = 0.5
 # Wall seconds to wait for odometry.
 ODOMETRY_TIMEOUT = 5.0
+# Messages in a MessageQueue.
+MOST_WAITING = 1000
+# Wall seconds that lock step waits for a message that is due.
+LATEST = 10.0
 # Wall seconds between two checks for a shutdown.
-POLL_SECONDS = 0.2
+SHUTDOWN_CHECK_SECONDS = 0.2
+_MILLISECOND = 1_000_000
+# s; tf2 ends the process if a stamp is as large: it means "no time" there.
+END_OF_TIME = 2**31 - 1
+# Wall seconds to wait for a missing transform.
+PATIENCE = 2.0
+# Likewise for the thread that drives, in lock step: simulated time does not advance meanwhile.
+LOCK_STEP_PATIENCE = 5.0
+# Wall seconds between two attempts.
+POLL_SECONDS = 0.02
+
+T = TypeVar("T")
 
 
 class OdometryError(LabError):
     """An odometry message is invalid."""
 
 
-def planar_pose(message: Odometry) -> Tuple[float, float, float]:
+def planar_pose(message: Odometry) -> PlanarPose:
     """Return x (m), y (m) and yaw (rad) of an odometry message.
 
     Raises:
@@ -61,18 +79,22 @@ def check_numbers(message: Odometry) -> None:
         raise OdometryError("a height, twist or covariance that is not finite")
 
 
-def _vector(value: Vector3) -> Tuple[float, float, float]:
+def _vector(value: Vector3) -> tuple[float, float, float]:
     return value.x, value.y, value.z
 
 
 class FrameGuard:
-    """Checks that all odometry messages have the frames of the first one."""
+    """Reads the poses of odometry messages that have the frames of the first one."""
 
     def __init__(self):
-        self._frames: Optional[Tuple[str, str]] = None
+        self._frames: tuple[str, str] | None = None
 
-    def check(self, message: Odometry) -> None:
-        """Raise OdometryError if the frames of a message differ from those of the first."""
+    def check(self, message: Odometry) -> PlanarPose:
+        """Return the pose of a message as `planar_pose` does.
+
+        Raises OdometryError also if its frames differ from those of the first message.
+        """
+        pose = planar_pose(message)
         frames = (message.header.frame_id, message.child_frame_id)
         if self._frames is None:
             self._frames = frames
@@ -80,43 +102,46 @@ class FrameGuard:
             raise OdometryError(
                 "frames {} -> {} where {} -> {} came before".format(*frames, *self._frames)
             )
+        return pose
+
+
+def _wait_for(new: threading.Condition, holds: Callable[[], bool], seconds: float) -> bool:
+    """Wait in wall time until something holds; return False if it does not within `seconds`.
+
+    `new` is notified when it may hold. Raises ROSInterruptException at a shutdown.
+    """
+    deadline = time.monotonic() + seconds
+    while not holds():
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
+        if time.monotonic() >= deadline:
+            return False
+        new.wait(SHUTDOWN_CHECK_SECONDS)
+    return True
 
 
 class NewestOdometry:
-    """The newest valid pose on an odometry topic.
+    """The newest valid pose on an odometry topic."""
 
-    Args:
-        topic: its name.
-        subscribed: whether to subscribe to it; otherwise the caller passes the messages to
-            `take`. (In rospy, a node cannot subscribe to a topic both with AnyMsg and with a type.)
-    """
-
-    def __init__(self, topic: str, subscribed: bool = True):
+    def __init__(self, topic: str):
         self._topic = topic
         self._new = threading.Condition()
-        self._pose: Optional[Tuple[float, float, float]] = None
+        self._pose: PlanarPose | None = None
         self._stamp = rospy.Time(0)
-        self._period: Optional[rospy.Duration] = None
+        self._period: rospy.Duration | None = None
         self._received = rospy.Time(0)
         self._refusals = Refusals()
-        self._subscriber = subscriber(topic, Odometry, self.take) if subscribed else None
+        self._subscriber = subscriber(topic, Odometry, self.take)
 
-    def newest(
-        self, now: Optional[rospy.Time], patience: float = ODOMETRY_TIMEOUT
-    ) -> Tuple[float, float, float]:
+    def newest(self, now: rospy.Time, patience: float = ODOMETRY_TIMEOUT) -> PlanarPose:
         """Return the newest pose (m, m, rad), not older than `STALE_SECONDS`.
 
         In lock step, wait for all messages up to `now`. Raises NodeError if none comes for
         `patience` wall seconds.
         """
-        deadline = time.monotonic() + patience
         with self._new:
-            while not self._is_new(now):
-                if rospy.is_shutdown():
-                    raise rospy.ROSInterruptException("shutdown")
-                if time.monotonic() >= deadline:
-                    raise NodeError(f"no odometry on {self._topic} for {patience:g} s")
-                self._new.wait(POLL_SECONDS)
+            if not _wait_for(self._new, lambda: self._is_new(now), patience):
+                raise NodeError(f"no odometry on {self._topic} for {patience:g} s")
             return self._pose
 
     def is_stale(self) -> bool:
@@ -125,23 +150,217 @@ class NewestOdometry:
             return False
         return rospy.Time.now() - self._received > rospy.Duration(STALE_SECONDS)
 
-    def _is_new(self, now: Optional[rospy.Time]) -> bool:
+    def _is_new(self, now: rospy.Time) -> bool:
         if self._pose is None:
             return False
-        if now is None or not in_lock_step():
+        if not in_lock_step():
             return not self.is_stale()
         return self._period is None or self._stamp + self._period > now
 
     def take(self, message: Odometry) -> None:
         """Store the pose of a message; an invalid message is refused and counted."""
-        try:
+        with self._refusals.on(self._topic), self._new:
             pose = planar_pose(message)
-        except OdometryError as error:
-            self._refusals.refuse(self._topic, str(error))
-            return
-        with self._new:
             if self._pose is not None and message.header.stamp > self._stamp:
                 self._period = message.header.stamp - self._stamp
             self._pose, self._stamp = pose, message.header.stamp
             self._received = rospy.Time.now()
             self._new.notify_all()
+
+
+class MessageQueue(Generic[T]):
+    """The messages of one topic, in the order of their stamps.
+
+    In lock step it is always open, and waits for the messages that are due.
+
+    Args:
+        topic: to subscribe to while open.
+        kind: class of the messages, which have a header.
+        read: converts a message, or raises LabError to refuse it.
+        rate: messages of the bridge per simulated second.
+
+    Attributes:
+        trouble: the error of the last message; empty if it was not refused.
+    """
+
+    def __init__(self, topic: str, kind: type, read: Callable[[Any], T], rate: float):
+        self.topic, self.trouble = topic, ""
+        self._kind, self._read, self._rate = kind, read, rate
+        self._new = threading.Condition()
+        self._waiting: deque[tuple[int, T]] = deque(maxlen=MOST_WAITING)
+        # ns
+        self._newest = 0
+        self._patience = LATEST
+        self._refusals = Refusals()
+        self._subscriber: rospy.Subscriber | None = None
+        if in_lock_step():
+            self.open()
+
+    def open(self) -> bool:
+        """Subscribe; return whether the queue was closed before."""
+        if self._subscriber is not None:
+            return False
+        self.clear()
+        self._subscriber = subscriber(self.topic, self._kind, self._receive)
+        return True
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        if self._subscriber is not None and not in_lock_step():
+            self._subscriber.unregister()
+            self._subscriber = None
+
+    def clear(self) -> None:
+        """Remove all messages."""
+        with self._new:
+            self.trouble = ""
+            self._waiting.clear()
+            self._newest = 0
+            self._patience = LATEST
+
+    def is_connected(self) -> bool:
+        """Return whether the topic has a publisher."""
+        return self._subscriber is not None and self._subscriber.get_num_connections() > 0
+
+    def take(self, now: rospy.Time) -> list[T]:
+        """Remove and return the messages with stamps up to now."""
+        taken = []
+        with self._new:
+            while self._waiting and self._waiting[0][0] <= now.to_nsec():
+                taken.append(self._waiting.popleft()[1])
+        return taken
+
+    def wait(self, now: rospy.Time) -> None:
+        """In lock step, wait in wall time for the messages that are due by now.
+
+        After `LATEST` seconds without a message it does not wait until the next one arrives.
+        """
+        if not in_lock_step():
+            return
+        with self._new:
+            if not _wait_for(self._new, lambda: self._next_due() > now.to_nsec(), self._patience):
+                self._patience = 0.0
+
+    def _next_due(self) -> int:
+        """Return the stamp in ns of the message after the newest: the first step at k / rate."""
+        number = math.floor(self._newest * self._rate * 1e-9 + 1e-6) + 1
+        return math.ceil(1000.0 * number / self._rate - 1e-6) * _MILLISECOND
+
+    def _receive(self, message: Any) -> None:
+        stamp = message.header.stamp.to_nsec()
+        with self._new:
+            try:
+                if stamp < self._newest:
+                    raise InputError(f"out-of-order stamp {1e-9 * stamp:.9f} s")
+                self._waiting.append((stamp, self._read(message)))
+                self.trouble = ""
+            except LabError as error:
+                self.trouble = str(error)
+                self._refusals.refuse(self.topic, self.trouble)
+            self._newest = max(stamp, self._newest)
+            self._patience = LATEST
+            self._new.notify_all()
+
+
+class FrameError(LabError):
+    """There is no transform between two frames."""
+
+
+class CarefulBuffer(tf2_ros.Buffer):
+    """A buffer that ignores transforms that would end the process."""
+
+    def __init__(self):
+        super().__init__()
+        self._refusals = Refusals()
+
+    def set_transform(self, transform: TransformStamped, authority: str) -> None:
+        """Store a transform of /tf."""
+        if self._is_usable("/tf", transform):
+            super().set_transform(transform, authority)
+
+    def set_transform_static(self, transform: TransformStamped, authority: str) -> None:
+        """Store a transform of /tf_static."""
+        if self._is_usable("/tf_static", transform):
+            super().set_transform_static(transform, authority)
+
+    def _is_usable(self, topic: str, transform: TransformStamped) -> bool:
+        is_usable = transform.header.stamp.secs < END_OF_TIME
+        if not is_usable:
+            self._refusals.refuse(topic, "a stamp at the end of ROS time")
+        return is_usable
+
+
+class FrameFinder:
+    """Transforms poses from one frame to another by the newest transforms of TF.
+
+    With `wait`, a missing transform is waited for. The thread that drives uses `wait=False`: it
+    waits in lock step only, where simulated time does not advance meanwhile.
+    """
+
+    def __init__(self):
+        self._buffer = CarefulBuffer()
+        self._listener = tf2_ros.TransformListener(self._buffer)
+
+    def clear(self) -> None:
+        """Remove all transforms after a reset of time."""
+        self._buffer.clear()
+
+    def bring(self, pose: Pose, source: str, target: str, wait: bool = True) -> Pose:
+        """Return a pose in another frame; leading slashes of frame names are ignored.
+
+        Raises:
+            FrameError: no transform between the two.
+            InputError: an invalid frame name.
+        """
+        source, target = source.lstrip("/"), target.lstrip("/")
+        if not source:
+            raise InputError("it has no frame_id")
+        if source == target:
+            return pose
+        return self.pose_in(target, source, wait) * pose
+
+    def planar(
+        self, message: PoseStamped, target: str, wait: bool = True
+    ) -> tuple[float, float, float]:
+        """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
+
+        Raises InputError for an invalid pose, and the errors of `bring`.
+        """
+        pose = pose_of(message.pose.position, message.pose.orientation)
+        placed = self.bring(pose, message.header.frame_id, target, wait)
+        return placed.position[0], placed.position[1], placed.yaw
+
+    def pose_in(self, target: str, source: str, wait: bool = True) -> Pose:
+        """Return the pose of the frame `source` in the frame `target`; errors as of `bring`."""
+        if "\0" in source + target:
+            raise InputError("a frame's name has a NUL")
+        patience = PATIENCE if wait else LOCK_STEP_PATIENCE if in_lock_step() else 0.0
+        deadline = time.monotonic() + patience
+        while True:
+            try:
+                found = self._buffer.lookup_transform(target, source, rospy.Time(0)).transform
+                return pose_of(found.translation, found.rotation)
+            except tf2_ros.TransformException as error:
+                if time.monotonic() >= deadline or rospy.is_shutdown():
+                    line = f"no transform from '{source}' to '{target}': {error}"
+                    raise FrameError(line) from None
+            time.sleep(POLL_SECONDS)
+
+
+def own_tf_prefix() -> str:
+    """Return this node's tf_prefix with a slash at the end; empty without one."""
+    found = rospy.search_param(TF_PREFIX)
+    prefix = str(rospy.get_param(found)).strip("/") if found else ""
+    return f"{prefix}/" if prefix else ""
+
+
+def own_frame(frame: str) -> str:
+    """Return a frame name with this node's tf_prefix.
+
+    As in the tf library, a name with a leading slash has no prefix. A name that has the prefix
+    already is returned unchanged.
+    """
+    prefix = own_tf_prefix()
+    if not frame or frame.startswith(("/", prefix)):
+        return frame.lstrip("/")
+    return prefix + frame

@@ -1,40 +1,33 @@
-"""Publishers, subscribers and queues that lose no messages in lock step."""
+"""Publishers and subscribers that lose no messages in lock step, and the diagnostics of a node."""
 
 from __future__ import annotations
 
-import math
+import statistics
 import threading
 import time
 import warnings
 from collections import deque
 from io import BytesIO
-from typing import Any, Callable, Deque, Generic, List, Optional, Tuple, TypeVar
+from typing import Any, Callable, Mapping, NamedTuple
 
 import genpy
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rospy.msg import serialize_message
 
-from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.lock_step import in_lock_step, member
-from bullet_lab.ros.node.node import Refusals
 
 # Wall seconds between two checks of a full queue.
 ROOM_CHECK_SECONDS = 0.001
-# Wall seconds between two checks for subscribers that have died.
-LISTENERS_CHECK_SECONDS = 0.5
-# Messages in a MessageQueue.
-MOST_WAITING = 1000
-# Wall seconds that lock step waits for a message that is due.
-LATEST = 10.0
-# Wall seconds between two checks for a shutdown.
-SHUTDOWN_CHECK_SECONDS = 0.2
+# Wall seconds between two checks for subscribers that have come, gone or died.
+LISTENERS_CHECK_SECONDS = 0.05
 # Field in the connection header of a publisher of commands: wall seconds after which the bridge
 # stops the robot if no further command arrives.
 COMMAND_TIMEOUT = "command_timeout"
-_MILLISECOND = 1_000_000
-
-T = TypeVar("T")
+# Wall seconds between two messages on /diagnostics.
+PERIOD = 1.0
+# Wall seconds over which rates are counted.
+_WINDOW = 2.0
 
 
 class Publisher(rospy.Publisher):
@@ -98,7 +91,7 @@ class BatchPublisher(Publisher):
                 connection.close()
 
 
-def await_room(connection: Any, size: Optional[int]) -> None:
+def await_room(connection: Any, size: int | None) -> None:
     """Wait until the queue of a rospy connection has room for a message."""
     # The queue is not part of rospy's interface and may be missing.
     while size and len(getattr(connection, "_queue", ())) >= size:
@@ -108,7 +101,7 @@ def await_room(connection: Any, size: Optional[int]) -> None:
 
 
 def publisher(
-    topic: str, kind: type, queue_size: Optional[int] = None, latch: bool = False
+    topic: str, kind: type, queue_size: int | None = None, latch: bool = False
 ) -> Publisher:
     """Return a publisher of messages that other nodes compute with.
 
@@ -135,7 +128,7 @@ def subscriber(
     topic: str,
     kind: type,
     receive: Callable[[Any], None],
-    queue_size: Optional[int] = None,
+    queue_size: int | None = None,
     buffer_bytes: int = rospy.topics.DEFAULT_BUFF_SIZE,
 ) -> rospy.Subscriber:
     """Return a subscriber that drops no message in lock step.
@@ -154,7 +147,7 @@ def subscriber(
     )
 
 
-class Demand(rospy.SubscribeListener):
+class Demand:
     """Publishers of results that are computed only while somebody subscribes.
 
     A thread calls `start` when the first subscriber comes, or at once if `always`, and `stop`
@@ -162,38 +155,28 @@ class Demand(rospy.SubscribeListener):
     """
 
     def __init__(self, start: Callable[[], None], stop: Callable[[], None], always: bool = False):
-        super().__init__()
         self._start, self._stop = start, stop
         self._always = always
-        self._publishers: List[Publisher] = []
-        self._wake = threading.Event()
+        self._publishers: list[Publisher] = []
         self.is_there = False
 
     def publisher(self, topic: str, kind: type, queue_size: int = 10) -> Publisher:
         """Return a publisher of results, see the function `publisher`."""
         made = publisher(topic, kind, queue_size)
         self._publishers.append(made)
-        made.impl.add_subscriber_listener(self)
         return made
 
     def watch(self) -> None:
         """Start the thread that starts and stops the work."""
         threading.Thread(target=self._watch, daemon=True).start()
 
-    def peer_subscribe(self, *_: Any) -> None:
-        """Check the subscribers; called by rospy when one has come or gone."""
-        self._wake.set()
-
-    peer_unsubscribe = peer_subscribe
-
     def _watch(self) -> None:
         while not rospy.is_shutdown():
-            self._wake.clear()
             wanted = self._always or any(map(_has_listeners, self._publishers))
             if wanted != self.is_there:
                 self.is_there = wanted
                 (self._start if wanted else self._stop)()
-            self._wake.wait(LISTENERS_CHECK_SECONDS)
+            time.sleep(LISTENERS_CHECK_SECONDS)
 
 
 def _has_listeners(publisher: Publisher) -> bool:
@@ -203,103 +186,75 @@ def _has_listeners(publisher: Publisher) -> bool:
     return publisher.has_connections()
 
 
-class MessageQueue(Generic[T]):
-    """The messages of one topic, in the order of their stamps.
+class Health(NamedTuple):
+    """A level of DiagnosticStatus, a message, and values by name."""
 
-    In lock step it is always open, and waits for the messages that are due.
+    level: int
+    message: str
+    values: Mapping[str, str] = {}
 
-    Args:
-        topic: to subscribe to while open.
-        kind: class of the messages, which have a header.
-        read: converts a message, or raises LabError to refuse it.
-        rate: messages of the bridge per simulated second.
 
-    Attributes:
-        trouble: the error of the last message; empty if it was not refused.
+class Diagnostics:
+    """Publishes the health of a node every wall second; a separate thread calls `health`.
+
+    diagnostic_updater measures its period and its rates in ROS time, which passes a hundred times
+    as fast at full speed, and not at all while the simulation is paused.
     """
 
-    def __init__(self, topic: str, kind: type, read: Callable[[Any], T], rate: float):
-        self.topic, self.trouble = topic, ""
-        self._kind, self._read, self._rate = kind, read, rate
-        self._new = threading.Condition()
-        self._waiting: Deque[Tuple[int, T]] = deque(maxlen=MOST_WAITING)
-        # ns
-        self._newest = 0
-        self._patience = LATEST
-        self._refusals = Refusals()
-        self._subscriber: Optional[rospy.Subscriber] = None
-        if in_lock_step():
-            self.open()
+    def __init__(self, task: str, health: Callable[[], Health]):
+        self._name = f"{rospy.get_name().lstrip('/')}: {task}"
+        self._health = health
+        self._publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=10)
 
-    def open(self) -> bool:
-        """Subscribe; return whether the queue was closed before."""
-        if self._subscriber is not None:
-            return False
-        self.clear()
-        self._subscriber = subscriber(self.topic, self._kind, self._receive)
-        return True
+    def start(self) -> None:
+        """Start to publish."""
+        threading.Thread(target=self._report, daemon=True).start()
 
-    def close(self) -> None:
-        """Unsubscribe."""
-        if self._subscriber is not None and not in_lock_step():
-            self._subscriber.unregister()
-            self._subscriber = None
+    def _report(self) -> None:
+        while not rospy.is_shutdown():
+            health = self._health()
+            values = [KeyValue(key, value) for key, value in health.values.items()]
+            status = DiagnosticStatus(health.level, self._name, health.message, "", values)
+            message = DiagnosticArray(status=[status])
+            message.header.stamp = rospy.Time.now()
+            self._publisher.publish(message)
+            time.sleep(PERIOD)
 
-    def clear(self) -> None:
-        """Remove all messages."""
-        with self._new:
-            self.trouble = ""
-            self._waiting.clear()
-            self._newest = 0
-            self._patience = LATEST
 
-    def is_connected(self) -> bool:
-        """Return whether the topic has a publisher."""
-        return self._subscriber is not None and self._subscriber.get_num_connections() > 0
+class Traffic:
+    """Rate and latency of a node's results over the last two seconds of wall time."""
 
-    def take(self, now: rospy.Time) -> List[T]:
-        """Remove and return the messages with stamps up to now."""
-        taken = []
-        with self._new:
-            while self._waiting and self._waiting[0][0] <= now.to_nsec():
-                taken.append(self._waiting.popleft()[1])
-        return taken
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._done: deque[tuple[float, float]] = deque()
+        self.total = 0
 
-    def wait(self, now: rospy.Time) -> None:
-        """In lock step, wait in wall time for the messages that are due by now.
+    def note(self, seconds: float) -> None:
+        """Count a result, `seconds` after its input had arrived."""
+        with self._lock:
+            self.total += 1
+            self._done.append((time.monotonic(), seconds))
+            self._forget()
 
-        After `LATEST` seconds without a message it does not wait until the next one arrives.
-        """
-        if not in_lock_step():
-            return
-        deadline = time.monotonic() + self._patience
-        with self._new:
-            while self._next_due() <= now.to_nsec():
-                if rospy.is_shutdown():
-                    raise rospy.ROSInterruptException("shutdown")
-                if time.monotonic() >= deadline:
-                    self._patience = 0.0
-                    return
-                self._new.wait(SHUTDOWN_CHECK_SECONDS)
+    def figures(self) -> dict[str, str]:
+        """Return the number of results, their rate and latency as text."""
+        with self._lock:
+            self._forget()
+            latencies = [seconds for _, seconds in self._done]
+        figures = {"frames": str(self.total), "frame rate (Hz)": f"{len(latencies) / _WINDOW:.1f}"}
+        if latencies:
+            figures["latency median (ms)"] = f"{1e3 * statistics.median(latencies):.1f}"
+            figures["latency max (ms)"] = f"{1e3 * max(latencies):.1f}"
+        return figures
 
-    def _next_due(self) -> int:
-        """Return the stamp in ns of the message after the newest: the first step at k / rate."""
-        number = math.floor(self._newest * self._rate * 1e-9 + 1e-6) + 1
-        return math.ceil(1000.0 * number / self._rate - 1e-6) * _MILLISECOND
+    @property
+    def silence(self) -> float:
+        """Wall seconds since the last result, at most two."""
+        with self._lock:
+            self._forget()
+            return time.monotonic() - self._done[-1][0] if self._done else _WINDOW
 
-    def _receive(self, message: Any) -> None:
-        stamp = message.header.stamp.to_nsec()
-        items: List[T] = []
-        try:
-            if stamp < self._newest:
-                raise InputError(f"out-of-order stamp {1e-9 * stamp:.9f} s")
-            items.append(self._read(message))
-            self.trouble = ""
-        except LabError as error:
-            self.trouble = str(error)
-            self._refusals.refuse(self.topic, self.trouble)
-        with self._new:
-            self._waiting.extend((stamp, item) for item in items)
-            self._newest = max(stamp, self._newest)
-            self._patience = LATEST
-            self._new.notify_all()
+    def _forget(self) -> None:
+        start = time.monotonic() - _WINDOW
+        while self._done and self._done[0][0] < start:
+            self._done.popleft()

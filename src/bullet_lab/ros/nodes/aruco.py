@@ -38,9 +38,8 @@ from bullet_lab.ros.messages.images import (
     marker_pose_message,
     marker_transform,
 )
-from bullet_lab.ros.node.diagnostics import Health
-from bullet_lab.ros.node.publishers import publisher
-from bullet_lab.ros.node.transforms import own_tf_prefix
+from bullet_lab.ros.node.odometry import own_tf_prefix
+from bullet_lab.ros.node.publishers import Health, publisher
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text

@@ -71,9 +71,14 @@ from bullet_lab.ros.messages.poses import InputError, pose_of, stamped_pose
 from bullet_lab.ros.node.driving import GoalServer, StoppableSender
 from bullet_lab.ros.node.lock_step import rate
 from bullet_lab.ros.node.node import node
-from bullet_lab.ros.node.odometry import planar_pose
-from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
-from bullet_lab.ros.node.transforms import FrameError, FrameFinder, own_frame
+from bullet_lab.ros.node.odometry import (
+    FrameError,
+    FrameFinder,
+    MessageQueue,
+    own_frame,
+    planar_pose,
+)
+from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.simulation.world.resources import ResourceFinder
 
 # Indices of vx, vy and wz in the 6x6 covariances of ROS (REP 103).

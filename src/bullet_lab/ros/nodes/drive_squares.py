@@ -19,9 +19,8 @@ with the namespace robot<k> and, if none is set there, the tf_prefix robot<k>.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, Sequence
+from typing import Sequence
 
 import rospy
 from geometry_msgs.msg import Twist
@@ -29,9 +28,9 @@ from std_msgs.msg import Time
 from tqdm import tqdm
 
 from bullet_lab.core import se2
-from bullet_lab.core.parameters import checked, choice, integer, number, text
+from bullet_lab.core.parameters import choice, integer, number, text
 from bullet_lab.core.pose import Pose
-from bullet_lab.drive import MODES, OPEN_LOOP, Square, SquareDriver
+from bullet_lab.drive import MODES, OPEN_LOOP, Square, SquareDriver, SquareSize
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message
@@ -49,41 +48,20 @@ REST_SECONDS = 0.5
 PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
 
 
-def _accept_turn_speed(value: Any) -> float:
-    if isinstance(value, bool) or not math.isfinite(value) or value == 0.0:
-        raise ValueError
-    return float(value)
-
-
 @dataclass(frozen=True)
-class SquareParameters:
-    """Private parameters of both nodes."""
+class DriveSquaresParameters(Square):
+    """Private parameters of drive_squares, with those of the square."""
 
     mode: str = choice(OPEN_LOOP, "what ends a side", MODES)
-    sides: int = integer(4, "number of sides", minimum=1)
-    side: float = number(2.0, "length of a side in m", above=0.0)
-
-
-@dataclass(frozen=True)
-class DriveSquaresParameters(SquareParameters):
-    """Private parameters of drive_squares."""
-
     cmd_vel: str = text("cmd_vel", "topic of the commands")
     odom: str = text("odom", "topic of the odometry that closes the loop")
-    speed: float = number(0.2, "on the sides, m/s", above=0.0)
-    turn_speed: float = checked(
-        -0.5236,
-        "at the corners, rad/s; negative is clockwise",
-        "a number other than 0",
-        _accept_turn_speed,
-    )
-    turn_commands: int = integer(34, "open loop: commands of a turn at 10 Hz", minimum=0)
 
 
 @dataclass(frozen=True)
-class FleetParameters(SquareParameters):
-    """Private parameters of fleet."""
+class FleetParameters(SquareSize):
+    """Private parameters of fleet, with the size of the squares."""
 
+    mode: str = choice(OPEN_LOOP, "what ends a side", MODES)
     robots: int = integer(8, "how many there are", 1, MOST_ROBOTS)
     robot: str = text(
         "package://bullet_lab/urdf/block_robot.urdf", "URDF of each: a path or package://"
@@ -101,7 +79,6 @@ class _Robot:
         commands = publisher(cmd_vel, Twist)
         self._sender = StoppableSender(commands)
         self._odometry = NewestOdometry(odom) if driver.needs_pose else None
-        rospy.on_shutdown(self._sender.end)
         wait_until(commands.has_connections, f"a subscriber to {cmd_vel}")
 
     def tick(self, now: rospy.Time) -> None:
@@ -198,11 +175,5 @@ def fleet(parameters: FleetParameters) -> None:
 @node
 def drive_squares(parameters: DriveSquaresParameters) -> None:
     """Drive one robot."""
-    square = Square(
-        parameters.sides,
-        parameters.side,
-        parameters.speed,
-        parameters.turn_speed,
-        parameters.turn_commands,
-    )
-    DriveSquares(square, parameters.mode, [(parameters.cmd_vel, parameters.odom)]).drive()
+    topics = [(parameters.cmd_vel, parameters.odom)]
+    DriveSquares(parameters, parameters.mode, topics).drive()

@@ -23,42 +23,31 @@ import math
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass, fields
-from typing import Deque
+from dataclasses import dataclass
 
 import rospy
 from actionlib import GoalIDGenerator, ServerGoalHandle
 from actionlib_msgs.msg import GoalID, GoalStatus
-from geometry_msgs.msg import Point, Pose, PoseStamped, Twist, Vector3
+from geometry_msgs.msg import Point, Pose, PoseStamped, Vector3
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback, MoveBaseGoal
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core.parameters import boolean, number, text
-from bullet_lab.drive import (
-    LEAST_TOLERANCE,
-    STANDSTILL,
-    DrivePhase,
-    GoalDriver,
-    GoalLimits,
-    PlanarPose,
-)
+from bullet_lab.core.parameters import number, text
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.drive import STANDSTILL, DrivePhase, GoalDriver, GoalLimits
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.ros.node.driving import GoalServer, StoppableSender
-from bullet_lab.ros.node.lock_step import rate
-from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.odometry import OdometryError, planar_pose
-from bullet_lab.ros.node.publishers import MessageQueue, Publisher, publisher
-from bullet_lab.ros.node.transforms import FrameError, FrameFinder
+from bullet_lab.ros.node.driving import GoalNode, GoalServer
+from bullet_lab.ros.node.node import Refusals, holds_within, node
+from bullet_lab.ros.node.odometry import FrameError, MessageQueue, OdometryError, planar_pose
+from bullet_lab.ros.node.publishers import Publisher, publisher
 
-USUAL = GoalLimits()
 ACTION = "move_base"
 SIMPLE_GOAL = "move_base_simple/goal"
 # Wall seconds that a goal waits for the first odometry, which has the frame, and for TF.
 PATIENCE = 5.0
-POLL_SECONDS = 0.02
 # m between two points of the driven path.
 PATH_STEP = 0.02
 # Points of the driven path that are kept.
@@ -78,26 +67,11 @@ NOT_BEGUN = {
 
 
 @dataclass(frozen=True)
-class DriveToGoalParameters:
-    """Private parameters of drive_to_goal."""
+class DriveToGoalParameters(GoalLimits):
+    """Private parameters of drive_to_goal, with the limits of the drive."""
 
     cmd_vel: str = text("cmd_vel", "topic of the commands")
     odom: str = text("odom", "topic of the odometry, perfect or noisy")
-    speed: float = number(USUAL.speed, "at most, m/s", above=0.0)
-    turn_speed: float = number(USUAL.turn_speed, "at most, rad/s", above=0.0)
-    acceleration: float = number(USUAL.acceleration, "at most, m/s²", above=0.0)
-    turn_acceleration: float = number(
-        USUAL.turn_acceleration, "at most, rad/s²", above=0.0
-    )
-    gain: float = number(USUAL.gain, "m/s for each m to the goal", above=0.0)
-    turn_gain: float = number(USUAL.turn_gain, "rad/s for each rad", above=0.0)
-    tolerance: float = number(
-        USUAL.tolerance, "m from the goal to stop within", minimum=LEAST_TOLERANCE
-    )
-    yaw_tolerance: float = number(
-        USUAL.yaw_tolerance, "rad from its heading to stop within", minimum=LEAST_TOLERANCE
-    )
-    heading: bool = boolean(True, "turn to the goal's heading at the end")
     rate: float = number(20.0, "commands per second", minimum=5.0, maximum=100.0)
     odom_rate: float = number(
         20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
@@ -108,10 +82,6 @@ class DriveToGoalParameters:
     patience: float = number(
         5.0, "s without odometry after which the goal is aborted", above=0.0
     )
-
-    def limits(self) -> GoalLimits:
-        """Return the limits of the drive."""
-        return GoalLimits(*(getattr(self, field.name) for field in fields(GoalLimits)))
 
 
 class GoalTopics:
@@ -130,7 +100,7 @@ class GoalTopics:
         self._active: GoalStatus | None = None
         self._frame = ""
         self._target: PlanarPose = (0.0, 0.0, 0.0)
-        self._driven: Deque[PoseStamped] = deque(maxlen=MOST_POINTS)
+        self._driven: deque[PoseStamped] = deque(maxlen=MOST_POINTS)
         self._ticks = 0
 
     def report(self, goal_id: GoalID, status: int, text: str) -> None:
@@ -205,21 +175,17 @@ class GoalTopics:
         return [arrow, disc, label] if label.text else [arrow, disc]
 
 
-class DriveToGoal:
-    """Drives to one goal at a time.
-
-    Goals and cancellations come in threads of rospy; the loop starts and ends them. A cancellation
-    stops the robot at once.
-    """
+class DriveToGoal(GoalNode):
+    """Drives to one goal at a time; a cancellation stops the robot at once."""
 
     def __init__(self, parameters: DriveToGoalParameters):
         self._parameters = parameters
-        self._commands = publisher(parameters.cmd_vel, Twist)
-        self._sender = StoppableSender(self._commands)
-        rospy.on_shutdown(self._sender.end)
+        self._odometry: MessageQueue = MessageQueue(
+            parameters.odom, Odometry, _read_odometry, parameters.odom_rate
+        )
+        super().__init__(parameters.cmd_vel, [self._odometry])
         self._topics = GoalTopics(parameters.tolerance)
         self._refusals = Refusals()
-        self._frames = FrameFinder()
         self._frame = ""
         # The newest odometry, when it came, and whether the robot waits for the next one.
         self._pose: PlanarPose | None = None
@@ -232,31 +198,14 @@ class DriveToGoal:
         self._moving = STANDSTILL
         self._driver: GoalDriver | None = None
         # Goals that have come, but are not accepted yet.
-        self._pending: Deque[GoalID] = deque()
-        self._odometry: MessageQueue = MessageQueue(
-            parameters.odom, Odometry, _read_odometry, parameters.odom_rate
-        )
+        self._pending: deque[GoalID] = deque()
         self._odometry.open()
         self._server = GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
         self._server.start()
+        self._servers = [self._server]
         self._goals = rospy.Subscriber(
             SIMPLE_GOAL, PoseStamped, self._receive_simple_goal, queue_size=10
         )
-
-    def run(self) -> None:
-        """Serve until ROS shuts down."""
-        ticks = rate(self._parameters.rate, self._is_connected, "odometry and the bridge")
-        last = ticks.now
-        while not rospy.is_shutdown():
-            ticks.sleep()
-            if ticks.now < last:
-                self._time_was_set_back()
-                last = ticks.now
-            self._tick(ticks.now, (ticks.now - last).to_sec())
-            last = ticks.now
-
-    def _is_connected(self) -> bool:
-        return self._commands.has_connections() and self._odometry.is_connected()
 
     # In threads of rospy
 
@@ -278,9 +227,7 @@ class DriveToGoal:
 
     def _await_frame(self) -> str:
         """Wait for the frame of the odometry; raises OdometryError if none comes."""
-        deadline = time.monotonic() + PATIENCE
-        while not self._frame and time.monotonic() < deadline and not rospy.is_shutdown():
-            time.sleep(POLL_SECONDS)
+        holds_within(lambda: self._frame, PATIENCE)
         return self._known_frame()
 
     def _known_frame(self) -> str:
@@ -343,7 +290,7 @@ class DriveToGoal:
             if not may_wait or time.monotonic() > self._deadline:
                 self._end(now, GoalStatus.ABORTED, str(error))
             return
-        self._driver = GoalDriver(goal, self._parameters.limits(), self._moving)
+        self._driver = GoalDriver(goal, self._parameters, self._moving)
         # A pause of the odometry before the goal does not count.
         self._seen = now
         self._waiting = False
@@ -394,9 +341,7 @@ class DriveToGoal:
         self._server.end(status, text=text)
 
     def _time_was_set_back(self) -> None:
-        self._odometry.clear()
-        self._frames.clear()
-        self._server.forget_cancels()
+        super()._time_was_set_back()
         self._pose = None
         self._seen = rospy.Time(0)
         if self._server.is_active():
@@ -413,4 +358,4 @@ def _read_odometry(message: Odometry) -> tuple[str, PlanarPose]:
 @node
 def drive_to_goal(parameters: DriveToGoalParameters) -> None:
     """Run until ROS shuts down."""
-    DriveToGoal(parameters).run()
+    DriveToGoal(parameters).run(parameters.rate, "odometry and the bridge")

@@ -13,21 +13,14 @@ With ~robots, one node serves that many robots, each in its namespace: robot1 an
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, make_dataclass, replace
+from io import BytesIO
 from typing import Any, Sequence
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import (
-    Point,
-    Pose,
-    PoseWithCovariance,
-    Quaternion,
-    Twist,
-    TwistWithCovariance,
-    Vector3,
-)
+from geometry_msgs.msg import Point, Quaternion
 from nav_msgs.msg import Odometry
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number
@@ -47,7 +40,7 @@ from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sam
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, SystematicStep
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers, planar_pose
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
@@ -109,9 +102,8 @@ class NoisyOdometry:
     def odom_callback(self, msg: Odometry) -> None:
         """Take the next message; refuse one that is invalid or has other frames than the first."""
         try:
-            pose = planar_pose(msg)
             check_numbers(msg)
-            self._frames.check(msg)
+            pose = self._frames.check(msg)
             if self.msg is not None:
                 self._check_time(msg)
         except OdometryError as error:
@@ -202,19 +194,16 @@ def _at(msg: Odometry, pose: PlanarPose) -> Odometry:
 
     The node in the report changed the message that it also kept as the last perfect one.
     """
+    data = BytesIO()
+    msg.serialize(data)
+    moved = Odometry().deserialize(data.getvalue())
     x, y, yaw = pose
-    place = Point(x, y, msg.pose.pose.position.z)
-    turn = Quaternion(*quaternion_from_yaw(yaw))
-    linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
-    twist = Twist(
-        Vector3(linear.x, linear.y, linear.z), Vector3(angular.x, angular.y, angular.z)
-    )
-    return Odometry(
-        Header(0, msg.header.stamp, msg.header.frame_id),
-        msg.child_frame_id,
-        PoseWithCovariance(Pose(place, turn), list(msg.pose.covariance)),
-        TwistWithCovariance(twist, list(msg.twist.covariance)),
-    )
+    moved.pose.pose.position.x = x
+    moved.pose.pose.position.y = y
+    moved.pose.pose.orientation = Quaternion(*quaternion_from_yaw(yaw))
+    moved.pose.covariance = list(moved.pose.covariance)
+    moved.twist.covariance = list(moved.twist.covariance)
+    return moved
 
 
 def _add_noise(

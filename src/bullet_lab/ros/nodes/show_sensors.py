@@ -1,7 +1,7 @@
 """Converts contacts of a bumper and accelerations of an IMU into messages that RViz can show.
 
 :ROS Parameters: see `ShowSensorsParameters`.
-:ROS Subscribers, while the results have a subscriber:
+:ROS Subscribers:
     - bumper (gazebo_msgs/ContactsState)
     - imu (sensor_msgs/Imu)
 :ROS Publishers:
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, Iterable, Iterator
+from typing import Any, Iterable, Iterator
 
 import numpy as np
 import rospy
@@ -28,7 +28,7 @@ from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import InputError, vector_of
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.publishers import Demand
+from bullet_lab.ros.node.publishers import Publisher
 
 POINT = ColorRGBA(0.9, 0.1, 0.1, 1.0)
 FORCE = ColorRGBA(0.9, 0.4, 0.0, 1.0)
@@ -48,55 +48,33 @@ class ShowSensorsParameters:
     scale: float = number(0.02, "m of an arrow for each N of a contact", above=0.0)
 
 
-class _Input:
-    """Subscribes to a topic while the results from its messages have a subscriber."""
-
-    def __init__(self, topic: str, kind: type, show: Callable[[Any], None]):
-        self._topic = topic
-        self._kind = kind
-        self._show = show
-        self._refusals = Refusals()
-        self._subscriber: rospy.Subscriber | None = None
-        self.demand = Demand(self._start, self._stop)
-
-    def _start(self) -> None:
-        self._subscriber = rospy.Subscriber(
-            self._topic, self._kind, self._receive, queue_size=10, tcp_nodelay=True
-        )
-
-    def _stop(self) -> None:
-        self._subscriber.unregister()
-
-    def _receive(self, message: Any) -> None:
-        try:
-            self._show(message)
-        except InputError as error:
-            self._refusals.refuse(self._topic, str(error))
-
-
 class ShowSensors:
     """Converts the messages of a bumper and an IMU."""
 
     def __init__(self, parameters: ShowSensorsParameters):
-        self._scale = parameters.scale
-        bumper = _Input(parameters.bumper, msg.ContactsState, self._show_contacts)
-        self._contacts = bumper.demand.publisher("~contacts", MarkerArray)
-        self._wrench = bumper.demand.publisher("~wrench", WrenchStamped)
-        imu = _Input(parameters.imu, Imu, self._show_imu)
-        self._acceleration = imu.demand.publisher("~acceleration", AccelStamped)
-        bumper.demand.watch()
-        imu.demand.watch()
+        self._parameters = parameters
+        self._refusals = Refusals()
+        self._contacts = Publisher("~contacts", MarkerArray, queue_size=10)
+        self._wrench = Publisher("~wrench", WrenchStamped, queue_size=10)
+        self._acceleration = Publisher("~acceleration", AccelStamped, queue_size=10)
+        self._bumper = rospy.Subscriber(
+            parameters.bumper, msg.ContactsState, self._show_contacts, queue_size=10
+        )
+        self._imu = rospy.Subscriber(parameters.imu, Imu, self._show_imu, queue_size=10)
 
     def _show_contacts(self, message: msg.ContactsState) -> None:
-        total = total_wrench(message)
-        self._contacts.publish(MarkerArray(list(contact_markers(message, self._scale))))
-        self._wrench.publish(WrenchStamped(message.header, total))
+        with self._refusals.on(self._parameters.bumper):
+            total = total_wrench(message)
+            markers = list(contact_markers(message, self._parameters.scale))
+            self._contacts.publish(MarkerArray(markers))
+            self._wrench.publish(WrenchStamped(message.header, total))
 
     def _show_imu(self, message: Imu) -> None:
-        vector_of(message.linear_acceleration, "an acceleration")
-        shown = AccelStamped(header=message.header)
-        shown.accel.linear = message.linear_acceleration
-        self._acceleration.publish(shown)
+        with self._refusals.on(self._parameters.imu):
+            vector_of(message.linear_acceleration, "an acceleration")
+            shown = AccelStamped(header=message.header)
+            shown.accel.linear = message.linear_acceleration
+            self._acceleration.publish(shown)
 
 
 def total_wrench(message: msg.ContactsState) -> Wrench:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass
-from typing import Any, Tuple, Union
+from typing import Any, Union
 
 import rosgraph.names
 import rospy
@@ -29,7 +29,7 @@ from bullet_lab.core.parameters import boolean, checked, text
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.ros.node.odometry import FrameGuard
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 
 Number = Union[int, float]
@@ -49,7 +49,7 @@ class Beacon:
     y: Number
 
 
-def accept_beacons(value: Any) -> Tuple[Beacon, ...]:
+def accept_beacons(value: Any) -> tuple[Beacon, ...]:
     """Return the beacons of a list of [name, x, y]; raises ValueError or TypeError."""
     beacons = tuple(Beacon(str(name), x, y) for name, x, y in value)
     for beacon in beacons:
@@ -66,7 +66,7 @@ def accept_beacons(value: Any) -> Tuple[Beacon, ...]:
 class TrackRobotParameters:
     """Private parameters of track_robot."""
 
-    beacons: Tuple[Beacon, ...] = checked(
+    beacons: tuple[Beacon, ...] = checked(
         accept_beacons(DEFAULT_BEACONS),
         "names and places of the beacons",
         "a list of [name, x, y] with names that topics can have and finite x and y in metres",
@@ -108,7 +108,7 @@ class TrackRobot:
     def __init__(self, parameters: TrackRobotParameters):
         self._parameters = parameters
         self._lock = threading.Lock()
-        self._beacons = tuple(_BeaconTopics(one) for one in parameters.beacons)
+        self._topics = {beacon.name: _BeaconTopics(beacon) for beacon in parameters.beacons}
         self._markers = Publisher("beacon_markers", MarkerArray, queue_size=1)
         self._frames = FrameGuard()
         self._refusals = Refusals()
@@ -119,58 +119,46 @@ class TrackRobot:
 
     def callback(self, msg: Odometry) -> None:
         """Publish the distances from the pose of a message."""
-        try:
-            x, y, _ = planar_pose(msg)
-            self._frames.check(msg)
-        except OdometryError as error:
-            self._refusals.refuse("odom", str(error))
-            return
-        with self._lock:
+        with self._refusals.on("odom"), self._lock:
+            x, y, _ = self._frames.check(msg)
             self._measure(msg, x, y)
 
     def _measure(self, msg: Odometry, x: float, y: float) -> None:
-        distances = [math.hypot(x - t.beacon.x, y - t.beacon.y) for t in self._beacons]
-        for topics, dist in zip(self._beacons, distances):
+        distances = []
+        for topics in self._topics.values():
+            dist = math.hypot(x - topics.beacon.x, y - topics.beacon.y)
             topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
+            distances.append((topics.beacon, dist))
         if self._markers.get_num_connections() > 0:
             self._markers.publish(self._draw(msg, distances))
 
     def _watch(self, message: MarkerArray) -> None:
-        self._standing.take(message)
-        with self._lock:
-            self._follow_the_world()
-
-    def _follow_the_world(self) -> None:
         """Add, move and remove the beacons of the world; those of ~beacons stay."""
-        listed = {beacon.name for beacon in self._parameters.beacons}
-        found = {}
+        self._standing.take(message)
+        wanted = {beacon.name: beacon for beacon in self._parameters.beacons}
         for name in numbered(self._standing.names(), self._parameters.prefix):
-            if name not in listed:
-                x, y, _ = self._standing.origin(name)
-                found[name] = Beacon(name, x, y)
-        remaining = listed.union(found)
-        gone = [topics for topics in self._beacons if topics.beacon.name not in remaining]
-        kept = [topics for topics in self._beacons if topics.beacon.name in remaining]
-        for topics in kept:
-            topics.beacon = found.pop(topics.beacon.name, topics.beacon)
-        for beacon in found.values():
-            kept.append(_BeaconTopics(beacon))
-            rospy.loginfo("new beacon %s at (%.2f, %.2f) m", beacon.name, beacon.x, beacon.y)
-        self._beacons = tuple(kept)
-        for topics in gone:
-            rospy.loginfo("beacon %s was deleted", topics.beacon.name)
-            topics.close()
-        if gone:
-            # Delete the old labels; the next message draws the others.
-            self._markers.publish(MarkerArray([Marker(action=Marker.DELETEALL)]))
+            x, y, _ = self._standing.origin(name)
+            wanted.setdefault(name, Beacon(name, x, y))
+        with self._lock:
+            for name, beacon in wanted.items():
+                if name not in self._topics:
+                    rospy.loginfo("new beacon %s at (%.2f, %.2f) m", name, beacon.x, beacon.y)
+                    self._topics[name] = _BeaconTopics(beacon)
+                self._topics[name].beacon = beacon
+            gone = set(self._topics) - set(wanted)
+            for name in gone:
+                rospy.loginfo("beacon %s was deleted", name)
+                self._topics.pop(name).close()
+            if gone:
+                # Delete the old labels; the next message draws the others.
+                self._markers.publish(MarkerArray([Marker(action=Marker.DELETEALL)]))
 
-    def _draw(self, msg: Odometry, distances: list[float]) -> MarkerArray:
+    def _draw(self, msg: Odometry, distances: list[tuple[Beacon, float]]) -> MarkerArray:
         """Return a label above each beacon, and a line to it from the robot."""
         header = Header(0, msg.header.stamp, msg.header.frame_id)
         robot = msg.pose.pose.position
         markers = []
-        for number, (topics, dist) in enumerate(zip(self._beacons, distances)):
-            beacon = topics.beacon
+        for number, (beacon, dist) in enumerate(distances):
             label = Marker(header=header, ns="label", id=number, type=Marker.TEXT_VIEW_FACING)
             label.pose.position = Point(beacon.x, beacon.y, LABEL_HEIGHT)
             label.scale.z = LABEL_SIZE

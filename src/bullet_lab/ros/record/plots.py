@@ -1,5 +1,7 @@
 """The nodes that record and plot a job, except plot_vision; each runs one report.
 
+Some also publish the recorded paths for RViz.
+
 :ROS Parameters: see the dataclass of each.
 
 Files of rows are written row by row. Figures and summary.json are written at the end, and by most
@@ -9,20 +11,22 @@ nodes also every ~plot_period.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Mapping, Tuple
+from typing import Mapping
 
 import rospy
 from actionlib import ActionClient, ClientGoalHandle, CommState
-from geometry_msgs.msg import PoseStamped
-from visualization_msgs.msg import MarkerArray
+from geometry_msgs.msg import Point, PoseStamped
+from nav_msgs.msg import Path as PathMessage
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.msg import DockAction, DockGoal
 from bullet_lab.noise.odometry_noise import derived_seed
+from bullet_lab.reports import Report
 from bullet_lab.reports.dock import DockReport, Station
 from bullet_lab.reports.fleet import FleetReport
 from bullet_lab.reports.goal import Beacon, GoalReport
@@ -31,21 +35,17 @@ from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.node import NodeError, node
+from bullet_lab.ros.node.odometry import own_frame
 from bullet_lab.ros.node.publishers import Publisher
-from bullet_lab.ros.node.transforms import own_frame
 from bullet_lab.ros.nodes.dock import docking_result
-from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, DriveSquaresParameters, robot_names
-from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
-from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
+from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.ros.record.recorder import (
     GoalRequest,
     Recorder,
     RecordParameters,
     RenewedParameters,
     TimedParameters,
-    about,
 )
-from bullet_lab.ros.record.rviz import FleetMarkers, PathTopics
 from bullet_lab.simulation.world.description import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
@@ -56,15 +56,88 @@ WORLD_TIMEOUT_SECONDS = 60.0
 BEACONS = ("beacon_0", "beacon_1", "beacon_2")
 # m; the plan of the station has only objects that the robot can touch.
 ROBOT_HEIGHT = 0.55
+# As in all figures: the perfect path is orange, the noisy one blue.
+COLOURS = {"odom": ColorRGBA(0.90, 0.62, 0.0, 1.0), "noisy_odom": ColorRGBA(0.0, 0.45, 0.70, 1.0)}
+# m above the floor.
+HEIGHTS = {"odom": 0.01, "noisy_odom": 0.015}
+# Sizes in m.
+LINE_WIDTH = 0.02
+LABEL_HEIGHT = 0.4
+LABEL_SIZE = 0.25
+WHITE = ColorRGBA(1.0, 1.0, 1.0, 1.0)
+
+
+class PathTopics:
+    """A latched nav_msgs/Path for each topic of odometry; `topics` has the names of both."""
+
+    def __init__(self, topics: Mapping[str, str]):
+        self._publishers = {
+            topic: Publisher(path, PathMessage, queue_size=1, latch=True)
+            for topic, path in topics.items()
+        }
+
+    def show(self, report: Report, frames: Mapping[str, str]) -> None:
+        """Publish the recorded paths for subscribers; `frames` are those of the topics."""
+        for topic, publisher in self._publishers.items():
+            if topic in frames and publisher.has_connections():
+                stamps, poses = report.series[topic].table()
+                path = [
+                    stamped_pose(rospy.Time.from_sec(stamp), frames[topic], pose)
+                    for stamp, pose in zip(stamps.tolist(), poses.tolist())
+                ]
+                header = path[-1].header if path else Header(frame_id=frames[topic])
+                publisher.publish(PathMessage(header, path))
+
+
+class FleetMarkers:
+    """The paths of any number of robots on one topic, fleet_paths."""
+
+    def __init__(self):
+        self._publisher = Publisher("fleet_paths", MarkerArray, queue_size=1, latch=True)
+
+    def show(self, report: FleetReport, frames: Mapping[str, str]) -> None:
+        """Publish the recorded paths for subscribers; `frames` are those of the topics."""
+        if not self._publisher.has_connections():
+            return
+        markers = []
+        for topic, frame in frames.items():
+            robot, _, which = topic.rpartition("/")
+            _, poses = report.robots[robot].series[which].table()
+            points = [Point(x, y, 0.0) for x, y, _ in poses.tolist()]
+            if points:
+                markers.append(_line(topic, frame, points))
+            if points and which == "odom":
+                markers.append(_label(topic, frame, points[-1]))
+        self._publisher.publish(MarkerArray(markers))
+
+
+def _line(topic: str, frame: str, points: list[Point]) -> Marker:
+    which = topic.rpartition("/")[2]
+    # Without a stamp, RViz uses the newest transform.
+    marker = Marker(ns=topic, type=Marker.LINE_STRIP, color=COLOURS[which], points=points)
+    marker.header.frame_id = frame
+    marker.pose.orientation.w = 1.0
+    marker.pose.position.z = HEIGHTS[which]
+    marker.scale.x = LINE_WIDTH
+    return marker
+
+
+def _label(topic: str, frame: str, last: Point) -> Marker:
+    """Return a label with the name of a robot, at the end of its perfect path."""
+    marker = Marker(ns=f"{topic}/label", type=Marker.TEXT_VIEW_FACING, color=WHITE)
+    marker.header.frame_id = frame
+    marker.pose.orientation.w = 1.0
+    marker.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
+    marker.text, _, _ = topic.rpartition("/")
+    marker.scale.z = LABEL_SIZE
+    return marker
 
 
 @dataclass(frozen=True)
 class PlotNoiseParameters(TimedParameters):
     """Private parameters of plot_noise."""
 
-    about: Mapping[str, Any] = about(NoisyOdomParameters, DriveSquaresParameters)
     out: str = text("results/squares", "folder for the files")
-    show: bool = boolean(False, "open a window at the end, where there is a screen")
 
 
 @node
@@ -76,35 +149,15 @@ def plot_noise(parameters: PlotNoiseParameters) -> None:
 
     Writes odom.tum, noisy_odom.tum, paths.csv, paths.png and summary.json.
     """
-    folder = Path(parameters.out)
     view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
-    Recorder(SquaresReport(folder), parameters, "odom and noisy_odom", view).run()
-    if parameters.show:
-        show(folder / "paths.png")
-
-
-def show(path: Path) -> None:
-    """Show a figure in a window and wait until it is closed."""
-    if not os.environ.get("DISPLAY"):
-        rospy.logwarn("~show: no screen, as DISPLAY is not set; see %s", path.name)
-        return
-    try:
-        from matplotlib import pyplot
-
-        picture = pyplot.imread(str(path))
-        pyplot.figure("bullet_lab", figsize=(11.0, 6.6))
-        pyplot.axes([0.0, 0.0, 1.0, 1.0]).imshow(picture)
-        pyplot.axis("off")
-        pyplot.show()
-    except ImportError as error:
-        rospy.logwarn("~show: matplotlib has no window toolkit: %s", error)
+    report = SquaresReport(Path(parameters.out))
+    Recorder(report, parameters, "odom and noisy_odom", view).run()
 
 
 @dataclass(frozen=True)
 class PlotFleetParameters(TimedParameters):
     """Private parameters of plot_fleet."""
 
-    about: Mapping[str, Any] = about(NoisyOdomParameters)
     out: str = text("results/fleet", "folder for the files")
     robots: int = integer(8, "how many there are: robot1 and so on", 1, MOST_ROBOTS)
     seed: int = integer(0, "of noisy_odom, which derives one for each robot", minimum=0)
@@ -129,7 +182,6 @@ def plot_fleet(parameters: PlotFleetParameters) -> None:
 class PlotSensorsParameters(TimedParameters):
     """Private parameters of plot_sensors."""
 
-    about: Mapping[str, Any] = about(DriveSquaresParameters)
     out: str = text("results/sensors", "folder for the files")
     rays: int = integer(360, "of the laser scanner", minimum=1, maximum=100_000)
 
@@ -154,7 +206,7 @@ class PlotBeaconsParameters(TimedParameters):
     """Private parameters of plot_beacons."""
 
     out: str = text("results/beacons", "folder for the files")
-    beacons: Tuple[str, ...] = name_list("models of the world that are beacons")
+    beacons: tuple[str, ...] = name_list("models of the world that are beacons")
 
 
 @node
@@ -172,7 +224,7 @@ def plot_beacons(parameters: PlotBeaconsParameters) -> None:
     Recorder(report, parameters, "odom and the distances").run()
 
 
-def true_beacons(names: Tuple[str, ...]) -> dict[str, tuple[float, float]]:
+def true_beacons(names: tuple[str, ...]) -> dict[str, tuple[float, float]]:
     """Return the places (m, m) of models of the world, from the bridge's markers.
 
     Raises NodeError if no markers come, or the world has no model of a name.
@@ -192,9 +244,8 @@ def true_beacons(names: Tuple[str, ...]) -> dict[str, tuple[float, float]]:
 class PlotGoalParameters(RenewedParameters):
     """Private parameters of plot_goal."""
 
-    about: Mapping[str, Any] = about(DriveToGoalParameters, NoisyOdomParameters)
     out: str = text("results/goal", "folder for the files")
-    goal: Tuple[float, ...] = number_list((1.0, 1.0, 0.0), "where to: x y in m, yaw in rad")
+    goal: tuple[float, ...] = number_list((1.0, 1.0, 0.0), "where to: x y in m, yaw in rad")
     frame: str = text("world", "frame of the goal")
     tolerance: float = number(0.05, "m, for the picture", above=0.0)
     stay: bool = boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
@@ -233,7 +284,6 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
 class PlotDockingParameters(RecordParameters):
     """Private parameters of plot_docking."""
 
-    about: Mapping[str, Any] = about(NoisyOdomParameters)
     out: str = text("results/dock", "folder for the files")
     docks: str = text("package://bullet_lab/config/docks.yaml", "dock database, as of dock.py")
     dock_id: str = text("dock", "name of the dock in it")
@@ -242,7 +292,7 @@ class PlotDockingParameters(RecordParameters):
     world: str = text(
         "package://bullet_lab/worlds/docking.world", "world for the plan: a path or package://"
     )
-    true_dock: Tuple[float, ...] = number_list(
+    true_dock: tuple[float, ...] = number_list(
         (4.0, 0.0, 0.0), "true pose of the floor below the marker: x y in m, yaw in rad"
     )
     camera_ahead: float = number(0.16, "m, of the camera from the robot's middle")

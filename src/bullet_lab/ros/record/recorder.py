@@ -34,13 +34,18 @@ from bullet_lab.reports.goal import GoalAnswer
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.node.lock_step import join_when, time_held_at
-from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
-from bullet_lab.ros.node.odometry import FrameGuard, planar_pose
+from bullet_lab.ros.node.node import NodeError, Refusals, holds_within, wait_until
+from bullet_lab.ros.node.odometry import FrameGuard
 from bullet_lab.ros.node.publishers import subscriber
+from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
+from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
+from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 
 # Wall seconds to wait for the last messages after the end was announced.
 PATIENCE = 5.0
 POLL_SECONDS = 0.02
+# Wall seconds between two versions of the paths in RViz.
+VIEW_PERIOD = 0.5
 # Simulated time at which a goal is sent: between two ticks of the server.
 GOAL_TIME = rospy.Time(0, 525_000_000)
 # States of a goal that may still change.
@@ -54,17 +59,18 @@ UNDER_WAY = (
 ACCEPTANCE = 30.0
 
 
-def about(*kinds: type) -> Any:
-    """Declare ~about, which may have parameters of these dataclasses as texts of a launch file."""
-    return mapping("further entries of summary.json", *kinds)
-
-
 @dataclass(frozen=True)
 class RecordParameters:
     """Private parameters of every node that records."""
 
     out: str = text("results", "folder for the files")
-    about: Mapping[str, Any] = about()
+    # The text of a launch file; if it is empty, the entry is the node's default.
+    about: Mapping[str, Any] = mapping(
+        "further entries of summary.json",
+        NoisyOdomParameters,
+        DriveSquaresParameters,
+        DriveToGoalParameters,
+    )
     # Without annotations, as these are parameters of the subclasses only.
     plot_period = math.inf
     until = ""
@@ -107,7 +113,7 @@ class Recorder:
         report: that is recorded.
         parameters: of the node.
         topics: description of the topics, for the log.
-        view: of `bullet_lab.ros.record.rviz`, which shows the paths.
+        view: shows the paths in RViz, such as `bullet_lab.ros.record.plots.PathTopics`.
         request: a goal to send first.
     """
 
@@ -128,6 +134,8 @@ class Recorder:
         # Wall seconds of the first and the last message.
         self._first = math.inf
         self._last = 0.0
+        # Of the topics whose paths the view shows.
+        self._frames: dict[str, str] = {}
         self._failure: FileError | None = None
         self._finished = False
         report.about = parameters.about
@@ -148,6 +156,8 @@ class Recorder:
             FileError: a file cannot be written.
             NodeError: the goal was not accepted or not reached.
         """
+        if self._view is not None:
+            threading.Thread(target=self._show, daemon=True).start()
         complete = False
         try:
             if self._request is None:
@@ -168,14 +178,9 @@ class Recorder:
         # In lock step, time stands until the server has the goal, and starts at its next tick.
         with time_held_at(GOAL_TIME):
             request.send()
-            deadline = time.monotonic() + ACCEPTANCE
-            while not request.is_taken():
-                if rospy.is_shutdown():
-                    raise rospy.ROSInterruptException("shutdown")
-                if time.monotonic() > deadline:
-                    line = f"{request.server} has not accepted the goal within {ACCEPTANCE:g} s"
-                    raise NodeError(line)
-                time.sleep(POLL_SECONDS)
+            if not holds_within(request.is_taken, ACCEPTANCE) and not rospy.is_shutdown():
+                line = f"{request.server} has not accepted the goal within {ACCEPTANCE:g} s"
+                raise NodeError(line)
 
     def _is_connected(self) -> bool:
         return all(one.get_num_connections() > 0 for one in self._subscribers)
@@ -210,14 +215,9 @@ class Recorder:
             self._finished = True
             self._report.finish(self._report.until if complete else None)
             summary, figures = self._contents(finished=complete)
-        if complete:
-            # The summary last: programs that wait for it find all files.
-            save_figures(self._report, figures)
-            save_summary(self._report, summary)
-        else:
-            # The summary first: the process may be killed soon.
-            save_summary(self._report, summary)
-            save_figures(self._report, figures)
+        # The summary comes last: programs that wait for it find all files. But if the recording was
+        # interrupted it comes first: the process may be killed soon.
+        save_results(self._report, summary, figures, summary_first=not complete)
         return summary
 
     # Messages
@@ -237,17 +237,21 @@ class Recorder:
                     self._last = time.monotonic()
                     self._first = min(self._first, self._last)
                     if self._view is not None:
-                        self._view.append(topic, message)
+                        self._frames[topic] = message.header.frame_id
 
     def _receive_end(self, message: Time) -> None:
         with self._lock:
             self._report.until = message.data.to_nsec()
 
-    def _reset(self, namespace: str, old: FilePath) -> None:
+    def _reset(self, old: FilePath) -> None:
         rospy.loginfo("time was set back: the earlier recording is in %s", old)
         self._first = math.inf
-        if self._view is not None:
-            self._view.forget(namespace)
+
+    def _show(self) -> None:
+        while not rospy.is_shutdown():
+            rospy.rostime.wallsleep(VIEW_PERIOD)
+            with self._lock:
+                self._view.show(self._report, self._frames)
 
     # Files
 
@@ -255,9 +259,7 @@ class Recorder:
         try:
             with self._lock:
                 summary, figures = self._contents(finished=False)
-            # The summary last: programs that wait for it find its figures.
-            save_figures(self._report, figures)
-            save_summary(self._report, summary)
+            save_results(self._report, summary, figures)
         except (FileError, OSError) as error:
             rospy.logerr_throttle(10.0, f"cannot write: {error}")
 
@@ -274,34 +276,39 @@ class Recorder:
         return summary, self._report.figures(summary)
 
 
+def save_results(
+    report: Report,
+    summary: Mapping[str, Any],
+    figures: Mapping[str, Figure],
+    summary_first: bool = False,
+) -> None:
+    """Write the figures and summary.json; raises FileError."""
+    if summary_first:
+        save_summary(report, summary)
+    for name, figure in figures.items():
+        save(figure, report.folder / name)
+    if not summary_first:
+        save_summary(report, summary)
+
+
 def save_summary(report: Report, summary: Mapping[str, Any]) -> None:
     """Write summary.json; raises FileError."""
     write_json(report.folder / "summary.json", {**report.about, **summary})
-
-
-def save_figures(report: Report, figures: Mapping[str, Figure]) -> None:
-    """Write the figures; raises FileError."""
-    for name, figure in figures.items():
-        save(figure, report.folder / name)
 
 
 def save_all(report: Report, finished: bool) -> Mapping[str, Any]:
     """Write all files of a report that is not run by a recorder, and return the summary."""
     report.finish()
     summary = report.summary(finished, {})
-    save_figures(report, report.figures(summary))
-    save_summary(report, summary)
+    save_results(report, summary, report.figures(summary))
     return summary
-
-
-Contents = Callable[[Any], tuple]
 
 
 def reader_of(kind: str) -> tuple[type, Callable[[Any], Reading]]:
     """Return the class of a type of messages, and a function that reads those of one topic."""
+    if kind == "nav_msgs/Odometry":
+        return Odometry, partial(_odometry, FrameGuard())
     message_type, contents = READERS[kind]
-    if message_type is Odometry:
-        contents = partial(_odometry, FrameGuard())
     return message_type, lambda message: Reading(_stamp(message), *contents(message))
 
 
@@ -311,12 +318,11 @@ def _stamp(message: Any) -> int:
     return (message.data if isinstance(message, Time) else message.header.stamp).to_nsec()
 
 
-def _odometry(guard: FrameGuard, message: Odometry) -> tuple:
+def _odometry(guard: FrameGuard, message: Odometry) -> Reading:
     """Return the pose, and the covariance of x and y (m²); the frames must not change."""
-    pose = planar_pose(message)
-    guard.check(message)
     entries = message.pose.covariance
-    return pose, ((entries[0], entries[1]), (entries[6], entries[7]))
+    covariance = ((entries[0], entries[1]), (entries[6], entries[7]))
+    return Reading(_stamp(message), guard.check(message), covariance)
 
 
 def _inertial(message: Imu) -> tuple:
@@ -347,9 +353,9 @@ def _places(things: Iterable[Any]) -> tuple:
     return (), [(place.x, place.y) for place in things]
 
 
-# The class of each type of messages, and a function that returns values and detail of a reading.
-READERS: dict[str, tuple[type, Contents]] = {
-    "nav_msgs/Odometry": (Odometry, planar_pose),
+# The class of each type of messages except odometry, and a function that returns the values and the
+# detail of a reading.
+READERS: dict[str, tuple[type, Callable[[Any], tuple]]] = {
     "sensor_msgs/Range": (Range, lambda m: ((m.range,),)),
     # Detail: the angle of the first ray and the step to the next, rad.
     "sensor_msgs/LaserScan": (LaserScan, lambda m: (m.ranges, (m.angle_min, m.angle_increment))),

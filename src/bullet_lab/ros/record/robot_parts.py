@@ -1,46 +1,50 @@
-"""A robot in a running simulation: its parts and topics, the messages on them, and a picture.
+"""How a robot comes up in a running simulation, and what its parts and topics are.
 
-The ROS master knows the topics and services, the bridge describes the models.
+roslaunch runs the launch file of a user. The ROS master knows the topics and services, the bridge
+describes the models.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
+import functools
 import os
-import struct
+import re
+import shlex
+import subprocess
 import time
-from dataclasses import fields
-from typing import Any, Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from pathlib import Path
+from typing import Any, Iterable, Mapping, Sequence
 
-import numpy as np
 import rosgraph
-import roslib.message
 import rospy
 import rosservice
-from sensor_msgs.msg import Image
+from std_srvs.srv import Empty
 
-from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
-from bullet_lab.reports.robot import Controller, PluginRow, Robot, RobotReport
+from bullet_lab.reports.robot import Robot
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.messages.images import pixels_of
-from bullet_lab.ros.messages.poses import pose_message
-from bullet_lab.ros.node.lock_step import publishers_know_this_node
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError
-from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.srv import DescribeModels, DescribeModelsResponse
+
+# Wall seconds for roslaunch to end its nodes; this node itself has six.
+GOODBYE = 5.0
+COLOURS = re.compile(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)")
+# A line of roslaunch that reports an error.
+ERROR = re.compile(r"rror\b|Exception|not found|died")
+NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
+DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code -?\d+|without exit code)")
+# Names of Debian packages with the nodes of a ROS package, the likeliest first.
+DEBIAN = ("{}-tools", "lib{}lib-tools", "ros-{}", "ros-noetic-{}", "{}", "python3-{}")
+INSTALLED = Path("/var/lib/dpkg/info")
+ROS = re.compile(r"Robot OS|\bROS\b|ros\.org")
 
 SERVICE = "/bullet_lab/describe_models"
 VELOCITIES = "geometry_msgs/Twist"
 ODOMETRY = "nav_msgs/Odometry"
-PICTURES = "sensor_msgs/Image"
 CONTROLLERS = "/list_controllers"
-# Of these, `ENOUGH` messages are received: rendering and sending them takes long.
-HEAVY = (PICTURES, "sensor_msgs/CompressedImage", "sensor_msgs/PointCloud2")
-ENOUGH = 10
 # Types of messages for programs that change settings.
 SETTINGS = "dynamic_reconfigure/"
 # Topics of the simulator itself.
@@ -50,8 +54,100 @@ TOUCHED = "/bullet_lab/touched"
 TURNING = 0.05
 # Models that a line names.
 MOST_NAMES = 10
-# The beginning of a serialized header: sequence number, stamp in s and ns.
-HEADER = struct.Struct("<III")
+# Wall seconds for the simulation to start, and for the robot to be spawned.
+SIMULATION = 60.0
+ARRIVAL = 120.0
+# A launch file has started everything when nothing new came for this many wall seconds; the wait is
+# longer without a subscriber to velocities.
+SETTLED = 3.0
+SETTLED_WITHOUT_DRIVE = 20.0
+# Wall seconds between two checks.
+CHECK_PERIOD = 0.5
+
+
+def assignments(words: str) -> list[str]:
+    """Split words like name:=value or name=value, and return them as name:=value."""
+    return [re.sub("^([^=:]+):?=", r"\1:=", word) for word in shlex.split(words)]
+
+
+def reason_in(log: str) -> str:
+    """Return the line of roslaunch's output that best explains why it has ended."""
+    lines = [line.strip() for line in COLOURS.sub("", log).splitlines() if line]
+    first = next((n for n, line in enumerate(lines) if ERROR.search(line)), 0)
+    # After a colon, the message goes on in the next line.
+    last = next((n for n in range(first, len(lines)) if not lines[n].endswith(":")), first)
+    return " ".join(lines[first : last + 1]) or "no output"
+
+
+def failures_in(log: str) -> list[str]:
+    """Return a line for each node that could not start or died, from roslaunch's output."""
+    log = COLOURS.sub("", log)
+    found = []
+    for package, name, why in NOT_LAUNCHED.findall(log):
+        debian = debian_package(package)
+        hint = f"; Debian has it: {debian}" if debian else ""
+        if why == package:
+            why = f"there is no ROS package '{package}'"
+            hint = hint or "; Debian has none that is known"
+        found.append(f"{package}/{name}: {why}{hint}")
+    found += [f"{name} has died ({why})" for name, why in DIED.findall(log)]
+    counts = Counter(found)
+    return [line if n == 1 else f"{line} ({n} times)" for line, n in counts.items()]
+
+
+@functools.lru_cache(maxsize=None)
+def debian_package(package: str) -> str:
+    """Return the Debian package with a ROS package's nodes, by the lists of apt.
+
+    The text is empty if there is none, or if it is installed.
+    """
+    full = package.replace("_", "-")
+    names = [form.format(name) for form in DEBIAN for name in (full, full.replace("-ros", ""))]
+    command = ["apt-cache", "show", *names]
+    try:
+        shown = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL).stdout
+    except OSError:
+        return ""
+    parts = shown.decode(errors="replace").split("Package: ")
+    # A name alone is not enough: Debian's package tf is a game.
+    known = {part.split(None, 1)[0] for part in parts if ROS.search(part)}
+    found = next((name for name in names if name in known), "")
+    # Some file names have the architecture after a colon.
+    return "" if any(INSTALLED.glob(f"{found}[.:]*list")) else found
+
+
+class Launched:
+    """A roslaunch process that runs a launch file until it is closed; none if `path` is empty."""
+
+    def __init__(self, path: str, arguments: str):
+        self.path = path
+        self._log = Path(os.environ.get("ROS_LOG_DIR") or ".") / "launch_file.log"
+        self._process: subprocess.Popen | None = None
+        if path:
+            words = ["roslaunch", "--sigint-timeout", "3", "--sigterm-timeout", "1", path]
+            words += assignments(arguments)
+            with self._log.open("w") as log:
+                self._process = subprocess.Popen(words, stdout=log, stderr=subprocess.STDOUT)
+
+    def check(self) -> None:
+        """Raise NodeError if it has ended."""
+        if self._process is not None and self._process.poll() is not None:
+            reason = reason_in(self._output())
+            raise NodeError(f"{self.path} has ended, see {self._log}: {reason}")
+
+    def failures(self) -> list[str]:
+        """Return a line for each node that could not start or has died."""
+        return failures_in(self._output())
+
+    def close(self) -> None:
+        """End roslaunch and its nodes."""
+        if self._process is not None:
+            self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(GOODBYE)
+
+    def _output(self) -> str:
+        return self._log.read_text(errors="replace") if self.path else ""
 
 
 class Master:
@@ -72,22 +168,63 @@ class Master:
             raise NodeError(f"the ROS master does not answer: {error}") from error
         # The simulator is the node that publishes the time.
         simulators = set(dict(published).get("/clock", ()))
+
+        def topics(entries: Iterable[Any]) -> dict[str, str]:
+            found = sorted(topic for topic, users in entries if simulators.intersection(users))
+            return {
+                topic: kinds.get(topic, "*")
+                for topic in found
+                if not topic.startswith(OWN_TOPICS) and not topic.endswith(TOUCHED)
+            }
+
         self.services = {name for name, _ in services}
-        self.subscribed = _topics_with(simulators, subscribed, kinds)
-        self.published = _topics_with(simulators, published, kinds)
+        self.subscribed = topics(subscribed)
+        self.published = topics(published)
 
 
-def _topics_with(
-    nodes: set[str], topics: Iterable[Any], kinds: Mapping[str, str]
-) -> dict[str, str]:
-    found = sorted(topic for topic, users in topics if nodes.intersection(users))
-    others = [t for t in found if not (t.startswith(OWN_TOPICS) or t.endswith(TOUCHED))]
-    return {topic: kinds.get(topic, "*") for topic in others}
+def drives_of(master: Master) -> list[str]:
+    """Return the topics with velocities that the simulator subscribes to."""
+    return [topic for topic, kind in master.subscribed.items() if kind == VELOCITIES]
 
 
 def described(name: str = "") -> DescribeModelsResponse:
     """Return the bridge's description of a model, or of all; raises NodeError."""
     return call(SERVICE, DescribeModels, name)
+
+
+def find_robot(name: str, launched: Launched) -> ModelDescription:
+    """Wait for the robot, and until nothing new comes: controllers are loaded after their robot."""
+    start = since = time.monotonic()
+    models: list[ModelDescription] = []
+    found: ModelDescription | None = None
+    before: Any = None
+    while True:
+        launched.check()
+        master = Master()
+        if SERVICE in master.services:
+            models = described().models
+        now = (vars(master), [model.name for model in models])
+        if now != before:
+            since, before = time.monotonic(), now
+        quiet = time.monotonic() - since
+        waited = time.monotonic() - start
+        drives = drives_of(master)
+        if found is None and launched.path and choose(models, name, drives, True) is not None:
+            with contextlib.suppress(rospy.ServiceException):
+                rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
+        found = choose(models, name, drives, quiet > SETTLED_WITHOUT_DRIVE)
+        patience = SETTLED if drives else SETTLED_WITHOUT_DRIVE
+        if found is not None and (quiet > patience or not launched.path):
+            return found
+        if waited > SIMULATION and not models and SERVICE not in master.services:
+            hint = "a launch file that only spawns the robot needs world:=… beside it"
+            raise NodeError(f"no simulation has started within {SIMULATION:g} s; {hint}")
+        if waited > ARRIVAL and found is None:
+            what = f"no model '{name}'" if name else "no robot"
+            raise NodeError(f"{what} was spawned within {ARRIVAL:g} s; {candidates(models)}")
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
+        time.sleep(CHECK_PERIOD)
 
 
 def choose(
@@ -156,39 +293,30 @@ def robot_of(
         warnings: of the simulation about all models.
         master: which has the topics.
     """
-    own, strange = _topics([model]), _topics(others)
-    drives = of_kind(master.subscribed, VELOCITIES)
-    drive = _nearest(drives, own, strange, "")
+    own, foreign = _topics([model]), _topics(others)
+    drives = drives_of(master)
+    drive = _nearest(drives, own, foreign, "")
     odometry = ""
     if drive:
         # The odometry of a plugin that drives is its own; that of a controller is no plugin's.
-        beside = {t for plugin in model.plugins if drive in plugin.inputs for t in plugin.outputs}
+        of_plugin = {t for one in model.plugins if drive in one.inputs for t in one.outputs}
         if drive not in own:
-            strange = strange | own
-        odometry = _nearest(of_kind(master.published, ODOMETRY), beside, strange, drive)
+            foreign = foreign | own
+        published = [topic for topic, kind in master.published.items() if kind == ODOMETRY]
+        odometry = _nearest(published, of_plugin, foreign, drive)
     of_world = [other.name for other in others if other.of_world_file]
-    kin = [other for other in others if other.of_world_file == model.of_world_file]
+    alternatives = [other for other in others if other.of_world_file == model.of_world_file]
     return Robot(
         name=model.name,
         links=tuple(model.links),
         joints=tuple(model.joints),
-        plugins=plugins_of([model]),
-        controllers=tuple(controllers(master)),
+        plugins=tuple(model.plugins),
+        controllers=tuple(controllers(master.services)),
         drive=drive,
         odometry=odometry,
         said=tuple(w for w in warnings if not any(f"'{name}'" in w for name in of_world)),
-        choice=tuple(other.name for other in drivable([model, *kin], drives)),
+        choice=tuple(other.name for other in drivable([model, *alternatives], drives)),
     )
-
-
-def plugins_of(models: Iterable[ModelDescription]) -> tuple[PluginRow, ...]:
-    """Return the plugins of models."""
-    return tuple(_row(plugin) for model in models for plugin in model.plugins)
-
-
-def _row(plugin: Any) -> PluginRow:
-    values = [getattr(plugin, field.name) for field in fields(PluginRow)]
-    return PluginRow(*(tuple(one) if isinstance(one, list) else one for one in values))
 
 
 def _topics(models: Iterable[ModelDescription]) -> set[str]:
@@ -196,198 +324,39 @@ def _topics(models: Iterable[ModelDescription]) -> set[str]:
     return {topic for plugin in plugins for topic in (*plugin.inputs, *plugin.outputs)}
 
 
-def of_kind(topics: Mapping[str, str], kind: str) -> list[str]:
-    """Return the topics of a type."""
-    return [topic for topic, has in topics.items() if has == kind]
-
-
-def _nearest(topics: Iterable[str], own: set[str], strange: set[str], drive: str) -> str:
-    """Return the robot's topic: an own one, else the one of no other model named like `drive`."""
+def _nearest(topics: Iterable[str], own: set[str], foreign: set[str], drive: str) -> str:
+    """Return the robot's topic: its own, else one of no other model, named like `drive`."""
 
     def rank(topic: str) -> tuple[bool, int, bool]:
         shared = os.path.commonprefix([topic, drive])
         return topic in own, shared.count("/"), "odom" in topic
 
-    possible = [topic for topic in topics if topic in own or topic not in strange]
+    possible = [topic for topic in topics if topic in own or topic not in foreign]
     return max(possible, key=rank, default="")
 
 
 def topics_of(
-    model: ModelDescription, others: Iterable[ModelDescription], master: Master
+    model: ModelDescription, others: Iterable[ModelDescription], published: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the topics that a robot publishes, with their types.
+    """Return the topics that a robot publishes, of all that are published, with their types.
 
     Topics that no model's plugin names are those of its controllers.
     """
-    strange = _topics(others) - _topics([model])
+    foreign = _topics(others) - _topics([model])
     return {
         topic: kind
-        for topic, kind in master.published.items()
-        if topic not in strange and not kind.startswith(SETTINGS)
+        for topic, kind in published.items()
+        if topic not in foreign and not kind.startswith(SETTINGS)
     }
 
 
-def controllers(master: Master) -> list[Controller]:
-    """Return the controllers of ros_control that are loaded."""
+def controllers(services: Iterable[str]) -> list[Any]:
+    """Return the states of the controllers of ros_control that are loaded."""
     found = []
-    for name in sorted(name for name in master.services if name.endswith(CONTROLLERS)):
+    for name in sorted(name for name in services if name.endswith(CONTROLLERS)):
         try:
             kind = rosservice.get_service_class_by_name(name)
-            answer = rospy.ServiceProxy(name, kind)()
+            found += rospy.ServiceProxy(name, kind)().controller
         except (rosservice.ROSServiceException, rospy.ServiceException, OSError) as error:
             rospy.logwarn("%s: %s", name, error)
-            continue
-        found += [Controller(one.name, one.type, one.state) for one in answer.controller]
     return found
-
-
-# All messages have arrived when none came for this many wall seconds.
-QUIET = 0.2
-# While simulated time runs, messages always come: the wait is repeated this often at most.
-MOST_WAITS = 5
-
-
-class Listeners:
-    """Counts the messages on a robot's topics, and keeps the first image of each camera.
-
-    Args:
-        report: of the robot, which has the topics and their counts.
-        now: returns the time in ns, for messages without a stamp.
-        take: is called with the messages of the robot's odometry.
-    """
-
-    def __init__(self, report: RobotReport, now: Callable[[], int], take: Callable[[Any], None]):
-        self._report = report
-        self._now = now
-        self._take = take
-        # Serialized: most of them are only counted.
-        self._subscribers = {
-            topic: subscriber(topic, rospy.AnyMsg, self._receiver(topic, count.kind))
-            for topic, count in report.counts.items()
-        }
-
-    def are_connected(self) -> bool:
-        """Return whether every topic has its publisher."""
-        return all(one.get_num_connections() > 0 for one in self._subscribers.values())
-
-    def close(self) -> None:
-        """Wait for messages that were already sent, then unsubscribe."""
-        before = -1
-        for _ in range(MOST_WAITS):
-            received = sum(count.messages for count in self._report.counts.values())
-            if received == before:
-                break
-            before = received
-            rospy.rostime.wallsleep(QUIET)
-        for one in self._subscribers.values():
-            one.unregister()
-
-    def _receiver(self, topic: str, kind: str) -> Callable[[rospy.AnyMsg], None]:
-        count, message_class = self._report.counts[topic], _class_of(kind)
-        has_header = message_class is not None and message_class._has_header
-        is_odometry = topic == self._report.robot.odometry
-
-        def receive(raw: rospy.AnyMsg) -> None:
-            if has_header:
-                _, seconds, nanoseconds = HEADER.unpack_from(raw._buff)
-                count.note(seconds * 10**9 + nanoseconds)
-            else:
-                count.note(self._now())
-            if is_odometry:
-                self._take(message_class().deserialize(raw._buff))
-            elif kind == PICTURES and count.messages == 1:
-                # A depth image cannot be shown as a picture.
-                with contextlib.suppress(LabError):
-                    image = Image().deserialize(raw._buff)
-                    self._report.seen[topic] = pixels_of(image, "bgr8")
-            if kind in HEAVY and count.messages == ENOUGH:
-                self._subscribers[topic].unregister()
-
-        return receive
-
-
-def _class_of(kind: str) -> type | None:
-    """Return the class of a type of messages; None if its package is not installed."""
-    try:
-        return roslib.message.get_message_class(kind)
-    except (ImportError, ValueError):
-        return None
-
-
-CAMERA_NAME = "bullet_lab_photographer"
-FIELD_OF_VIEW = 0.8
-# Direction from the middle of the model to the camera: ahead, left, up.
-DIRECTION = (0.72, 0.52, 0.46)
-# Distance in units of the half diagonal: the whole model is in the picture with some margin.
-DISTANCE = 1.25 / math.sin(0.5 * FIELD_OF_VIEW * 0.75)
-# Nothing nearer than this share of the distance is drawn, such as walls of narrow rooms.
-CLEARANCE = 0.5
-# m; half diagonal that is assumed for a model without size.
-SMALLEST = 0.1
-# Wall seconds for a connection, or a picture that has been taken.
-LATEST = 2.0
-CAMERA = """<sdf version="1.6"><model name="{name}"><static>true</static><link name="link">
-  <sensor name="camera" type="camera"><update_rate>2</update_rate><camera>
-    <horizontal_fov>{fov}</horizontal_fov>
-    <image><width>800</width><height>600</height><format>R8G8B8</format></image>
-    <clip><near>{near}</near><far>{far}</far></clip>
-  </camera>
-  <plugin name="camera" filename="libgazebo_ros_camera.so">
-    <cameraName>{name}</cameraName><imageTopicName>image_raw</imageTopicName>
-    <cameraInfoTopicName>camera_info</cameraInfoTopicName><frameName>{name}</frameName>
-    <robotNamespace>/</robotNamespace><samples>4</samples>
-  </plugin></sensor></link></model></sdf>"""
-
-
-def camera_pose(least: Vector, greatest: Vector) -> Pose:
-    """Return a pose from which a camera sees the whole of a box (m), looking along its x."""
-    middle = 0.5 * (np.array(least) + greatest)
-    away = distance_to(least, greatest) * np.array(DIRECTION) / np.linalg.norm(DIRECTION)
-    yaw = math.atan2(-away[1], -away[0])
-    pitch = math.atan2(away[2], math.hypot(away[0], away[1]))
-    return Pose.from_rpy(tuple((middle + away).tolist()), (0.0, pitch, yaw))
-
-
-def distance_to(least: Vector, greatest: Vector) -> float:
-    """Return the distance (m) of the camera from the middle of a box."""
-    half = 0.5 * float(np.linalg.norm(np.subtract(greatest, least)))
-    return DISTANCE * max(half, SMALLEST)
-
-
-def photograph(
-    least: Vector, greatest: Vector, wait: Callable[[], None], patience: int
-) -> np.ndarray | None:
-    """Take a picture of a box of the world (m) with a camera that is spawned for it.
-
-    Args:
-        least: lower corner of the box.
-        greatest: upper corner.
-        wait: lets a twentieth of a second of simulated time pass.
-        patience: how often that is called, so that the picture always takes the same time.
-
-    Returns:
-        The picture, (h, w, 3) uint8, BGR; None if none comes.
-    """
-    distance = distance_to(least, greatest)
-    near = CLEARANCE * distance
-    text = CAMERA.format(name=CAMERA_NAME, fov=FIELD_OF_VIEW, near=near, far=distance + 100.0)
-    pose = pose_message(camera_pose(least, greatest))
-    pictures: list[Image] = []
-    call("/gazebo/spawn_sdf_model", srv.SpawnModel, CAMERA_NAME, text, "/", pose, "world")
-    listener = subscriber(f"/{CAMERA_NAME}/image_raw", Image, pictures.append)
-    try:
-        _wait_until(lambda: publishers_know_this_node(listener.resolved_name))
-        for _ in range(patience):
-            wait()
-        _wait_until(lambda: pictures)
-    finally:
-        listener.unregister()
-        if not rospy.is_shutdown():
-            call("/gazebo/delete_model", srv.DeleteModel, CAMERA_NAME)
-    return pixels_of(pictures[0], "bgr8") if pictures else None
-
-
-def _wait_until(holds: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + LATEST
-    while not holds() and time.monotonic() < deadline and not rospy.is_shutdown():
-        rospy.rostime.wallsleep(0.01)

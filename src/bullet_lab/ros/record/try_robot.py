@@ -15,40 +15,39 @@ import contextlib
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Mapping
+from typing import Any, Callable
 
+import numpy as np
+import roslib.message
 import rospy
 from geometry_msgs.msg import Twist
-from nav_msgs.msg import Odometry
-from std_srvs.srv import Empty
+from sensor_msgs.msg import Image
 
 from bullet_lab.core.parameters import number, text
+from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports import Reading
-from bullet_lab.reports.robot import ODOMETRY, STANDING, TRUTH, Displacement, Leg, RobotReport
+from bullet_lab.reports.robot import ODOMETRY, TRUTH, Leg, RobotReport
+from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.messages.poses import pose_of
+from bullet_lab.ros.messages.images import pixels_of
+from bullet_lab.ros.messages.poses import pose_message, pose_of
 from bullet_lab.ros.node.driving import StoppableSender
 from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
-from bullet_lab.ros.node.node import NodeError, node
+from bullet_lab.ros.node.node import NodeError, holds_within, node
 from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
-from bullet_lab.ros.node.publishers import publisher
-from bullet_lab.ros.record.launch_file import Launched
+from bullet_lab.ros.node.publishers import publisher, subscriber
 from bullet_lab.ros.record.recorder import RecordParameters, save_all
 from bullet_lab.ros.record.robot_parts import (
-    SERVICE,
-    VELOCITIES,
-    Listeners,
+    SETTLED,
+    Launched,
     Master,
-    candidates,
-    choose,
     described,
-    of_kind,
-    photograph,
-    plugins_of,
+    find_robot,
     robot_of,
     topics_of,
     why_it_stands,
@@ -60,19 +59,16 @@ COMMANDS = 20.0
 STAND = 1.0
 # A part of the drive is aborted after this many times the time that it should take.
 LATEST = 3.0
-# It ends at this many times the target by the truth, whatever the odometry reports.
-FARTHEST = 1.5
-# Wall seconds for the simulation to start, and for the robot to be spawned.
-SIMULATION = 60.0
-ARRIVAL = 120.0
-# A launch file has started everything when nothing new came for this many wall seconds; the wait is
-# longer without a subscriber to velocities.
-SETTLED = 3.0
-SETTLED_WITHOUT_DRIVE = 20.0
-# Wall seconds between two checks.
-CHECK_PERIOD = 0.5
 METRE = 1.0
 TURN = 360.0
+PICTURES = "sensor_msgs/Image"
+# Of these, `ENOUGH` messages are received: rendering and sending them takes long.
+HEAVY = (PICTURES, "sensor_msgs/CompressedImage", "sensor_msgs/PointCloud2")
+ENOUGH = 10
+# All messages have arrived when none came for this many wall seconds.
+QUIET = 0.2
+# While simulated time runs, messages always come: the wait is repeated this often at most.
+MOST_WAITS = 5
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,7 @@ class TryRobotParameters(RecordParameters):
 def try_robot(parameters: TryRobotParameters) -> None:
     """Find the robot, record its topics, drive it, and write the report."""
     with contextlib.closing(Launched(parameters.launch_file, parameters.args)) as launched:
-        model = _find_robot(parameters.model, launched)
+        model = find_robot(parameters.model, launched)
         for line in launched.failures():
             rospy.logwarn("%s", line)
         try:
@@ -99,41 +95,6 @@ def try_robot(parameters: TryRobotParameters) -> None:
         except (NodeError, rospy.ServiceException) as error:
             launched.check()
             raise NodeError(str(error)) from error
-
-
-def _find_robot(name: str, launched: Launched) -> ModelDescription:
-    """Wait for the robot, and until nothing new comes: controllers are loaded after their robot."""
-    start = since = time.monotonic()
-    models: list[ModelDescription] = []
-    found: ModelDescription | None = None
-    before: Any = None
-    while True:
-        launched.check()
-        master = Master()
-        if SERVICE in master.services:
-            models = described().models
-        now = (vars(master), [model.name for model in models])
-        if now != before:
-            since, before = time.monotonic(), now
-        quiet = time.monotonic() - since
-        waited = time.monotonic() - start
-        drives = of_kind(master.subscribed, VELOCITIES)
-        if found is None and launched.path and choose(models, name, drives, True) is not None:
-            with contextlib.suppress(rospy.ServiceException):
-                rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
-        found = choose(models, name, drives, quiet > SETTLED_WITHOUT_DRIVE)
-        patience = SETTLED if drives else SETTLED_WITHOUT_DRIVE
-        if found is not None and (quiet > patience or not launched.path):
-            return found
-        if waited > SIMULATION and not models and SERVICE not in master.services:
-            hint = "a launch file that only spawns the robot needs world:=… beside it"
-            raise NodeError(f"no simulation has started within {SIMULATION:g} s; {hint}")
-        if waited > ARRIVAL and found is None:
-            what = f"no model '{name}'" if name else "no robot"
-            raise NodeError(f"{what} was spawned within {ARRIVAL:g} s; {candidates(models)}")
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
-        time.sleep(CHECK_PERIOD)
 
 
 class Trial:
@@ -146,21 +107,25 @@ class Trial:
         answer, master = described(), Master()
         model = next(model for model in answer.models if model.name == name)
         others = [other for other in answer.models if other.name != name]
-        robot = robot_of(model, others, answer.said, master)
-        topics = topics_of(model, others, master)
-        self._report = RobotReport(Path(parameters.out), robot, topics, plugins_of(others))
+        self._robot = robot_of(model, others, answer.said, master)
+        topics = topics_of(model, others, master.published)
+        other_plugins = [plugin for other in others for plugin in other.plugins]
+        self._report = RobotReport(Path(parameters.out), self._robot, topics, other_plugins)
         self._report.about = parameters.about
-        self._odometry = NewestOdometry(robot.odometry, subscribed=False)
+        # The present part of the drive.
+        self._leg: Leg | None = None
         self._pauses = False
-        self._moved = _no_displacement()
         self._rate: Rate | None = None
         self._connected_since = time.monotonic()
-        self._listeners = Listeners(self._report, self._now, self._take_odometry)
-        if robot.drive:
-            self._velocities = publisher(robot.drive, Twist, 10)
+        if self._robot.odometry:
+            self._odometry = NewestOdometry(self._robot.odometry)
+        self._subscribers = {
+            topic: subscriber(topic, _class_of(count.kind), partial(self._receive, topic))
+            for topic, count in self._report.counts.items()
+        }
+        if self._robot.drive:
+            self._velocities = publisher(self._robot.drive, Twist, 10)
             self._sender = StoppableSender(self._velocities)
-            # The robot stops however the node ends.
-            rospy.on_shutdown(self._sender.end)
         self._state = rospy.ServiceProxy(
             "/gazebo/get_model_state", srv.GetModelState, persistent=True
         )
@@ -168,30 +133,28 @@ class Trial:
 
     def run(self) -> None:
         """Drive and write the report; after Ctrl-C, report what was done until then."""
-        finished = False
+        report, finished = self._report, False
         try:
             self._stand(STAND)
             self._photograph()
-            if self._report.robot.drive:
-                self._drive()
+            if self._robot.drive:
+                speed, turn_rate = self._parameters.speed, self._parameters.turn_rate
+                self._drive(Leg("metre", "ahead_m", METRE), (speed, 0.0), METRE / speed)
+                seconds = math.radians(TURN) / turn_rate
+                self._drive(Leg("turn", "turned_deg", TURN), (0.0, turn_rate), seconds)
             else:
                 self._stand(STAND)
             finished = True
         finally:
-            self._listeners.close()
-            summary = self._save(finished)
+            self._unsubscribe()
+            report.not_started = self._launched.failures()
+            summary = save_all(report, finished)
+            print(report.table())
+            if not report.has_failed(summary):
+                rospy.loginfo("%s", report.line(summary))
         self._rate.leave()
-        if self._report.has_failed(summary):
-            raise NodeError(self._report.line(summary))
-
-    def _save(self, finished: bool) -> Mapping[str, Any]:
-        report = self._report
-        report.not_started = self._launched.failures()
-        summary = save_all(report, finished)
-        print(report.table())
-        if not report.has_failed(summary):
-            rospy.loginfo("%s", report.line(summary))
-        return summary
+        if report.has_failed(summary):
+            raise NodeError(report.line(summary))
 
     def _photograph(self) -> None:
         model = self._model()
@@ -205,31 +168,53 @@ class Trial:
         (model,) = described(self._name).models
         return model
 
-    def _is_connected(self) -> bool:
-        """Return whether both ends know of all connections; other nodes may not report theirs."""
-        if not self._listeners.are_connected():
-            self._connected_since = time.monotonic()
-            return False
-        waited = time.monotonic() - self._connected_since
-        return waited > SETTLED or publishers_know_this_node()
-
     def _now(self) -> int:
         # Latched messages come before the first tick.
         now = rospy.Time.now() if self._rate is None else self._rate.now
         return now.to_nsec()
 
+    # The robot's topics
+
+    def _receive(self, topic: str, message: Any) -> None:
+        """Count a message, and keep the odometry and the first image of each camera."""
+        count = self._report.counts[topic]
+        header = getattr(message, "header", None)
+        count.note(self._now() if header is None else header.stamp.to_nsec())
+        # Odometry may be invalid, and a depth image cannot be shown as a picture.
+        with contextlib.suppress(LabError):
+            if topic == self._robot.odometry:
+                reading = Reading(header.stamp.to_nsec(), planar_pose(message))
+                self._report.take(ODOMETRY, reading)
+            elif count.kind == PICTURES and count.messages == 1:
+                self._report.seen[topic] = pixels_of(message, "bgr8")
+        if count.kind in HEAVY and count.messages == ENOUGH:
+            self._subscribers[topic].unregister()
+
+    def _is_connected(self) -> bool:
+        """Return whether both ends know of all connections; other nodes may not report theirs."""
+        if not all(one.get_num_connections() > 0 for one in self._subscribers.values()):
+            self._connected_since = time.monotonic()
+            return False
+        waited = time.monotonic() - self._connected_since
+        return waited > SETTLED or publishers_know_this_node()
+
+    def _unsubscribe(self) -> None:
+        """Wait for messages that were already sent, then unsubscribe."""
+        before = -1
+        for _ in range(MOST_WAITS):
+            received = sum(count.messages for count in self._report.counts.values())
+            if received == before:
+                break
+            before = received
+            rospy.rostime.wallsleep(QUIET)
+        for one in self._subscribers.values():
+            one.unregister()
+
     # The drive
 
-    def _drive(self) -> None:
-        speed, turn_rate = self._parameters.speed, self._parameters.turn_rate
-        self._leg("metre", "ahead_m", METRE, (speed, 0.0), METRE / speed)
-        self._leg("turn", "turned_deg", TURN, (0.0, turn_rate), math.radians(TURN) / turn_rate)
-
-    def _leg(
-        self, name: str, quantity: str, asked: float, velocity: tuple[float, float], seconds: float
-    ) -> None:
+    def _drive(self, leg: Leg, velocity: tuple[float, float], seconds: float) -> None:
         """Drive until the odometry, or without any the truth, has reached the target."""
-        self._moved = _no_displacement()
+        self._leg = leg
         touched: set[str] = set()
         start = self._rate.now
         self._observe()
@@ -237,32 +222,23 @@ class Trial:
             self._sender.send(velocity)
             self._rate.sleep()
             self._observe()
-            is_late = not self._is_enough(quantity, asked)
+            leg.late = not leg.is_done(self._pauses)
             if tick % COMMANDS == 0:
                 touched.update(self._model().touches)
-            if not is_late:
+            if not leg.late:
                 break
-        took = (self._rate.now - start).to_sec()
+        leg.seconds = (self._rate.now - start).to_sec()
         model = self._model()
-        touched.update(model.touches)
-        causes: list[str] = []
-        if abs(self._moved[TRUTH].figures()[quantity]) < STANDING * asked:
+        leg.touched = sorted(touched.union(model.touches))
+        if not leg.has_moved():
             is_connected = self._velocities.has_connections()
-            causes = why_it_stands(model, self._report.robot.drive, is_connected)
+            leg.causes = why_it_stands(model, self._robot.drive, is_connected)
         self._stand(STAND)
-        odometry, truth = self._moved[ODOMETRY].figures(), self._moved[TRUTH].figures()
-        known = (is_late, tuple(sorted(touched)), tuple(causes))
-        self._report.legs.append(Leg(name, quantity, asked, odometry, truth, took, *known))
-
-    def _is_enough(self, quantity: str, asked: float) -> bool:
-        """Return whether the odometry, or the truth while that pauses, has reached the target."""
-        truth = self._moved[TRUTH].figures()
-        odometry = None if self._pauses else self._moved[ODOMETRY].figures()
-        return (odometry or truth)[quantity] >= asked or truth[quantity] >= FARTHEST * asked
+        self._report.legs.append(leg)
 
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds * COMMANDS)):
-            if self._report.robot.drive:
+            if self._robot.drive:
                 self._sender.send((0.0, 0.0))
             self._rate.sleep()
             self._observe()
@@ -278,15 +254,14 @@ class Trial:
         self._report.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
         true = (x, y, pose.yaw)
         self._report.take(TRUTH, Reading(self._now(), true))
-        self._moved[TRUTH].add(true)
-        odometry = self._newest_odometry()
-        if odometry is not None:
-            self._moved[ODOMETRY].add(odometry)
+        odometry = self._newest_odometry() if self._robot.odometry else None
+        if self._leg is not None:
+            self._leg.truth.add(true)
+            if odometry is not None:
+                self._leg.odometry.add(odometry)
 
     def _newest_odometry(self) -> PlanarPose | None:
         """Return the newest odometry; None while it pauses, which is waited for only once."""
-        if not self._report.robot.odometry:
-            return None
         try:
             pose = self._odometry.newest(self._rate.now, 0.0 if self._pauses else ODOMETRY_TIMEOUT)
         except NodeError as error:
@@ -298,12 +273,82 @@ class Trial:
         self._pauses = False
         return pose
 
-    def _take_odometry(self, message: Odometry) -> None:
-        self._odometry.take(message)
-        with contextlib.suppress(LabError):
-            stamp = message.header.stamp.to_nsec()
-            self._report.take(ODOMETRY, Reading(stamp, planar_pose(message)))
+
+def _class_of(kind: str) -> type:
+    """Return the class of a type of messages; that of any message if it is not installed."""
+    with contextlib.suppress(ImportError, ValueError):
+        return roslib.message.get_message_class(kind) or rospy.AnyMsg
+    return rospy.AnyMsg
 
 
-def _no_displacement() -> dict[str, Displacement]:
-    return {TRUTH: Displacement(), ODOMETRY: Displacement()}
+CAMERA_NAME = "bullet_lab_photographer"
+FIELD_OF_VIEW = 0.8
+# Direction from the middle of the model to the camera: ahead, left, up.
+DIRECTION = (0.72, 0.52, 0.46)
+# Distance in units of the half diagonal: the whole model is in the picture with some margin.
+DISTANCE = 1.25 / math.sin(0.5 * FIELD_OF_VIEW * 0.75)
+# Nothing nearer than this share of the distance is drawn, such as walls of narrow rooms.
+CLEARANCE = 0.5
+# m; half diagonal that is assumed for a model without size.
+SMALLEST = 0.1
+# Wall seconds for a connection, or a picture that has been taken.
+CAMERA_PATIENCE = 2.0
+CAMERA = """<sdf version="1.6"><model name="{name}"><static>true</static><link name="link">
+  <sensor name="camera" type="camera"><update_rate>2</update_rate><camera>
+    <horizontal_fov>{fov}</horizontal_fov>
+    <image><width>800</width><height>600</height><format>R8G8B8</format></image>
+    <clip><near>{near}</near><far>{far}</far></clip>
+  </camera>
+  <plugin name="camera" filename="libgazebo_ros_camera.so">
+    <cameraName>{name}</cameraName><imageTopicName>image_raw</imageTopicName>
+    <cameraInfoTopicName>camera_info</cameraInfoTopicName><frameName>{name}</frameName>
+    <robotNamespace>/</robotNamespace><samples>4</samples>
+  </plugin></sensor></link></model></sdf>"""
+
+
+def camera_pose(least: Vector, greatest: Vector) -> Pose:
+    """Return a pose from which a camera sees the whole of a box (m), looking along its x."""
+    middle = 0.5 * (np.array(least) + greatest)
+    away = distance_to(least, greatest) * np.array(DIRECTION) / np.linalg.norm(DIRECTION)
+    yaw = math.atan2(-away[1], -away[0])
+    pitch = math.atan2(away[2], math.hypot(away[0], away[1]))
+    return Pose.from_rpy(tuple((middle + away).tolist()), (0.0, pitch, yaw))
+
+
+def distance_to(least: Vector, greatest: Vector) -> float:
+    """Return the distance (m) of the camera from the middle of a box."""
+    half = 0.5 * float(np.linalg.norm(np.subtract(greatest, least)))
+    return DISTANCE * max(half, SMALLEST)
+
+
+def photograph(
+    least: Vector, greatest: Vector, wait: Callable[[], None], patience: int
+) -> np.ndarray | None:
+    """Take a picture of a box of the world (m) with a camera that is spawned for it.
+
+    Args:
+        least: lower corner of the box.
+        greatest: upper corner.
+        wait: lets a twentieth of a second of simulated time pass.
+        patience: how often that is called, so that the picture always takes the same time.
+
+    Returns:
+        The picture, (h, w, 3) uint8, BGR; None if none comes.
+    """
+    distance = distance_to(least, greatest)
+    near = CLEARANCE * distance
+    text = CAMERA.format(name=CAMERA_NAME, fov=FIELD_OF_VIEW, near=near, far=distance + 100.0)
+    pose = pose_message(camera_pose(least, greatest))
+    pictures: list[Image] = []
+    call("/gazebo/spawn_sdf_model", srv.SpawnModel, CAMERA_NAME, text, "/", pose, "world")
+    listener = subscriber(f"/{CAMERA_NAME}/image_raw", Image, pictures.append)
+    try:
+        holds_within(lambda: publishers_know_this_node(listener.resolved_name), CAMERA_PATIENCE)
+        for _ in range(patience):
+            wait()
+        holds_within(lambda: pictures, CAMERA_PATIENCE)
+    finally:
+        listener.unregister()
+        if not rospy.is_shutdown():
+            call("/gazebo/delete_model", srv.DeleteModel, CAMERA_NAME)
+    return pixels_of(pictures[0], "bgr8") if pictures else None

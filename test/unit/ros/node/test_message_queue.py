@@ -8,8 +8,8 @@ pytest.importorskip("rospy")
 import rospy
 from nav_msgs.msg import Odometry
 
-from bullet_lab.ros.node import publishers
-from bullet_lab.ros.node.publishers import MessageQueue
+from bullet_lab.ros.node import odometry
+from bullet_lab.ros.node.odometry import MessageQueue
 
 
 def odometry_at(seconds):
@@ -64,9 +64,9 @@ def test_a_queue_refuses_what_goes_back_and_says_why(monkeypatch):
 )
 def test_a_queue_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
-    monkeypatch.setattr(publishers, "LATEST", 0.05)
+    monkeypatch.setattr(odometry, "LATEST", 0.05)
     queue = make_queue(rate)
-    monkeypatch.setattr(publishers, "in_lock_step", lambda: True)
+    monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
     queue.clear()
     receive(queue, *stamps)
     start = time.monotonic()
@@ -77,7 +77,7 @@ def test_a_queue_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
 def test_a_queue_goes_on_as_soon_as_it_is_there(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     queue = make_queue()
-    monkeypatch.setattr(publishers, "in_lock_step", lambda: True)
+    monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
     threading.Timer(0.05, receive, (queue, 0.05)).start()
     start = time.monotonic()
     queue.wait(rospy.Time.from_sec(0.05))
@@ -87,9 +87,9 @@ def test_a_queue_goes_on_as_soon_as_it_is_there(monkeypatch):
 
 def test_what_never_comes_is_waited_for_once(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
-    monkeypatch.setattr(publishers, "LATEST", 0.1)
+    monkeypatch.setattr(odometry, "LATEST", 0.1)
     queue = make_queue()
-    monkeypatch.setattr(publishers, "in_lock_step", lambda: True)
+    monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
     queue.clear()
     for expected in (True, False, False):
         start = time.monotonic()
@@ -101,4 +101,4 @@ def test_out_of_lock_step_nothing_is_waited_for(monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     start = time.monotonic()
     make_queue().wait(rospy.Time(1))
-    assert time.monotonic() - start < publishers.LATEST
+    assert time.monotonic() - start < odometry.LATEST

@@ -10,6 +10,7 @@ from bullet_lab.ros.nodes.bridge import BridgeParameters
 from bullet_lab.ros.nodes.canny_edges import CannyParameters
 from bullet_lab.ros.nodes.dock import DockParameters
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
+from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.good_features import GoodFeaturesParameters
 from bullet_lab.ros.nodes.harris_corners import HarrisParameters
 from bullet_lab.ros.nodes.image_node import ImageParameters
@@ -33,9 +34,12 @@ BAD = (
     (DriveSquaresParameters, "turn_speed", 0),
     (DriveSquaresParameters, "turn_speed", "slow"),
     (DriveSquaresParameters, "velocity", 0.2),
+    (DriveToGoalParameters, "speed", 0.0),
+    (DriveToGoalParameters, "acceleration", -1.0),
+    (DriveToGoalParameters, "gain", math.nan),
+    (DriveToGoalParameters, "tolerance", 0.005),
     (PlotNoiseParameters, "plot_period", 0),
     (PlotNoiseParameters, "about", [1]),
-    (PlotNoiseParameters, "show", 2),
     (PlotNoiseParameters, "ot", "x"),
     (ArucoParameters, "tags", "apriltag_37h10"),
     (ArucoParameters, "width", 0),

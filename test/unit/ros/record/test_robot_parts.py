@@ -1,21 +1,23 @@
-"""Which model is the robot, which topics are its own, and where a camera sees the whole of it."""
+"""How a robot comes up, which model it is, and which topics are its own."""
 
-import math
-from itertools import product
 from types import SimpleNamespace
 
 import pytest
 from bullet_lab.msg import ModelDescription, PluginDescription
 
+from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import robot_parts
 from bullet_lab.ros.record.robot_parts import (
-    CLEARANCE,
-    FIELD_OF_VIEW,
-    camera_pose,
+    SERVICE,
+    VELOCITIES,
+    Launched,
+    assignments,
     candidates,
     choose,
-    distance_to,
-    plugins_of,
+    debian_package,
+    failures_in,
+    find_robot,
+    reason_in,
     robot_of,
     topics_of,
     why_it_stands,
@@ -71,7 +73,7 @@ def test_topics_of_another_robot_are_not_its_own():
     )
     robot = robot_of(ROVER, [CART], [], now)
     assert (robot.drive, robot.odometry) == ("/rover/go", "/rover/odom")
-    found = topics_of(CART, [ROVER], now)
+    found = topics_of(CART, [ROVER], now.published)
     assert set(found) == {"/odom", "/joint_states"}
 
 
@@ -130,10 +132,6 @@ def test_whom_model_may_name():
     assert candidates([BOX, wall, LAMP]) == "model:=NAME takes one of lamp, box"
 
 
-def test_the_plugins_of_models():
-    assert [row.outputs for row in plugins_of([CART, ROVER])] == [("/odom",), ("/rover/odom",)]
-
-
 def test_why_a_robot_stands(monkeypatch):
     rates = {"cart::left": [2.0], "cart::right": [0.0], "cart::ball": []}
     answers = {joint: SimpleNamespace(rate=rate) for joint, rate in rates.items()}
@@ -149,23 +147,156 @@ def test_why_a_robot_stands(monkeypatch):
     assert why_it_stands(cart, "/go", True) == ["the model is static"]
 
 
-BOXES = [
-    ((-0.1, -0.1, 0.0), (0.1, 0.1, 0.2)),
-    ((2.0, -5.0, 0.1), (4.0, -4.5, 0.4)),
-    ((-0.1, -0.1, 0.0), (0.1, 0.1, 3.0)),
-]
+class Clock:
+    """Wall time that goes on by what is slept."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
 
 
-@pytest.mark.parametrize("box", BOXES)
-def test_every_corner_is_in_the_picture(box):
-    eye = camera_pose(*box).inverse()
-    for corner in product(*zip(*box)):
-        x, y, z = (eye * type(eye)(corner)).position
-        assert x > CLEARANCE * distance_to(*box)
-        assert math.atan2(abs(y), x) < 0.5 * FIELD_OF_VIEW
-        # The picture is three quarters as high as wide.
-        assert abs(z) / x < 0.75 * math.tan(0.5 * FIELD_OF_VIEW)
+@pytest.fixture
+def found(monkeypatch):
+    """What is found where these models come at these times (s), and when."""
+
+    def find(name, path="some.launch", **coming):
+        clock = Clock()
+        robots = {m: (at, of_world) for m, (at, of_world) in coming.items()}
+
+        def models():
+            return [
+                ModelDescription(
+                    name=name,
+                    of_world_file=of_world,
+                    plugins=[PluginDescription(inputs=[f"/{name}/go"])],
+                )
+                for name, (at, of_world) in robots.items()
+                if clock.now >= at
+            ]
+
+        def subscribed():
+            return {f"/{model.name}/go": VELOCITIES for model in models()}
+
+        monkeypatch.setattr(robot_parts, "time", clock)
+        monkeypatch.setattr(
+            robot_parts,
+            "Master",
+            lambda: SimpleNamespace(services={SERVICE}, subscribed=subscribed()),
+        )
+        monkeypatch.setattr(robot_parts, "described", lambda: SimpleNamespace(models=models()))
+        monkeypatch.setattr(robot_parts.rospy, "ServiceProxy", lambda *_: lambda: None)
+        launched = SimpleNamespace(path=path, check=lambda: None)
+        monkeypatch.setattr(robot_parts.rospy, "is_shutdown", lambda: False)
+        return find_robot(name, launched).name, clock.now
+
+    return find
 
 
-def test_a_point_is_looked_at_from_somewhere():
-    assert distance_to((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)) > 0.1
+def test_the_choice_waits_until_all_are_there(found):
+    name, when = found("", tb3_1=(5.0, False), tb3_0=(6.0, False))
+    assert (name, when < 12.0) == ("tb3_0", True)
+    assert found("tb3_1", tb3_1=(5.0, False), tb3_0=(6.0, False))[0] == "tb3_1"
+
+
+def test_a_robot_of_the_world_file_waits_for_others(found):
+    assert found("", robot=(0.0, True))[0] == "robot"
+    assert found("", robot=(0.0, True), spawned=(15.0, False))[0] == "spawned"
+
+
+def test_nothing_comes(found):
+    line = "no model 'cart' was spawned within 120 s; .* one of robot$"
+    with pytest.raises(NodeError, match=line):
+        found("cart", robot=(0.0, True))
+
+
+def test_arguments_of_a_launch_file():
+    assert assignments("") == []
+    assert assignments("a:=1 b=2") == ["a:=1", "b:=2"]
+    assert assignments("world:='a b=c'") == ["world:=a b=c"]
+
+
+def test_why_a_launch_file_has_ended():
+    log = "logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n"
+    assert reason_in(log) == "Resource not found: lidar"
+    assert reason_in("start\nRLException: while processing a.launch:\nno b\nd") == (
+        "RLException: while processing a.launch: no b"
+    )
+    assert reason_in("Error:\n") == "Error:"
+    assert reason_in("done\n") == "done"
+    assert reason_in("") == "no output"
+
+
+LOG = """started roslaunch server http://here:1/
+\x1b[31mERROR: cannot launch node of type [map_server/map_server]: map_server
+ROS path [0]=/usr/share\x1b[0m
+ERROR: cannot launch node of type [nodelet/nodelet]: nodelet
+ERROR: cannot launch node of type [nodelet/nodelet]: nodelet
+ERROR: cannot launch node of type [mine/run.py]: Cannot locate node of type [run.py] in package
+process[spawn-2]: started with pid [7]
+[spawn-2] process has finished cleanly
+\x1b[31m[gripper-4] process has died [pid 10, exit code -11, cmd /x/gripper __name:=gripper].
+log file: /tmp/gripper-4*.log\x1b[0m
+"""
+
+
+def test_nodes_that_could_not_start_or_died(monkeypatch):
+    packages = {"nodelet": "libnodeletlib-tools"}
+    monkeypatch.setattr(robot_parts, "debian_package", lambda name: packages.get(name, ""))
+    assert failures_in(LOG) == [
+        "map_server/map_server: there is no ROS package 'map_server'; "
+        "Debian has none that is known",
+        "nodelet/nodelet: there is no ROS package 'nodelet'; Debian has it: libnodeletlib-tools "
+        "(2 times)",
+        "mine/run.py: Cannot locate node of type [run.py] in package",
+        "gripper-4 has died (exit code -11)",
+    ]
+    assert failures_in("") == []
+
+
+APT = """Package: tf
+Description: text-based MUD client
+
+Package: tf-tools
+Description: Set of utilities to operate with the Robot OS tf lib
+
+Package: tf2-tools
+Homepage: https://wiki.ros.org/geometry2
+"""
+
+
+@pytest.mark.parametrize(
+    ("package", "found"), [("tf", "tf-tools"), ("tf2_ros", "tf2-tools"), ("amcl", "")]
+)
+def test_the_debian_package_of_a_ros_package(monkeypatch, tmp_path, package, found):
+    def run(command, **_):
+        shown = [part for part in APT.split("\n\n") if part.split()[1] in command]
+        return SimpleNamespace(stdout="\n\n".join(shown).encode())
+
+    monkeypatch.setattr(robot_parts.subprocess, "run", run)
+    monkeypatch.setattr(robot_parts, "INSTALLED", tmp_path)
+    debian_package.cache_clear()
+    assert debian_package(package) == found
+    debian_package.cache_clear()
+    # What is installed already does not help.
+    (tmp_path / f"{found}:amd64.list").touch()
+    assert debian_package(package) == ""
+    debian_package.cache_clear()
+
+
+def test_a_machine_without_apt(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    debian_package.cache_clear()
+    assert debian_package("amcl") == ""
+    debian_package.cache_clear()
+
+
+def test_no_launch_file():
+    launched = Launched("", "")
+    launched.check()
+    assert launched.failures() == []
+    launched.close()

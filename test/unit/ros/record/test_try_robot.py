@@ -1,15 +1,21 @@
-"""Odometry that pauses, and robots that are waited for."""
+"""Odometry that pauses, and where a camera sees the whole of a robot."""
 
+import math
+from itertools import product
 from types import SimpleNamespace
 
 import pytest
-from bullet_lab.msg import ModelDescription, PluginDescription
 
-from bullet_lab.reports.robot import ODOMETRY, TRUTH, Displacement, Robot, RobotReport
+from bullet_lab.reports.robot import Robot, RobotReport
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import try_robot
-from bullet_lab.ros.record.robot_parts import SERVICE, VELOCITIES
-from bullet_lab.ros.record.try_robot import Trial, _find_robot
+from bullet_lab.ros.record.try_robot import (
+    CLEARANCE,
+    FIELD_OF_VIEW,
+    Trial,
+    camera_pose,
+    distance_to,
+)
 
 
 class Odometry:
@@ -47,79 +53,23 @@ def test_odometry_comes_again_after_a_pause(trial, monkeypatch):
     assert (len(warnings), trial._report.pauses) == (2, 2)
 
 
-def test_the_truth_decides_while_odometry_pauses(trial):
-    trial._moved = {TRUTH: Displacement(), ODOMETRY: Displacement()}
-    for x in (0.0, 0.5):
-        trial._moved[ODOMETRY].add((x, 0.0, 0.0))
-    for x in (0.0, 1.1):
-        trial._moved[TRUTH].add((x, 0.0, 0.0))
-    assert not trial._is_enough("ahead_m", 1.0)
-    trial._pauses = True
-    assert trial._is_enough("ahead_m", 1.0)
+BOXES = [
+    ((-0.1, -0.1, 0.0), (0.1, 0.1, 0.2)),
+    ((2.0, -5.0, 0.1), (4.0, -4.5, 0.4)),
+    ((-0.1, -0.1, 0.0), (0.1, 0.1, 3.0)),
+]
 
 
-class Clock:
-    """Wall time that goes on by what is slept."""
-
-    def __init__(self):
-        self.now = 0.0
-
-    def monotonic(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += seconds
+@pytest.mark.parametrize("box", BOXES)
+def test_every_corner_is_in_the_picture(box):
+    eye = camera_pose(*box).inverse()
+    for corner in product(*zip(*box)):
+        x, y, z = (eye * type(eye)(corner)).position
+        assert x > CLEARANCE * distance_to(*box)
+        assert math.atan2(abs(y), x) < 0.5 * FIELD_OF_VIEW
+        # The picture is three quarters as high as wide.
+        assert abs(z) / x < 0.75 * math.tan(0.5 * FIELD_OF_VIEW)
 
 
-@pytest.fixture
-def found(monkeypatch):
-    """What is found where these models come at these times (s), and when."""
-
-    def find(name, path="some.launch", **coming):
-        clock = Clock()
-        robots = {m: (at, of_world) for m, (at, of_world) in coming.items()}
-
-        def models():
-            return [
-                ModelDescription(
-                    name=name,
-                    of_world_file=of_world,
-                    plugins=[PluginDescription(inputs=[f"/{name}/go"])],
-                )
-                for name, (at, of_world) in robots.items()
-                if clock.now >= at
-            ]
-
-        def subscribed():
-            return {f"/{model.name}/go": VELOCITIES for model in models()}
-
-        monkeypatch.setattr(try_robot, "time", clock)
-        monkeypatch.setattr(
-            try_robot,
-            "Master",
-            lambda: SimpleNamespace(services={SERVICE}, subscribed=subscribed()),
-        )
-        monkeypatch.setattr(try_robot, "described", lambda: SimpleNamespace(models=models()))
-        monkeypatch.setattr(try_robot.rospy, "ServiceProxy", lambda *_: lambda: None)
-        launched = SimpleNamespace(path=path, check=lambda: None)
-        monkeypatch.setattr(try_robot.rospy, "is_shutdown", lambda: False)
-        return _find_robot(name, launched).name, clock.now
-
-    return find
-
-
-def test_the_choice_waits_until_all_are_there(found):
-    name, when = found("", tb3_1=(5.0, False), tb3_0=(6.0, False))
-    assert (name, when < 12.0) == ("tb3_0", True)
-    assert found("tb3_1", tb3_1=(5.0, False), tb3_0=(6.0, False))[0] == "tb3_1"
-
-
-def test_a_robot_of_the_world_file_waits_for_others(found):
-    assert found("", robot=(0.0, True))[0] == "robot"
-    assert found("", robot=(0.0, True), spawned=(15.0, False))[0] == "spawned"
-
-
-def test_nothing_comes(found):
-    line = "no model 'cart' was spawned within 120 s; .* one of robot$"
-    with pytest.raises(NodeError, match=line):
-        found("cart", robot=(0.0, True))
+def test_a_point_is_looked_at_from_somewhere():
+    assert distance_to((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)) > 0.1
