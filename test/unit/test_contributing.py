@@ -47,7 +47,10 @@ def named(file, name):
 def forgotten(monkeypatch):
     """Plugins and controllers that a test makes known are unknown afterwards."""
     monkeypatch.setattr(plugins, "_KINDS", dict(plugins._KINDS))
-    monkeypatch.setattr(controller, "_KINDS", dict(controller._KINDS))
+    known = dict(controller.CONTROLLERS)
+    yield
+    controller.CONTROLLERS.clear()
+    controller.CONTROLLERS.update(known)
 
 
 def test_the_plugin_measures(world, forgotten):

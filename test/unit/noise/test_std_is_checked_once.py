@@ -1,5 +1,6 @@
 """The parameter std is checked where it comes in, and nowhere else on its way to a draw."""
 
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -15,17 +16,18 @@ STD = 0.2731
 
 
 @pytest.fixture
-def checks(monkeypatch):
+def checks():
     """The checks of a number that is `STD`."""
-    found, check = [], parameters._float
+    found = []
 
-    def counted(value):
-        if str(value) == str(STD):
-            found.append(value)
-        return check(value)
+    def count(frame, event, _):
+        is_check = event == "call" and frame.f_code is parameters._float.__code__
+        if is_check and str(frame.f_locals["value"]) == str(STD):
+            found.append(frame.f_locals["value"])
 
-    monkeypatch.setattr(parameters, "_float", counted)
-    return found
+    sys.setprofile(count)
+    yield found
+    sys.setprofile(None)
 
 
 @pytest.fixture
