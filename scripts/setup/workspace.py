@@ -42,7 +42,8 @@ PROGRAMS = ("scripts/*", "xacro*", "test/contract/*.py")
 RELAY = """#!{python}
 with open({file!r}) as program:
     text = program.read()
-exec(compile(text, {file!r}, "exec"), {{"__name__": "__main__", "__file__": {file!r}}})
+# Under another name, as in a worker process of multiprocessing, it only defines things.
+exec(compile(text, {file!r}, "exec"), {{"__name__": __name__, "__file__": {file!r}}})
 """
 SETUP = """# Enters this workspace, as the file of a catkin build does.
 export CMAKE_PREFIX_PATH={devel}
