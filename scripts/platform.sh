@@ -74,7 +74,7 @@ link_ros() {
   for folder in "$LAB_ROS"/lib/python3/dist-packages/*/; do
     name=$(basename "$folder")
     if [[ -e $LAB_ROS/share/$name/package.xml || -e $folder/msg || -e $folder/srv ]] \
-      || [[ $name =~ ^(catkin|cv_bridge|dynamic_reconfigure|genmsg|message_filters|ros.*|tf2_.*)$ ]]; then
+      || [[ $name =~ ^(catkin|dynamic_reconfigure|genmsg|message_filters|ros.*|tf2_.*)$ ]]; then
       ln -s "$folder" "$PLATFORM/ros/$name"
     fi
   done
@@ -105,11 +105,11 @@ check_catkin() (
   use_lab_python
   unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
   make_own_ros "$PLATFORM/noetic" "$SOURCES"
-  mkdir -p "$PLATFORM/lab/ws/src"
+  mkdir -p "$PLATFORM/lab"
   ln -sfn "$LAB_VENV" "$PLATFORM/lab/venv"
-  LAB_DIR=$PLATFORM/lab LAB_WS=$PLATFORM/lab/ws LAB_ROS=$PLATFORM/noetic
+  LAB_DIR=$PLATFORM/lab LAB_ROS=$PLATFORM/noetic
   # A step of setup.sh.
-  step_build "catkin build" "$PLATFORM/lab/build.log"
+  step_catkin "catkin build" "$PLATFORM/lab/build.log"
   enter_lab
   [[ -z $(stand_ins) ]]
   python "$LAB_ROOT/test/platform/own_packages.py" "$PLATFORM/noetic" "$LAB_ROOT/stand_ins"
@@ -136,7 +136,7 @@ platform() {
     SOURCES=$(realpath -e "${2:?a folder}")
     shift 2
   fi
-  "$LAB_ROOT/scripts/setup.sh"
+  "$LAB_ROOT/scripts/setup.sh" --with catkin
   mkdir -p "$PLATFORM"
   for name in "${@:-${CHECKS[@]}}"; do
     if [[ " ${CHECKS[*]} " != *" $name "* ]]; then

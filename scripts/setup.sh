@@ -7,7 +7,7 @@
 # --download: collect all packages in a folder, for machines without internet and with the same
 #   Debian. --offline: install from such a folder.
 # --remove: delete build/, and name the Debian packages that were installed for it.
-# --no-build: you build the package yourself, in your own catkin workspace.
+# --no-build: you build the package yourself, in your own catkin workspace; installs a compiler.
 # --renew-lock: take the newest versions that requirements*.txt allow into requirements*.lock.
 # Debian packages are installed by apt-get (with sudo unless you are root), Python packages into
 # build/venv; build/ws is a catkin workspace that was made without a compiler. If /opt/ros/noetic
@@ -488,6 +488,7 @@ open_steps() {
 steps_of() {
   printf '%s\n' debian-first debian-base python-base
   if [[ ${1-} == --no-build ]]; then
+    echo debian-catkin
     shift
   else
     echo build
