@@ -1,7 +1,11 @@
 #!/usr/bin/env bash
-# Checks support for Ubuntu 20.04 with ROS in /opt/ros/noetic, as far as other systems can:
-# scripts/platform.sh [--sources DIR] [check …]; by default all checks, in build/platform.
+# Checks other systems: bare Debians, and Ubuntu 20.04 with ROS in /opt/ros/noetic as far as others
+# can: scripts/platform.sh [--sources DIR] [check …]; by default all checks, in build/platform.
 #
+#   debian11, debian12, debian13
+#            a bare system by debootstrap, which needs root: an ordinary user runs the README's two
+#            commands in a clone; the results of squares are those of this machine, to the byte
+#            from Debian 12 on
 #   resolve  PyPI has all required packages for Python 3.8 and Ubuntu 20.04's glibc
 #   newest   the unit tests pass with Python 3.8 and the newest packages for it
 #   lowest   the same, with the lowest versions that requirements.txt allows
@@ -17,7 +21,7 @@ source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 PLATFORM=$LAB_ROOT/build/platform
 UV=$PLATFORM/tools/bin/uv
-CHECKS=(resolve newest lowest catkin)
+CHECKS=(debian11 debian12 debian13 resolve newest lowest catkin)
 GLIBC=2_31
 # The Python packages that ROS's own packages import.
 ROS_NEEDS=(catkin_pkg netifaces pycryptodomex python-gnupg PyYAML rospkg)
@@ -32,6 +36,56 @@ NEED_TF2=(
 get_uv() {
   [[ -x $UV ]] || { /usr/bin/python3 -m venv "$PLATFORM/tools" \
     && "$PLATFORM/tools/bin/python" -m pip install --quiet uv; }
+}
+
+# ---- Bare Debians ----
+
+check_debian11() { check_debian bullseye close; }
+
+check_debian12() { check_debian bookworm same; }
+
+check_debian13() { check_debian trixie same; }
+
+as_root() { if ((EUID)); then sudo "$@"; else "$@"; fi; }
+
+# check_debian SUITE close|same: how near the results must be to this machine's.
+check_debian() {
+  local root=$PLATFORM/$1 file
+  (cd "$PLATFORM" && "$LAB_ROOT/scripts/run.sh" squares)
+  as_root rm -rf --one-file-system "$root"
+  as_root debootstrap --variant=minbase --include=git,sudo,ca-certificates "$1" "$root"
+  as_root chroot "$root" useradd --create-home --shell /bin/bash student
+  echo "student ALL=(ALL) NOPASSWD: ALL" | as_root tee "$root/etc/sudoers.d/student" >/dev/null
+  as_root git clone -q "$LAB_ROOT" "$root/home/student/lab"
+  as_root chroot "$root" chown -R student: /home/student
+  in_debian "$root" "cd lab && time scripts/run.sh squares && scripts/run.sh vision"
+  for file in odom.tum noisy_odom.tum paths.csv paths.png; do
+    "$2"_as_here "results/squares/$file" "$root/home/student/lab"
+  done
+  in_debian "$root" "cd lab && scripts/test.sh"
+}
+
+# in_debian ROOT COMMAND: run a command as the ordinary user; its mounts end with it.
+in_debian() {
+  # shellcheck disable=SC2016
+  as_root unshare --mount --fork bash -c '
+    mount --rbind /dev "$0/dev" && mount --rbind /sys "$0/sys" && mount -t proc proc "$0/proc"
+    cp -L /etc/resolv.conf /etc/hosts "$0/etc/"
+    # Of a network with a certificate of its own.
+    cp -L /etc/ssl/certs/ca-certificates.crt "$0/etc/ssl/certs/"
+    exec chroot "$0" su --login student -c "$1"' "$1" "$2"
+}
+
+same_as_here() { cmp "$PLATFORM/$1" "$2/$1"; }
+
+# A picture may differ.
+close_as_here() {
+  [[ $1 == *.png ]] || "$LAB_VENV/bin/python" - "$PLATFORM/$1" "$2/$1" <<'END'
+import sys
+import numpy as np
+here, there = (np.genfromtxt(file, delimiter="," if file.endswith("csv") else None) for file in sys.argv[1:])
+np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-12)
+END
 }
 
 # ---- Python 3.8 ----

@@ -14,14 +14,14 @@ import json
 import runpy
 import sys
 import tempfile
-from dataclasses import MISSING, is_dataclass
+from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, Iterator
 
 import yaml
 
 from bullet_lab.core.parameters import declarations
-from bullet_lab.ros.launcher.jobs import find_jobs
+from bullet_lab.ros.launcher.jobs import find_jobs, parameter_kinds
 from bullet_lab.simulation.plugins import known_plugins
 
 PACKAGE = Path(__file__).resolve().parents[2]
@@ -40,14 +40,11 @@ def executables() -> Iterator[str]:
     sys.path.insert(0, str(CONTRACT))
     for script in sorted([*(PACKAGE / "scripts").glob("*.py"), CONTRACT / "gazebo_contract.py"]):
         yield f"executable {script.name}"
-        module = runpy.run_path(str(script))["MAIN"].partition(":")[0]
-        kinds = vars(importlib.import_module(module)).values()
-        for kind in kinds:
-            if isinstance(kind, type) and is_dataclass(kind):
-                for entry in declarations(kind).values():
-                    default = "" if entry.default is MISSING else f"={entry.default_text}"
-                    limits = entry.check.allowed
-                    yield f"executable {script.name} {entry.name}{default} [{limits}]"
+        for kind in parameter_kinds(runpy.run_path(str(script))["MAIN"]):
+            for entry in declarations(kind).values():
+                default = "" if entry.default is MISSING else f"={entry.default_text}"
+                limits = entry.check.allowed
+                yield f"executable {script.name} {entry.name}{default} [{limits}]"
 
 
 def types() -> Iterator[str]:

@@ -4,17 +4,21 @@
 import csv
 import json
 import math
+import os
+import re
 import signal
 import tempfile
 import time
 import unittest
 from pathlib import Path
+from unittest import mock
 
 import rospy
 import rostest
-from lab_testing import Node, Topic, odometry, publisher, wait_for
+from lab_testing import PACKAGE, Node, Topic, odometry, publisher, wait_for
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
+from sensor_msgs.msg import Imu
 from std_msgs.msg import Time
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -256,6 +260,34 @@ class PlotNoiseTest(unittest.TestCase):
         self.assertEqual(1, node.wait())
         self.assertEqual(1, len(node.err.splitlines()), node.err)
         self.assertIn("odom.tum", node.err)
+
+    def test_a_report_from_contributing(self):
+        text = (PACKAGE / "CONTRIBUTING.md").read_text()
+        pattern = r"`src/bullet_lab/reports/shake.py`\n\n```python\n(.*?)```"
+        (code,) = re.findall(pattern, text, flags=re.DOTALL)
+        folder = self.out.parents[1]
+        (folder / "shake.py").write_text(code)
+        with mock.patch.dict(os.environ):
+            os.environ["PYTHONPATH"] = f"{folder}:{os.environ['PYTHONPATH']}"
+            node = Node("plot.py", out=self.out, report="shake:ShakeReport")
+        self.addCleanup(node.end)
+        imu = publisher("imu", Imu)
+        self.addCleanup(imu.unregister)
+        for k in range(1, 6):
+            message = Imu()
+            message.header.stamp = rospy.Time(PERIOD * k)
+            message.linear_acceleration.z = 9.8
+            imu.publish(message)
+        wait_for(lambda: len(self.rows("imu.csv")) == 5, lambda: node.err)
+        self.assertEqual(5, self.end(node)["readings"])
+        self.assertTrue((self.out / "shake.png").read_bytes().startswith(PNG))
+
+    def test_a_report_that_is_not_there(self):
+        node = Node("plot.py", out=self.out, report="bullet_lab.reports.nothing:Report")
+        self.addCleanup(node.end)
+        self.assertEqual(1, node.wait())
+        self.assertEqual(1, len(node.err.splitlines()), node.err)
+        self.assertIn("~report is 'bullet_lab.reports.nothing:Report'", node.err)
 
     def test_bad_parameters(self):
         node = Node("plot_noise.py", about="[1]")

@@ -108,6 +108,20 @@ def slip(monkeypatch):
     MODELS.update(before)
 
 
+def test_the_job_is_declared_by_its_launch_file(tmp_path):
+    pytest.importorskip("roslaunch")
+    from bullet_lab.ros.launcher.jobs import read_job
+
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    (code,) = re.findall(r"`launch/shake.launch`\n\n```xml\n(.*?)```", text, flags=re.DOTALL)
+    path = tmp_path / "shake.launch"
+    path.write_text(code)
+    job = read_job(path, ROOT)
+    assert job.summary == "Records how a robot shakes while it drives a side."
+    assert (list(job.arguments), job.smallest) == (["out", "rtf", "side"], "side:=0.2")
+    assert job.arguments["side"].help("")[0] == "side:=2"
+
+
 def test_the_noise_model_is_studied(slip, tmp_path):
     named("noise/odometry_noise", "SlipRule")
     assert rule_of("slip", {"slip": 0.5}).slip == 0.5

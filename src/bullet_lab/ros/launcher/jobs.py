@@ -25,13 +25,14 @@ The constant ``smallest`` holds the arguments of the smallest useful run.
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib
 import os
 import re
 import runpy
 from dataclasses import MISSING, is_dataclass
 from pathlib import Path
-from typing import Any, Iterable, Iterator, NamedTuple
+from typing import Any, Iterable, Iterator, NamedTuple, get_type_hints
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core import parameters
@@ -55,20 +56,35 @@ class UsageError(LabError):
     """A wrong command line or a wrong launch file."""
 
 
-class Target(NamedTuple):
-    """A parameter that an argument sets: its name, and the module of the node that has it."""
+def parameter_kinds(main: str) -> list[type]:
+    """Return the dataclasses with the parameters of a program, "module" or "module:function".
 
-    module: str
+    Raises ImportError if a library is missing.
+    """
+    module, _, function = main.partition(":")
+    members = vars(importlib.import_module(module))
+    program = members.get(function or "main")
+    if isinstance(program, functools.partial):
+        # `studies.study.run_from` with the name, the description and the settings of a study.
+        return list(program.args[2])
+    if hasattr(program, "__wrapped__"):
+        return [get_type_hints(program.__wrapped__)["parameters"]]
+    return [kind for kind in members.values() if isinstance(kind, type) and is_dataclass(kind)]
+
+
+class Target(NamedTuple):
+    """A parameter that an argument sets: its name, and the program that has it."""
+
+    main: str
     parameter: str
 
     def declaration(self) -> Declaration | None:
         """Return the node's declaration; None if the node cannot be imported or has none."""
         try:
-            members = vars(importlib.import_module(self.module)).values()
+            kinds = parameter_kinds(self.main)
         except ImportError:
             # The node reports that itself, with the library that is missing.
             return None
-        kinds = (member for member in members if isinstance(member, type) and is_dataclass(member))
         known = (declarations(kind).get(self.parameter) for kind in kinds)
         return next((declaration for declaration in known if declaration), None)
 
@@ -226,12 +242,12 @@ def _targets(root: Element, package: Path, files: tuple[Path, ...]) -> Iterator[
     `files` are this file and those that include it: one that includes itself adds nothing.
     """
     for node in root.iter("node"):
-        module = _module_of(node.get("type", ""), package)
-        if node.get("pkg") == _PACKAGE and module:
+        main = _main_of(node.get("type", ""), package)
+        if node.get("pkg") == _PACKAGE and main:
             for param in node.iter("param"):
-                yield _argument_of(param), Target(module, param.get("name", ""))
+                yield _argument_of(param), Target(main, param.get("name", ""))
             for option, argument in _OPTION.findall(node.get("args", "")):
-                yield argument, Target(module, option.replace("-", "_"))
+                yield argument, Target(main, option.replace("-", "_"))
     for include in root.iter("include"):
         path = Path(include.get("file", "").replace(f"$(find {_PACKAGE})", str(package)))
         if path not in files and os.path.isfile(path):
@@ -248,14 +264,14 @@ def _argument_of(element: Element) -> str:
     return whole[1] if whole else ""
 
 
-def _module_of(executable: str, package: Path) -> str:
-    """Return the module that an executable of the package runs; empty for other executables."""
+def _main_of(executable: str, package: Path) -> str:
+    """Return what an executable of the package runs; empty for other executables."""
     # In the sources, and where it is installed.
     for folder in (package / "scripts", package.parent.parent / "lib" / _PACKAGE):
         path = folder / os.path.basename(executable)
         # Of a Path, `is_file` raises OSError for a name that is too long.
         if path.suffix == ".py" and os.path.isfile(path):
-            return runpy.run_path(str(path)).get("MAIN", "").partition(":")[0]
+            return runpy.run_path(str(path)).get("MAIN", "")
     return ""
 
 

@@ -10,6 +10,7 @@ nodes also every ~plot_period.
 
 from __future__ import annotations
 
+import importlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -152,6 +153,29 @@ def plot_noise(parameters: PlotNoiseParameters) -> None:
     view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
     report = SquaresReport(Path(parameters.out))
     Recorder(report, parameters, "odom and noisy_odom", view).run()
+
+
+@dataclass(frozen=True)
+class PlotParameters(TimedParameters):
+    """Private parameters of plot."""
+
+    report: str = text("", "class of the report, such as bullet_lab.reports.shake:ShakeReport")
+
+
+@node
+def plot(parameters: PlotParameters) -> None:
+    """Record and plot by any report that needs no parameters.
+
+    :ROS Subscribers: the topics of the report
+
+    Writes the files of the report and summary.json. Raises NodeError if there is no such report.
+    """
+    module, _, name = parameters.report.partition(":")
+    try:
+        report = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise NodeError(f"~report is '{parameters.report}': {error}") from error
+    Recorder(report(Path(parameters.out)), parameters, "the topics of the report").run()
 
 
 @dataclass(frozen=True)
