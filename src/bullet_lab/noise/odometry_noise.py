@@ -89,7 +89,7 @@ class NoiseRule(abc.ABC):
 
     A model is one such class, a frozen dataclass below `register`. Its fields, declared with
     `bullet_lab.core.parameters.number`, are >= 0 and parameters of noisy_odom; models share
-    parameters of the same name. Whoever reads a value from a user checks it; the rule does not
+    parameters of the same name. A value is checked where it is read from a user; the rule does not
     check it again. Studies choose a level of noise by `at_level`.
 
     Attributes:

@@ -44,7 +44,7 @@ def read_command(text: Any) -> Tuple[float, Shares]:
     return stamp, (max(-1.0, min(1.0, forward)), max(-1.0, min(1.0, left)))
 
 
-class Wheel:
+class DriverSeat:
     """Lets one tab drive: the first that asks, until it is closed or another one takes over.
 
     Args:
@@ -87,7 +87,7 @@ class Wheel:
 class Pad:
     """The pad of one tab, while its socket is open."""
 
-    def __init__(self, tab: str, wheel: Wheel):
+    def __init__(self, tab: str, wheel: DriverSeat):
         self._tab = tab
         self._wheel = wheel
         self._ends: Optional[float] = None

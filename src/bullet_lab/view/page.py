@@ -18,7 +18,7 @@ from typing import Any, Callable, Iterator, Optional
 
 from bullet_lab.errors import LabError
 from bullet_lab.view.gate import Gate, is_valid_message
-from bullet_lab.view.pad import PERIOD, Pad, Wheel
+from bullet_lab.view.pad import PERIOD, DriverSeat, Pad
 
 HOST = "127.0.0.1"
 DRIVE = "drive"
@@ -57,7 +57,7 @@ class Page:
         ViewError: viser is missing, or its version does not call the gate.
     """
 
-    def __init__(self, port: int, wheel: Wheel):
+    def __init__(self, port: int, wheel: DriverSeat):
         self._gate = Gate()
         self._wheel = wheel
         self._serve_page: Optional[Callable] = None

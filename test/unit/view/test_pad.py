@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bullet_lab.view.pad import HOLD, PERIOD, STILL, TAKE_OVER, Pad, Wheel, read_command
+from bullet_lab.view.pad import HOLD, PERIOD, STILL, TAKE_OVER, DriverSeat, Pad, read_command
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def driven():
 
 @pytest.fixture
 def wheel(driven):
-    return Wheel(lambda tab, shares: driven.append((tab, shares)))
+    return DriverSeat(lambda tab, shares: driven.append((tab, shares)))
 
 
 @pytest.mark.parametrize(

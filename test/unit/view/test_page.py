@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from bullet_lab.view.pad import STILL, Wheel
+from bullet_lab.view.pad import STILL, DriverSeat
 from bullet_lab.view.page import Page
 
 
@@ -20,7 +20,7 @@ class Driven:
 
     def __init__(self):
         self.sent = []
-        self.page = Page(18200, Wheel(lambda tab, shares: self.sent.append(shares)))
+        self.page = Page(18200, DriverSeat(lambda tab, shares: self.sent.append(shares)))
         self.origin = self.page.url.rsplit("/", 2)[0]
 
     def socket(self, path="tab/drive", **options):
@@ -117,6 +117,6 @@ def test_16_mb_of_text_drive_nothing_and_harm_nobody(driven):
 
 
 def test_a_page_that_is_taken_moves_on_to_the_next_port(driven):
-    second = Page(18200, Wheel(print))
+    second = Page(18200, DriverSeat(print))
     assert second.url.rsplit("/", 2)[0] != driven.origin
     second.close()

@@ -1,4 +1,4 @@
-"""What nodes that drive share: commands that can be stopped, action servers, and their loop."""
+"""Commands that can be stopped, action servers, and the loop of nodes that drive."""
 
 from __future__ import annotations
 

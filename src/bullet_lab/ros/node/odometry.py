@@ -1,4 +1,4 @@
-"""What nodes receive: checked odometry, queues of messages, and transforms between frames."""
+"""Checked odometry, queues of messages, and transforms between frames."""
 
 from __future__ import annotations
 

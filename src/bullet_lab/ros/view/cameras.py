@@ -1,4 +1,4 @@
-"""What cameras publish: images, and clouds of points from depth cameras and turning lasers."""
+"""Displays of images, and of clouds of points from depth cameras and turning lasers."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def read_transforms(message: TFMessage) -> List[Tuple[str, str, Pose]]:
     return found
 
 
-class Frames:
+class FramesDisplay:
     """Reads TF into the context's tree, and shows the axes and names of all frames."""
 
     def __init__(self, context: DisplayContext):

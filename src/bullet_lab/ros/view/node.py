@@ -27,7 +27,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
 from bullet_lab.ros.view.panel import Driver, Panel, TabControls
 from bullet_lab.ros.view.show import OFF_AT_FIRST, SWITCHES, Show
-from bullet_lab.view.pad import Wheel
+from bullet_lab.view.pad import DriverSeat
 from bullet_lab.view.page import Page
 from bullet_lab.view.scene import floor_point
 
@@ -62,7 +62,7 @@ class ViewParameters:
     )
 
 
-class View:
+class ViewNode:
     """The page, and all that is shown while it is open."""
 
     def __init__(self, given: ViewParameters):
@@ -70,8 +70,8 @@ class View:
         self._driver = Driver()
         # By the id of viser's client, in the order in which they were opened.
         self._tabs: Dict[int, TabControls] = {}
-        self._wheel = Wheel(lambda tab, shares: self._driver.drive(self._controls(tab), shares))
-        self._page = Page(given.port, self._wheel)
+        self._seat = DriverSeat(lambda tab, shares: self._driver.drive(self._controls(tab), shares))
+        self._page = Page(given.port, self._seat)
         server = self._page.server
         self._panel = Panel(server.gui, SWITCHES, OFF_AT_FIRST)
         self._show: Optional[Show] = None
@@ -163,7 +163,7 @@ class View:
         controls = self._tabs.get(event.client_id)
         if controls is None:
             return
-        if not self._wheel.claim(controls.tab):
+        if not self._seat.claim(controls.tab):
             controls.status.show("another page drives: click on the pad to take over")
             return
         topic = controls.drive_topic
@@ -190,6 +190,6 @@ def run_view(name: str) -> None:
         ignore_clock()
         # The simulator has already reported what is wrong with the world.
         logging.getLogger("bullet_lab.simulation").setLevel(logging.ERROR)
-        View(given).run()
+        ViewNode(given).run()
 
     run_node(name, body)

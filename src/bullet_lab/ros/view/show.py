@@ -26,7 +26,7 @@ from bullet_lab.ros.view.displays import (
     closest,
     has_no_path,
 )
-from bullet_lab.ros.view.frames import DisplayContext, Frames
+from bullet_lab.ros.view.frames import DisplayContext, FramesDisplay
 from bullet_lab.ros.view.markers import (
     MarkersDisplay,
     WorldDisplay,
@@ -176,7 +176,7 @@ class Show:
         self.context = DisplayContext(scene, fixed=frame or "world")
         self.graph = NO_GRAPH
         self._clock = Clock()
-        self._frames = Frames(self.context)
+        self._frames = FramesDisplay(self.context)
         self._world: Optional[WorldDisplay] = None
         self._robots: Optional[Robots] = None
         self._displays = [Displays(kind, self.context) for kind in KINDS]

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle, Polygon, Rectangle, Wedge
 from numpy import ndarray
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
-from bullet_lab.studies.detection_range.trial import Snapshot
+from bullet_lab.studies.detection_range.trial import MarkerImage
 from bullet_lab.studies.results import Record, panels
 from bullet_lab.studies.worlds import DEFAULT_LIGHT
 
@@ -83,7 +83,7 @@ def _colour(row: Record) -> str:
 def range_figure(
     rows: Sequence[Record],
     summary: Mapping[str, Any],
-    pictures: Mapping[tuple[str, float], Snapshot],
+    pictures: Mapping[tuple[str, float], MarkerImage],
 ) -> Figure:
     """Draw the answer to the report's question: how close, how far.
 
@@ -224,7 +224,7 @@ def _chosen(distances: Sequence[float], ends: Ends) -> Sequence[float]:
     return list(dict.fromkeys([inside[0], inside[len(inside) // 2], inside[-1], *beyond]))
 
 
-def _show_picture(axes: Axes, snapshot: Snapshot) -> None:
+def _show_picture(axes: Axes, snapshot: MarkerImage) -> None:
     picture = cv2.imdecode(np.frombuffer(snapshot.png, np.uint8), cv2.IMREAD_GRAYSCALE)
     axes.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
     axes.set_xticks([])

@@ -103,14 +103,14 @@ class Cell:
         return (*words, round(1e6 * self.distance), round(1e6 * self.bearing))
 
 
-class Shot(NamedTuple):
+class CameraShot(NamedTuple):
     """A pose of the camera, and the number of its image."""
 
     pose: Pose
     number: int
 
 
-def cell_shots(cell: Cell, frames: int, seed: int) -> list[Shot]:
+def cell_shots(cell: Cell, frames: int, seed: int) -> list[CameraShot]:
     """Return jittered camera poses for a cell, on the left and the right side in turn.
 
     They depend on the cell and the seed only. The camera faces the marker, with a small error.
@@ -119,11 +119,11 @@ def cell_shots(cell: Cell, frames: int, seed: int) -> list[Shot]:
     return [_shot(cell, (-1.0) ** index, rng) for index in range(frames)]
 
 
-def strewn_shots(world: str, frames: int, seed: int, block: int) -> list[Shot]:
+def strewn_shots(world: str, frames: int, seed: int, block: int) -> list[CameraShot]:
     """Return camera poses all over a world, at random distances and bearings."""
     key = (crc32(world.encode()), block)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-    found: list[Shot] = []
+    found: list[CameraShot] = []
     while len(found) < frames:
         distance, bearing = rng.uniform(*STREWN_DISTANCES), rng.uniform(*STREWN_BEARINGS)
         cell = Cell(world, DEFAULT_LIGHT, distance, bearing)
@@ -134,12 +134,12 @@ def strewn_shots(world: str, frames: int, seed: int, block: int) -> list[Shot]:
 
 def _shot(
     cell: Cell, side: float, rng: np.random.Generator, astray: float = HEADING_JITTER
-) -> Shot:
+) -> CameraShot:
     share, most = DISTANCE_JITTER
     reach = min(share * cell.distance, most)
     off, aside, turned = rng.uniform(-1.0, 1.0, 3) * (reach, BEARING_JITTER, astray)
     bearing = side * cell.bearing + aside
-    return Shot(camera_pose(cell.distance + off, bearing, turned), int(rng.integers(2**31)))
+    return CameraShot(camera_pose(cell.distance + off, bearing, turned), int(rng.integers(2**31)))
 
 
 def camera_pose(distance: float, bearing: float, turned: float = 0.0) -> Pose:
@@ -262,7 +262,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class MarkerImage:
     """An image as PNG, and the (n, 4, 2) corners of the markers found in it, in pixels."""
 
     png: bytes
@@ -285,7 +285,7 @@ class CellResult:
     visible: bool
     frames: tuple[Frame, ...]
     pixels_per_cell: float
-    snapshot: Snapshot | None = None
+    snapshot: MarkerImage | None = None
 
     def row(self) -> dict[str, Any]:
         """Return the row of the table; without finds, the errors are None."""
@@ -353,7 +353,7 @@ def _free_camera(world: str, light: str, seed: int) -> FreeCamera:
 
 
 def _observed(
-    camera: FreeCamera, world: str, shot: Shot
+    camera: FreeCamera, world: str, shot: CameraShot
 ) -> tuple[ndarray, list[ObservedMarker]]:
     """Take an image and return it with the markers found."""
     observer = MarkerObserver(DetectorSettings(DICTIONARY), WORLDS[world].wanted.size)
@@ -361,13 +361,13 @@ def _observed(
     return picture, observer.observe(picture, camera.camera).markers
 
 
-def _snapshot(camera: FreeCamera, world: str, shot: Shot) -> Snapshot:
+def _snapshot(camera: FreeCamera, world: str, shot: CameraShot) -> MarkerImage:
     picture, markers = _observed(camera, world, shot)
     png = cv2.imencode(".png", picture)[1].tobytes()
-    return Snapshot(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
+    return MarkerImage(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
 
 
-def _judged(camera: FreeCamera, world: str, shot: Shot) -> Frame:
+def _judged(camera: FreeCamera, world: str, shot: CameraShot) -> Frame:
     _, markers = _observed(camera, world, shot)
     known = WORLDS[world]
     return judge(markers, shot.pose, known.wanted, known.others, camera.camera)

@@ -24,7 +24,7 @@ def test_topics_are_updated_each_second_however_long_an_update_takes(
 
     monkeypatch.setattr(show, "time", clock)
     monkeypatch.setattr(show, "Subscription", mock.MagicMock())
-    monkeypatch.setattr(show, "Frames", mock.MagicMock())
+    monkeypatch.setattr(show, "FramesDisplay", mock.MagicMock())
     monkeypatch.setattr(show.Show, "_update", update)
     shown = show.Show(mock.MagicMock(), mock.MagicMock(), list, "world", 10.0)
     while clock.now < 60.0:

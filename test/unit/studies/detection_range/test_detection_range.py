@@ -28,8 +28,8 @@ from bullet_lab.studies.detection_range.trial import (
     Cell,
     CellResult,
     Frame,
+    MarkerImage,
     PrintedMarker,
-    Snapshot,
     camera_pose,
     in_optical_frame,
     judge,
@@ -189,7 +189,7 @@ def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_the
     rows = rows_of({0.5: 1.0, 1.0: 1.0, 2.0: 1.0, 3.0: 0.2, 4.0: 0.0})
     png = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes()
     corners = np.array([[[300, 200], [340, 200], [340, 240], [300, 240]]], dtype=float)
-    found, missed = Snapshot(png, corners), Snapshot(png, np.zeros((0, 4, 2)))
+    found, missed = MarkerImage(png, corners), MarkerImage(png, np.zeros((0, 4, 2)))
     pictures = {
         ("marker_panel", row["distance_m"]): found if row["found"] > 10 else missed for row in rows
     }
