@@ -43,6 +43,10 @@ PYTHON
 # declared twice, and <include> has no <pose>.
 check_sdf() {
   local given=(/usr/share/sdformat*/1.6) schema=$LAB_DIR/sdformat
+  if [[ ! -e ${given[-1]} ]]; then
+    echo "lint sdf: skipped, this Debian has no package sdformat-sdf"
+    return
+  fi
   rm -rf "$schema"
   cp -r "${given[-1]}" "$schema"
   cp test/schema/*.xsd "$schema"
