@@ -54,7 +54,7 @@ class PinholeCamera:
             raise PinholeError(f"size {self.width} x {self.height} pixels; both must be >= 1")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(map(math.isfinite, numbers)) or len(self.distortion) != 5:
-            raise PinholeError(f"{numbers}; 4 intrinsics and 5 distortions must be finite")
+            raise PinholeError(f"{numbers}; needs 4 intrinsics and 5 distortions, all finite")
         if self.fx <= 0.0 or self.fy <= 0.0:
             raise PinholeError(f"focal lengths {self.fx:g}, {self.fy:g}; both must be > 0")
 

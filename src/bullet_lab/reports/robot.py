@@ -187,7 +187,7 @@ class Leg:
     causes: Sequence[str] = ()
 
     def true(self) -> float:
-        """Return how far the robot has come, by the truth."""
+        """Return the true distance (m) or turn (rad) so far."""
         return self.truth.figures()[self.quantity]
 
     def is_done(self, odometry_pauses: bool) -> bool:

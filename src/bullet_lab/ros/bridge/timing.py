@@ -171,7 +171,8 @@ class LoopWatch:
         waiting = self._spent.pop(WAITING, 0.0) / seconds
         shares = {what: spent / seconds for what, spent in self._spent.most_common()}
         causes = Counter({what: s for what, s in shares.items() if s >= SMALLEST_CAUSE})
-        rest = 1.0 - waiting - sum(causes.values())
+        # Rounded, as Python 3.12 sums floats otherwise.
+        rest = round(1.0 - waiting - sum(causes.values()), 9)
         if rest >= SMALLEST_CAUSE:
             causes[OTHERS] = rest
         return tuple(causes.most_common())

@@ -194,7 +194,7 @@ class Launch:
         self._groups = [process.pid for process in self._parent.pm.procs if process.pid > 0]
         failed = [node.name for node in self._config.nodes if not node.process_name]
         if failed:
-            raise roslaunch.RLException(f"cannot start {', '.join(failed)}")
+            raise roslaunch.RLException(f"cannot start the nodes {', '.join(failed)}")
 
     def __exit__(self, *_) -> None:
         """Stop all nodes: by SIGINT, then SIGTERM, then SIGKILL.

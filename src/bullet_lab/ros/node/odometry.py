@@ -293,8 +293,8 @@ class CarefulBuffer(tf2_ros.Buffer):
 class FrameFinder:
     """Transforms poses from one frame to another by the newest transforms of TF.
 
-    With `wait`, a missing transform is waited for. The thread that drives uses `wait=False`: it
-    waits in lock step only, where simulated time does not advance meanwhile.
+    With `wait`, it waits for a missing transform. The thread that drives uses `wait=False`, which
+    waits only in lock step, where simulated time stands still meanwhile.
     """
 
     def __init__(self):

@@ -118,7 +118,7 @@ class PlaceBeaconParameters:
 
 
 def places_of(parameters: PopulateParameters) -> List[se2.PlanarPose]:
-    """Return the poses of the models, without the displacement ~origin."""
+    """Return the poses of the models in the frame that ~origin gives."""
     if parameters.pattern == "line":
         return se2.line(parameters.count, parameters.spacing)
     if parameters.pattern == "grid":

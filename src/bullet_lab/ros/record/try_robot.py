@@ -162,7 +162,7 @@ class Trial:
         try:
             self._report.picture = photograph(*box, self._rate.sleep, round(COMMANDS * STAND))
         except LabError as error:
-            rospy.logwarn("no picture of the robot: %s", error)
+            rospy.logwarn("continuing without a picture of the robot: %s", error)
 
     def _model(self) -> ModelDescription:
         (model,) = described(self._name).models

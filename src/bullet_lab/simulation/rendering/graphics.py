@@ -229,7 +229,7 @@ class Graphics:
                 target.buffer.set_active(False)
 
     def remove(self, target: Canvas) -> None:
-        """Release a target."""
+        """Remove a canvas, and free its memory."""
         self._with_context(self._engine.remove_window, target.buffer)
         target.texture.release_all()
 

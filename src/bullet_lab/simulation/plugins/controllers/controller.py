@@ -180,7 +180,7 @@ class JointTargets(Controller):
         else:
             kind, names = JointCommand, (given.get("joint", ""),)
             if not names[0]:
-                raise ControlError(f"{given.where}/joint names no joint")
+                raise ControlError(f"{given.where}/joint is missing or empty; it must name a joint")
         self.joints = self.find_joints(names)
         self.inputs = (Input(self.topic("command"), kind, self.command),)
         self.targets: Tuple[float, ...] = (0.0,) * len(names)

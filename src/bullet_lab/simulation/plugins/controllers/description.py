@@ -74,7 +74,7 @@ class ControlParameters:
         """Return a list of names; raises ControlError if there are none."""
         found = self.names(path)
         if not found:
-            raise ControlError(f"{self.where}/{path} names no joint")
+            raise ControlError(f"{self.where}/{path} is missing or empty; it must name joints")
         return found
 
     def numbers(self, path: str, count: int) -> Tuple[float, ...]:

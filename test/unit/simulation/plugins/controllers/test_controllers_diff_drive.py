@@ -257,7 +257,7 @@ def test_a_reset_begins_again(world):
 @pytest.mark.parametrize(
     ("parameters", "complaint"),
     [
-        ({"left_wheel": []}, "left_wheel names no joint"),
+        ({"left_wheel": []}, "left_wheel is missing or empty"),
         ({"left_wheel": ["left_wheel_joint", "x"]}, "2 wheels on the left, 1 on the right"),
         ({"left_wheel": "turntable_joint"}, "no joint 'turntable_joint' has a Velocity"),
         ({"pose_covariance_diagonal": [1.0]}, "list of 6 numbers"),
