@@ -387,6 +387,8 @@ class TutorialsTest(unittest.TestCase):
         folder = Path(kept.name)
         with VirtualScreen(folder / "log", folder / "screen.png"):
             status, out, err = in_course("marker_window.py")
+        if "no attribute 'Dictionary_get'" in err:
+            self.skipTest("Debian 13's OpenCV has no old marker functions: docs/course_code.md")
         self.assertEqual(0, status, f"{out}\n{err}")
         self.assertIn("opencv: 4\nmarker: [[7]] 1\nwindow: True\n", out)
         self.assertIn("laser: 0.100 0.000 0.300\nturned: 0.000\n", out)
