@@ -163,12 +163,15 @@ def test_panels_that_come_and_go_leave_no_memory_behind(tmp_path):
                 simulation.remove("panel")
                 look(simulation)
 
+        def growth(count):
+            before = resident_megabytes()
+            come_and_go(count)
+            return resident_megabytes() - before
+
         come_and_go(15)
-        before = resident_megabytes()
-        come_and_go(40)
         # Of 34 MB: a texture with its smaller copies has 0.85 MB. The allocator of a process that
-        # has run other tests moves by several.
-        assert resident_megabytes() - before < 15.0
+        # has run other tests may move by as much once; what leaks grows each time.
+        assert any(growth(40) < 15.0 for _ in range(3))
 
 
 def test_shadow_maps_that_are_gone_leave_no_memory_behind():
