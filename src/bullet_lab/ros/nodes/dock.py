@@ -29,7 +29,7 @@ import rospy
 import tf2_ros
 from actionlib import ServerGoalHandle
 from actionlib_msgs.msg import GoalStatus
-from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Twist, Vector3
+from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo
@@ -68,12 +68,10 @@ from bullet_lab.msg import (
 )
 from bullet_lab.ros.messages import images
 from bullet_lab.ros.messages.poses import InputError, pose_of, stamped_pose
-from bullet_lab.ros.node.driving import GoalServer, StoppableSender
-from bullet_lab.ros.node.lock_step import rate
+from bullet_lab.ros.node.driving import GoalNode, GoalServer
 from bullet_lab.ros.node.node import node
 from bullet_lab.ros.node.odometry import (
     FrameError,
-    FrameFinder,
     MessageQueue,
     own_frame,
     planar_pose,
@@ -285,7 +283,7 @@ def _missing(queue: MessageQueue) -> str:
     return f"{queue.topic}: {queue.trouble or 'no messages'}"
 
 
-class DockNode:
+class DockNode(GoalNode):
     """Pursues one goal of the two actions at a time.
 
     Goals and cancellations come in threads of actionlib, where they only stop the robot; the loop
@@ -307,13 +305,10 @@ class DockNode:
         self._detections = MessageQueue(
             parameters.detections, MarkerDetectionArray, sightings_of, images_per_second
         )
-        self._queues = (self._odometry, self._camera_info, self._detections)
-        self._commands = publisher(parameters.cmd_vel, Twist)
-        self._sender = StoppableSender(self._commands)
-        rospy.on_shutdown(self._sender.end)
+        queues = (self._odometry, self._camera_info, self._detections)
+        super().__init__(parameters.cmd_vel, queues)
         self._finished = publisher("~finished", Time, latch=True)
         self._topics = DockTopics(own_frame(parameters.dock_frame))
-        self._frames = FrameFinder()
         self._frame = ""
         # The frame of the camera, and its calibration.
         self._camera: tuple[str, PinholeCamera] | None = None
@@ -324,33 +319,18 @@ class DockNode:
         self._task: DockingTask | UndockingTask | None = None
         self._begun = 0.0
         callbacks = (self._stop_for_new_goal, self._sender.stop)
-        self._servers = (
+        self._servers = [
             GoalServer("dock", DockAction, *callbacks),
             GoalServer("undock", UndockAction, *callbacks),
-        )
-
-    def run(self) -> None:
-        """Serve until ROS shuts down."""
-        ticks = rate(self._parameters.rate, self._is_connected, "odometry, camera and the bridge")
+        ]
         for server in self._servers:
             server.start()
-        last = ticks.now
-        while not rospy.is_shutdown():
-            ticks.sleep()
-            if ticks.now < last:
-                self._time_was_set_back()
-            last = ticks.now
-            self._tick(ticks.now)
-
-    def _is_connected(self) -> bool:
-        has_input = all(queue.is_connected() for queue in self._queues)
-        return has_input and self._commands.has_connections()
 
     def _stop_for_new_goal(self, _: ServerGoalHandle) -> None:
         if self._server is not None:
             self._sender.stop()
 
-    def _tick(self, now: rospy.Time) -> None:
+    def _tick(self, now: rospy.Time, seconds: float) -> None:
         ticket = self._sender.ticket()
         self._handle_requests(now)
         for queue in self._queues:
@@ -487,11 +467,7 @@ class DockNode:
         self._finished.publish(Time(now))
 
     def _time_was_set_back(self) -> None:
-        for queue in self._queues:
-            queue.clear()
-        for server in self._servers:
-            server.forget_cancels()
-        self._frames.clear()
+        super()._time_was_set_back()
         self._last_dock = None
         if self._server is not None:
             message = "simulated time was set back"
@@ -501,4 +477,4 @@ class DockNode:
 @node
 def dock(parameters: DockParameters) -> None:
     """Run until ROS shuts down."""
-    DockNode(parameters).run()
+    DockNode(parameters).run(parameters.rate, "odometry, camera and the bridge")
