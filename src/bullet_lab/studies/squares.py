@@ -15,7 +15,7 @@ import numpy as np
 
 from bullet_lab.core.figures import save
 from bullet_lab.core.files import write_json
-from bullet_lab.core.parameters import boolean, choice, integer, number
+from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
@@ -117,8 +117,14 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
     The same settings give the same files, byte for byte.
 
     Raises:
-        LabError: the folder cannot be written to.
+        LabError: a setting is invalid, or the folder cannot be written to.
     """
+    check_parameters(settings)
+    return _run_squares(folder, settings)
+
+
+def _run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
+    """Run with settings that have been checked."""
     noisy = _noise(settings)
     recording = SquaresReport(folder)
     drive = drive_square(Square(), settings.mode)
@@ -159,7 +165,7 @@ def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], List[P
 
 
 def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> None:
-    run_squares(folder, settings)
+    _run_squares(folder, settings)
 
 
 main = functools.partial(run_from, "squares", __doc__, (SquaresSettings,), _run)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_published_noise import drive
 
 from bullet_lab.core import se2
 from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
@@ -35,15 +36,6 @@ PYTHON = SimpleNamespace(
 )
 CORNER = (7, (0.0, 0.0, math.radians(-90.3) / 7))
 REST = (5, (0.0, 0.0, 0.0))
-
-
-def drive(start, *legs):
-    """Return the poses of a drive; a leg is a number of equal steps and the step."""
-    poses = [np.array(start, dtype=float)]
-    for count, step in legs:
-        for _ in range(count):
-            poses.append(se2.compose(poses[-1], step))
-    return np.array(poses)
 
 
 def square(start=(0.0, 0.0, 0.0)):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from bullet_lab.core import parameters
-from bullet_lab.core.parameters import read_parameters
+from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies import squares
 from bullet_lab.studies.study import UnfinishedError
@@ -64,6 +64,11 @@ def test_in_the_squares_in_one_process(monkeypatch, capfd, tmp_path, checks, as_
         squares.main([str(tmp_path / "out"), *words])
     assert "the noise is there" in capfd.readouterr().err
     assert checks == [str(STD)]
+
+
+def test_settings_made_in_python_are_checked(tmp_path):
+    with pytest.raises(ParameterError, match="std"):
+        squares.run_squares(tmp_path, squares.SquaresSettings(std=-1.0))
 
 
 @pytest.mark.parametrize("model", MODELS)

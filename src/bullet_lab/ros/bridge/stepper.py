@@ -67,6 +67,7 @@ class Stepper:
         after_steps: called after each stride, before waiting threads see its end.
         paused: whether time is paused.
         epoch: 1 plus the number of resets, of the world or of time.
+        watch: measures the speed.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class Stepper:
         # Requests for steps: how many are left, and the future with the step reached.
         self._advances: Deque[Tuple[int, futures.Future]] = deque()
         self._is_over, self._report_stall, self._report_lag = is_over, report_stall, report_lag
-        self._watch = watch or LoopWatch()
+        self.watch = watch or LoopWatch()
         self._reached = simulation.step
         self._stride = STEPS_AT_A_TIME
         self._stalled_since: Optional[float] = None
@@ -254,14 +255,14 @@ class Stepper:
                 self._restart()
             self.pace.restart(step)
             self._watch_the_stall()
-            with self._watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
+            with self.watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
                 self._wait(LONGEST_WAIT, wakeups)
             return
         self._stalled_since = None
         due = self.pace.due(step)
         if due <= step:
             wait = self.pace.seconds_until(step + self._tick)
-            with self._watch.doing(WAITING):
+            with self.watch.doing(WAITING):
                 self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
         self._run_until(min(limit, due, step + self._stride))
@@ -272,9 +273,9 @@ class Stepper:
 
     def _run_until(self, step: float) -> None:
         before, start = self.simulation.step, time.perf_counter()
-        with self._watch.doing("steps"):
+        with self.watch.doing("steps"):
             self.simulation.run_until(int(max(before, step)))
-        with self._watch.doing("handing messages to subscribers"):
+        with self.watch.doing("handing messages to subscribers"):
             self.after_steps()
         self._reached = self.simulation.step
         if self._reached > before:
@@ -294,7 +295,7 @@ class Stepper:
         # Only the present ones: steps are made however many new tasks come.
         for _ in range(self._tasks.qsize()):
             result, action = self._tasks.get()
-            with self._watch.doing("services"):
+            with self.watch.doing("services"):
                 try:
                     result.set_result(action())
                 except Exception as error:
@@ -316,16 +317,16 @@ class Stepper:
     def _restart(self) -> None:
         """Measure the speed from now on."""
         self.pace.restart(self.simulation.step)
-        self._watch.restart(self.simulation.step)
+        self.watch.restart(self.simulation.step)
         self.simulation.take_spent()
 
     def _watch_the_speed(self) -> None:
-        if not self._watch.due:
+        if not self.watch.due:
             return
         for what, seconds in self.simulation.take_spent().items():
-            self._watch.spend(what, seconds)
-            self._watch.spend("steps", -seconds)
-        lag = self._watch.measure(self.simulation.step, self.pace.real_time_factor)
+            self.watch.spend(what, seconds)
+            self.watch.spend("steps", -seconds)
+        lag = self.watch.measure(self.simulation.step, self.pace.real_time_factor)
         if lag is not None:
             self._report_lag(lag)
 

@@ -112,7 +112,9 @@ class LoopWatch:
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
         self._spent: Counter = Counter()
-        self._activity: Optional[str] = None
+        # What the loop does now, and since when.
+        self._busy: Optional[Tuple[str, float]] = None
+        self._stuck_reported = clock()
         self._silence, self._lag_reported = WINDOW, -math.inf
         self.restart(0)
 
@@ -124,16 +126,17 @@ class LoopWatch:
     @contextlib.contextmanager
     def doing(self, what: str) -> Iterator[None]:
         """Measure the wall time of an activity; activities may be nested."""
-        outer, start = self._activity, self._clock()
-        self._activity = what
+        outer, start = self._busy, self._clock()
+        self._busy = (what, start)
         try:
             yield
         finally:
-            self._activity = outer
-            seconds = self._clock() - start
-            self.spend(what, seconds)
+            now = self._clock()
+            self.spend(what, now - start)
             if outer is not None:
-                self.spend(outer, -seconds)
+                self.spend(outer[0], start - now)
+            # The outer activity goes on from now: the loop is not stuck in it.
+            self._busy = outer and (outer[0], now)
 
     def spend(self, what: str, seconds: float) -> None:
         """Add wall seconds to an activity."""
@@ -165,6 +168,17 @@ class LoopWatch:
             self._silence = min(2.0 * self._silence, LONGEST_SILENCE)
         self._lag_reported = now
         return lag
+
+    def stuck(self) -> Optional[Tuple[str, float]]:
+        """Return the activity in which the loop is stuck, and for how many wall seconds.
+
+        None if it is not stuck, or if that was reported less than `WINDOW` ago.
+        """
+        busy, now = self._busy, self._clock()
+        if busy is None or now - busy[1] < WINDOW or now - self._stuck_reported < WINDOW:
+            return None
+        self._stuck_reported = now
+        return busy[0], now - busy[1]
 
     def _causes(self, seconds: float) -> Tuple[Tuple[str, float], ...]:
         """Return the activities that took a large share of the time, with their shares."""

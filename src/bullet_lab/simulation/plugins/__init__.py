@@ -14,6 +14,7 @@ import importlib
 import logging
 import pkgutil
 import re
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, Callable, ClassVar, Mapping
 from zlib import crc32
@@ -318,7 +319,7 @@ class Plugin:
         """Start anew after a reset of the model; simulated time is now `step`."""
 
 
-class Sensor(Plugin):
+class Sensor(Plugin, ABC):
     """A plugin with one output, which measures only while the output has a listener."""
 
     def __init__(self, mount: Mount, topic: str, kind: type):
@@ -331,9 +332,9 @@ class Sensor(Plugin):
         if self._output.wanted:
             self._output.send(self.measure(step))
 
+    @abstractmethod
     def measure(self, step: int) -> Any:
         """Return a sample of the simulated time `step`."""
-        raise NotImplementedError
 
 
 def known_plugins() -> tuple[str, ...]:

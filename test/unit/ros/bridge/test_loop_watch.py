@@ -105,6 +105,32 @@ def test_what_was_done_before_a_restart_is_forgotten(clock, watch):
     assert after(clock, watch, 5.0, 0).causes == ((OTHERS, 1.0),)
 
 
+def test_a_stuck_loop_is_reported_once_in_a_window(clock, watch):
+    clock.now += 60.0
+    assert watch.stuck() is None
+    with watch.doing("services"):
+        clock.now += WINDOW - 0.1
+        assert watch.stuck() is None
+        clock.now += 0.2
+        what, seconds = watch.stuck()
+        assert (what, round(seconds, 1)) == ("services", WINDOW + 0.1)
+        clock.now += WINDOW - 0.1
+        assert watch.stuck() is None
+        clock.now += 0.2
+        assert watch.stuck()[1] > 2 * WINDOW
+    clock.now += 60.0
+    assert watch.stuck() is None
+
+
+def test_many_short_activities_are_not_stuck(clock, watch):
+    clock.now += 60.0
+    with watch.doing("services"):
+        for _ in range(100):
+            with watch.doing("steps"):
+                clock.now += 1.0
+            assert watch.stuck() is None
+
+
 def test_an_error_ends_what_was_done(clock, watch):
     with pytest.raises(ValueError), watch.doing("services"):
         raise ValueError
