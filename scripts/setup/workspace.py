@@ -46,20 +46,16 @@ with open({file!r}) as program:
 exec(compile(text, {file!r}, "exec"), {{"__name__": __name__, "__file__": {file!r}}})
 """
 SETUP = """# Enters this workspace, as the file of a catkin build does.
-export CMAKE_PREFIX_PATH={devel}
-export ROS_PACKAGE_PATH={source}
+{begin}
+export CMAKE_PREFIX_PATH={devel}${{CMAKE_PREFIX_PATH:+:$CMAKE_PREFIX_PATH}}
+export ROS_PACKAGE_PATH={source}${{ROS_PACKAGE_PATH:+:$ROS_PACKAGE_PATH}}
 export PYTHONPATH={devel}/{python}${{PYTHONPATH:+:$PYTHONPATH}}
 export PATH={devel}/bin:$PATH
 export ROS_MASTER_URI=${{ROS_MASTER_URI:-http://localhost:11311}}
 """
-# What Debian's ros-environment sets.
-DEBIAN = """export ROS_DISTRO=Debian ROS_VERSION=1 ROS_PYTHON_VERSION=3 ROS_ETC_DIR=/etc/ros
-"""
-# These files come first, and what they set is kept.
-NOETIC = """. {ros}/setup.sh
-export CMAKE_PREFIX_PATH={devel}:$CMAKE_PREFIX_PATH
-export ROS_PACKAGE_PATH={source}:$ROS_PACKAGE_PATH
-"""
+# What Debian's ros-environment sets, and nothing of other workspaces.
+DEBIAN = """unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
+export ROS_DISTRO=Debian ROS_VERSION=1 ROS_PYTHON_VERSION=3 ROS_ETC_DIR=/etc/ros"""
 
 
 def action_messages(file: Path, folder: Path) -> list[str]:
@@ -125,12 +121,9 @@ def write_relay(relay: Path, file: Path, python: Path) -> None:
 
 def write_setup(devel: Path, final: Path, source: Path, ros: Path) -> None:
     """Write the setup files for bash, sh and zsh, and the mark of a workspace."""
-    names = {"devel": final, "source": source, "python": PYTHON_FOLDER, "ros": ros}
-    quoted = {name: shlex.quote(str(path)) for name, path in names.items()}
-    own = SETUP.format(**quoted)
-    text = own + DEBIAN if ros == Path("/usr") else NOETIC.format(**quoted) + "\n".join(
-        line for line in own.splitlines() if "CMAKE_PREFIX" not in line and "ROS_PACK" not in line
-    )
+    begin = DEBIAN if ros == Path("/usr") else f". {shlex.quote(str(ros))}/setup.sh"
+    quoted = {"devel": shlex.quote(str(final)), "source": shlex.quote(str(source))}
+    text = SETUP.format(begin=begin, python=PYTHON_FOLDER, **quoted)
     for shell in ("bash", "sh", "zsh"):
         (devel / f"setup.{shell}").write_text(text)
     (devel / ".catkin").write_text(str(source))
@@ -154,8 +147,13 @@ def make(workspace: Path, ros: Path, python: Path) -> None:
         link_python(package, name, devel / PYTHON_FOLDER)
         relay_programs(package, name, devel, python)
     write_setup(devel, final, source, ros)
-    shutil.rmtree(final, ignore_errors=True)
+    # A job that runs meanwhile misses it for a moment only.
+    old = workspace / "devel.old"
+    shutil.rmtree(old, ignore_errors=True)
+    if final.exists():
+        final.rename(old)
     devel.rename(final)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 if __name__ == "__main__":
