@@ -264,7 +264,7 @@ def docking_figure(
     (x, y, yaw), half = docks[1], 0.5 * figures.MARKER_SIDE
     across = np.array([-half, half])
     rough = (x - across * math.sin(yaw), y + across * math.cos(yaw))
-    axes.plot(*rough, color=PURPLE, linewidth=2.0, linestyle=":", label="marker, as told")
+    axes.plot(*rough, color=PURPLE, linewidth=2.0, linestyle=":", label="marker in the database")
     if plan:
         axes.plot(*np.transpose(plan), color=GREY, linewidth=2.4, alpha=0.6, label="plan")
     if truth is not None:

@@ -118,7 +118,7 @@ class SensorsReport(Report):
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         figure = new_figure(12.5, 7.6)
-        figure.suptitle("What the sensors measured")
+        figure.suptitle("Measurements of the sensors")
         grid = figure.add_gridspec(5, 2, width_ratios=(1.0, 1.1))
         figure.subplots_adjust(
             left=0.06, right=0.98, top=0.93, bottom=0.07, hspace=0.22, wspace=0.18
