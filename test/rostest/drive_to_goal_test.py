@@ -257,6 +257,8 @@ class DriveToGoalTest(unittest.TestCase):
         self.wait_until_driving()
         self.goals.publish(goal(0.0, 50.0))
         self.assert_ends(first, GoalStatus.PREEMPTED, "another goal")
+        # Before it has begun, it would be recalled instead.
+        self.wait_for_status(GoalStatus.ACTIVE, 2)
         second.send_goal(MoveBaseGoal(goal(0.3, 0.0)))
         self.assert_ends(second, GoalStatus.SUCCEEDED, "from the goal")
         self.assert_at(0.3, 0.0)
