@@ -26,6 +26,12 @@ def velocities(topic):
     return [(message.linear.x, message.angular.z) for message in topic.messages]
 
 
+def advertised(topic):
+    """Whether the master knows a publisher of a topic."""
+    publishers, _, _ = rosgraph.Master("/test").getSystemState()
+    return topic in dict(publishers)
+
+
 class FakeRobot:
     """Follows the commands, and publishes its pose 50 times a second of wall time."""
 
@@ -156,7 +162,7 @@ class DriveSquaresTest(unittest.TestCase):
     def test_ctrl_c_while_nobody_listens(self):
         self.commands.close()
         node = self.start()
-        time.sleep(2.0)
+        wait_for(lambda: advertised("/cmd_vel") or not node.runs(), "the publisher of cmd_vel")
         node.signal()
         self.assertEqual((0, ""), (node.wait(), node.err))
 
