@@ -1,6 +1,14 @@
 #!/usr/bin/env bash
-# Runs the tests: linters, unit tests, fuzzing and rostests, in parallel. With --long, it also runs
-# every job at its full length, and the faults. Status 0 only if all of them pass.
+# Runs the tests: scripts/test.sh [option ...] [part ...]. Status 0 only if all of them pass.
+#
+# A part is lint, unit, fuzz, the name of a rostest such as drive_squares, or a path of unit tests
+# such as test/unit/core; by default lint and unit come first, then all others.
+# --long: also run every job at its full length, and the faults
+# --coverage: count the lines and branches of the library that the tests and their nodes run
+# --random-order: unit tests in another order each time; the seed is printed
+# --random-seed S: in the order of that seed
+# --repeat N: run them N times, and list the tests that did not pass each time
+# --load K: beside K processes that are always busy
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -8,11 +16,20 @@ source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
 LOG=$LAB_DIR/log/test
 export LAB_TALLY=$LOG/tally
-ROSTEST_TIMEOUT=600
+# Words for the command that runs again what has failed.
+AGAIN=$LOG/again
+SUITE=$LAB_ROOT/test/suite
+ROSTEST_TIMEOUT=1800
 MUTANTS=564
 FAULTS=200
 # More than there are cores, because rostests mostly wait.
-AT_ONCE=$(($(nproc) + 2))
+AT_ONCE=$(($(nproc) + 1))
+
+usage() {
+  sed -n '2,/^set/s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"
+}
+
+# ---- Parts ----
 
 # count PASSED FAILED: add a line to the tally.
 count() { echo "$1 $2" >>"$LAB_TALLY"; }
@@ -28,18 +45,22 @@ attribute() {
 # run_lint: print the output only if something is wrong.
 run_lint() {
   local log=$LOG/lint.log start=$SECONDS
-  "$LAB_ROOT/scripts/lint.sh" >"$log" 2>&1 || cat "$log"
+  if ! "$LAB_ROOT/scripts/lint.sh" >"$log" 2>&1; then
+    cat "$log"
+    echo lint >>"$AGAIN"
+  fi
   echo "lint: $((SECONDS - start)) s"
 }
 
-# run_pytest FOLDER [option ...]
+# run_pytest NAME PATH [option ...]: the name is that of the log and of the JUnit file.
 run_pytest() {
-  local folder=$1 name log results tests failed skipped status=0 start=$SECONDS
+  local name=$1 log=$LOG/$1.log results=$LOG/junit/$1.xml tests failed skipped status=0
+  local start=$SECONDS
   shift
-  name=$(basename "$folder")
-  log=$LOG/$name.log results=$LOG/$name.xml
   rm -f "$results"
-  python -m pytest "$@" "$folder" --junitxml="$results" >"$log" 2>&1 </dev/null || status=$?
+  # shellcheck disable=SC2086 # options
+  python -m pytest $LAB_PYTEST_OPTIONS "$@" --junitxml="$results" >"$log" 2>&1 </dev/null \
+    || status=$?
   tests=$(attribute tests "$results")
   skipped=$(attribute skipped "$results")
   failed=$(($(attribute failures "$results") + $(attribute errors "$results")))
@@ -47,8 +68,12 @@ run_pytest() {
   if ((status && !failed)); then
     failed=1
     tests=$((tests + 1))
+    echo "$1" >>"$AGAIN"
   fi
-  ((!failed)) || cat "$log"
+  if ((failed)); then
+    cat "$log"
+    sed -n 's/^\(FAILED\|ERROR\) \([^[ ]*\).*/\2/p' "$log" | sort -u >>"$AGAIN"
+  fi
   echo "pytest $name: $((tests - failed - skipped)) passed, $failed failed, $((SECONDS - start)) s"
   count $((tests - failed - skipped)) "$failed"
 }
@@ -60,20 +85,19 @@ summary_of() {
   echo "${number:-0}"
 }
 
-# Every rostest starts its own master on a free port.
+# run_rostest NAME: with a master of its own on a free port.
 run_rostest() {
-  local file=$1 name start=$SECONDS log status=0 tests failed
-  name=$(basename "$file" .test)
-  log=$LOG/rostest-$name.log
+  local name=$1 start=$SECONDS log=$LOG/rostest-$1.log status=0 tests failed
   ROS_HOME=$LOG/ros ROS_LOG_DIR=$LOG/ros/log timeout "$ROSTEST_TIMEOUT" \
-    python "$LAB_ROS/bin/rostest" --results-base-dir "$LOG/rostest" "$file" \
-    >"$log" 2>&1 </dev/null || status=$?
+    python "$LAB_ROS/bin/rostest" --results-base-dir "$LOG/junit" \
+    "$LAB_ROOT/test/rostest/$name.test" >"$log" 2>&1 </dev/null || status=$?
   tests=$(summary_of TESTS "$log")
   failed=$(($(summary_of ERRORS "$log") + $(summary_of FAILURES "$log")))
   if ((status || failed || !tests)); then
     cat "$log"
     ((failed)) || failed=1
     ((tests >= failed)) || tests=$failed
+    echo "$name" >>"$AGAIN"
     echo "rostest $name: FAILED, $((SECONDS - start)) s"
   else
     echo "rostest $name: $tests passed, $((SECONDS - start)) s"
@@ -81,73 +105,150 @@ run_rostest() {
   count $((tests - failed)) "$failed"
 }
 
+# run_program NAME WHAT COMMAND …: a program that counts as one test.
+run_program() {
+  local name=$1 what=$2 log=$LOG/$1.log start=$SECONDS status=0
+  "${@:3}" >"$log" 2>&1 </dev/null || status=1
+  if ((status)); then
+    cat "$log"
+    echo "$name" >>"$AGAIN"
+  fi
+  echo "$name: $what, status $status, $((SECONDS - start)) s"
+  count $((1 - status)) "$status"
+}
+
 # run_fuzz: a few hundred mutants of every kind of input; scripts/fuzz.sh runs any number.
 run_fuzz() {
-  local log=$LOG/fuzz.log start=$SECONDS status=0
-  python "$LAB_ROOT/test/fuzz/fuzz.py" --each 4 --mutants "$MUTANTS" --workers 1 \
-    --out "$LOG/fuzz" >"$log" 2>&1 </dev/null || status=1
-  ((!status)) || cat "$log"
-  echo "fuzz: $MUTANTS mutants, status $status, $((SECONDS - start)) s"
-  count $((1 - status)) "$status"
+  run_program fuzz "$MUTANTS mutants" python "$LAB_ROOT/test/fuzz/fuzz.py" --each 4 \
+    --mutants "$MUTANTS" --workers 1 --out "$LOG/fuzz"
 }
 
 # run_faults: continues after a stop; scripts/faults.sh can use other seeds.
 run_faults() {
-  local log=$LOG/faults.log start=$SECONDS status=0
   [[ ! -e $LOG/faults/summary.json ]] || rm -rf "$LOG/faults"
-  python "$LAB_ROOT/test/faults/faults.py" --count "$FAULTS" --out "$LOG/faults" \
-    >"$log" 2>&1 </dev/null || status=1
-  ((!status)) || cat "$log"
-  echo "faults: $FAULTS faults, status $status, $((SECONDS - start)) s"
-  count $((1 - status)) "$status"
+  run_program faults "$FAULTS faults" python "$LAB_ROOT/test/faults/faults.py" \
+    --count "$FAULTS" --out "$LOG/faults"
 }
 
-# run_part NAME: the linters, the unit tests, the fuzzing, or the rostest in a file.
+# run_part NAME
 run_part() {
   case $1 in
-    lint) run_lint ;;
-    fuzz) run_fuzz ;;
-    unit) run_pytest "$LAB_ROOT/test/unit" -q -n auto --dist loadfile -m "not long" ;;
+    lint | fuzz | faults) "run_$1" ;;
+    unit) run_pytest unit "$LAB_ROOT/test/unit" -n auto --dist loadfile -m "not long" ;;
+    long) run_pytest long "$LAB_ROOT/test/unit" -n auto -m long ;;
+    jobs) run_pytest jobs "$LAB_ROOT/test/long" ;;
+    */*) run_pytest some "$1" ;;
     *) run_rostest "$1" ;;
   esac
 }
 
-# All parts, longest first, so that they end at about the same time.
-parts() {
-  printf '%s\n' unit lint fuzz
-  grep -o 'time-limit="[0-9]*"' "$LAB_ROOT"/test/rostest/*.test | sort -t '"' -k 2 -nr | cut -d : -f 1
+# The rostests and what else does not come first, longest first, so that they end together.
+rostests() {
+  echo fuzz
+  (cd "$LAB_ROOT/test/rostest" && grep -o 'time-limit="[0-9]*"' ./*.test) \
+    | sort -t '"' -k 2 -nr | sed 's#^\./\(.*\)\.test:.*#\1#'
 }
 
-main() {
-  local passed failed long=
-  case "${1:-}" in
-    --long) long=yes ;;
-    "") ;;
-    *)
-      echo "usage: scripts/test.sh [--long]" >&2
-      exit 2
-      ;;
-  esac
-  "$LAB_ROOT/scripts/setup.sh" --with test --with course
-  mkdir -p "$LOG"
-  : >"$LAB_TALLY"
-  enter_lab
-  # The tests listen only on this machine.
-  unset ROS_MASTER_URI ROS_HOSTNAME
-  export ROS_IP=127.0.0.1
+# run_parts AT_ONCE: those whose names come in.
+run_parts() {
   # shellcheck disable=SC2016 # expanded by the shell that xargs starts
-  parts | xargs -d '\n' -n 1 -P "$AT_ONCE" bash -c 'run_part "$1"' run_part
-  if [[ $long ]]; then
-    "$LAB_ROOT/scripts/setup.sh" --with browser
-    run_pytest "$LAB_ROOT/test/unit" -q -n auto -m long
-    run_pytest "$LAB_ROOT/test/long"
-    run_faults
+  xargs -d '\n' -r -n 1 -P "$1" bash -c 'run_part "$1"' run_part
+}
+
+# ---- Runs ----
+
+# run_once [part ...]: status 0 if all passed.
+run_once() {
+  local passed failed
+  rm -rf "$LOG/junit" "$AGAIN"
+  mkdir -p "$LOG/junit"
+  : >"$LAB_TALLY"
+  if (($#)); then
+    printf '%s\n' "$@" | run_parts 1
+  else
+    printf '%s\n' unit lint | run_parts 2
+    rostests | run_parts "$AT_ONCE"
+    if [[ $long ]]; then
+      "$LAB_ROOT/scripts/setup.sh" --with browser
+      printf '%s\n' long jobs faults | run_parts 1
+    fi
   fi
+  [[ ! $coverage ]] || python "$SUITE/coverage_summary.py" "$LAB_ROOT" "$LOG/coverage"
   read -r passed failed < <(awk '{p += $1; f += $2} END {print p + 0, f + 0}' "$LAB_TALLY")
+  if [[ -s $AGAIN ]]; then
+    echo "again: scripts/test.sh $(sort -u "$AGAIN" | sed "s#^$LAB_ROOT/##" | paste -s -d ' ')"
+  fi
   echo "$passed passed, $failed failed"
   ((passed && !failed))
 }
 
-export -f attribute count summary_of run_fuzz run_lint run_part run_pytest run_rostest
-export LOG MUTANTS ROSTEST_TIMEOUT LAB_ROOT LAB_ROS
+# count_coverage: in every Python process that is started from here.
+count_coverage() {
+  rm -rf "$LOG/coverage"
+  mkdir -p "$LOG/coverage"
+  export COVERAGE_PROCESS_START=$LAB_ROOT/pyproject.toml COVERAGE_FILE=$LOG/coverage/data
+  export PYTHONPATH=$SUITE/coverage:${PYTHONPATH-}
+}
+
+# be_busy NUMBER: until this script ends.
+be_busy() {
+  local busy=()
+  while ((${#busy[@]} < $1)); do
+    (while :; do :; done) &
+    busy+=($!)
+  done
+  # shellcheck disable=SC2064 # as they are now
+  trap "kill ${busy[*]}" EXIT
+}
+
+main() {
+  local long='' coverage='' load=0 repeat=1 seed='' parts=() number status=0
+  while (($#)); do
+    case $1 in
+      --long) long=yes ;;
+      --coverage) coverage=yes ;;
+      --random-order) seed=$RANDOM ;;
+      --random-seed | --repeat | --load)
+        [[ ${2-} =~ ^[0-9]+$ ]] || { usage >&2 && exit 2; }
+        case $1 in
+          --random-seed) seed=$2 ;;
+          --repeat) repeat=$2 ;;
+          --load) load=$2 ;;
+        esac
+        shift
+        ;;
+      -*) usage >&2 && exit 2 ;;
+      *) parts+=("$1") ;;
+    esac
+    shift
+  done
+  export LAB_PYTEST_OPTIONS=-q
+  "$LAB_ROOT/scripts/setup.sh" --with test --with course
+  mkdir -p "$LOG"
+  enter_lab
+  # The tests listen only on this machine.
+  unset ROS_MASTER_URI ROS_HOSTNAME
+  export ROS_IP=127.0.0.1
+  [[ ! $coverage ]] || count_coverage
+  ((!load)) || be_busy "$load"
+  rm -rf "$LOG/runs"
+  for ((number = 1; number <= repeat; number++)); do
+    if [[ $seed ]]; then
+      echo "order of the unit tests: --random-seed $seed"
+      LAB_PYTEST_OPTIONS="-q --random-order --random-order-seed=$seed"
+      seed=$((seed + 1))
+    fi
+    run_once "${parts[@]}" || status=1
+    if ((repeat > 1)); then
+      mkdir -p "$LOG/runs"
+      cp -r "$LOG/junit" "$LOG/runs/$number"
+    fi
+  done
+  ((repeat == 1)) || python "$SUITE/outcomes.py" "$LOG/runs" || status=1
+  return "$status"
+}
+
+export -f attribute count summary_of run_faults run_fuzz run_lint run_part run_program run_pytest
+export -f run_rostest
+export AGAIN LOG MUTANTS FAULTS ROSTEST_TIMEOUT LAB_ROOT LAB_ROS
 main "$@"

@@ -1,0 +1,167 @@
+"""Small mistakes that can be put into a module: what mutation testing changes."""
+
+from __future__ import annotations
+
+import ast
+import copy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Iterator, List, Tuple
+
+COMPARISONS = {
+    ast.Lt: (ast.LtE, ast.GtE),
+    ast.LtE: (ast.Lt, ast.Gt),
+    ast.Gt: (ast.GtE, ast.LtE),
+    ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+OPERATORS = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+    ast.USub: ast.UAdd,
+}
+FUNCTIONS = {
+    "min": "max",
+    "max": "min",
+    "sin": "cos",
+    "cos": "sin",
+    "any": "all",
+    "all": "any",
+    "minimum": "maximum",
+    "maximum": "minimum",
+}
+# Above, a number is doubled, since one more would hardly change it.
+ONE_MORE_UP_TO = 100
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One mistake in a file.
+
+    Attributes:
+        file: path below the package's root.
+        line: where it is.
+        node: number of the node of the syntax tree that is replaced, as `nodes_of` counts.
+        choice: which of that node's mutations.
+        text: what is changed into what.
+    """
+
+    file: str
+    line: int
+    node: int
+    choice: int
+    text: str
+
+
+def nodes_of(tree: ast.AST) -> List[ast.AST]:
+    """Return the nodes that run: no annotations, decorators, docstrings and texts."""
+    found = []
+
+    def visit(node: ast.AST) -> None:
+        found.append(node)
+        for name, value in ast.iter_fields(node):
+            if name in ("annotation", "returns", "decorator_list"):
+                continue
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST) and not isinstance(child, ast.JoinedStr):
+                    visit(child)
+
+    visit(tree)
+    return found
+
+
+def replaced(node: ast.AST, **fields: object) -> ast.AST:
+    """Return a copy of a node with other fields."""
+    new = copy.copy(node)
+    for name, value in fields.items():
+        setattr(new, name, value)
+    return new
+
+
+def opposite(test: ast.expr) -> ast.expr:
+    """Return the condition that holds when this one does not."""
+    return ast.UnaryOp(op=ast.Not(), operand=test)
+
+
+def name_of(kind: type) -> str:
+    """Return the word for a kind of node."""
+    return kind.__name__
+
+
+def mutations(node: ast.AST) -> Iterator[Tuple[str, ast.AST]]:
+    """Yield what a node may become, each with a description."""
+    if isinstance(node, ast.Compare):
+        for place, op in enumerate(node.ops):
+            for kind in COMPARISONS[type(op)]:
+                ops = node.ops[:place] + [kind()] + node.ops[place + 1 :]
+                yield f"{name_of(type(op))} to {name_of(kind)}", replaced(node, ops=ops)
+    elif isinstance(node, (ast.BinOp, ast.AugAssign, ast.BoolOp, ast.UnaryOp)):
+        kind = OPERATORS.get(type(node.op))
+        if kind:
+            text = f"{name_of(type(node.op))} to {name_of(kind)}"
+            yield text, replaced(node, op=kind())
+    elif isinstance(node, ast.Constant):
+        yield from other_constants(node)
+    elif isinstance(node, (ast.If, ast.IfExp)):
+        yield "condition to its opposite", replaced(node, test=opposite(node.test))
+    elif isinstance(node, ast.Return) and node.value is not None:
+        if not (isinstance(node.value, ast.Constant) and node.value.value is None):
+            yield "return value to None", replaced(node, value=ast.Constant(None))
+    elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+        yield "call left out", ast.Pass()
+    elif isinstance(node, ast.Raise):
+        yield "raise left out", ast.Pass()
+    elif isinstance(node, ast.Call):
+        yield from other_functions(node)
+
+
+def other_constants(node: ast.Constant) -> Iterator[Tuple[str, ast.AST]]:
+    """Yield other values of a truth value or number."""
+    value = node.value
+    if isinstance(value, bool):
+        yield f"{value} to {not value}", replaced(node, value=not value)
+    elif isinstance(value, (int, float)):
+        new = value + 1 if abs(value) < ONE_MORE_UP_TO else 2 * value
+        yield f"{value} to {new}", replaced(node, value=new)
+
+
+def other_functions(node: ast.Call) -> Iterator[Tuple[str, ast.AST]]:
+    """Yield a call of another function."""
+    field = {ast.Name: "id", ast.Attribute: "attr"}.get(type(node.func))
+    name = getattr(node.func, field) if field else ""
+    if name in FUNCTIONS:
+        func = replaced(node.func, **{field: FUNCTIONS[name]})
+        yield f"{name} to {FUNCTIONS[name]}", replaced(node, func=func)
+
+
+def mutants_of(root: Path, file: str) -> Iterator[Mutant]:
+    """Yield all mutants of a file below a root."""
+    for number, node in enumerate(nodes_of(ast.parse((root / file).read_bytes()))):
+        for choice, (text, _) in enumerate(mutations(node)):
+            yield Mutant(file, node.lineno, number, choice, text)
+
+
+def mutated(source: bytes, number: int, choice: int) -> ast.Module:
+    """Return the syntax tree of a source text with one node replaced."""
+    tree = ast.parse(source)
+    target = nodes_of(tree)[number]
+    _, new = list(mutations(target))[choice]
+    ast.copy_location(new, target)
+
+    class Replacer(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> ast.AST:
+            return new if node is target else self.generic_visit(node)
+
+    return ast.fix_missing_locations(Replacer().visit(tree))
