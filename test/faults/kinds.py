@@ -15,7 +15,7 @@ from bullet_lab.ros.launcher.jobs import find_jobs
 PACKAGE = Path(__file__).resolve().parents[2]
 JOBS = find_jobs(PACKAGE)
 # In addition to a job's smallest run: work for both workers, and a bag to be closed.
-MORE = {"dock_campaign": ["n:=2"], "sensors": ["bag:=true"]}
+MORE = {"dock_campaign": ["n:=2"], "sensors": ["record:=true"]}
 LAUNCHER, TERMINAL, NODE, WORKER = "run.sh", "terminal", "node", "worker"
 """Receivers of a signal: run.sh alone, all processes of a terminal, a node, a study's worker."""
 # Wall s: half of the moments are between FIRST and EARLY, with equal weight for each decade.

@@ -7,8 +7,10 @@ import tempfile
 import unittest
 
 import numpy as np
+import rosbag
 import rostest
 from lab_testing import run_job
+from mcap.reader import make_reader
 
 FOLDER = tempfile.TemporaryDirectory()
 # Of worlds/sensors.world and urdf/sensor_robot.urdf.
@@ -22,7 +24,7 @@ class SensorsJobTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.out, _ = run_job("sensors", "bag:=true", folder=FOLDER.name)
+        cls.out, _ = run_job("sensors", "record:=true", folder=FOLDER.name)
         cls.summary = json.loads((cls.out / "summary.json").read_text())
 
     def rows(self, name):
@@ -66,9 +68,21 @@ class SensorsJobTest(unittest.TestCase):
         self.assertAlmostEqual(9.8, self.summary["mean_upward_acceleration_mps2"], delta=0.01)
         self.assertAlmostEqual(0.52, self.summary["greatest_turn_rate_radps"], delta=0.05)
 
-    def test_picture_and_bag(self):
+    def test_the_picture(self):
         self.assertTrue((self.out / "sensors.png").is_file())
-        self.assertTrue((self.out / "sensors.bag").is_file())
+
+    def test_both_bags_have_every_message_at_its_stamp(self):
+        with rosbag.Bag(str(self.out / "record.bag")) as bag:
+            bagged = [(topic, when.to_nsec()) for topic, _, when in bag.read_messages(raw=True)]
+        with (self.out / "record.mcap").open("rb") as file:
+            messages = make_reader(file).iter_messages()
+            in_mcap = [(channel.topic, it.log_time) for _, channel, it in messages]
+        self.assertTrue(sorted(bagged) == sorted(in_mcap))
+        for topic, name in {"/odom": "odom", "/scan": "scan", "/imu": "imu"}.items():
+            stamps = np.array([when for its, when in bagged if its == topic])
+            recorded = self.rows(name)[:, 0]
+            np.testing.assert_allclose(1e-9 * stamps[: len(recorded)], recorded, atol=1e-9)
+        self.assertEqual({"/clock", "/tf", "/tf_static"} - {topic for topic, _ in bagged}, set())
 
 
 if __name__ == "__main__":

@@ -80,6 +80,7 @@ from bullet_lab.ros.node.node import (
 )
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.video import Video
 from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder, listed_folders
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
@@ -149,6 +150,7 @@ class BridgeParameters:
     save_folder: str = text(
         "results", "the only folder into which /bullet_lab/save_world writes"
     )
+    video: str = text("", "mp4 file for a video in simulated time; empty: none")
     world_frame: str = text("world", "frame of the markers on /bullet_lab/world")
     publish_world_tf: bool = boolean(
         False, "publish on /tf_static that the odometry frames are at the world frame"
@@ -183,6 +185,7 @@ class PyBulletBridge:
         for instance in simulation.models.values():
             world.connect(instance)
         frame, hidden = parameters.world_frame, _add_robot(world, parameters)
+        self._video = Video(simulation, Path(parameters.video)) if parameters.video else None
         folder = Path(parameters.save_folder)
         self._interfaces = [
             offer_all(world, frame, hidden, parameters.states_rate, folder, warnings),
@@ -198,6 +201,8 @@ class PyBulletBridge:
         try:
             self.stepper.run()
         finally:
+            if self._video is not None:
+                self._video.close()
             self.simulation.close()
 
     def _watch_the_loop(self) -> None:
