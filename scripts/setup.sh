@@ -167,12 +167,16 @@ describe() {
 
 # ---- Commands whose output goes to a log ----
 
-# Shows the duration of a step and the last line of its log, on a terminal.
+# download_in LOG: print the size of apt-get's download, if it has begun one.
+download_in() { sed -n 's/^Need to get \([^ ]* [kM]*B\).*/, \1/p' "$1" | tail -n 1; }
+
+# Shows the duration of a step, the size of its download and the last line of its log, on a terminal.
 tick() {
   local title=$1 log=$2 start=$SECONDS line
   while sleep 1; do
     line=$(tail -n 1 "$log" 2>/dev/null | tr -cd '[:print:]' || true)
-    printf '\rsetup: %s, %d s: %.60s\033[K' "$title" $((SECONDS - start)) "$line" >&2
+    printf '\rsetup: %s, %d s%s: %.60s\033[K' \
+      "$title" $((SECONDS - start)) "$(download_in "$log")" "$line" >&2
   done
 }
 
@@ -474,7 +478,7 @@ take_step() {
     *) "step_${step%-*}" "$title" "$log" "${step#*-}" ;;
   esac
   mark_done "$step"
-  say "$title: done, $((SECONDS - start)) s"
+  say "$title: done, $((SECONDS - start)) s$(download_in "$log")"
 }
 
 # open_steps STEP…: print the steps that are not done yet.
@@ -543,6 +547,7 @@ main() {
   fi
   take_lock "$@"
   look_ahead
+  [[ -x $LAB_VENV/bin/python ]] || say "a new machine needs a minute or two"
   # shellcheck disable=SC2086
   mapfile -t steps < <(open_steps $wanted)
   for i in "${!steps[@]}"; do

@@ -3,12 +3,14 @@
 import ast
 import importlib
 import importlib.util
+import json
 import os
 import re
 import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -70,3 +72,17 @@ def test_what_a_program_imports_and_runs_is_there(path):
     for name, function in re.findall(r'\b(?:run\(|MAIN = )"([\w.]+):?(\w*)"', text):
         source = Path(importlib.util.find_spec(name).origin).read_text()
         assert re.search(rf"^(def )?{function or 'main'}\b", source, re.MULTILINE)
+
+
+def test_containers_and_bare_systems_have_the_same_packages():
+    listed = {
+        "Dockerfile": r"--no-install-recommends ([\w -]+)",
+        ".github/workflows/ci.yml": r"--no-install-recommends ([\w -]+)",
+        "scripts/platform.sh": r"--include=([\w,-]+)",
+    }
+    found = [re.search(words, (ROOT / file).read_text())[1] for file, words in listed.items()]
+    assert {frozenset(re.split("[ ,]", names.strip())) for names in found} == {
+        frozenset({"git", "sudo", "ca-certificates"})
+    }
+    assert json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())["build"]
+    assert yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())["jobs"]
