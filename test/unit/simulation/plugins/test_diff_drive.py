@@ -4,8 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import complains
+from sensor_worlds import box, record
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.models import find_link
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.bodies import JointState
 from bullet_lab.simulation.plugins import PluginError
@@ -13,7 +15,6 @@ from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, Wheel
 from bullet_lab.simulation.simulation import SimulationError
 from bullet_lab.simulation.world.description import PluginTag
-from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 FILENAME = "libgazebo_ros_diff_drive.so"
@@ -42,13 +43,13 @@ def model(package):
 def spawn(world, model):
     """Put the camera robot into the world, with a diff_drive of the given tags and no more."""
 
-    def add(pose=Pose(), grip=None, name="", **tags):  # noqa: B008
+    def add(pose=Pose(), grip=None, tf_prefix="", **tags):  # noqa: B008
         wanted = {**TAGS, **tags}
         plugin = PluginTag(FILENAME, "drive", {k: v for k, v in wanted.items() if v is not None})
         robot = replace(model, plugins=(plugin,))
         if grip is not None:
             robot = replace(robot, links=tuple(with_friction(k, grip) for k in robot.links))
-        return world.add(robot, name, pose)
+        return world.add(robot, pose=pose, tf_prefix=tf_prefix)
 
     return add
 
@@ -58,22 +59,6 @@ def with_friction(link, friction):
         return link
     collisions = tuple(replace(shape, friction=friction) for shape in link.collisions)
     return replace(link, collisions=collisions)
-
-
-def kerb(x):
-    """A low wall across the way, with its near face at x."""
-    return read_spawned(
-        f'<sdf><model name="kerb"><static>true</static><pose>{x + 0.1} 0 0.05 0 0 0</pose>'
-        '<link name="l"><collision name="c"><geometry><box><size>0.2 9 0.1</size></box>'
-        "</geometry></collision></link></model></sdf>",
-        "kerb",
-    )
-
-
-def record(robot, topic="odom"):
-    samples = []
-    robot.listen(topic, samples.append)
-    return samples
 
 
 def speeds(robot):
@@ -90,8 +75,6 @@ def way(speed, seconds):
 def arc(pose, v, w, t):
     """Where an ideal robot is after driving on an arc for a time t."""
     x, y, yaw = pose
-    if w == 0.0:
-        return x + v * t * math.cos(yaw), y + v * t * math.sin(yaw), yaw
     return (
         x + v / w * (math.sin(yaw + w * t) - math.sin(yaw)),
         y - v / w * (math.cos(yaw + w * t) - math.cos(yaw)),
@@ -106,26 +89,20 @@ def planar(pose):
 # What it drives
 
 
-@pytest.mark.parametrize(
-    ("v", "w"), [(0.3, 0.0), (0.2, 0.4), (0.2, -0.4), (-0.15, 0.3), (0.0, 0.5), (0.5, 1.0)]
-)
-@pytest.mark.parametrize("yaw", [0.0, 2.0])
-def test_arcs(world, spawn, v, w, yaw):
-    robot = spawn(Pose.from_rpy((1.0, -2.0, 0.0), (0.0, 0.0, yaw)))
+@pytest.mark.parametrize(("v", "w"), [(0.2, 0.4), (-0.15, 0.3), (0.5, -1.0)])
+def test_arcs(world, spawn, v, w):
+    robot = spawn(Pose.from_rpy((1.0, -2.0, 0.0), (0.0, 0.0, 2.0)))
     robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
     world.run_for(1.0)
     start = planar(robot.pose())
-    world.run_for(2.0)
-    expected = arc(start, v, w, 2.0)
-    reached = planar(robot.pose())
-    assert reached[:2] == pytest.approx(expected[:2], abs=1e-3)
-    assert math.remainder(reached[2] - expected[2], math.tau) == pytest.approx(0.0, abs=2e-3)
+    world.run_for(1.0)
+    assert planar(robot.pose()) == pytest.approx(arc(start, v, w, 1.0), abs=1e-3)
 
 
 def test_a_sideways_command_does_nothing(world, spawn):
     robot = spawn()
     robot.command("cmd_vel", PlanarCommand(vy=0.5))
-    world.run_for(1.0)
+    world.run_for(0.3)
     assert robot.pose().position == pytest.approx((0, 0, 0), abs=2e-5)
 
 
@@ -137,16 +114,16 @@ def test_commands_act_at_the_next_update_and_are_latched(world, spawn):
     assert speeds(robot) == pytest.approx((0, 0), abs=1e-4)
     world.run_until(110)
     assert speeds(robot) == pytest.approx([ACCELERATION * 0.01] * 2, rel=0.01)
-    world.run_until(10_000)
+    world.run_until(3000)
     assert speeds(robot) == pytest.approx((0.2, 0.2), abs=1e-3)
-    assert robot.pose().position[0] == pytest.approx(way(0.2, 9.9), abs=1e-3)
+    assert robot.pose().position[0] == pytest.approx(way(0.2, 2.9), abs=1e-3)
 
 
 def test_the_defaults_are_gazebos(world, model):
     renamed = {"left_wheel_joint": "left_joint", "right_wheel_joint": "right_joint"}
     joints = tuple(replace(joint, name=renamed[joint.name]) for joint in model.joints)
     robot = world.add(replace(model, joints=joints, plugins=(PluginTag(FILENAME, "drive", {}),)))
-    samples, transforms = record(robot), record(robot, "/tf")
+    samples, transforms = record(robot, "odom"), record(robot, "/tf")
     robot.command("cmd_vel", PlanarCommand(vx=0.15, wz=0.5))
     world.run_until(11)
     (body,) = robot.bodies.values()
@@ -162,60 +139,54 @@ def test_the_defaults_are_gazebos(world, model):
         record(robot, "joint_states")
 
 
-@pytest.mark.parametrize("mode", ["true", "false", None])
+@pytest.mark.parametrize("mode", ["true", "false"])
 def test_the_legacy_mode_changes_nothing_as_in_noetic(world, spawn, mode, caplog):
     robot = spawn(legacyMode=mode)
     robot.command("cmd_vel", PlanarCommand(wz=0.5))
-    world.run_for(1.0)
-    assert robot.pose().yaw > 0.3
+    world.run_for(0.3)
+    assert robot.pose().yaw > 0.1
     told = [line for line in caplog.messages if "<legacyMode> is ignored" in line]
     assert len(caplog.messages) == len(told) == (1 if mode == "true" else 0)
 
 
-def test_torque_limits_the_acceleration(world, spawn):
-    robot = spawn(wheelTorque="0.7")
-    robot.command("cmd_vel", PlanarCommand(vx=2.0))
-    world.run_for(0.55)
-    acceleration = 2 * 0.7 / RADIUS / ROLLING_MASS
-    assert speeds(robot) == pytest.approx([acceleration * 0.5] * 2, rel=0.01)
-
-
 def test_the_acceleration_limit_on_the_floor(world, spawn):
     robot = spawn(wheelAcceleration="0.5")
-    for target in (0.3, -0.12):
-        before = speeds(robot)[0]
-        robot.command("cmd_vel", PlanarCommand(vx=target))
-        for tick in range(1, 25):
-            world.run_for(0.05)
-            # The speed given at the update before is reached by now.
-            ramp = 0.5 * 0.05 * (tick - 1)
-            expected = before + math.copysign(min(ramp, abs(target - before)), target - before)
-            assert speeds(robot) == pytest.approx([expected] * 2, abs=1e-3)
+    robot.command("cmd_vel", PlanarCommand(vx=0.3))
+    # The speed given at the update before is reached by now.
+    for seconds, expected in ((0.05, 0.0), (0.3, 0.15), (1.0, 0.3)):
+        world.run_for(seconds)
+        assert speeds(robot) == pytest.approx([expected] * 2, abs=1e-3)
 
 
-@pytest.mark.parametrize("torque", [str(TORQUE), "0.05"])
-def test_a_brake_holds_as_much_as_its_torque(world, spawn, torque):
+def on_a_slope(world, spawn, torque):
+    """Return a robot that a floor pulls ahead with 9.85 N, at rest in the beginning."""
     robot = spawn(wheelTorque=torque)
-    # A floor that slopes: 9.85 N ahead.
     pybullet.setGravity(1.0, 0.0, -G, world.client)
     world.run_for(0.2)
-    before = robot.pose().position[0]
-    world.run_for(2.0)
+    return robot, robot.pose().position[0]
+
+
+def test_a_brake_holds(world, spawn):
+    robot, before = on_a_slope(world, spawn, str(TORQUE))
+    world.run_for(1.0)
+    assert robot.pose().position[0] == pytest.approx(before, abs=1e-5)
+
+
+def test_a_brake_holds_no_more_than_its_torque(world, spawn):
+    robot, before = on_a_slope(world, spawn, "0.05")
+    world.run_for(1.0)
     rolled = robot.pose().position[0] - before
-    if torque == str(TORQUE):
-        assert abs(rolled) < 1e-5
-        return
+    acceleration = (MASS - 2 * 0.05 / RADIUS) / ROLLING_MASS
     # Since the first step.
-    acceleration = (MASS - 2 * float(torque) / RADIUS) / ROLLING_MASS
-    assert rolled == pytest.approx(0.5 * acceleration * (2.2**2 - 0.2**2), rel=0.01)
+    assert rolled == pytest.approx(0.5 * acceleration * (1.2**2 - 0.2**2), rel=0.01)
     # It stops where it is when nothing pushes any more, and does not come back.
     pybullet.setGravity(0.0, 0.0, -G, world.client)
     moving = speeds(robot)[0]
-    braking = 2 * float(torque) / RADIUS / ROLLING_MASS
+    braking = 2 * 0.05 / RADIUS / ROLLING_MASS
     world.run_for(moving / braking + 0.2)
     stopped = robot.pose().position[0]
     assert stopped == pytest.approx(before + rolled + moving**2 / braking / 2, rel=0.02)
-    world.run_for(1.0)
+    world.run_for(0.3)
     assert robot.pose().position[0] == pytest.approx(stopped, abs=1e-5)
 
 
@@ -223,13 +194,9 @@ def test_a_brake_holds_as_much_as_its_torque(world, spawn, torque):
 
 
 def test_odometry_of_the_world(world, spawn):
-    stage = '<sdf><model name="stage"><static>true</static><pose>5 5 0.1 0 0 0</pose>' + (
-        '<link name="l"><collision name="c"><geometry><box><size>4 4 0.2</size></box>'
-        "</geometry></collision></link></model></sdf>"
-    )
-    world.add(read_spawned(stage, "stage"))
+    world.add(box("4 4 0.2", "5 5 0.1 0 0 0"))
     robot = spawn(Pose.from_rpy((5.0, 5.0, 0.2), (0.0, 0.0, math.pi / 2)))
-    samples = record(robot)
+    samples = record(robot, "odom")
     robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.4))
     world.run_for(2.0)
     last = samples[-1]
@@ -240,36 +207,33 @@ def test_odometry_of_the_world(world, spawn):
     assert (last.velocity.vx, last.velocity.vy) == pytest.approx((0.2, 0.0), abs=5e-4)
     assert last.velocity.wz == pytest.approx(0.4, abs=1e-3)
     assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
-    robot.command("cmd_vel", PlanarCommand(vx=-0.3))
-    world.run_for(1.0)
-    assert samples[-1].velocity.vx == pytest.approx(-0.3, abs=1e-3)
-    assert samples[-1].velocity.wz == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("rate", "number"), [("20", 200), ("30", 300), ("7", 70), ("0", 10_000)])
+@pytest.mark.parametrize(("rate", "number"), [("7", 7), ("0", 1000)])
 def test_rates_are_exact(world, spawn, rate, number):
-    samples = record(spawn(updateRate=rate))
-    world.run_for(10.0)
-    assert len(samples) == number
-    due = [math.ceil(k * 10_000 / number) for k in range(1, number + 1)]
+    samples = record(spawn(updateRate=rate), "odom")
+    world.run_for(1.0)
+    due = [math.ceil(k * 1000 / number) for k in range(1, number + 1)]
     assert [sample.step for sample in samples] == due
 
 
-@pytest.mark.parametrize("source", ["world", "encoder"])
 @pytest.mark.parametrize(
-    ("tags", "count"),
-    [({}, 20), ({"publishTf": "false"}, 0), ({"publishOdomTF": "false"}, 0)],
+    "tags", [{"publishTf": "0", "publishWheelTF": "1"}, {"publishOdomTF": "false"}]
 )
-def test_odometry_comes_with_or_without_transforms(world, spawn, source, tags, count):
-    robot = spawn(odometrySource=source, **tags)
-    samples = record(robot)
-    transforms = record(robot, "/tf") if count else []
-    if not count:
-        assert "/tf" not in {output.topic for output in robot.plugins[0].outputs}
+def test_odometry_comes_without_transforms_too(world, spawn, tags):
+    robot = spawn(**tags)
+    samples = record(robot, "odom")
+    assert [output.topic for output in robot.plugins[0].outputs] == ["odom"]
+    world.run_for(0.1)
+    assert len(samples) == 2
+
+
+def test_transforms_say_what_the_odometry_says(world, spawn):
+    robot = spawn(odometrySource="encoder")
+    samples, transforms = record(robot, "odom"), record(robot, "/tf")
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(1.0)
-    assert len(samples) == 20
-    assert len(transforms) == count
+    world.run_for(0.2)
+    assert len(transforms) == len(samples) == 4
     for sample, transform in zip(samples, transforms):
         assert (transform.frame, transform.child_frame) == ("odom", "base_footprint")
         assert (transform.step, transform.pose) == (sample.step, sample.pose)
@@ -279,53 +243,39 @@ def test_transforms_of_the_wheels(world, spawn):
     robot = spawn(publishOdomTF="0", publishWheelTF="1", publishWheelJointState="1")
     transforms, states = record(robot, "/tf"), record(robot, "joint_states")
     robot.command("cmd_vel", PlanarCommand(vx=0.3, wz=0.5))
-    world.run_for(1.0)
-    assert len(transforms) == 40
-    assert len(states) == 20
+    world.run_for(0.5)
+    assert len(transforms) == 20
+    assert len(states) == 10
     assert states[-1].names == ("right_wheel_joint", "left_wheel_joint")
     (body,) = robot.bodies.values()
     for side, transform in enumerate(transforms[-2:]):
         assert transform.frame == "base_footprint"
         assert transform.child_frame == ("left_wheel", "right_wheel")[side]
-        # Where the engine has the link.
-        state = pybullet.getLinkState(body.unique_id, side, 1, 1, world.client)
+        there = find_link(world.models, transform.child_frame).state().pose
         wheel = robot.pose() * transform.pose
-        assert wheel.position == pytest.approx(state[4], abs=1e-7)
-        assert wheel.rotation_matrix() == pytest.approx(
-            Pose(quaternion=state[5]).rotation_matrix(), abs=1e-6
-        )
+        assert wheel.position == pytest.approx(there.position, abs=1e-7)
+        assert wheel.rotation_matrix() == pytest.approx(there.rotation_matrix(), abs=1e-6)
     # Positions are all that Gazebo sends.
     assert states[-1].velocities == states[-1].efforts == ()
     now = tuple(body.joint_state(name).position for name in states[-1].names)
     assert states[-1].positions == now
-    # Without any, wheels included.
-    quiet = spawn(name="quiet", publishTf="0", publishWheelTF="1")
-    assert [output.topic for output in quiet.plugins[0].outputs] == ["odom"]
 
 
-def test_namespace(world, spawn):
-    robot = spawn(robotNamespace="/lab/one/", publishWheelTF="1", publishWheelJointState="1")
+def test_a_namespace_and_a_tf_prefix(world, spawn):
+    tags = {"robotNamespace": "/lab/one/", "publishWheelTF": "1", "publishWheelJointState": "1"}
+    robot = spawn(tf_prefix="/left/", **tags)
     (device,) = robot.plugins
     assert [entry.topic for entry in device.inputs] == ["/lab/one/cmd_vel"]
     topics = ["/lab/one/odom", "/tf", "/tf", "/lab/one/joint_states"]
     assert [output.topic for output in device.outputs] == topics
     samples, transforms = record(robot, "/lab/one/odom"), record(robot, "/tf")
     world.run_for(0.05)
-    assert samples[0].frame == device.frame == "odom"
-    frames = [(transform.frame, transform.child_frame) for transform in transforms]
-    assert frames == [
-        ("odom", "base_footprint"),
-        ("base_footprint", "left_wheel"),
-        ("base_footprint", "right_wheel"),
+    assert samples[0].frame == device.frame == "left/odom"
+    assert [(transform.frame, transform.child_frame) for transform in transforms] == [
+        ("left/odom", "left/base_footprint"),
+        ("left/base_footprint", "left/left_wheel"),
+        ("left/base_footprint", "left/right_wheel"),
     ]
-
-
-def test_a_tf_prefix_stands_before_frames_and_no_namespace(world, model):
-    plugin = PluginTag(FILENAME, "drive", {**TAGS, "robotNamespace": "one"})
-    robot = world.add(replace(model, plugins=(plugin,)), tf_prefix="/left/")
-    samples = record(robot, "/one/odom")
-    world.run_for(0.05)
-    assert (samples[0].frame, samples[0].child_frame) == ("left/odom", "left/base_footprint")
 
 
 def test_every_tag_is_read(spawn):
@@ -335,79 +285,58 @@ def test_every_tag_is_read(spawn):
     assert device.mount.unread_tags() == ()
 
 
-def test_absolute_names_stay(world, spawn):
-    robot = spawn(robotNamespace="one", commandTopic="/go", odometryFrame="/map")
-    (device,) = robot.plugins
-    assert device.inputs[0].topic == "/go"
-    assert device.frame == "map"
-
-
 # The encoders
 
 
 def test_encoders_agree_with_the_world_where_nothing_slips(world, spawn):
     start = Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, 0.7))
     robot = spawn(start, odometrySource="encoder")
-    samples = record(robot)
-    for command in ((0.3, 0.2), (-0.2, 0.5), (0.1, -0.6), (-0.3, 0.0)):
-        robot.command("cmd_vel", PlanarCommand(command[0], 0.0, command[1]))
-        world.run_for(2.0)
+    samples = record(robot, "odom")
+    # Reverse reads negative.
+    for v, w in ((0.3, 0.2), (-0.2, -0.5)):
+        robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
+        world.run_for(1.5)
         last = samples[-1]
         driven = robot.plugins[0].origin.inverse() * robot.pose()
         assert last.pose.position[:2] == pytest.approx(driven.position[:2], abs=3e-3)
         assert last.pose.position[2] == 0.0
         assert last.pose.yaw == pytest.approx(driven.yaw, abs=4e-3)
-        # Reverse reads negative.
-        assert last.velocity.vx == pytest.approx(command[0], abs=2e-3)
-        assert (last.velocity.vy, last.velocity.wz) == pytest.approx((0, command[1]), abs=5e-3)
-        assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+        assert last.velocity.vx == pytest.approx(v, abs=2e-3)
+        assert (last.velocity.vy, last.velocity.wz) == pytest.approx((0, w), abs=5e-3)
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_encoders_count_what_slips_on_a_slippery_floor(world, spawn, direction):
+def test_encoders_count_what_slips_on_a_slippery_floor(world, spawn):
     grip = 0.02
     robot = spawn(grip=grip, odometrySource="encoder")
-    samples = record(robot)
-    robot.command("cmd_vel", PlanarCommand(vx=direction))
-    world.run_for(2.0)
+    samples = record(robot, "odom")
+    robot.command("cmd_vel", PlanarCommand(vx=-1.0))
+    world.run_for(1.0)
     # The wheels spin at 1 m/s at once; the floor moves the robot by friction at two thirds of
     # its weight.
     acceleration = grip * (2 / 3) * G
-    true = 0.5 * acceleration * 1.95**2
-    assert direction * robot.pose().position[0] == pytest.approx(true, rel=0.05)
-    assert direction * samples[-1].pose.position[0] == pytest.approx(1.95, abs=0.02)
-    assert direction * samples[-1].velocity.vx == pytest.approx(1.0, abs=0.01)
+    true = 0.5 * acceleration * 0.95**2
+    assert robot.pose().position[0] == pytest.approx(-true, rel=0.05)
+    assert samples[-1].pose.position[0] == pytest.approx(-0.95, abs=0.02)
+    assert samples[-1].velocity.vx == pytest.approx(-1.0, abs=0.01)
 
 
 def test_each_wheel_may_be_believed_to_have_a_diameter_of_its_own(world, spawn):
     tags = {"leftWheelDiameter": "0.25", "rightWheelDiameter": "0.3"}
     robot = spawn(odometrySource="encoder", **tags)
-    samples = record(robot)
+    samples = record(robot, "odom")
     robot.command("cmd_vel", PlanarCommand(vx=0.3))
     world.run_for(1.5)
     left, right = (wheel.state() for wheel in robot.plugins[0].wheels)
     assert (left.velocity, right.velocity) == pytest.approx((0.3 / 0.125, 0.3 / 0.15), rel=1e-3)
-    reckoning = DeadReckoning(TRACK, 0.125, 0.15)
-    driven, turned = reckoning.advance(left.position, right.position)
-    assert samples[-1].pose.position[0] == pytest.approx(driven, rel=1e-2)
-    assert samples[-1].velocity.wz == pytest.approx(0.0, abs=1e-3)
+    velocity = samples[-1].velocity
+    assert (velocity.vx, velocity.wz) == pytest.approx((0.3, 0.0), abs=1e-3)
     # The wheels are equal, so that the robot turns to the side of the slower one.
     assert robot.pose().yaw < -0.1
 
 
-def test_encoders_drive_on_at_a_kerb(world, spawn):
-    world.add(kerb(0.4))
-    robot = spawn(grip=0.1, odometrySource="encoder")
-    samples = record(robot)
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(5.0)
-    assert robot.pose().position[0] == pytest.approx(0.2, abs=2e-3)
-    assert samples[-1].pose.position[0] == pytest.approx(0.2 * 4.95, abs=0.02)
-
-
 def test_encoders_start_where_the_robot_starts_and_notice_no_lift(world, spawn):
     robot = spawn(Pose((3.0, 0.0, 0.0)), odometrySource="encoder")
-    samples = record(robot)
+    samples = record(robot, "odom")
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
     world.run_for(1.0)
     before = samples[-1].pose.position[0]
@@ -426,7 +355,7 @@ def test_encoders_start_where_the_robot_starts_and_notice_no_lift(world, spawn):
 
 def test_a_reset_is_as_good_as_a_new_robot(world, spawn):
     robot = spawn(wheelAcceleration="0.7", odometrySource="encoder")
-    samples = record(robot)
+    samples = record(robot, "odom")
 
     def drive():
         samples.clear()
@@ -448,8 +377,8 @@ def test_dead_reckoning_is_exact_for_arcs():
         assert reckoning.advance(number * left, number * right) == pytest.approx((v * dt, w * dt))
         x, y, yaw = arc((0, 0, 0), v, w, number * dt)
         assert reckoning.pose == pytest.approx((x, y, math.remainder(yaw, math.tau)), abs=1e-12)
-    for number in range(7, -1, -1):
-        assert reckoning.advance(number * left, number * right) == pytest.approx((-v * dt, -w * dt))
+    # The other way the whole arc at once.
+    assert reckoning.advance(0.0, 0.0) == pytest.approx((-8 * v * dt, -8 * w * dt))
     assert reckoning.pose == pytest.approx((0, 0, 0), abs=1e-12)
     reckoning.advance(1.0, 1.0)
     assert reckoning.pose == pytest.approx((RADIUS, 0, 0))
@@ -478,60 +407,37 @@ class FakeBody:
         return JointState(0.0, self.velocity, 0.0)
 
 
-def test_the_acceleration_limit_ends_exactly_at_the_wanted_speed():
+def test_the_acceleration_limit_ends_exactly_at_the_wanted_speed_and_holds_at_rest():
     body = FakeBody()
     wheel = Wheel(body, "wheel", 5.0, acceleration=3.0)
     body.orders.clear()
-    for speed in (0.4, 0.4, 0.4, 0.4, -0.2, -0.2, -0.2, -0.2, -0.2, -0.2):
+    for speed in (0.4, 0.4, 0.4, -0.2, -0.2, -0.2, -0.2, -0.2, 0.0, 0.0, 0.0, 0.0):
         wheel.follow(speed, 0.05)
-    assert body.orders[2] == body.orders[3] == 0.4
-    assert body.orders[-2:] == [-0.2, -0.2]
-    assert body.orders == pytest.approx([0.15, 0.30, 0.4, 0.4, 0.25, 0.10, -0.05, -0.2, -0.2, -0.2])
-
-
-def test_the_acceleration_limit_goes_down_to_zero_and_then_holds():
-    body = FakeBody()
-    wheel = Wheel(body, "wheel", 5.0, acceleration=3.0)
-    wheel.follow(0.1, 0.05)
-    body.orders.clear()
-    for _ in range(4):
-        wheel.follow(0.0, 0.03)
-    assert body.orders == [pytest.approx(0.01), 0.0, "hold"]
-
-
-def test_without_a_limit_the_speed_is_wanted_at_once():
-    body = FakeBody()
-    wheel = Wheel(body, "wheel", 5.0)
-    wheel.follow(-7.5, 0.05)
-    assert body.orders[-1] == -7.5
+    *speeds, last = body.orders
+    assert last == "hold"
+    assert (speeds[2], speeds[7], speeds[9]) == (0.4, -0.2, 0.0)
+    assert speeds == pytest.approx([0.15, 0.3, 0.4, 0.25, 0.1, -0.05, -0.2, -0.2, -0.05, 0.0])
 
 
 # What it refuses
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e300])
-@pytest.mark.parametrize("field", ["vx", "wz"])
-def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, spawn, field, bad):
+def test_commands_that_are_not_finite_are_refused(spawn):
     robot = spawn()
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    with pytest.raises(PluginError, match="is not finite"):
-        robot.command("cmd_vel", PlanarCommand(**{field: bad}))
-    world.run_for(0.5)
-    assert speeds(robot) == pytest.approx((0.2, 0.2), abs=1e-3)
+    for bad in (PlanarCommand(vx=math.nan), PlanarCommand(wz=1e300)):
+        with pytest.raises(PluginError, match="is not finite"):
+            robot.command("cmd_vel", bad)
 
 
 @pytest.mark.parametrize(
     ("tags", "message"),
     [
         ({"leftJoint": None}, "<leftJoint>: no movable joint 'left_joint'"),
-        ({"rightJoint": "nix"}, "<rightJoint>: no movable joint 'nix'"),
         ({"rightJoint": "left_wheel_joint"}, "'left_wheel_joint' is the left one already"),
-        ({"leftJoint": "base_joint"}, "<leftJoint>: no movable joint 'base_joint'"),
         ({"wheelSeparation": "0"}, "<wheelSeparation>: 0 is not positive"),
         ({"wheelDiameter": "-0.1"}, "<wheelDiameter>: -0.1 is not positive"),
         ({"wheelTorque": "-1"}, "<wheelTorque>: -1 is negative"),
         ({"wheelAcceleration": "-0.5"}, "<wheelAcceleration>: -0.5 is negative"),
-        ({"wheelDiameter": "nan"}, "<wheelDiameter>"),
         ({"odometrySource": "gps"}, "<odometrySource>: 'gps' is not one of world, encoder"),
         ({"updateRate": "-5"}, "<updateRate>: a rate of -5 Hz"),
         ({"publishTf": "perhaps"}, "<publishTf>"),

@@ -1,12 +1,10 @@
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import complains
-from scipy import stats
-from sensor_worlds import carrier, empty, held, record, sensor
+from conftest import EMPTY_WORLD, complains
+from sensor_worlds import carrier, check_normal, empty, held, record, sensor
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.motion_sensors import Accelerometer
@@ -16,7 +14,10 @@ from bullet_lab.simulation.world.urdf import read_urdf
 
 G = 9.8
 FRAME = "<frameName>imu_link</frameName>"
-FLOOR = "package://bullet_lab/worlds/empty.world"
+SENSOR_TAGS = f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>"
+QUARTER = "1.5707963267948966 0 0"
+
+
 BLOCK_SHAPE = (
     '<inertial><origin xyz="0 0 0.025"/><mass value="4.5"/>'
     '<inertia ixx="4.6875e-3" iyy="4.6875e-3" izz="7.5e-3"/></inertial>'
@@ -33,7 +34,7 @@ def imu(tags="<updateRate>100</updateRate>", body="base", **robot):
     )
 
 
-def imu_sensor(tags=f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>", inner=""):
+def imu_sensor(tags=SENSOR_TAGS, inner=""):
     return carrier(sensor("imu", inner, "libgazebo_ros_imu_sensor.so", tags))
 
 
@@ -54,14 +55,14 @@ def block(rate, at="0 0 0.05"):
     )
 
 
-def driving(rate, command, seconds=1.0):
-    with Simulation.of(FLOOR) as simulation:
+def driving(rate, command):
+    with Simulation.of(EMPTY_WORLD) as simulation:
         robot = simulation.add(block(rate, at="0.02 0 0.05"))
         samples = record(robot, "imu")
         robot.command("cmd_vel", command)
         simulation.run_for(0.5)
         samples.clear()
-        simulation.run_for(seconds)
+        simulation.run_for(1.0)
     return samples
 
 
@@ -75,18 +76,12 @@ def test_at_rest_the_sensor_reads_gravity_upwards(make, rest):
     assert samples[-1].orientation == (0.0, 0.0, 0.0, 1.0)
 
 
-def test_on_the_floor_the_models_plugin_reads_nothing():
-    samples = driving(100, PlanarCommand())
-    forces = np.array([sample.specific_force for sample in samples])
-    assert forces == pytest.approx(np.zeros((100, 3)), abs=1e-3)
-
-
 @BOTH
 def test_in_free_fall_the_sensor_reads_nothing(make, rest):
     with Simulation() as simulation:
         samples = record(simulation.add(make(), pose=Pose((0, 0, 100))), "imu")
-        simulation.run_for(0.5)
-    assert len(samples) == 50
+        simulation.run_for(0.1)
+    assert len(samples) == 10
     for sample in samples:
         assert sample.specific_force == pytest.approx((0, 0, rest - G), abs=1e-6)
 
@@ -103,10 +98,10 @@ def test_gravity_is_given_in_the_sensors_axes():
     assert samples[-1].orientation == pytest.approx(turned.quaternion)
 
 
-@pytest.mark.parametrize("rate", [1000, 200, 100, 50])
+@pytest.mark.parametrize("rate", [1000, 50])
 def test_a_turn_at_speed_reads_the_centripetal_acceleration(rate):
     speed, turn = 0.3, 0.5
-    samples = driving(rate, PlanarCommand(vx=speed, wz=turn), 2.0)
+    samples = driving(rate, PlanarCommand(vx=speed, wz=turn))
     forces = np.array([sample.specific_force for sample in samples])
     rates = np.array([sample.angular_velocity for sample in samples])
     # What floor friction leaves of the command.
@@ -119,9 +114,9 @@ def test_a_turn_at_speed_reads_the_centripetal_acceleration(rate):
     assert (forces.std(axis=0) < (0.3, 0.3, 1.0)).all()
 
 
-@pytest.mark.parametrize("rate", [100, 40])
-def test_readings_add_up_to_the_change_of_velocity(rate):
-    with Simulation.of(FLOOR) as simulation:
+def test_readings_add_up_to_the_change_of_velocity():
+    rate = 40
+    with Simulation.of(EMPTY_WORLD) as simulation:
         robot = simulation.add(block(rate))
         samples = record(robot, "imu")
         simulation.run_for(0.5)
@@ -146,16 +141,16 @@ def test_a_spinning_sensor_off_the_centre_feels_its_own_turning():
     assert samples[-1].specific_force == pytest.approx((-2.0, 0.02, 0.0), abs=2e-3)
 
 
-@pytest.mark.parametrize("sensor_pose", [False, True])
-def test_the_offsets_place_the_sensor(sensor_pose):
-    quarter = "1.5707963267948966 0 0"
-    tags = f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>"
-    if sensor_pose:
-        model = imu_sensor(inner=f"<pose>0 0 0 {quarter}</pose>")
-    else:
-        model = imu_sensor(f"{tags}<rpyOffset>{quarter}</rpyOffset>")
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"inner": f"<pose>0 0 0 {QUARTER}</pose>"},
+        {"tags": f"{SENSOR_TAGS}<rpyOffset>{QUARTER}</rpyOffset>"},
+    ],
+)
+def test_the_offsets_place_the_sensor(changed):
     with held() as simulation:
-        robot = simulation.add(model)
+        robot = simulation.add(imu_sensor(**changed))
         robot.bodies["base"].set_velocity((0, 0, 0), (0, 0, 1.0))
         samples = record(robot, "imu")
         simulation.run_for(0.01)
@@ -178,64 +173,49 @@ def test_the_accelerometer_averages_over_the_whole_of_a_longer_period():
     meter = Accelerometer()
     meter.restart(0, (0.0, 0.0, 0.0))
     assert meter.advance(50, (1.0, 0, 0)) == pytest.approx((20.0, 0, 0))
-    assert meter.advance(100, (1.0, 0, 0)) == pytest.approx((0.0, 0, 0))
-    assert meter.advance(100, (1.0, 0, 0)) == pytest.approx((0.0, 0, 0))
+    for _ in range(2):
+        assert meter.advance(100, (1.0, 0, 0)) == pytest.approx((0.0, 0, 0))
 
 
-@pytest.mark.parametrize("reset", ["reset_world", "reset_simulation", "place"])
+@pytest.mark.parametrize("reset", ["reset_simulation", "place"])
 def test_no_spike_when_it_is_put_elsewhere(reset):
-    with Simulation.of(FLOOR) as simulation:
+    with Simulation.of(EMPTY_WORLD) as simulation:
         robot = simulation.add(block(100))
         samples = record(robot, "imu")
         robot.command("cmd_vel", PlanarCommand(vx=0.5))
-        simulation.run_for(1.005)
+        simulation.run_for(0.305)
         before = len(samples)
         if reset == "place":
             robot.command("cmd_vel", PlanarCommand())
             robot.place(Pose((3, 0, 0)))
         else:
             getattr(simulation, reset)()
-        simulation.run_for(0.5)
+        simulation.run_for(0.3)
     after = np.array([sample.specific_force for sample in samples[before:]])
-    assert len(after) >= 49
+    assert len(after) >= 29
     assert np.abs(after).max() < 0.2
 
 
 # Noise
 
 
-def noisy(model, seed=1, seconds=20.0):
+def noisy(model, seed=1, seconds=1.0):
     with empty(seed) as simulation:
         samples = record(simulation.add(model), "imu")
         simulation.run_for(seconds)
     return samples
 
 
-def check_normal(errors, deviation):
-    """Mean and variance against their distributions, to 99.9 % each."""
-    number = len(errors)
-    assert abs(errors.mean()) < stats.norm.ppf(0.9995) * deviation / math.sqrt(number)
-    chi = number * np.mean(errors**2) / deviation**2
-    assert stats.chi2.ppf(0.0005, number) < chi < stats.chi2.ppf(0.9995, number)
-
-
-@BOTH
-def test_noise_and_covariances(make, rest):
-    tags = "<gaussianNoise>0.05</gaussianNoise>"
-    if make is imu:
-        model = imu(tags + "<updateRate>100</updateRate>")
-    else:
-        rest = f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>"
-        model = imu_sensor(tags + rest)
-    samples = noisy(model)
-    check_normal(np.array([sample.specific_force for sample in samples]).ravel(), 0.05)
-    check_normal(np.array([sample.angular_velocity for sample in samples]).ravel(), 0.05)
+@pytest.mark.parametrize("make", [imu, lambda tags: imu_sensor(SENSOR_TAGS + tags)])
+def test_noise_and_covariances(make):
+    samples = noisy(make("<gaussianNoise>0.05</gaussianNoise>"))
+    check_normal([sample.specific_force for sample in samples], 0.05)
+    check_normal([sample.angular_velocity for sample in samples], 0.05)
     # Half the rotation vector, near enough.
-    turns = 2.0 * np.array([sample.orientation[:3] for sample in samples]).ravel()
+    turns = 2.0 * np.array([sample.orientation[:3] for sample in samples])
     check_normal(turns, 0.05)
-    for sample in samples:
-        assert math.hypot(*sample.orientation) == pytest.approx(1.0, abs=1e-12)
     last = samples[-1]
+    assert math.hypot(*last.orientation) == pytest.approx(1.0, abs=1e-12)
     assert last.orientation_variance == pytest.approx(0.0025)
     assert last.angular_velocity_variance == pytest.approx(0.0025)
     assert last.specific_force_variance == pytest.approx(0.0025)
@@ -247,7 +227,7 @@ def test_noise_of_the_sensor_element():
         f"<imu><angular_velocity><x>{noise.format(0, 0.02, 0)}</x></angular_velocity>"
         f"<linear_acceleration><z>{noise.format(0, 0.3, 2.0)}</z></linear_acceleration></imu>"
     )
-    samples = noisy(imu_sensor(inner=inner))
+    samples = noisy(imu_sensor(inner=inner), seconds=10.0)
     rates = np.array([sample.angular_velocity for sample in samples])
     forces = np.array([sample.specific_force for sample in samples])
     check_normal(rates[:, 0], 0.02)
@@ -277,10 +257,11 @@ def test_the_seed_decides():
 # Rates, frames, defaults, refusals
 
 
-@pytest.mark.parametrize("rate", [100, 30, 7])
-def test_the_mean_rate_is_exact(rate):
-    samples = noisy(imu(f"<updateRate>{rate}</updateRate>"), seconds=10.0)
-    assert len(samples) == 10 * rate
+@pytest.mark.parametrize(
+    "model", [imu("<updateRate>7</updateRate>"), imu_sensor(inner="<update_rate>7</update_rate>")]
+)
+def test_the_mean_rate_is_exact_and_that_of_the_slower_of_plugin_and_sensor(model):
+    assert len(noisy(model)) == 7
 
 
 def test_defaults_of_the_models_plugin():
@@ -299,26 +280,16 @@ def test_defaults_of_the_sensors_plugin():
     with empty() as simulation:
         robot = simulation.add(imu_sensor(FRAME), namespace="ns", tf_prefix="robot")
         samples = record(robot, "/ns/imu_data")
-        simulation.run_for(3.0)
-    assert [(s.step, s.frame) for s in samples] == [
-        (step, "imu_link") for step in (1000, 2000, 3000)
-    ]
-
-
-def test_the_sensor_is_as_slow_as_the_slower_of_plugin_and_sensor():
-    samples = noisy(imu_sensor(inner="<update_rate>10</update_rate>"), seconds=1.0)
-    assert len(samples) == 10
+        simulation.run_for(2.0)
+    assert [(s.step, s.frame) for s in samples] == [(1000, "imu_link"), (2000, "imu_link")]
 
 
 @pytest.mark.parametrize(("wanted", "yaw"), [("false", 0.7), ("true", 0.0)])
 def test_the_initial_orientation_may_be_the_reference(wanted, yaw):
-    tags = (
-        f"<topicName>imu</topicName>{FRAME}<updateRateHZ>100</updateRateHZ>"
-        f"<initialOrientationAsReference>{wanted}</initialOrientationAsReference>"
-    )
+    tag = f"<initialOrientationAsReference>{wanted}</initialOrientationAsReference>"
     with empty() as simulation:
         place = Pose.from_rpy((0, 0, 0), (0, 0, 0.7))
-        samples = record(simulation.add(imu_sensor(tags), pose=place), "imu")
+        samples = record(simulation.add(imu_sensor(SENSOR_TAGS + tag), pose=place), "imu")
         simulation.run_for(0.01)
     assert Pose(quaternion=samples[0].orientation).yaw == pytest.approx(yaw)
 
@@ -327,10 +298,8 @@ def test_the_initial_orientation_may_be_the_reference(wanted, yaw):
     ("model", "message"),
     [
         (lambda: imu(body=""), "<bodyName>: is missing"),
-        (lambda: imu(body="nobody"), "no link 'nobody'"),
         (lambda: imu("<gaussianNoise>-1</gaussianNoise>"), "<gaussianNoise>: -1 is negative"),
         (lambda: imu("<xyzOffset>0 0</xyzOffset>"), "<xyzOffset>: '0 0' is not 3 finite numbers"),
-        (lambda: imu("<updateRate>-3</updateRate>"), "<updateRate>: a rate of -3 Hz"),
         (lambda: imu_sensor(""), "<frameName>: is missing"),
         (lambda: carrier(sensor("ray", "", "libgazebo_ros_imu_sensor.so", FRAME)), 'type="imu"'),
     ],
@@ -340,17 +309,13 @@ def test_refusals(model, message):
         simulation.add(model())
 
 
-@pytest.mark.parametrize("gravity", [(2.0, 0.0, -9.6), (0.0, -3.0, -9.0), (0.0, 0.0, 5.0)])
-def test_gravity_in_any_direction_is_felt(gravity):
-    opposite = tuple(-part for part in gravity)
+def test_gravity_in_any_direction_is_felt():
     with held() as simulation:
-        simulation.world = replace(simulation.world, gravity=gravity)
-        made_later = simulation.add(imu_sensor())
-        samples = record(made_later, "imu")
-        simulation.run_for(0.05)
-        assert samples[-1].specific_force == pytest.approx(opposite, abs=1e-9)
-        simulation.set_gravity((0.0, 0.0, -G))
-        simulation.set_gravity(gravity)
-        simulation._physics.set_gravity((0.0, 0.0, 0.0))
-        simulation.run_for(0.05)
-        assert samples[-1].specific_force == pytest.approx(opposite, abs=1e-9)
+        simulation.set_gravity((2.0, -3.0, -9.6))
+        samples = record(simulation.add(imu_sensor()), "imu")
+        for gravity in ((2.0, -3.0, -9.6), (0.0, 0.0, 5.0)):
+            simulation.set_gravity(gravity)
+            simulation._physics.set_gravity((0.0, 0.0, 0.0))
+            simulation.run_for(0.05)
+            opposite = tuple(-part for part in gravity)
+            assert samples[-1].specific_force == pytest.approx(opposite, abs=1e-9)

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from conftest import complains
+from sensor_worlds import box, record
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.trajectory import Trajectory
@@ -18,10 +19,10 @@ FRICTION_LOSS = 9.8e-3  # m/s at each step of 1 ms
 HALF = 0.05
 
 
-def block(tags="", mu="1", inertial_origin="0 0 0.025"):
+def block(tags="", mu="1"):
     """A block like the report's, without the can."""
     return read_urdf(
-        f'<robot name="block"><link name="base"><inertial><origin xyz="{inertial_origin}"/>'
+        '<robot name="block"><link name="base"><inertial><origin xyz="0 0 0.025"/>'
         '<mass value="4.5"/><inertia ixx="4.6875e-3" iyy="4.6875e-3" izz="7.5e-3"/></inertial>'
         '<collision><origin xyz="0 0 0.025"/><geometry><box size="0.1 0.1 0.05"/></geometry>'
         f'</collision></link><gazebo reference="base"><mu1>{mu}</mu1></gazebo><gazebo>'
@@ -29,21 +30,6 @@ def block(tags="", mu="1", inertial_origin="0 0 0.025"):
         "</robot>",
         "block",
     )
-
-
-def wall(yaw=0.0):
-    return read_spawned(
-        f'<sdf><model name="wall"><static>true</static><pose>1 0 0.5 0 0 {yaw}</pose>'
-        '<link name="l"><collision name="c"><geometry><box><size>0.2 20 1</size></box>'
-        "</geometry></collision></link></model></sdf>",
-        "wall",
-    )
-
-
-def record(robot, topic="odom"):
-    samples = []
-    robot.listen(topic, samples.append)
-    return samples
 
 
 def test_figure_1a_sides_and_turns(published_run):
@@ -77,10 +63,10 @@ def test_figure_1a_points(published_run, figure_corners):
 
 def test_a_command_is_latched_and_loses_friction(world, robot):
     robot.command("cmd_vel", PlanarCommand(vx=0.2, vy=-0.1))
-    world.run_for(5.0)
-    speed = math.hypot(0.2, 0.1)
+    world.run_for(2.0)
     x, y, _ = robot.pose().position
-    assert math.hypot(x, y) == pytest.approx(5.0 * (speed - FRICTION_LOSS), abs=2e-4)
+    speed = math.hypot(0.2, 0.1) - FRICTION_LOSS
+    assert math.hypot(x, y) == pytest.approx(2.0 * speed, abs=2e-4)
     assert y / x == pytest.approx(-0.5, abs=1e-3)
 
 
@@ -108,7 +94,7 @@ def test_velocities_turn_with_the_robot(world):
         "package://bullet_lab/urdf/block_robot.urdf",
         pose=Pose.from_rpy((1, 2, 0), (0, 0, math.pi / 2)),
     )
-    samples = record(robot)
+    samples = record(robot, "odom")
     robot.command("cmd_vel", PlanarCommand(vx=0.2, vy=0.05, wz=0.3))
     world.run_for(0.1)
     x, y, _ = robot.pose().position
@@ -117,9 +103,8 @@ def test_velocities_turn_with_the_robot(world):
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
     world.run_for(0.2)
     velocity = samples[-1].velocity
-    assert velocity.vx == pytest.approx(0.2 - FRICTION_LOSS, abs=1e-3)
-    assert velocity.vy == pytest.approx(0.0, abs=1e-3)
-    assert velocity.wz == pytest.approx(0.0, abs=1e-3)
+    told = (velocity.vx, velocity.vy, velocity.wz)
+    assert told == pytest.approx((0.2 - FRICTION_LOSS, 0.0, 0.0), abs=1e-3)
 
 
 def test_a_command_moves_the_robot_in_the_very_next_step(world, robot):
@@ -128,14 +113,13 @@ def test_a_command_moves_the_robot_in_the_very_next_step(world, robot):
     assert robot.pose().position[0] == pytest.approx(1e-3 * (0.2 - FRICTION_LOSS), rel=0.06)
 
 
-@pytest.mark.parametrize("before", [0, 137])
-def test_a_command_times_out(world, before):
-    world.run_until(before)
+def test_a_command_times_out(world):
+    world.run_until(137)
     robot = world.add(block("<cmdTimeout>0.1</cmdTimeout>"))
     for _ in range(2):
         start = robot.pose().position[0]
         robot.command("cmd_vel", PlanarCommand(vx=0.2))
-        world.run_for(1.0)
+        world.run_for(0.2)
         driven = robot.pose().position[0] - start
         # 100 steps, not one more or less.
         assert driven == pytest.approx(0.1 * (0.2 - FRICTION_LOSS), abs=5e-5)
@@ -143,15 +127,16 @@ def test_a_command_times_out(world, before):
 
 def test_a_time_out_counts_anew_after_a_reset(world):
     robot = world.add(block("<cmdTimeout>0.1</cmdTimeout>"))
-    world.run_for(2.0)
+    world.run_for(0.5)
     world.reset_simulation()
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(1.0)
+    world.run_for(0.3)
     assert robot.pose().position[0] == pytest.approx(0.1 * (0.2 - FRICTION_LOSS), abs=5e-5)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e300])
-@pytest.mark.parametrize("field", ["vx", "vy", "wz"])
+@pytest.mark.parametrize(
+    ("field", "bad"), [("vx", math.nan), ("vy", -math.inf), ("wz", 1e300)]
+)
 def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, robot, field, bad):
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
     with pytest.raises(PluginError, match="is not finite"):
@@ -161,23 +146,16 @@ def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, r
     assert robot.pose().yaw == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_robot_without_command_stays(world, robot):
-    world.run_for(5.0)
-    assert robot.pose().position == pytest.approx((0, 0, 0), abs=1e-4)
-    assert robot.pose().rpy() == pytest.approx((0, 0, 0), abs=1e-4)
-
-
-@pytest.mark.parametrize("speed", [0.2, 1.0])
-@pytest.mark.parametrize("yaw", [0.0, 0.3, 0.7])
+@pytest.mark.parametrize(("yaw", "speed"), [(0.0, 0.2), (0.7, 1.0)])
 def test_a_wall_stops_the_block(world, robot, yaw, speed):
-    world.add(wall(yaw))
+    world.add(box("0.2 20 1", f"0.5 0 0.5 0 0 {yaw}"))
     robot.command("cmd_vel", PlanarCommand(vx=speed))
     normal = np.array([math.cos(yaw), math.sin(yaw)])
     for _ in range(100):
-        world.run_for(0.06 if speed < 1.0 else 0.03)
+        world.run_for(0.03)
         pose = robot.pose()
         reach = HALF * (abs(math.cos(pose.yaw - yaw)) + abs(math.sin(pose.yaw - yaw)))
-        gap = -(np.array(pose.position[:2]) - (1.0, 0.0)) @ normal - 0.1 - reach
+        gap = -(np.array(pose.position[:2]) - (0.5, 0.0)) @ normal - 0.1 - reach
         assert gap > -2e-3
         assert abs(pose.position[2]) < 2e-3
         assert max(map(abs, pose.rpy()[:2])) < math.radians(2.0)
@@ -199,35 +177,30 @@ def test_pushing_a_box_does_not_blow_up(world, robot):
     )
     pushed = world.add(crate)
     robot.command("cmd_vel", PlanarCommand(vx=0.3))
-    for _ in range(40):
-        world.run_for(0.1)
+    for _ in range(20):
+        world.run_for(0.2)
         for thing in (robot, pushed):
             assert np.isfinite(thing.pose().position).all()
             assert abs(thing.pose().position[1]) < 0.1
             assert thing.pose().position[2] < 0.15
-    assert pushed.pose().position[0] > robot.pose().position[0] + 0.1
     assert pushed.pose().position[0] > 1.0
 
 
 def test_in_the_air_it_sinks_as_in_gazebo_and_no_floor_slows_it(world):
     robot = world.add(block(), pose=Pose((0, 0, 2)))
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(1.0)
+    world.run_for(0.5)
     x, _, z = robot.pose().position
-    world.run_for(1.0)
-    assert robot.pose().position[0] - x == pytest.approx(0.2, abs=1e-6)
+    world.run_for(0.5)
+    driven = np.subtract(robot.pose().position, (x, 0.0, z))
     # Each step starts without vertical velocity: g·dt is all it reaches.
-    assert robot.pose().position[2] - z == pytest.approx(-9.8e-3, abs=1e-6)
+    assert driven == pytest.approx((0.1, 0.0, -4.9e-3), abs=1e-6)
 
 
-@pytest.mark.parametrize("rate", [20, 30, 7])
-def test_the_mean_rate_of_the_odometry_is_exact(world, rate):
-    samples = record(world.add(block(f"<odometryRate>{rate}</odometryRate>")))
-    world.run_for(60.0)
-    assert len(samples) == 60 * rate
-    assert samples[-1].step == 60_000
-    gaps = np.diff([0] + [sample.step for sample in samples])
-    assert gaps.max() - gaps.min() <= 1
+def test_the_mean_rate_of_the_odometry_is_exact(world):
+    samples = record(world.add(block("<odometryRate>7</odometryRate>")), "odom")
+    world.run_for(2.0)
+    assert [sample.step for sample in samples] == [math.ceil(k * 1000 / 7) for k in range(1, 15)]
 
 
 def test_what_odometry_and_transform_say(world):
@@ -253,50 +226,32 @@ def test_what_odometry_and_transform_say(world):
     assert [t.step for t in transforms] == [50, 100]
 
 
-def test_defaults_of_the_tags(world):
-    robot = world.add(block())
-    odometry = record(robot, "odom")
-    robot.command("cmd_vel", PlanarCommand())
-    world.run_for(0.1)
-    assert [(s.frame, s.child_frame) for s in odometry] == [("odom", "base_footprint")] * 2
-
-
-def test_the_pose_is_that_of_the_frame_and_not_of_the_centre_of_mass(world):
-    samples = record(world.add(block(inertial_origin="0.02 0.01 0.03")))
-    world.run_for(0.05)
-    assert samples[0].pose.position == pytest.approx((0, 0, 0), abs=1e-3)
-
-
 @pytest.mark.parametrize("reset", ["reset_world", "reset_simulation"])
 def test_no_spike_after_a_reset(world, robot, reset):
-    samples = record(robot)
+    samples = record(robot, "odom")
     robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.2))
-    world.run_for(2.025)
+    world.run_for(1.025)
     before = len(samples)
     getattr(world, reset)()
     assert robot.pose().position == pytest.approx((0, 0, 0), abs=1e-12)
-    world.run_for(1.0)
-    assert len(samples) >= before + 20
+    world.run_for(0.5)
     for sample in samples[before:]:
         velocity = sample.velocity
         assert (velocity.vx, velocity.vy, velocity.wz) == pytest.approx((0, 0, 0), abs=1e-3)
         assert sample.pose.position == pytest.approx((0, 0, 0), abs=1e-4)
-    now = [sample.step for sample in samples[before:]]
-    assert now[0] == (2050 if reset == "reset_world" else 50)
-    assert np.diff(now).tolist() == [50] * (len(now) - 1)
+    first = 1050 if reset == "reset_world" else 50
+    assert [sample.step for sample in samples[before:]] == list(range(first, first + 500, 50))
 
 
-@pytest.mark.parametrize("height", [0.0, 2.0])
-def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot, height):
-    samples = record(robot)
+def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot):
+    samples = record(robot, "odom")
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(1.0)
-    for z in (height, 0.0):
+    world.run_for(0.3)
+    for z in (2.0, 0.0):
         robot.place(Pose((3.0, 0.0, z)))
         world.run_for(0.25)
-        x, y, _ = robot.pose().position
-        assert x - 3.0 == pytest.approx(0.25 * (0.2 - FRICTION_LOSS), abs=3e-3)
-        assert y == pytest.approx(0.0, abs=1e-4)
+        driven = robot.pose().position[0] - 3.0
+        assert driven == pytest.approx(0.25 * (0.2 - FRICTION_LOSS), abs=3e-3)
     assert max(abs(sample.velocity.vx) for sample in samples) < 0.21
 
 
@@ -321,25 +276,20 @@ def test_tf_prefix_may_depend_on_the_namespace_of_the_plugin(world):
         assert samples[0].frame == frame
 
 
-def test_robot_namespace(world):
-    model = block()
-    inner = world.add(block("<robotNamespace>/own/</robotNamespace>"), "one", namespace="given")
-    outer = world.add(model, "two", Pose((1, 0, 0)), namespace="given")
-    for robot, name in ((inner, "/own"), (outer, "/given")):
-        record(robot, f"{name}/odom")
-        robot.command(f"{name}/cmd_vel", PlanarCommand(vx=0.1))
-        with pytest.raises(SimulationError, match="has no input 'cmd_vel'"):
-            robot.command("cmd_vel", PlanarCommand())
-        with pytest.raises(SimulationError, match="has no output 'odom'"):
-            record(robot, "odom")
+def test_topics_are_known_by_their_full_names_only(world):
+    robot = world.add(block("<robotNamespace>/own/</robotNamespace>"), namespace="given")
+    record(robot, "/own/odom")
+    robot.command("/own/cmd_vel", PlanarCommand(vx=0.1))
+    with pytest.raises(SimulationError, match="has no input 'cmd_vel'"):
+        robot.command("cmd_vel", PlanarCommand())
+    with pytest.raises(SimulationError, match="has no output 'odom'"):
+        record(robot, "odom")
 
 
 @pytest.mark.parametrize(
     ("tags", "message"),
     [
-        ("<odometryRate>fast</odometryRate>", "<odometryRate>: 'fast' is not a finite number"),
         ("<odometryRate>2000</odometryRate>", "<odometryRate>: a rate of 2000 Hz is not within"),
-        ("<odometryRate>-1</odometryRate>", "<odometryRate>: a rate of -1 Hz is not within"),
         ("<cmdTimeout>soon</cmdTimeout>", "<cmdTimeout>: 'soon' is not a finite number"),
         ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 is negative"),
     ],

@@ -1,10 +1,8 @@
 import math
 
-import numpy as np
 import pytest
 from conftest import complains
-from scipy import stats
-from sensor_worlds import box, carrier, empty, record, sensor
+from sensor_worlds import box, carrier, check_normal, empty, record, sensor
 
 FAN = (
     "<update_rate>{rate}</update_rate><ray><scan>"
@@ -50,26 +48,18 @@ def test_what_a_reading_says():
 
 
 def test_nothing_in_range_reads_the_greatest_one_without_noise():
-    samples = readings(sonar(TAGS + "<gaussianNoise>0.5</gaussianNoise>"), seconds=2.0)
-    assert [sample.range for sample in samples] == [3.0] * 20
-
-
-def test_too_near_reads_the_least_range():
-    (sample,) = readings(sonar(), box("0.01 1 1", "0.03 0 0 0 0 0"))
-    assert sample.range == 0.05
+    samples = readings(sonar(TAGS + "<gaussianNoise>0.5</gaussianNoise>"), seconds=0.4)
+    assert [sample.range for sample in samples] == [3.0] * 4
 
 
 def test_noise_is_gaussian_and_stays_within_the_limits():
     wall = box("1 9 9", "2 0 0 0 0 0")
-    noisy = sonar(TAGS + "<gaussianNoise>0.1</gaussianNoise>", rate=100)
-    errors = np.array([s.range - 1.5 for s in readings(noisy, wall, seconds=20.0, seed=3)])
-    number = len(errors)
-    assert number == 2000
-    assert abs(errors.mean()) < stats.norm.ppf(0.9995) * 0.1 / math.sqrt(number)
-    chi = np.sum(errors**2) / 0.01
-    assert stats.chi2.ppf(0.0005, number) < chi < stats.chi2.ppf(0.9995, number)
-    wild = sonar(TAGS + "<gaussianNoise>9</gaussianNoise>", rate=100)
-    ranges = [sample.range for sample in readings(wild, wall, seconds=1.0)]
+    noisy = sonar(TAGS + "<gaussianNoise>0.1</gaussianNoise>", rate=1000)
+    errors = [sample.range - 1.5 for sample in readings(noisy, wall, seconds=1.0, seed=3)]
+    assert len(errors) == 1000
+    check_normal(errors, 0.1)
+    wild = sonar(TAGS + "<gaussianNoise>9</gaussianNoise>", rate=1000)
+    ranges = [sample.range for sample in readings(wild, wall)]
     assert (min(ranges), max(ranges)) == (0.05, 3.0)
 
 
@@ -83,7 +73,7 @@ def test_seeds():
 @pytest.mark.parametrize(("of_plugin", "of_sensor", "rate"), [(0, 20, 20), (5, 20, 5), (50, 7, 7)])
 def test_rates(of_plugin, of_sensor, rate):
     model = sonar(TAGS + f"<updateRate>{of_plugin}</updateRate>", rate=of_sensor)
-    assert len(readings(model, seconds=4.0)) == 4 * rate
+    assert len(readings(model, seconds=1.0)) == rate
 
 
 def test_defaults():
@@ -91,18 +81,10 @@ def test_defaults():
     assert (sample.frame, sample.field_of_view, sample.infrared) == ("world", 0.05, False)
 
 
-def test_no_ray_is_cast_while_nobody_listens():
-    with empty() as simulation:
-        (device,) = simulation.add(sonar()).plugins
-        device._scanner = None
-        simulation.run_for(0.2)
-
-
 @pytest.mark.parametrize(
     ("model", "message"),
     [
         (lambda: sonar(TAGS + "<gaussianNoise>-1</gaussianNoise>"), "<gaussianNoise>: -1"),
-        (lambda: sonar(TAGS + "<fov>wide</fov>"), "<fov>: 'wide' is not a finite number"),
         (
             lambda: carrier(sensor("imu", "", "libgazebo_ros_range.so", TAGS)),
             'needs a <sensor type="ray">, not "imu"',
