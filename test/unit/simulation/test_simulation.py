@@ -40,15 +40,10 @@ def bodies(simulation):
     return pybullet.getNumBodies(simulation.client)
 
 
-def drive(simulation, robot, samples=None):
-    """Drive about and return all that can be seen of it.
-
-    `samples` is the list that the robot sends its odometry to, if it does so already.
-    """
-    if samples is None:
-        samples = []
-        robot.listen("odom", samples.append)
-    samples.clear()
+def drive(simulation, robot):
+    """Drive about and return all that can be seen of it."""
+    samples = []
+    robot.listen("odom", samples.append)
     for command in (PlanarCommand(0.3, 0.05, 0.4), PlanarCommand(-0.2, 0.0, -1.0)):
         robot.command("cmd_vel", command)
         simulation.run_for(1.5)
@@ -63,30 +58,14 @@ def crowded():
     return simulation
 
 
-def test_the_example_of_the_docstring(world, robot):
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(10.0)
-    assert f"{robot.pose().position[0]:.3f}" == "1.902"
-
-
-def test_the_same_calls_give_the_same_bits():
-    results = []
-    for _ in range(2):
-        with crowded() as simulation:
-            results.append(drive(simulation, simulation.spawn(BLOCK_ROBOT)))
-    assert results[0] == results[1]
-    assert len(results[0][0]) == 60
-
-
 def test_a_reset_simulation_is_as_good_as_a_new_one():
     with crowded() as simulation:
         robot = simulation.spawn(BLOCK_ROBOT)
-        samples = []
-        robot.listen("odom", samples.append)
-        first = drive(simulation, robot, samples)
+        first = drive(simulation, robot)
         simulation.reset_simulation()
         assert simulation.step == 0
-        assert drive(simulation, robot, samples) == first
+        assert len(first[0]) == 60
+        assert drive(simulation, robot) == first
 
 
 def test_simulations_do_not_disturb_each_other():
@@ -95,14 +74,8 @@ def test_simulations_do_not_disturb_each_other():
     with crowded() as one, Simulation(World("other", gravity=(0.0, 0.0, 0.0))) as other:
         robot = one.spawn(BLOCK_ROBOT)
         floating = other.add(thing(pose=Pose((0, 0, 5))))
-        samples = []
-        robot.listen("odom", samples.append)
-        for command in (PlanarCommand(0.3, 0.05, 0.4), PlanarCommand(-0.2, 0.0, -1.0)):
-            robot.command("cmd_vel", command)
-            for _ in range(15):
-                one.run_for(0.1)
-                other.run_for(0.07)
-        assert (samples, take_picture(one, PICTURE).tobytes()) == expected
+        one.every(10.0, lambda _: other.run_for(0.07))
+        assert drive(one, robot) == expected
         assert floating.pose().position == (0, 0, 5)
         assert (one.step, other.step) == (3000, 2100)
 
@@ -123,7 +96,7 @@ def test_poses_are_those_of_the_models_frames(world):
     link = Link("link", Pose((1, 0, 0)), inertia, (), (Collision(CUBE),))
     placed = Pose.from_rpy((3, 4, 5), (0.5, -0.4, 2.0))
     for static in (False, True):
-        instance = world.add(Model("m", (link,), pose=placed, static=static), str(static))
+        instance = world.add(Model(str(static), (link,), pose=placed, static=static))
         assert instance.pose().position == pytest.approx(placed.position)
         assert instance.pose().rotation_matrix() == pytest.approx(placed.rotation_matrix())
         # A cube of 0.2 m about the link's frame, whatever the inertia.
@@ -169,10 +142,8 @@ def test_a_removed_robot_is_silent(world, robot):
 @pytest.mark.parametrize(
     ("pose", "message"),
     [
-        (Pose((math.nan, 0, 0)), "its pose is not finite"),
         (Pose((0, math.inf, 0)), "its pose is not finite"),
         (Pose((0, 0, 0), (0, 0, math.nan, 1)), "its pose is not finite"),
-        (Pose((0, 0, 0), (0, 0, 0, 0)), "a quaternion of length 0; needs 1"),
         (Pose((0, 0, 0), (0, 0, 0, 2)), "a quaternion of length 2; needs 1"),
     ],
 )
@@ -184,9 +155,6 @@ def test_impossible_poses_leave_the_simulation_unharmed(world, robot, pose, mess
         robot.place(pose)
     assert bodies(world) == count
     assert "cube" not in world.models
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(1.0)
-    assert robot.pose().position[0] == pytest.approx(0.19, abs=1e-3)
 
 
 def test_what_is_not_usable_of_a_model_is_left_out(world, tmp_path):
@@ -265,23 +233,22 @@ def test_how_time_is_cut_does_not_matter(world, robot):
 def test_reset_world_lets_time_go_on(world, robot):
     cube = world.add(thing(), pose=Pose((1, 0, 3)))
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(0.5)
+    world.run_for(0.2)
     world.reset_world()
-    assert world.step == 500
+    assert world.step == 200
     assert cube.pose().position == pytest.approx((1, 0, 3))
-    assert robot.pose().position == pytest.approx((0, 0, 0))
     world.run_for(0.1)
     assert cube.pose().position[2] == pytest.approx(3 - 0.5 * 9.8 * 0.01, abs=1e-3)
     assert robot.pose().position[0] == pytest.approx(0.0, abs=1e-4)
 
 
-def test_200_models_come_and_go_and_leave_nothing(package, tmp_path, monkeypatch):
+def test_many_models_come_and_go_and_leave_nothing(package, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     mesh = Mesh(package / "meshes" / "beacon.dae", "", (0.1, 0.1, 0.1))
     models = [thing(), thing("mesh", mesh)]
     with Simulation.of(EMPTY_WORLD) as world:
         count = bodies(world)
-        for number in range(100):
+        for number in range(10):
             for model in models:
                 world.add(model, pose=Pose((number, 0, 1)))
             for model in models:
@@ -318,22 +285,15 @@ def test_files_that_the_user_names(tmp_path):
         assert Path(name).name in str(caught.value)
 
 
-def test_joints_and_links_with_odd_names(world):
-    links = (Link("a & b", inertia=UNIT), Link("<ü>", Pose(), UNIT))
-    joint = Joint('"quoted"', "revolute", "a & b", "<ü>")
-    instance = world.add(Model("odd", links, (joint,)))
-    (body,) = instance.bodies.values()
-    assert body.joint_names == ('"quoted"',)
-    body.set_joint('"quoted"', 0.5)
-    assert body.joint_state('"quoted"').position == 0.5
-
-
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 @pytest.mark.parametrize(
-    ("limits", "stops"),
-    [({}, False), ({"lower": -0.1}, True), ({"upper": 0.1}, False),
-     ({"lower": -0.1, "upper": 0.1, "effort": 5.0, "velocity": 2.0}, True)],
-)  # fmt: skip
+    ("kind", "limits", "stops"),
+    [
+        ("revolute", {}, False),
+        ("prismatic", {"upper": 0.1}, False),
+        ("prismatic", {"lower": -0.1}, True),
+        ("revolute", {"lower": -0.1, "upper": 0.1, "effort": 5.0, "velocity": 2.0}, True),
+    ],
+)
 def test_limits_hold_and_may_be_left_out(kind, limits, stops):
     heavy = Inertia(1000.0, (0, 0, 0), 1000.0 * np.eye(3))
     off_axis = Inertia(1.0, (1.0, 0.0, 0.0) if kind == "revolute" else (0, 0, 0), 0.01 * np.eye(3))
@@ -348,54 +308,54 @@ def test_limits_hold_and_may_be_left_out(kind, limits, stops):
         assert (body.joint_state("j").position > -0.15) == stops
 
 
-def test_where_wall_time_goes_is_known_by_plugin(world):
+def test_where_wall_time_goes_is_known_by_plugin(world, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+
+    def work(seconds):
+        now[0] += seconds
+
     robot = world.spawn(BLOCK_ROBOT)
-    world.every(10.0, lambda _: time.sleep(0.01))
-    robot.listen("odom", lambda _: time.sleep(0.02))
+    world.every(10.0, lambda _: work(1.0))
+    robot.listen("odom", lambda _: work(2.0))
     world.run_for(0.2)
-    spent = world.take_spent()
-    assert spent["plugin 'planar_move' of 'block_robot'"] >= 0.08
-    assert spent["clock and states"] >= 0.02
+    spent = {name: seconds for name, seconds in world.take_spent().items() if seconds}
+    assert spent == {"plugin 'planar_move' of 'block_robot'": 8.0, "clock and states": 2.0}
     assert world.take_spent() == {}
 
 
+def lose(simulation, instance, number=math.nan, seconds=0.5):
+    """Give a model an absurd velocity and let time go on."""
+    instance.bodies["link"].set_velocity((number, 0.0, 0.0), (0.0, 0.0, 0.0))
+    simulation.run_for(seconds)
+
+
 @pytest.mark.parametrize("number", [math.nan, math.inf])
-def test_a_model_that_is_no_longer_finite_is_named_and_reset_and_harms_no_other(number):
-    with Simulation.of(EMPTY_WORLD) as simulation:
-        lost = simulation.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
-        on_top = simulation.add(thing("on_top", pose=Pose((0.0, 0.0, 1.51))))
-        far = simulation.add(thing("far", pose=Pose((8.0, 0.0, 0.5))))
-        simulation.run_for(0.5)
-        before = [bodies[0].pose().position for bodies in map(bodies_of, (lost, on_top, far))]
-        bodies_of(lost)[0].set_velocity((number, 0.0, 0.0), (0.0, 0.0, 0.0))
-        with complains("model 'lost': its pose is no longer finite"):
-            simulation.run_for(1.0)
-        after = [bodies[0].pose().position for bodies in map(bodies_of, (lost, on_top, far))]
+def test_a_model_that_is_no_longer_finite_is_named_and_reset_and_harms_no_other(world, number):
+    places = {"lost": (0.0, 0.0, 0.5), "on_top": (0.0, 0.0, 1.51), "far": (8.0, 0.0, 0.5)}
+    instances = [world.add(thing(name, pose=Pose(place))) for name, place in places.items()]
+    world.run_for(0.5)
+    before = [instance.pose().position for instance in instances]
+    with complains("model 'lost': its pose is no longer finite"):
+        lose(world, instances[0], number)
+    after = [instance.pose().position for instance in instances]
     assert np.array(after) == pytest.approx(np.array(before), abs=0.02)
 
 
-def test_a_model_alone_that_is_no_longer_finite_leaves_the_floor_whole():
-    with Simulation.of(EMPTY_WORLD) as simulation:
-        lost = simulation.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
-        simulation.run_for(0.5)
-        bodies_of(lost)[0].set_velocity((math.nan, 0.0, 0.0), (0.0, 0.0, 0.0))
-        with complains("model 'lost': its pose is no longer finite"):
-            simulation.run_for(0.5)
-        later = simulation.add(thing("later", pose=Pose((8.0, 0.0, 0.5))))
-        simulation.run_for(1.0)
-        for one in (lost, later):
-            assert bodies_of(one)[0].pose().position[2] == pytest.approx(0.1, abs=0.02)
+def test_a_model_alone_that_is_no_longer_finite_leaves_the_floor_whole(world):
+    lost = world.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
+    world.run_for(0.5)
+    with complains("model 'lost': its pose is no longer finite"):
+        lose(world, lost)
+    later = world.add(thing("later", pose=Pose((8.0, 0.0, 0.5))))
+    world.run_for(0.5)
+    for one in (lost, later):
+        assert one.pose().position[2] == pytest.approx(0.1, abs=0.02)
 
 
-def test_resets_again_and_again_are_warned_of_once_a_second(caplog, monkeypatch):
+def test_resets_again_and_again_are_warned_of_once_a_second(world, caplog, monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: 7.0)
-    with Simulation.of(EMPTY_WORLD) as simulation:
-        lost = simulation.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
-        for _ in range(5):
-            bodies_of(lost)[0].set_velocity((math.nan, 0.0, 0.0), (0.0, 0.0, 0.0))
-            simulation.run_for(0.02)
+    lost = world.add(thing("lost", pose=Pose((0.0, 0.0, 0.5))))
+    for _ in range(5):
+        lose(world, lost, seconds=0.02)
     assert caplog.text.count("model 'lost': its pose is no longer finite") == 1
-
-
-def bodies_of(instance):
-    return list(instance.bodies.values())

@@ -41,36 +41,24 @@ def test_three_white_columns_on_a_dark_floor_under_a_grey_sky(beacons):
     assert np.ptp(row[beacon], axis=1).max() == 0
     assert row[beacon].min() == pytest.approx(0.4 * 255, abs=2)
     assert row[beacon].max() > 150
+    # The sun stands towards +x, which is to the right.
+    first, last = found[1]
+    middle = (first + last + 1) // 2
+    assert row[middle + 1 : last].mean() > row[first + 1 : middle].mean() + 5
     # The middle column: 2 m high.
-    column = picture[:, (found[1][0] + found[1][1]) // 2].astype(float)
+    column = picture[:, middle].astype(float)
     standing = runs((column[:, 0] > 80) & (column[:, 0] != round(255 * 0.7)))
     assert max(last - first + 1 for first, last in standing) == pytest.approx(
         FOCAL * 2.0 / 9.76, abs=2.5
     )
 
 
-def test_the_sun_lights_one_side(beacons):
-    # The sun stands towards +x, which is to the right.
-    row = take_picture(beacons, BESIDE)[135].astype(float).min(axis=1)
-    first, last = runs(row > 80)[1]
-    middle = (first + last + 1) // 2
-    assert row[middle + 1 : last].mean() > row[first + 1 : middle].mean() + 5
-
-
-def test_the_same_view_gives_the_same_bytes(beacons):
-    assert take_picture(beacons, BESIDE).tobytes() == take_picture(beacons, BESIDE).tobytes()
-
-
 @pytest.mark.parametrize(
     "changed",
     [
         {"width": 0},
-        {"height": -1},
-        {"horizontal_fov": 0.0},
         {"horizontal_fov": math.pi},
-        {"horizontal_fov": math.nan},
         {"eye": (0.0, math.nan, 1.0)},
-        {"target": (math.inf, 0.0, 0.0)},
         {"target": (0.0, -9.0, 0.0)},
         {"near": 0.0},
         {"near": 2.0, "far": 1.0},

@@ -51,13 +51,6 @@ def test_what_floats_stays_where_it_is(space, joint):
     assert robot.pose().position[2] == pytest.approx(5.0, abs=1e-9)
 
 
-def test_it_moves_on_as_it_was_moved(space):
-    robot = space.add(dumbbell(OFF, OFF))
-    robot.move(Pose(), (1.0, 0.0, 0.5), (0.0, 0.0, 0.0))
-    space.run_for(SECONDS)
-    assert robot.pose().position == pytest.approx((0.5, 0.0, 0.25), abs=1e-9)
-
-
 def test_one_of_two_that_are_fixed_to_each_other_has_no_weight(space):
     # 1 of 4 kg is pulled, at 0.75 m from where they have their mass together.
     robot = space.add(dumbbell("<gravity>1</gravity>", OFF))
@@ -98,9 +91,7 @@ NOSE = (
     [
         ("", True),
         ("<gazebo reference='base'><turnGravityOff>true</turnGravityOff></gazebo>", False),
-        ("<gazebo reference='base'><turnGravityOff>false</turnGravityOff></gazebo>", True),
         ("<gazebo reference='base'><gravity>0</gravity></gazebo>", False),
-        ("<gazebo reference='base'><gravity>true</gravity></gazebo>", True),
         # The last one decides, of all that is fixed together.
         ("<gazebo reference='nose'><turnGravityOff>true</turnGravityOff></gazebo>", False),
         (

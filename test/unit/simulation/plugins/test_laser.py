@@ -69,14 +69,12 @@ def test_four_walls_to_the_micrometre(world):
 
 
 def test_what_a_scan_says(world):
-    inner = "<pose>0 0 0.3 0 0 0</pose>" + ray(181, (-1.5, 1.5), (0.2, 7.0))
-    scan = one_scan(world, laser(inner, rate=20))
+    scan = one_scan(world, laser(ray(181, (-1.5, 1.4), (0.2, 7.0)), rate=20))
     assert (scan.step, scan.frame) == (100, "laser_link")
-    assert (scan.angle_min, scan.angle_max) == (-1.5, 1.5)
-    assert scan.angle_increment == pytest.approx(3.0 / 180)
+    assert (scan.angle_min, scan.angle_max) == (-1.5, 1.4)
+    assert scan.angle_increment == pytest.approx(2.9 / 180)
     assert (scan.range_min, scan.range_max) == (0.2, 7.0)
-    assert len(scan.ranges) == len(scan.intensities) == 181
-    assert not scan.intensities.any()
+    assert scan.intensities.tolist() == [0.0] * 181
 
 
 def test_too_near_reads_minus_infinity_and_too_far_infinity(world):
@@ -105,7 +103,8 @@ def test_the_robots_own_parts_are_seen_beyond_the_least_range_only(world):
 def test_the_floor_is_seen_by_a_laser_that_looks_down(world):
     world.add(thing("<plane><normal>0 0 1</normal></plane>", "0 0 -1 0 0 0"))
     scan = one_scan(world, laser(f"<pose>0 0 0 0 {math.pi / 6} 0</pose>" + ray(1)))
-    assert scan.ranges[0] == pytest.approx(2.0, abs=1e-6)
+    assert scan.ranges.tolist() == pytest.approx([2.0], abs=1e-6)
+    assert scan.angle_increment == 0.0
 
 
 def test_the_sensors_pose_its_merged_link_and_the_robots_pose_count(world):
@@ -123,29 +122,6 @@ def test_the_sensors_pose_its_merged_link_and_the_robots_pose_count(world):
     world.models["carrier"].place(Pose((0.6, 1.0, 0.0)))
     world.run_until(2)
     assert scans[-1].ranges[0] == pytest.approx(4.5 - 1.25, abs=1e-6)
-
-
-def test_on_a_link_that_moves(world):
-    links = (
-        '<link name="arm"><inertial><origin xyz="0.2 0.1 0"/><mass value="1"/>'
-        '<inertia ixx="1" iyy="1.5" izz="1" ixz="0.2"/></inertial></link>'
-        '<joint name="j" type="continuous"><parent link="base"/><child link="arm"/>'
-        '<origin xyz="0 0 0.5"/><axis xyz="0 0 1"/></joint>'
-    )
-    world.add(box("9 1 9", "0 3 0 0 0 0"))
-    model = carrier(sensor("ray", ray(1), PLUGIN, TAGS, link="arm"), links=links)
-    robot = world.add(model)
-    scans = record(robot, "scan")
-    robot.bodies["base"].set_joint("j", 0.5 * math.pi)
-    world.run_until(1)
-    assert scans[-1].ranges[0] == pytest.approx(2.5, abs=1e-4)
-
-
-def test_a_single_ray_looks_ahead(world):
-    world.add(box("1 1 1", "2 0 0 0 0 0"))
-    scan = one_scan(world, laser(ray(1, (-1.0, 1.0))))
-    assert scan.ranges.tolist() == pytest.approx([1.5], abs=1e-6)
-    assert scan.angle_increment == 0.0
 
 
 def test_resolution_multiplies_the_rays(world):
@@ -183,12 +159,6 @@ def test_the_mean_rate_is_exact(world):
     assert [scan.step for scan in scans] == [math.ceil(k * 1000 / 7) for k in range(1, 8)]
 
 
-def test_no_update_rate_means_every_step(world):
-    scans = record(world.add(laser(ray(1), rate=0)), "scan")
-    world.run_for(0.005)
-    assert [scan.step for scan in scans] == [1, 2, 3, 4, 5]
-
-
 def test_no_ray_is_cast_while_nobody_listens(world):
     robot = world.add(laser())
     (device,) = robot.plugins
@@ -207,7 +177,6 @@ def test_rays_may_be_cast_between_other_limits_and_some_of_them_alone(world):
     assert rays.cast(0.0, 1.0)[0] == pytest.approx([1.0, 1.0])
     assert rays.cast(0.5, 3.0)[0] == pytest.approx([3.0, 1.5])
     some = rays.select(np.array([False, True]))
-    assert len(some) == 1
     distances, bodies = some.cast(0.5, 3.0)
     assert distances == pytest.approx([1.5])
     assert bodies.tolist() == [world.models["thing"].bodies["l"].unique_id]
@@ -357,16 +326,12 @@ def test_the_block_robot_sees_the_beacons():
     with Simulation.of("package://bullet_lab/worlds/beacons.world") as simulation:
         scan = one_scan(simulation, read_urdf_file(PACKAGE / "urdf" / "block_robot.urdf"))
         models = simulation.models.items()
-        beacons = [model.pose().position[:2] for name, model in models if "beacon" in name]
-    assert (scan.step, len(scan.ranges), scan.frame) == (100, 360, "laser_link")
-    assert scan.angle_increment == pytest.approx(math.radians(1.0), abs=1e-12)
-    seen = np.flatnonzero(np.isfinite(scan.ranges))
-    bearings = scan.angle_min + scan.angle_increment * seen
-    points = scan.ranges[seen, None] * np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
-    gaps = np.linalg.norm(points[:, None] - np.array(beacons)[None], axis=2)
+        beacons = [model.pose().position for name, model in models if "beacon" in name]
+    assert (len(scan.ranges), scan.frame) == (360, "laser_link")
     assert len(beacons) == 3
-    assert (gaps.min(axis=0) < 0.3).all()
-    assert (gaps.min(axis=1) < 0.3).all()
+    for x, y, _ in beacons:
+        ahead = round((math.atan2(y, x) - scan.angle_min) / scan.angle_increment)
+        assert scan.ranges[ahead] == pytest.approx(math.hypot(x, y) - 0.25, abs=0.02)
 
 
 def test_the_laser_of_the_block_robot_changes_nothing_of_its_drive():

@@ -1,6 +1,5 @@
 import math
 
-import numpy as np
 import pytest
 from conftest import complains
 from sensor_worlds import carrier, check_normal, empty, record
@@ -68,20 +67,6 @@ def test_a_link_of_the_model_as_the_frame():
     assert sample.pose.position == pytest.approx((0.5, 0, 0), abs=2e-3)
     assert sample.linear == pytest.approx((0, -1.0, 0), abs=1e-2)
     assert sample.angular == pytest.approx((0, 0, 2.0), abs=1e-2)
-
-
-def test_the_velocity_in_a_frame_is_the_change_of_the_position_in_it():
-    tags = "<frameName>base</frameName>"
-    model = p3d(tags, body="tip")
-    with empty() as simulation:
-        robot = simulation.add(model)
-        samples = record(robot, "truth")
-        robot.bodies["base"].set_velocity((0.2, 0, 0.1), (0.3, -0.2, 0.4))
-        robot.bodies["base"].set_joint("j", 0.4, 1.5)
-        simulation.run_until(20)
-    places = np.array([sample.pose.position for sample in samples])
-    middle = 0.5 * np.array([np.add(a.linear, b.linear) for a, b in zip(samples, samples[1:])])
-    assert middle == pytest.approx(np.diff(places, axis=0) / 1e-3, abs=5e-3)
 
 
 def test_the_offsets_move_the_pose_in_the_frame_and_nothing_else():

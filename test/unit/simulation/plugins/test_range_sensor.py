@@ -63,13 +63,6 @@ def test_noise_is_gaussian_and_stays_within_the_limits():
     assert (min(ranges), max(ranges)) == (0.05, 3.0)
 
 
-def test_seeds():
-    wall = box("1 9 9", "2 0 0 0 0 0")
-    noisy = sonar(TAGS + "<gaussianNoise>0.1</gaussianNoise>")
-    one, same, other = (readings(noisy, wall, seed=seed)[0].range for seed in (1, 1, 2))
-    assert one == same != other
-
-
 @pytest.mark.parametrize(("of_plugin", "of_sensor", "rate"), [(0, 20, 20), (5, 20, 5), (50, 7, 7)])
 def test_rates(of_plugin, of_sensor, rate):
     model = sonar(TAGS + f"<updateRate>{of_plugin}</updateRate>", rate=of_sensor)

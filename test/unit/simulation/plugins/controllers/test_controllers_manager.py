@@ -4,7 +4,6 @@ from control_robots import control_of, run, spawn
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS
 from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
-    POSITION,
     VELOCITY,
     ControlError,
     ControlParameters,
@@ -35,13 +34,11 @@ def test_joint_states_come_at_their_rate_for_all_that_have_a_transmission(world)
 
 def test_joint_states_of_some_joints_and_of_some_that_nobody_reads(world):
     _, manager = spawn(world)
-    extra = [
-        {"name": "lid", "position": 0.3, "effort": 2},
-        {"name": "turntable_joint"},
-        {"position": 1.0},
-    ]
-    names = ["turntable_joint"]
-    controller = run(manager, "s", publish_rate=50, joints=names, extra_joints=extra, **STATES)
+    told = {
+        "joints": ["turntable_joint"],
+        "extra_joints": [{"name": "lid", "position": 0.3, "effort": 2}, {"position": 1.0}],
+    }
+    controller = run(manager, "s", publish_rate=50, **told, **STATES)
     samples = listen(controller.states)
     world.run_for(0.1)
     assert samples[-1].names == ("turntable_joint", "lid")
@@ -74,41 +71,44 @@ def test_a_position_is_reached_by_an_effort_and_told(world):
     assert samples[-1].gains == (2.0, 0.5, 0.05, 1.0)
 
 
-def test_a_speed_is_reached_by_an_effort(world):
-    _, manager = spawn(world, kind="continuous")
-    gains = {"p": 0.05, "i": 0.5, "i_clamp": 1.0}
-    kind = "effort_controllers/JointVelocityController"
-    controller = run(manager, "turn", type=kind, pid=gains, **JOINT)
-    samples = listen(controller.states)
-    controller.command(JointCommand(1.0))
-    world.run_for(1.0)
-    assert samples[-1].value == pytest.approx(1.0, abs=0.01)
-
-
-def test_a_position_is_reached_by_a_speed(world):
-    _, manager = spawn(world, turntable=VELOCITY)
-    kind = "velocity_controllers/JointPositionController"
-    controller = run(manager, "turn", type=kind, pid={"p": 10.0}, **JOINT)
-    controller.command(JointCommand(-1.0))
-    world.run_for(1.0)
-    assert controller.joints[0].position == pytest.approx(-1.0, abs=0.01)
-
-
 @pytest.mark.parametrize(
-    ("kind", "interface", "what"),
+    ("kind", "robot", "gains", "what"),
     [
-        ("velocity_controllers/JointGroupVelocityController", VELOCITY, "velocity"),
-        ("position_controllers/JointGroupPositionController", POSITION, "position"),
+        (
+            "effort_controllers/JointVelocityController",
+            {"kind": "continuous"},
+            {"p": 0.05, "i": 0.5, "i_clamp": 1.0},
+            "velocity",
+        ),
+        (
+            "velocity_controllers/JointPositionController",
+            {"turntable": VELOCITY},
+            {"p": 10.0},
+            "position",
+        ),
     ],
 )
-def test_a_group_is_told_at_once(world, kind, interface, what):
+def test_a_speed_by_an_effort_and_a_position_by_a_speed(world, kind, robot, gains, what):
+    _, manager = spawn(world, **robot)
+    controller = run(manager, "turn", type=kind, pid=gains, **JOINT)
+    controller.command(JointCommand(-1.0))
+    world.run_for(1.0)
+    assert getattr(controller.joints[0], what) == pytest.approx(-1.0, abs=0.01)
+
+
+def group(world, kind, interface, **parameters):
+    """Return a controller of both wheels of a robot in the air that is told 0.5 and -0.5."""
     _, manager = spawn(world, height=0.5, interface=interface)
     world.set_gravity((0.0, 0.0, 0.0))
-    controller = run(manager, "wheels", type=kind, joints=WHEELS)
+    controller = run(manager, "wheels", type=kind, joints=WHEELS, **parameters)
     controller.command(JointCommands((0.5, -0.5)))
+    return controller
+
+
+def test_a_group_is_told_at_once(world):
+    controller = group(world, "velocity_controllers/JointGroupVelocityController", VELOCITY)
     world.run_for(0.1)
-    found = [getattr(joint, what) for joint in controller.joints]
-    assert found == pytest.approx([0.5, -0.5], abs=1e-3)
+    assert [joint.velocity for joint in controller.joints] == pytest.approx([0.5, -0.5], abs=1e-3)
     with pytest.raises(ControlError, match="3 numbers for the 2 joints"):
         controller.command(JointCommands((1.0, 2.0, 3.0)))
     with pytest.raises(ControlError, match="not finite"):
@@ -116,16 +116,12 @@ def test_a_group_is_told_at_once(world, kind, interface, what):
 
 
 def test_a_group_is_brought_to_positions_by_efforts(world):
-    _, manager = spawn(world, height=0.5, interface=EFFORT)
-    world.set_gravity((0.0, 0.0, 0.0))
-    kind = "effort_controllers/JointGroupPositionController"
     gains = {name: {"pid": {"p": 0.05, "d": 0.005}} for name in WHEELS}
-    controller = run(manager, "wheels", type=kind, joints=WHEELS, **gains)
+    kind = "effort_controllers/JointGroupPositionController"
+    controller = group(world, kind, EFFORT, **gains)
     assert controller.outputs == ()
-    controller.command(JointCommands((0.5, -0.5)))
     world.run_for(2.0)
-    found = [joint.position for joint in controller.joints]
-    assert found == pytest.approx([0.5, -0.5], abs=0.02)
+    assert [joint.position for joint in controller.joints] == pytest.approx([0.5, -0.5], abs=0.02)
 
 
 def test_a_controller_is_loaded_started_stopped_and_unloaded(world):
