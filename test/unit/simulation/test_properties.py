@@ -66,7 +66,6 @@ def test_stops_and_damping(world):
     ("inertia", "said"),
     [
         (Inertia(0.0, (0.0, 0.0, 0.0), np.eye(3)), "must be positive"),
-        (Inertia(1.0, (0.0, 0.0, 0.0), np.diag((1.0, -1.0, 1.0))), "must be positive"),
         (Inertia(1.0, (0.1, 0.0, 0.0), np.eye(3)), "its centre of mass and its principal axes"),
         (Inertia(1e13, (0.0, 0.0, 0.0), np.eye(3)), "1e\\+13 is not within ±1e\\+12"),
     ],

@@ -64,7 +64,7 @@ def test_a_crate_on_the_floor_is_carried_by_it(world):
     # The nose, which weighs nothing, moves no mass: the middle is the crate's.
     assert total(contact.torques) == pytest.approx((0, 0, 0), abs=1e-2)
     # Two corners at least carry it.
-    assert 2 <= len(contact.positions) == len(contact.normals) == len(contact.depths) <= 4
+    assert 2 <= len(contact.positions) == len(contact.normals) == len(contact.depths)
     for position, normal, depth in zip(contact.positions, contact.normals, contact.depths):
         assert np.abs(position) == pytest.approx((0.1, 0.1, 0), abs=1e-3)
         assert normal == pytest.approx((0, 0, 1), abs=1e-6)

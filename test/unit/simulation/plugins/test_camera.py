@@ -205,7 +205,7 @@ def test_noise_follows_from_seed_and_time_only():
     assert picture(1, 33) != picture(1, 34)
 
 
-def test_blur_exposure_and_samples_at_any_time(tmp_path):
+def test_blur_and_exposure_at_any_time(tmp_path):
     board = plate(write_plate(tmp_path, "board", checkers(8, 8), 2.0, 2.0), Pose((1.5, 0.4, 0.6)))
     with simulation_of(board, gravity=(0.0, 0.0, 0.0)) as simulation:
         _, camera = add(simulation, tags="<blur>0.0</blur><exposure>0.5</exposure>")
@@ -213,12 +213,10 @@ def test_blur_exposure_and_samples_at_any_time(tmp_path):
         assert sharp[60, 40:120].max() == pytest.approx(118, abs=2)
         camera.settings = replace(camera.settings, blur=2.0)
         soft = camera.take(0).astype(int)
-        steepest = [np.abs(np.diff(p[60, 40:120, 0])).max() for p in (sharp, soft)]
-        # Of an edge with a normal blur: height / (sigma sqrt(2 pi)).
-        assert steepest[0] > 60
-        assert steepest[1] == pytest.approx(107 / (2.0 * math.sqrt(2 * math.pi)), rel=0.15)
-        camera.settings = CameraSettings(samples=4)
-        assert camera.take(0).shape == (120, 160, 3)
+    steepest = [np.abs(np.diff(p[60, 40:120, 0])).max() for p in (sharp, soft)]
+    # Of an edge with a normal blur: height / (sigma sqrt(2 pi)).
+    assert steepest[0] > 60
+    assert steepest[1] == pytest.approx(107 / (2.0 * math.sqrt(2 * math.pi)), rel=0.15)
 
 
 def test_a_lens_blurs_before_white_is_cut_off(tmp_path):

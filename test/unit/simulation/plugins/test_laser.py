@@ -4,13 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from conftest import BLOCK_ROBOT, EMPTY_WORLD, PACKAGE, complains
+from conftest import PACKAGE, complains
 from scipy import stats
 from sensor_worlds import box, carrier, check_normal, empty, record, sensor, thing
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.attached_frame import RAYS_AT_A_TIME, AttachedFrame
-from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
@@ -332,16 +331,3 @@ def test_the_block_robot_sees_the_beacons():
     for x, y, _ in beacons:
         ahead = round((math.atan2(y, x) - scan.angle_min) / scan.angle_increment)
         assert scan.ranges[ahead] == pytest.approx(math.hypot(x, y) - 0.25, abs=0.02)
-
-
-def test_the_laser_of_the_block_robot_changes_nothing_of_its_drive():
-    def end(listening):
-        with Simulation.of(EMPTY_WORLD) as simulation:
-            robot = simulation.spawn(BLOCK_ROBOT)
-            if listening:
-                record(robot, "scan")
-            robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.3))
-            simulation.run_for(1.0)
-            return robot.pose()
-
-    assert end(True) == end(False)
