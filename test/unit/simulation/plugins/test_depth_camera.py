@@ -167,19 +167,16 @@ def test_each_output_is_worked_out_only_while_it_is_wanted(monkeypatch):
         calls = []
         for name in ("take", "measure"):
             method = getattr(camera, name)
-
-            def noted(*args, name=name, method=method):
-                calls.append(name)
-                return method(*args)
-
-            monkeypatch.setattr(camera, name, noted)
-        wanted = {}
+            monkeypatch.setattr(
+                camera, name, lambda *args, n=name, m=method: calls.append(n) or m(*args)
+            )
+        wanted = set()
         for output in camera.outputs:
             output.connect(lambda _: None, lambda topic=output.topic: topic in wanted)
 
         def calls_for(*topics):
             wanted.clear()
-            wanted.update(dict.fromkeys(topics))
+            wanted.update(topics)
             calls.clear()
             simulation.run_for(0.05)
             return calls[:]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS, SupportPatch
+from bullet_lab.simulation.plugins.mobile_base import SupportPatch
 from bullet_lab.simulation.world.sdf import read_spawned
 
 DT, G = 1e-3, 9.8
@@ -37,21 +37,6 @@ def test_odometry_is_of_the_model_and_not_of_its_first_link(world, plugin, wheel
     assert told[-1].pose.yaw == pytest.approx(0.0, abs=1e-6)
 
 
-def test_pure_translation_loses_mu_g_dt_along_itself():
-    patch = SupportPatch(0.5, 0.0102, 4.51, 7.5125e-3)
-    vx, vy, wz = patch.slow_down(0.3, -0.4, 0.0, LOAD, DT)
-    assert math.hypot(vx, vy) == pytest.approx(0.5 - 0.5 * G * DT)
-    assert vy / vx == pytest.approx(-4 / 3)
-    assert wz == 0.0
-
-
-@pytest.mark.parametrize("spin", [0.5, -0.5])
-def test_pure_rotation_loses_the_moment_over_the_inertia(spin):
-    _, _, wz = BLOCK.slow_down(0.0, 0.0, spin, LOAD, DT)
-    loss = BLOCK.mass * G * BLOCK.radius * DT / BLOCK.inertia
-    assert wz == pytest.approx(math.copysign(0.5 - loss, spin))
-
-
 @pytest.mark.parametrize("slow", [(1e-3, 0, 0), (0, -1e-3, 0), (0, 0, 0.01), (1e-3, 1e-3, -0.01)])
 def test_friction_stops_and_never_reverses(slow):
     assert BLOCK.slow_down(*slow, 100 * LOAD, DT) == (0, 0, 0)
@@ -75,14 +60,3 @@ def test_no_friction_without_load_slip_or_radius():
     assert BLOCK.slow_down(0.0, 0.0, 0.0, LOAD, DT) == (0, 0, 0)
     point = SupportPatch(1.0, 0.0, 4.51, 7.5125e-3)
     assert point.slow_down(0.0, 0.0, 3.0, LOAD, DT) == (0, 0, 3)
-
-
-def test_the_radius_follows_from_the_published_turns(figure_corners):
-    sides = np.diff(figure_corners, axis=0)
-    headings = np.unwrap(np.arctan2(sides[:, 1], sides[:, 0]))
-    turns = -np.diff(headings)
-    assert np.degrees(turns) == pytest.approx([90.14, 90.13, 90.67], abs=0.01)
-    lost = 0.5236 - turns.mean() / 3.4
-    radius = lost * BLOCK.inertia / (BLOCK.mass * G * DT)
-    # The figure's points are rounded to 0.1 mm: 0.01° and so less than 0.1 mm of radius.
-    assert radius == pytest.approx(PUBLISHED_RADIUS, abs=5e-5)

@@ -212,13 +212,11 @@ def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot):
 
 
 def test_tf_prefix_stands_before_the_frames(world):
-    tags = "<odometryFrame>/map</odometryFrame>"
-    for number, (model, frame) in enumerate(((block(), "one/odom"), (block(tags), "map"))):
-        robot = world.add(model, f"robot_{number}", Pose((0, number, 0)), tf_prefix="/one/")
-        samples = [record(robot, topic) for topic in ("odom", "/tf")]
-        world.run_for(0.05)
-        for sample, *_ in samples:
-            assert (sample.frame, sample.child_frame) == (frame, "one/base_footprint")
+    robot = world.add(block("<odometryFrame>/map</odometryFrame>"), tf_prefix="/one/")
+    odometry, transforms = record(robot, "odom"), record(robot, "/tf")
+    world.run_for(0.05)
+    for sample in (*odometry, *transforms):
+        assert (sample.frame, sample.child_frame) == ("map", "one/base_footprint")
 
 
 def test_tf_prefix_may_depend_on_the_namespace_of_the_plugin(world):

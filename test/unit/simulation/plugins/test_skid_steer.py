@@ -104,22 +104,12 @@ def test_defaults(world):
     assert speeds == pytest.approx([-2 / 3, 14 / 3, -2 / 3, 14 / 3], rel=0.05)
 
 
-def test_names_of_topics_and_frames(world):
-    tags = SIZES + (
-        "<commandTopic>go</commandTopic><odometryTopic>wheels</odometryTopic>"
-        "<odometryFrame>start</odometryFrame><robotBaseFrame>base</robotBaseFrame>"
-        "<broadcastTF>true</broadcastTF><updateRate>50</updateRate>"
-    )
-    robot = world.add(rover(tags), namespace="ns", tf_prefix="one")
-    odometry, transforms = record(robot, "/ns/wheels"), record(robot, "/tf")
-    robot.command("/ns/go", PlanarCommand(vx=0.1))
+def test_a_transform_where_it_is_asked_for(world):
+    robot = world.add(rover(SIZES + "<broadcastTF>true</broadcastTF><updateRate>50</updateRate>"))
+    odometry, transforms = record(robot, "odom"), record(robot, "/tf")
     world.run_for(0.04)
     for samples in (odometry, transforms):
-        assert [(s.step, s.frame, s.child_frame) for s in samples] == [
-            (20, "one/start", "one/base"),
-            (40, "one/start", "one/base"),
-        ]
-    assert odometry[-1].pose.position[0] > 0.0
+        assert [sample.step for sample in samples] == [20, 40]
 
 
 @pytest.mark.parametrize(

@@ -22,15 +22,6 @@ def turntable(world, interface, command, parameters=None, **robot):
     return manager.joints["turntable_joint"], controller
 
 
-def test_an_effort_turns_as_newton_has_it(world):
-    joint, _ = turntable(world, EFFORT, 0.003, **FREE)
-    before = joint.velocity
-    world.run_for(0.5)
-    # The robot under it is held by its tyres: 0.003 N m on 3e-4 kg m2.
-    assert joint.velocity - before == pytest.approx(0.003 / 3e-4 * 0.5, rel=0.01)
-    assert joint.effort == 0.003
-
-
 def test_an_effort_is_limited_and_ends_at_the_greatest_speed(world):
     limit = '<limit effort="0.003" velocity="2"/>'
     joint, controller = turntable(world, EFFORT, 99.0, kind="continuous", limit=limit)
