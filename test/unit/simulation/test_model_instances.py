@@ -67,11 +67,9 @@ def robot_on_floor(world):
 
 
 def close(one, other):
-    # A quaternion and its negative turn alike.
-    sign = math.copysign(1.0, np.dot(one.quaternion, other.quaternion))
-    turned = sign * np.array(other.quaternion)
-    return one.position == pytest.approx(other.position, abs=1e-9) and one.quaternion == (
-        pytest.approx(turned, abs=1e-9)
+    turned = other.rotation_matrix()
+    return one.position == pytest.approx(other.position, abs=1e-9) and (
+        one.rotation_matrix() == pytest.approx(turned, abs=1e-9)
     )
 
 

@@ -194,24 +194,22 @@ def test_a_window_of_any_length_is_taken(world, length):
     assert odometry
 
 
-def test_a_rate_that_cannot_be_changes_nothing_else(world):
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("wheel_separation_multiplier", math.nan),
+        ("right_wheel_radius_multiplier", 0.0),
+        ("publish_rate", -1.0),
+    ],
+)
+def test_what_cannot_be_adjusted_changes_nothing(world, name, value):
     _, controller, _ = drive(world)
-    before = controller.separation
-    asked = settings(controller, publish_rate=-1.0, wheel_separation_multiplier=1.5)
-    with pytest.raises(ControlError, match="publish_rate"):
-        controller.adjust(asked, world.step)
-    assert controller.separation == before
-
-
-@pytest.mark.parametrize("factor", [math.nan, 0.0])
-def test_what_cannot_be_adjusted_changes_nothing(world, factor):
-    _, controller, _ = drive(world, wheel_radius_multiplier=1.2)
     before = controller.separation, controller.radii
-    for name in ("wheel_separation_multiplier", "right_wheel_radius_multiplier"):
-        with pytest.raises(ControlError, match="have to be positive"):
-            controller.adjust(settings(controller, **{name: factor}), world.step)
-        controller.adjust(settings(controller), world.step)
-        assert (controller.separation, controller.radii) == before
+    asked = {"wheel_separation_multiplier": 1.5, "left_wheel_radius_multiplier": 1.5, name: value}
+    with pytest.raises(ControlError, match="have to be positive|publish_rate"):
+        controller.adjust(settings(controller, **asked), world.step)
+    controller.adjust(settings(controller), world.step)
+    assert (controller.separation, controller.radii) == before
 
 
 def test_a_robot_that_is_put_elsewhere_has_not_driven_and_a_reset_begins_again(world):
