@@ -11,7 +11,6 @@ from sensor_worlds import record
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import Camera, CameraSettings
 from bullet_lab.simulation.rendering.graphics import RendererError
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -271,18 +270,3 @@ def test_geometry_that_no_camera_has(wall, old, new):
     text = robot_text().replace(f">{old}<", f">{new}<")
     with complains("plugin 'c'"):
         wall.add(read_urdf(text, "robot"))
-
-
-def test_the_lab_robot_sees_the_dock():
-    world = "package://bullet_lab/worlds/docking.world"
-    with Simulation.of(world) as simulation:
-        robot = simulation.spawn("package://bullet_lab/urdf/camera_robot.urdf")
-        images = record(robot, "mycamera/image_raw")
-        simulation.run_for(0.1)
-        detector = cv2.aruco.ArucoDetector(
-            cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h10)
-        )
-        (corners,), ids, _ = detector.detectMarkers(images[-1].pixels)
-    assert ids.ravel().tolist() == [0]
-    # 0.2 m at 3.84 m.
-    assert np.ptp(corners[0], axis=0) == pytest.approx((26.2, 26.2), abs=2.0)

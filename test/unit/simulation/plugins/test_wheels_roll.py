@@ -59,6 +59,27 @@ def test_a_metre_straight_and_a_turn_on_the_spot(name, tmp_path):
     assert np.hypot(spin.x, spin.y) < 5e-3
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("acceleration", [0.5, 0.0, 2.0])
+def test_the_odometry_of_wheels_over_speeds_headings_and_accelerations(acceleration):
+    """Statistics, for a robot whose wheels spin when it starts and slide when it stops."""
+    model = replace(TWO_CASTERS, acceleration=acceleration).model()
+    ways = [
+        straight(model, speed, heading=heading)
+        for speed, heading in ((0.1, 0.0), (0.2, 30.0), (0.3, 45.0), (-0.2, 75.0), (0.5, 160.0))
+    ]
+    turned = np.array([way.yaw for way in ways])
+    assert np.abs(turned).max() < 1.0
+    assert np.abs(np.mean(turned)) < 0.3
+    short = np.array([1.0 - abs(way.x / way.reckoned_x) for way in ways])
+    # What slipped at the start, the wheels drove and the robot did not; and the other way round
+    # at the stop. With limits below what grips, nothing slips.
+    assert np.abs(short).max() < (0.005 if acceleration == 0.5 else 0.02)
+    spins = [turn(model, speed, heading=20.0) for speed in (0.5, -1.0, 2.0)]
+    errors = np.array([spin.yaw / spin.reckoned_yaw - 1.0 for spin in spins])
+    assert np.abs(errors).max() < 0.02
+
+
 def test_a_rough_floor_does_not_make_casters_brake(tmp_path):
     """Gazebo's own floor has 100."""
     (tmp_path / "rough.world").write_text(
