@@ -100,12 +100,9 @@ def test_points_lie_where_the_wall_is():
 def test_what_is_too_near_hides_what_is_behind_it():
     plate = thing("plate", Box((0.02, 0.1, 0.1)), Pose((0.3, 0.0, 0.0)))
     with world(wall(2.0, 0.0)[0], plate) as simulation:
-        robot, camera = add(simulation)
-        depths = camera.measure()
-        assert np.isnan(depths[50:70, 65:95]).all()
-        assert depths[60, 5] == pytest.approx(2.0, abs=1e-3)
-        _, eager = simulation.remove("robot"), add(simulation, tags=cutoff(0.1, 5.0))[1]
-        assert eager.measure()[60, 80] == pytest.approx(0.29, abs=1e-4)
+        depths = add(simulation)[1].measure()
+    assert np.isnan(depths[50:70, 65:95]).all()
+    assert depths[60, 5] == pytest.approx(2.0, abs=1e-3)
 
 
 def test_a_distorted_pixel_has_the_depth_of_what_it_shows():
