@@ -45,6 +45,7 @@ def test_three_white_columns_on_a_dark_floor_under_a_grey_sky(beacons):
 @pytest.mark.parametrize(
     "changed",
     [
+        {"width": 0},
         {"horizontal_fov": math.pi},
         {"eye": (0.0, math.nan, 1.0)},
         {"target": (0.0, -9.0, 0.0)},

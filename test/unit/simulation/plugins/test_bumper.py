@@ -7,7 +7,7 @@ from conftest import complains
 from sensor_worlds import box, record, thing
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.description import Box, Collision, Cylinder, Plane, Sphere
+from bullet_lab.simulation.world.description import Box, Collision, Cylinder, Mesh, Plane, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf
 
 MASS, G = 2.0, 9.8
@@ -86,10 +86,11 @@ def test_shapes_beyond_what_the_engine_takes_at_once_are_felt(world):
     assert contact.first == "crate::base::bottom"
 
 
-def test_what_is_merely_near_is_not_touched(world):
+@pytest.mark.parametrize(("height", "near"), [(0.1005, True), (1.0, False)])
+def test_what_is_merely_near_is_not_touched(world, height, near):
     # Bullet knows of the floor 0.5 mm below.
-    samples, robot = run(world, bumper(rate=1000), 0.001, pose=Pose((0, 0, 0.1005)))
-    assert robot.bodies["base"].near_points()
+    samples, robot = run(world, bumper(rate=1000), 0.001, pose=Pose((0, 0, height)))
+    assert bool(robot.bodies["base"].near_points()) == near
     assert samples[-1].contacts == ()
 
 
@@ -191,3 +192,9 @@ def test_shapes_that_are_not_there_are_refused(world):
 )
 def test_distances_from_surfaces(geometry, point, distance):
     assert geometry.distance(point) == pytest.approx(distance)
+
+
+def test_a_mesh_is_taken_for_the_box_around_it(package):
+    beacon = Mesh(package / "meshes" / "beacon.dae", "", (0.1, 0.1, 0.1))
+    _, (x, y, z) = beacon.bounds()
+    assert beacon.distance((x + 3.0, y, z)) == pytest.approx(3.0)

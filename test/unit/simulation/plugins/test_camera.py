@@ -235,6 +235,7 @@ def test_a_lens_blurs_before_white_is_cut_off(tmp_path):
     [
         {"blur": -1.0},
         {"samples": 0.0},
+        {"exposure": float("nan")},
         {"noise_stddev": 2.0},
         {"exposure": -0.1},
     ],
@@ -248,6 +249,7 @@ def test_impossible_settings_are_refused(wrong):
     ("changes", "message"),
     [
         ({"format": "BAYER_RGGB8"}, "<format>: 'BAYER_RGGB8' is not one of R8G8B8, B8G8R8, L8"),
+        ({"rate": 5000}, "not within 1e-09"),
         ({"more": noise(0.1, kind="custom")}, "<type>: 'custom' is not gaussian or none"),
         ({"more": noise(-0.1)}, "must not be negative"),
         ({"tags": "<samples>99</samples>"}, "99 samples"),

@@ -33,6 +33,8 @@ def test_an_effort_is_limited_and_ends_at_the_greatest_speed(world):
     controller.command(JointCommand(-99.0))
     world.run_for(0.01)
     assert joint.effort == -0.003
+    world.run_for(0.6)
+    assert joint.velocity == pytest.approx(-2.0, abs=0.02)
 
 
 def test_a_position_is_reached_at_the_greatest_speed_and_not_passed(world):
