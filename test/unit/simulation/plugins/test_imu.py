@@ -4,7 +4,8 @@ import re
 import numpy as np
 import pytest
 from conftest import EMPTY_WORLD, complains
-from sensor_worlds import carrier, check_normal, empty, held, record, sensor
+from noise_checks import check_normal
+from sensor_worlds import carrier, empty, held, record, sensor
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.motion_sensors import Accelerometer

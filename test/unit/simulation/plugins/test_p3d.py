@@ -2,7 +2,8 @@ import math
 
 import pytest
 from conftest import complains
-from sensor_worlds import carrier, check_normal, empty, record
+from noise_checks import check_normal
+from sensor_worlds import carrier, empty, record
 
 from bullet_lab.core.pose import Pose
 

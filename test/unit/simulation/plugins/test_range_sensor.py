@@ -2,7 +2,8 @@ import math
 
 import pytest
 from conftest import complains
-from sensor_worlds import box, carrier, check_normal, empty, record, sensor
+from noise_checks import check_normal
+from sensor_worlds import box, carrier, empty, record, sensor
 
 FAN = (
     "<update_rate>{rate}</update_rate><ray><scan>"
