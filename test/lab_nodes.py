@@ -1,0 +1,76 @@
+"""Nodes of the package as processes, for the programs that measure and disturb them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Optional
+
+import psutil
+
+PACKAGE = Path(__file__).resolve().parents[1]
+# Wall seconds for a node to end before it is killed.
+STOP_SECONDS = 20.0
+
+
+class Node:
+    """A node in a process of its own, which ends with this one.
+
+    Args:
+        name: of its executable, such as "aruco".
+        words: parameters and remappings.
+        log: file that its output is appended to; without one, the output is lost.
+
+    Attributes:
+        process: what runs it.
+    """
+
+    def __init__(self, name: str, *words: str, log: Optional[Path] = None):
+        self._log = log
+        script = PACKAGE / "scripts" / f"{name}.py"
+        with open(log or os.devnull, "a") as out:
+            self.process = psutil.Popen(
+                ["setpriv", "--pdeathsig", "KILL", sys.executable, str(script), *words],
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONFAULTHANDLER": "1"},
+                # Ctrl-C is for the program that started it.
+                start_new_session=True,
+            )
+
+    def output(self) -> str:
+        """Return what it has printed."""
+        return self._log.read_text(errors="replace")
+
+    def tracebacks(self) -> list[str]:
+        """Return the tracebacks that it has printed, each in a line."""
+        parts = self.output().split("Traceback")[1:]
+        return [" ".join(part.split("\n[")[0].split())[-2500:] for part in parts]
+
+    def megabytes(self) -> float:
+        """Return its resident memory."""
+        return self.process.memory_info().rss / 1e6
+
+    def percent(self, seconds: float) -> float:
+        """Return the processor time that it uses for so long, in percent of a core."""
+        before, start = self._used(), time.monotonic()
+        time.sleep(seconds)
+        return 100.0 * (self._used() - before) / (time.monotonic() - start)
+
+    def _used(self) -> float:
+        return sum(self.process.cpu_times()[:2])
+
+
+def end_all(*nodes: Node) -> None:
+    """End nodes and wait for them."""
+    for node in nodes:
+        node.process.terminate()
+    for node in nodes:
+        with contextlib.suppress(psutil.TimeoutExpired):
+            node.process.wait(STOP_SECONDS)
+        node.process.kill()
+        node.process.wait()
