@@ -27,13 +27,14 @@ class Node:
 
     Attributes:
         process: what runs it.
+        usage: what that takes of the machine.
     """
 
     def __init__(self, name: str, *words: str, log: Optional[Path] = None):
         self._log = log
         script = PACKAGE / "scripts" / f"{name}.py"
         with open(log or os.devnull, "a") as out:
-            self.process = psutil.Popen(
+            self.process = subprocess.Popen(
                 ["setpriv", "--pdeathsig", "KILL", sys.executable, str(script), *words],
                 stdout=out,
                 stderr=subprocess.STDOUT,
@@ -41,6 +42,7 @@ class Node:
                 # Ctrl-C is for the program that started it.
                 start_new_session=True,
             )
+        self.usage = psutil.Process(self.process.pid)
 
     def output(self) -> str:
         """Return what it has printed."""
@@ -53,7 +55,7 @@ class Node:
 
     def megabytes(self) -> float:
         """Return its resident memory."""
-        return self.process.memory_info().rss / 1e6
+        return self.usage.memory_info().rss / 1e6
 
     def percent(self, seconds: float) -> float:
         """Return the processor time that it uses for so long, in percent of a core."""
@@ -62,7 +64,7 @@ class Node:
         return 100.0 * (self._used() - before) / (time.monotonic() - start)
 
     def _used(self) -> float:
-        return sum(self.process.cpu_times()[:2])
+        return sum(self.usage.cpu_times()[:2])
 
 
 def end_all(*nodes: Node) -> None:
@@ -70,7 +72,7 @@ def end_all(*nodes: Node) -> None:
     for node in nodes:
         node.process.terminate()
     for node in nodes:
-        with contextlib.suppress(psutil.TimeoutExpired):
+        with contextlib.suppress(subprocess.TimeoutExpired):
             node.process.wait(STOP_SECONDS)
         node.process.kill()
         node.process.wait()

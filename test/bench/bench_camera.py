@@ -140,8 +140,8 @@ class Stopwatch:
         self.bridge: Dict[int, List[float]] = {samples: [] for samples in SAMPLES}
         self._produce = self._camera.produce
         self._camera.produce = self._timed_produce
-        self._after_steps = bridge.stepper._after_steps
-        bridge.stepper._after_steps = self._timed_flush
+        self._after_steps = bridge.stepper.after_steps
+        bridge.stepper.after_steps = self._timed_flush
         self._in_frame = 0.0
         self._since_bare = 0
 

@@ -12,9 +12,7 @@ import argparse
 import contextlib
 import json
 import math
-import os
 import re
-import subprocess
 import sys
 import tempfile
 import threading
@@ -24,7 +22,6 @@ from pathlib import Path
 from typing import Any, Deque, Dict, Iterator, List, Tuple
 
 import numpy as np
-import psutil
 import roslib.message
 import rospy
 import rosservice
@@ -49,18 +46,21 @@ from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
 from bullet_lab.ros.view.show import KINDS
 
+# `page` has added its folder to the path.
+from lab_nodes import PACKAGE, Node, end_all  # isort: skip
+
 NODES: Dict[str, Tuple[str, ...]] = {
-    "pybullet_bridge.py": (
+    "pybullet_bridge": (
         "_world:=package://bullet_lab/worlds/docking.world",
         "_robot:=package://bullet_lab/urdf/camera_robot.urdf",
         "_rtf:=0",
     ),
-    "noisy_odom.py": ("_std:=0.1",),
-    "track_robot.py": ("_watch:=true",),
-    "aruco.py": ("_image:=mycamera/image_raw",),
-    "dock.py": (),
-    "drive_to_goal.py": (),
-    "view.py": ("_port:=18300",),
+    "noisy_odom": ("_std:=0.1",),
+    "track_robot": ("_watch:=true",),
+    "aruco": ("_image:=mycamera/image_raw",),
+    "dock": (),
+    "drive_to_goal": (),
+    "view": ("_port:=18300",),
 }
 # A robot with controllers, as test/tutorials has it.
 CART, CONTROLLERS = "cart", ("joint_state_controller", "drive", "mast")
@@ -87,18 +87,8 @@ class Lab:
     """The nodes that are fuzzed, and what they say."""
 
     def __init__(self, folder: Path):
-        self._logs = {name: (folder / f"{name}.log").open("w+") for name in NODES}
-        self.nodes = {
-            name: subprocess.Popen(
-                # Whoever stops this program leaves none of them behind.
-                ["setpriv", "--pdeathsig", "KILL", "rosrun", "bullet_lab", name, *words],
-                cwd=folder,
-                stdout=self._logs[name],
-                stderr=subprocess.STDOUT,
-                env={**os.environ, "PYTHONFAULTHANDLER": "1"},
-            )
-            for name, words in NODES.items()
-        }
+        self.nodes = {n: Node(n, *words, log=folder / f"{n}.log") for n, words in NODES.items()}
+        self._bridge = self.nodes["pybullet_bridge"]
         self.not_finite: Counter = Counter()
         # What was sent last, and what before the first of those.
         self.sent: Deque[str] = deque(maxlen=LAST_SENT)
@@ -109,12 +99,12 @@ class Lab:
         self.too_fast: Counter = Counter()
         rospy.wait_for_service("/bullet_lab/advance", 120.0)
         spawn_cart()
-        self.url = wait_for_url(lambda: self.said("view.py"))
+        self.url = wait_for_url(self.nodes["view"].output)
         rospy.Subscriber("/clock", Clock, self._note_time, queue_size=1)
         for topic in OUTPUTS:
             rospy.Subscriber(topic, Odometry, self._check, topic, queue_size=50)
         time.sleep(5.0)
-        self.memory = self.megabytes()
+        self._memory = self._bridge.megabytes()
 
     def listen_to_view(self, topics: List[Tuple[str, str]]) -> None:
         """Note what the view commands, on all topics that commands are heard on."""
@@ -153,33 +143,27 @@ class Lab:
             time.sleep(0.1)
         return False
 
-    def megabytes(self) -> float:
-        """Return the bridge's resident memory."""
-        family = psutil.Process(self.nodes["pybullet_bridge.py"].pid)
-        return sum(p.memory_info().rss for p in (family, *family.children(True))) / 2**20
+    def grown(self) -> float:
+        """Return by how many MB the bridge has grown."""
+        return self._bridge.megabytes() - self._memory
 
     def dead(self) -> List[str]:
         """Return the nodes that have ended."""
-        return [name for name, process in self.nodes.items() if process.poll() is not None]
-
-    def said(self, name: str) -> str:
-        """Return all that a node has printed."""
-        self._logs[name].seek(0)
-        return self._logs[name].read()
+        return [name for name, node in self.nodes.items() if node.process.poll() is not None]
 
     def resets(self) -> Counter:
         """Return how often the bridge has warned that a model's pose was no longer finite."""
         warning = re.compile(r"model '([^']*)': its pose is no longer finite")
-        return Counter(warning.findall(self.said("pybullet_bridge.py")))
+        return Counter(warning.findall(self._bridge.output()))
 
     def last_words(self, name: str) -> str:
         """Return the status of a node that has ended, and what it printed at the end."""
-        text = self.said(name)
+        text = self.nodes[name].output()
         # Of the fault handler's pages, the thread that died is what counts.
         text = text[max(0, text.find("Current thread")) :]
         words = " ".join(text.split())
         kept = words if len(words) < 2 * SAID else f"{words[:SAID]} … {words[-SAID:]}"
-        return f"{self.nodes[name].returncode}: {kept}"
+        return f"{self.nodes[name].process.returncode}: {kept}"
 
     def time_goes_on(self) -> bool:
         """Return whether there are ticks of the clock again, once physics is not paused."""
@@ -195,24 +179,16 @@ class Lab:
 
     def end(self) -> List[str]:
         """End the nodes; return the tracebacks that they have printed."""
-        for process in self.nodes.values():
-            process.terminate()
-        for process in self.nodes.values():
-            process.wait(60.0)
-        found = []
-        for name in NODES:
-            # Libraries that answer calls themselves print theirs, too.
-            for part in self.said(name).split("Traceback")[1:]:
-                part = part.split("\n[")[0]
-                if "bullet_lab/src" in part:
-                    found.append(f"{name}: {' '.join(part.split())[-2500:]}")
-        return found
+        end_all(*self.nodes.values())
+        found = {name: node.tracebacks() for name, node in self.nodes.items()}
+        # Libraries that answer calls themselves print theirs, too.
+        ours = "bullet_lab/src"
+        return [f"{name}: {one}" for name, texts in found.items() for one in texts if ours in one]
 
 
 def inputs() -> Tuple[List[Tuple[str, str]], List[str]]:
     """Return the topics that the nodes hear, with their types, and the services that they offer."""
-    mine = {f"/{name[:-3]}" for name in NODES}
-    mine |= {"/noisy_odom_node"}
+    mine = {f"/{name}" for name in NODES} | {"/noisy_odom_node"}
     _, subscribed, offered = rospy.get_master().getSystemState()[2]
     types = dict(rospy.get_master().getTopicTypes()[2])
     topics = [
@@ -238,21 +214,17 @@ def texts(seed: int) -> List[str]:
 
 def spawn_cart() -> None:
     """Spawn a robot with controllers, if it is not there, and have them run."""
-    tutorials = Path(__file__).resolve().parents[1] / "tutorials"
+    tutorials = PACKAGE / "test" / "tutorials"
     text = (tutorials / "urdf" / "cart.urdf").read_text()
+    settings = yaml.safe_load((tutorials / "config" / f"{CART}.yaml").read_text())
     rospy.set_param(f"/{CART}/robot_description", text)
-    rospy.set_param(f"/{CART}", {**rospy.get_param(f"/{CART}"), **settings_of_cart(tutorials)})
+    rospy.set_param(f"/{CART}", {**rospy.get_param(f"/{CART}"), **settings})
     pose = PoseMsg(Point(-2.0, -2.0, 0.0), Quaternion(w=1.0))
     rospy.ServiceProxy("/gazebo/spawn_urdf_model", SpawnModel)(CART, text, "", pose, "")
     for name in CONTROLLERS:
         service(f"/{CART}/controller_manager/load_controller", LoadController)(name)
     switch = service(f"/{CART}/controller_manager/switch_controller", SwitchController)
     switch(CONTROLLERS, (), SwitchControllerRequest.STRICT, False, 0.0)
-
-
-def settings_of_cart(tutorials: Path) -> Dict[str, Any]:
-    """Return the parameters of the cart's controllers."""
-    return yaml.safe_load((tutorials / "config" / f"{CART}.yaml").read_text())
 
 
 def service(name: str, kind: type) -> rospy.ServiceProxy:
@@ -362,16 +334,15 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
                     spawn_cart()
     failures += [f"{name} has ended with {lab.last_words(name)}" for name in lab.dead()]
     if not page.lives():
-        failures.append(f"the page is no longer served: {lab.said('view.py')[-600:]}")
+        failures.append(f"the page is no longer served: {lab.nodes['view'].output()[-600:]}")
     page.close()
     if not failures:
         if not lab.view_has_stopped():
             failures.append(f"the view drives on: {lab.driven}")
         if not lab.time_goes_on():
-            failures.append(f"time does not go on: {lab.said('pybullet_bridge.py')[-600:]}")
-        grown = lab.megabytes() - lab.memory
-        if grown > MOST_GROWTH:
-            failures.append(f"the bridge has grown by {grown:.0f} MB")
+            failures.append(f"time does not go on: {lab.nodes['pybullet_bridge'].output()[-600:]}")
+        if lab.grown() > MOST_GROWTH:
+            failures.append(f"the bridge has grown by {lab.grown():.0f} MB")
     failures += [f"{name} became NaN: {n} warnings" for name, n in lab.resets().items()]
     failures += [f"{name} has not answered {n} times" for name, n in caller.silent.items()]
     failures += [f"{n} messages on {topic} are not finite" for topic, n in lab.not_finite.items()]
