@@ -6,15 +6,14 @@ import pytest
 
 pytest.importorskip("rospy")
 
+from message_fields import check, message_of
+from sensor_msgs.msg import PointField
+
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.ros.messages.conversions import Converter, compressed_message
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
-
-
-def message_of(sample):
-    return Converter(type(sample)).convert(sample)
 
 
 @pytest.mark.parametrize(
@@ -23,11 +22,15 @@ def message_of(sample):
 def test_images(encoding, shape, step):
     pixels = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     message = message_of(ImageSample(1234, "optical", encoding, pixels))
-    assert message.header.stamp.to_nsec() == 1_234_000_000
-    assert message.header.frame_id == "optical"
-    assert (message.width, message.height, message.step) == (64, 48, step)
-    assert message.encoding == encoding
-    assert message.is_bigendian == 0
+    fields = """
+        header.stamp: 1.234
+        header.frame_id: optical
+        width: 64
+        height: 48
+        is_bigendian: 0
+    """
+    check(message, fields)
+    assert (message.encoding, message.step) == (encoding, step)
     assert message.data == pixels.tobytes()
 
 
@@ -38,13 +41,17 @@ def test_images_whose_rows_are_not_in_one_piece():
 
 def test_camera_info():
     message = message_of(CameraInfoSample(5, "optical", CAMERA, baseline=0.2))
-    assert message.header.stamp.to_nsec() == 5_000_000
-    assert (message.width, message.height) == (64, 48)
-    assert message.distortion_model == "plumb_bob"
-    assert message.D == [0.1, 0.2, 0.3, 0.4, 0.5]
-    assert message.K == [50.0, 0.0, 31.5, 0.0, 51.0, 23.5, 0.0, 0.0, 1.0]
-    assert message.R == [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    assert message.P == [50.0, 0.0, 31.5, -10.0, 0.0, 51.0, 23.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+    fields = """
+        header.stamp: 0.005
+        width: 64
+        height: 48
+        distortion_model: plumb_bob
+        D: [0.1, 0.2, 0.3, 0.4, 0.5]
+        K: [50.0, 0.0, 31.5, 0.0, 51.0, 23.5, 0.0, 0.0, 1.0]
+        R: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        P: [50.0, 0.0, 31.5, -10.0, 0.0, 51.0, 23.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+    """
+    check(message, fields)
 
 
 def test_depth_images():
@@ -62,15 +69,20 @@ def test_points_are_read_as_what_they_were():
     sample = PointsSample(9, "optical", points, colours)
     converter = Converter(PointsSample)
     message = converter.convert(sample)
-    assert message.header.stamp.to_nsec() == 9_000_000
-    assert (message.height, message.width, message.is_dense) == (3, 4, True)
-    assert (message.point_step, message.row_step, message.is_bigendian) == (32, 128, False)
-    assert [(f.name, f.offset, f.datatype, f.count) for f in message.fields] == [
-        ("x", 0, 7, 1),
-        ("y", 4, 7, 1),
-        ("z", 8, 7, 1),
-        ("rgb", 16, 7, 1),
+    fields = """
+        header.stamp: 0.009
+        height: 3
+        width: 4
+        is_dense: true
+        point_step: 32
+        row_step: 128
+        is_bigendian: false
+    """
+    check(message, fields)
+    assert [(f.name, f.offset) for f in message.fields] == [
+        *(("x", 0), ("y", 4), ("z", 8), ("rgb", 16)),
     ]
+    assert {(f.datatype, f.count) for f in message.fields} == {(PointField.FLOAT32, 1)}
     for (u, v) in ((0, 0), (3, 2), (1, 2)):
         at = v * message.row_step + u * message.point_step
         assert struct.unpack_from("<fff", message.data, at) == tuple(points[v, u])

@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("genmsg")
 
 import genmsg
+import rospkg
 from genmsg.gentools import compute_md5
 from genmsg.msg_loader import load_depends, load_msg_from_file, load_srv_from_file
 
@@ -54,41 +55,41 @@ def md5(path, package):
     context = genmsg.MsgContext.create_default()
     load = load_msg_from_file if path.suffix == ".msg" else load_srv_from_file
     spec = load(context, str(path), f"{package}/{path.stem}")
-    folders = _ros_folders()
+    pack = rospkg.RosPack()
+    names = ("geometry_msgs", "std_msgs", "trajectory_msgs")
+    folders = {name: [f"{pack.get_path(name)}/msg"] for name in names}
     folders[package] = [str(path.parents[1] / "msg")]
     load_depends(context, spec, folders)
     return compute_md5(context, spec)
-
-
-def _ros_folders():
-    rospkg = pytest.importorskip("rospkg")
-    pack = rospkg.RosPack()
-    names = ("geometry_msgs", "std_msgs", "trajectory_msgs")
-    known = [name for name in names if name in pack.list()]
-    return {name: [f"{pack.get_path(name)}/msg"] for name in known}
 
 
 @pytest.mark.parametrize(
     "folder, sums", [(".", SUMS), ("stand_ins/gazebo_msgs", {**SUMS, **UNUSED})]
 )
 def test_md5_sums_are_gazebos(package, folder, sums):
-    for name in sums:
-        compare(package, folder, name, sums[name])
+    for name, expected in sums.items():
+        # The type's own package name is part of no sum, but is what clients import.
+        assert md5_of(package / folder, name, "gazebo_msgs") == expected, name
 
 
-def compare(package, folder, name, expected):
-    (path,) = (package / folder).glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
-    # The type's own package name is part of no sum, but is what clients import.
-    assert md5(path, "gazebo_msgs") == expected, name
+def md5_of(folder, name, package):
+    (path,) = folder.glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
+    return md5(path, package)
+
+
+def listed_types(package, stand_in):
+    """Return the files that a stand-in builds, of which the package builds all but some."""
+    folder = package / "stand_ins" / stand_in
+    listed = set(re.findall(r"(\w+\.(?:msg|srv))", (folder / "CMakeLists.txt").read_text()))
+    assert listed == {path.name for path in folder.glob("[ms][sr][gv]/*")}
+    built = (package / "CMakeLists.txt").read_text()
+    return {name.split(".")[0] for name in listed}, [n for n in listed if n not in built]
 
 
 def test_the_stand_in_builds_all_that_it_holds(package):
-    folder = package / "stand_ins" / "gazebo_msgs"
-    listed = set(re.findall(r"(\w+\.(?:msg|srv))", (folder / "CMakeLists.txt").read_text()))
-    assert listed == {path.name for path in folder.glob("[ms][sr][gv]/*")}
-    assert {name.split(".")[0] for name in listed} == {*SUMS, *UNUSED}
-    built = (package / "CMakeLists.txt").read_text()
-    assert [name for name in listed if name not in built] == [f"{name}.srv" for name in UNUSED]
+    listed, left_out = listed_types(package, "gazebo_msgs")
+    assert listed == {*SUMS, *UNUSED}
+    assert left_out == [f"{name}.srv" for name in UNUSED]
 
 
 # For Noetic.
@@ -107,21 +108,10 @@ CONTROL_SUMS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("stand_in", "name"),
-    [(stand_in, name) for stand_in, sums in CONTROL_SUMS.items() for name in sums],
-)
-def test_md5_sums_are_those_of_ros_control(package, stand_in, name):
-    for folder in (package, package / "stand_ins" / stand_in):
-        (path,) = folder.glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
-        assert md5(path, stand_in) == CONTROL_SUMS[stand_in][name]
-
-
 @pytest.mark.parametrize("stand_in", CONTROL_SUMS)
-def test_the_stand_ins_of_ros_control_build_all_types(package, stand_in):
-    folder = package / "stand_ins" / stand_in
-    listed = set(re.findall(r"(\w+\.(?:msg|srv))", (folder / "CMakeLists.txt").read_text()))
-    assert listed == {path.name for path in folder.glob("[ms][sr][gv]/*")}
-    assert {name.split(".")[0] for name in listed} == set(CONTROL_SUMS[stand_in])
-    built = (package / "CMakeLists.txt").read_text()
-    assert [name for name in listed if name not in built] == []
+def test_the_types_of_ros_control(package, stand_in):
+    sums = CONTROL_SUMS[stand_in]
+    for name, expected in sums.items():
+        for folder in (package, package / "stand_ins" / stand_in):
+            assert md5_of(folder, name, stand_in) == expected, name
+    assert listed_types(package, stand_in) == (set(sums), [])

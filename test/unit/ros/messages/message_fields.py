@@ -1,0 +1,44 @@
+"""Messages as they come out at the other end, and their fields."""
+
+from io import BytesIO
+
+import genpy
+import pytest
+import yaml
+
+from bullet_lab.ros.messages.conversions import Converter
+
+
+def message_of(sample):
+    """Convert a sample, and send and receive the message."""
+    converter = Converter(type(sample))
+    buffer = BytesIO()
+    converter.convert(sample).serialize(buffer)
+    message = converter.message_kind()
+    message.deserialize(buffer.getvalue())
+    return message
+
+
+def check(message, fields):
+    """Compare fields of a message with those of a YAML text, to single precision."""
+    for name, expected in yaml.safe_load(fields).items():
+        found = message
+        for part in name.split("."):
+            found = getattr(found, part)
+        assert plain(found) == near(expected), name
+
+
+def near(value):
+    """Return what compares equal to a number or a list of numbers of single precision."""
+    if isinstance(value, list):
+        return [near(one) for one in value]
+    return pytest.approx(value, rel=1e-7) if isinstance(value, float) else value
+
+
+def plain(value):
+    """Return a time as seconds, and a vector or a quaternion as a list."""
+    if isinstance(value, genpy.Time):
+        return value.to_sec()
+    if isinstance(value, genpy.Message):
+        return [getattr(value, name) for name in value.__slots__]
+    return list(value) if isinstance(value, tuple) else value
