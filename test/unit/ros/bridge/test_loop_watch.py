@@ -3,19 +3,6 @@ import pytest
 from bullet_lab.ros.bridge.timing import OTHERS, WAITING, WINDOW, LoopWatch
 
 
-class Clock:
-    def __init__(self):
-        self.now = 50.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.fixture
-def clock():
-    return Clock()
-
-
 @pytest.fixture
 def watch(clock):
     return LoopWatch(clock)

@@ -3,7 +3,6 @@ import itertools
 import threading
 import time
 from concurrent.futures import Future
-from types import SimpleNamespace
 
 import pytest
 
@@ -258,11 +257,10 @@ def test_end_cuts_a_long_way_short_and_nothing_more_is_done(running):
     error_of(run.stepper.do, lambda: None)
 
 
-def test_a_command_acts_at_the_present_moment_of_wall_time(running):
-    clock = SimpleNamespace(now=0.0)
-    run = running(rtf=1.0, clock=lambda: clock.now)
+def test_a_command_acts_at_the_present_moment_of_wall_time(running, clock):
+    run = running(rtf=1.0, clock=clock)
     assert assert_stands(run) == 0
-    clock.now = 0.0905
+    clock.now += 0.0905
     seen = []
     run.stepper.do_now(lambda: seen.append(run.step))
     assert seen == [90]
@@ -285,7 +283,7 @@ def test_reset_world_keeps_time(running):
     assert run.step == 0
 
 
-@pytest.mark.parametrize("kind", [LabError, ValueError, MemoryError])
+@pytest.mark.parametrize("kind", [LabError, MemoryError])
 def test_whatever_goes_wrong_in_a_task_is_its_owners_problem(running, kind):
     run = running()
 
@@ -298,8 +296,8 @@ def test_whatever_goes_wrong_in_a_task_is_its_owners_problem(running, kind):
     wait_for(lambda: run.step > reached)
 
 
-def test_the_speed_can_be_changed_on_the_way(running):
-    run = running(rtf=1.0, clock=lambda: 0.0)
+def test_the_speed_can_be_changed_on_the_way(running, clock):
+    run = running(rtf=1.0, clock=clock)
     assert assert_stands(run) == 0
     run.stepper.set_real_time_factor(0.0)
     wait_for(lambda: run.step > 10_000)
