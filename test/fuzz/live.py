@@ -19,7 +19,7 @@ import threading
 import time
 from collections import Counter, deque
 from pathlib import Path
-from typing import Any, Deque, Dict, Iterator, List, Tuple
+from typing import Any, Deque, Dict, List, Tuple
 
 import numpy as np
 import roslib.message
@@ -106,9 +106,9 @@ class Lab:
         time.sleep(5.0)
         self._memory = self._bridge.megabytes()
 
-    def listen_to_view(self, topics: List[Tuple[str, str]]) -> None:
+    def listen_to_view(self, topics: Dict[str, str]) -> None:
         """Note what the view commands, on all topics that commands are heard on."""
-        for topic, kind in topics:
+        for topic, kind in topics.items():
             if kind == "geometry_msgs/Twist":
                 rospy.Subscriber(topic, Twist, self._note_command, topic, queue_size=50)
 
@@ -186,20 +186,20 @@ class Lab:
         return [f"{name}: {one}" for name, texts in found.items() for one in texts if ours in one]
 
 
-def inputs() -> Tuple[List[Tuple[str, str]], List[str]]:
+def inputs() -> Tuple[Dict[str, str], List[str]]:
     """Return the topics that the nodes hear, with their types, and the services that they offer."""
     mine = {f"/{name}" for name in NODES} | {"/noisy_odom_node"}
     _, subscribed, offered = rospy.get_master().getSystemState()[2]
     types = dict(rospy.get_master().getTopicTypes()[2])
-    topics = [
-        (topic, types[topic])
-        for topic, nodes in subscribed
+    topics = {
+        topic: types[topic]
+        for topic, nodes in sorted(subscribed)
         if mine & set(nodes) and topic not in HEARD_BY_ALL and types.get(topic, "*") != "*"
-    ]
+    }
     services = [
         name for name, nodes in offered if mine & set(nodes) and not name.endswith(LEFT_ALONE)
     ]
-    return sorted(topics), sorted(services)
+    return topics, sorted(services)
 
 
 def texts(seed: int) -> List[str]:
@@ -279,19 +279,12 @@ def shown(message: Any) -> str:
     return " ".join(str(message).split())[:500]
 
 
-@contextlib.contextmanager
-def publishers(topics: List[Tuple[str, str]]) -> Iterator[List[Tuple[rospy.Publisher, type]]]:
-    """Publishers on all topics."""
-    kinds = [(topic, roslib.message.get_message_class(kind)) for topic, kind in topics]
-    made = [(rospy.Publisher(t, kind, queue_size=100), kind) for t, kind in kinds if kind]
+def publishers(topics: Dict[str, str]) -> List[Tuple[rospy.Publisher, type]]:
+    """Return publishers on all topics, whose types are known."""
+    kinds = {topic: roslib.message.get_message_class(kind) for topic, kind in topics.items()}
+    made = [(rospy.Publisher(t, kind, queue_size=100), kind) for t, kind in kinds.items() if kind]
     time.sleep(1.0)
-    yield made
-    for publisher, _ in made:
-        publisher.unregister()
-
-
-def _bar(total: int) -> tqdm:
-    return tqdm(total=total, unit=" messages", disable=not sys.stderr.isatty())
+    return made
 
 
 def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
@@ -307,31 +300,32 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     messages = Messages(random, texts(wanted.seed))
     failures: List[str] = []
     sent, calls, to_page = Counter(), Counter(), 0
-    with publishers([*topics, *SHOWN.items()]) as outlets, _bar(wanted.messages) as bar:
-        for number in range(wanted.messages):
-            messages.now = rospy.get_time()
-            kind_of_input = random.random()
-            if kind_of_input < TO_PAGE:
-                lab.sent.append(page.send())
-                to_page += 1
-            elif kind_of_input < TO_PAGE + CALLS:
-                names = caller.names if random.integers(3) else caller.with_settings
-                name = names[random.integers(len(names))]
-                lab.sent.append(f"{name}: {caller.call(name, messages)}")
-                calls[name] += 1
-            else:
-                publisher, kind = outlets[random.integers(len(outlets))]
-                with contextlib.suppress(rospy.ROSException, rospy.ROSSerializationException):
-                    message = messages.fill(kind())
-                    lab.sent.append(f"{publisher.name}: {shown(message)}")
-                    publisher.publish(message)
-                sent[publisher.name] += 1
-            bar.update()
-            if number % 200 == 199:
-                if lab.dead():
-                    break
-                with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
-                    spawn_cart()
+    outlets = publishers({**topics, **SHOWN})
+    for number in tqdm(range(wanted.messages), unit=" messages", disable=None):
+        messages.now = rospy.get_time()
+        kind_of_input = random.random()
+        if kind_of_input < TO_PAGE:
+            lab.sent.append(page.send())
+            to_page += 1
+        elif kind_of_input < TO_PAGE + CALLS:
+            names = caller.names if random.integers(3) else caller.with_settings
+            name = names[random.integers(len(names))]
+            lab.sent.append(f"{name}: {caller.call(name, messages)}")
+            calls[name] += 1
+        else:
+            publisher, kind = outlets[random.integers(len(outlets))]
+            with contextlib.suppress(rospy.ROSException, rospy.ROSSerializationException):
+                message = messages.fill(kind())
+                lab.sent.append(f"{publisher.name}: {shown(message)}")
+                publisher.publish(message)
+            sent[publisher.name] += 1
+        if number % 200 == 199:
+            if lab.dead():
+                break
+            with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
+                spawn_cart()
+    for publisher, _ in outlets:
+        publisher.unregister()
     failures += [f"{name} has ended with {lab.last_words(name)}" for name in lab.dead()]
     if not page.lives():
         failures.append(f"the page is no longer served: {lab.nodes['view'].output()[-600:]}")

@@ -23,7 +23,7 @@ _LEAST_EDGE, _LEAST_SPREAD = 128, 10.0
 
 def photographs() -> Dict[str, np.ndarray]:
     """Return the photographs by name, (480, 640) grey levels, cut to that shape in their middle."""
-    return {path.name: _fitted(image) for path, image in _originals()}
+    return {name: _fitted(image) for name, image in originals().items()}
 
 
 def originals() -> Dict[str, np.ndarray]:
