@@ -25,7 +25,7 @@ from tqdm import tqdm
 from ways import WAYS
 
 HERE = Path(__file__).resolve().parent
-# Wall seconds for a worker to come up, and for each mutant on average; a busy machine is not a hang.
+# Wall seconds for a worker to come up, and for each mutant on average, on a busy machine too.
 PATIENCE, PATIENCE_EACH = 60.0, 1.0
 # Mutants of a way's share in a round.
 ROUND = 10

@@ -1,4 +1,4 @@
-"""Messages as they come out at the other end, and their fields."""
+"""Messages from YAML texts, as they come out at the other end, and their fields."""
 
 from io import BytesIO
 
@@ -9,20 +9,30 @@ import yaml
 from bullet_lab.ros.messages.conversions import Converter
 
 
+def message(kind, text):
+    """Return a message of a type with fields of a YAML text, as rostopic pub takes it."""
+    made = kind()
+    genpy.message.fill_message_args(made, [yaml.safe_load(text)])
+    return made
+
+
+def data_of(message):
+    """Return the bytes of a message."""
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
+
+
 def message_of(sample):
     """Convert a sample, and send and receive the message."""
     converter = Converter(type(sample))
-    buffer = BytesIO()
-    converter.convert(sample).serialize(buffer)
-    message = converter.message_kind()
-    message.deserialize(buffer.getvalue())
-    return message
+    return converter.message_kind().deserialize(data_of(converter.convert(sample)))
 
 
-def check(message, fields):
+def check(made, fields):
     """Compare fields of a message with those of a YAML text, to single precision."""
     for name, expected in yaml.safe_load(fields).items():
-        found = message
+        found = made
         for part in name.split("."):
             found = getattr(found, part)
         assert plain(found) == near(expected), name
