@@ -16,6 +16,11 @@ def message(kind, text):
     return made
 
 
+def messages(kind, text):
+    """Return messages of a type, whose fields a YAML text lists."""
+    return [message(kind, yaml.safe_dump(fields)) for fields in yaml.safe_load(text)]
+
+
 def data_of(message):
     """Return the bytes of a message."""
     buffer = BytesIO()

@@ -45,7 +45,7 @@ def first_whole(arrivals):
     return None
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(10))
 def test_the_answers_are_those_of_the_first_image_that_all_have_answered(receive, seed):
     answers = plot_vision.SameImage(TOPICS, settle=0.0)
     rng = np.random.default_rng(seed)
@@ -59,7 +59,7 @@ def test_the_answers_are_those_of_the_first_image_that_all_have_answered(receive
         arrivals.append((topic, queues[topic].pop(0)))
     for topic, number in arrivals:
         receive[topic](answer(topic, number))
-    found = answers.wait(1.0)
+    found = answers.wait(60.0)
     expected = first_whole(arrivals)
     assert {t: message.of for t, message in found.items()} == {t: (t, expected) for t in TOPICS}
 
@@ -69,7 +69,7 @@ def test_images_before_the_settling_do_not_count(receive):
     for number in (1, 2, 3, 4):
         for topic in TOPICS:
             receive[topic](answer(topic, number))
-    assert {message.of[1] for message in answers.wait(1.0).values()} == {3}
+    assert {message.of[1] for message in answers.wait(60.0).values()} == {3}
 
 
 def test_answers_to_different_images_are_better_than_none(receive, monkeypatch):
@@ -77,7 +77,7 @@ def test_answers_to_different_images_are_better_than_none(receive, monkeypatch):
     answers = plot_vision.SameImage(TOPICS, settle=0.0)
     for topic, number in (("a", 1), ("b", 2), ("c", 3), ("a", 4)):
         receive[topic](answer(topic, number))
-    assert {t: m.of[1] for t, m in answers.wait(2.0).items()} == {"a": 4, "b": 2, "c": 3}
+    assert {t: m.of[1] for t, m in answers.wait(60.0).items()} == {"a": 4, "b": 2, "c": 3}
 
 
 def test_a_silent_detector_is_named(receive):
