@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.errors import LabError
@@ -98,19 +99,21 @@ def test_argument_without_default_is_required(tmp_path):
 
 @pytest.mark.parametrize(
     ("doc", "good", "bad"),
-    [
-        ("Noise [number >= 0]", ["0", "0.1", "1e-3", ".5", "2."], ["-0.1", "nan", "inf", "x", ""]),
-        ("Part [number > 0 <= 1]", ["0.5", "1"], ["0", "1.01"]),
-        ("Seed [integer >= 0]", ["0", "42"], ["-1", "1.0", "1e3", "٣"]),
-        ("Any [number]", ["-1e300"], ["1e999", "1_000", "0x10", " 1"]),
-        ("Show [true|false]", ["true", "false"], ["True", "1", "yes", ""]),
-        ("Rule [report|rate_invariant]", ["rate_invariant"], ["report|rate_invariant", "rep"]),
-        ("Where [folder]", ["a/b c", "/tmp"], [""]),
-        ("Which [file]", ["", __file__, "package://bullet_lab/x"], ["nothing.urdf", "/tmp"]),
-        ("What [text]", ["", "anything"], []),
-        ("no bracket", ["", "anything"], []),
-        ("Bracket [number] in the middle.", ["anything"], []),
-    ],
+    yaml.safe_load(
+        f"""
+        - ["Noise [number >= 0]", ["0", "1e-3", ".5", "2."], ["-0.1", nan, inf, x, ""]]
+        - ["Part [number > 0 <= 1]", ["0.5", "1"], ["0", "1.01"]]
+        - ["Seed [integer >= 0]", ["0", "42"], ["-1", "1.0", "1e3", "٣"]]
+        - ["Any [number]", ["-1e300"], ["1e999", "1_000", "0x10", " 1"]]
+        - ["Show [true|false]", ["true", "false"], ["True", "1", "yes", ""]]
+        - ["Rule [report|rate_invariant]", [rate_invariant], [report|rate_invariant, rep]]
+        - ["Where [folder]", [a/b c, /tmp], [""]]
+        - ["Which [file]", ["", {__file__}, "package://bullet_lab/x"], [nothing.urdf, /tmp]]
+        - ["What [text]", ["", anything], []]
+        - ["no bracket", ["", anything], []]
+        - ["Bracket [number] in the middle.", [anything], []]
+        """
+    ),
 )
 def test_values_that_a_bracket_allows(tmp_path, doc, good, bad):
     checked = of_argument(f'default="" doc="{doc}"', tmp_path).arguments["std"]
