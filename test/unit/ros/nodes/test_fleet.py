@@ -25,10 +25,6 @@ def path(x=0.0, y=0.0):
     return Trajectory(np.arange(4.0), places + (x, y, 0.0))
 
 
-def test_robots_are_counted_from_one():
-    assert robot_names(3) == ["robot1", "robot2", "robot3"]
-
-
 def test_each_robot_has_noise_of_its_own():
     given = {"~robots": 2, "~seed": 7, "~std": 0.3}
     wanted = read_parameters(NoisyOdomParameters, given.get)
@@ -61,7 +57,7 @@ def test_summary_of_robots_that_have_not_moved_has_no_errors():
     assert fleet_summary([])["ape_rmse_m_largest"] is None
 
 
-@pytest.mark.parametrize("number", [1, 2, 7, 20])
+@pytest.mark.parametrize("number", [1, 7])
 def test_figure_shows_all_paths_to_one_scale(number):
     robots = {
         name: (path(2.5 * (k % 5), 2.5 * (k // 5)), path(2.5 * (k % 5) + 0.1))

@@ -10,7 +10,7 @@ from bullet_lab.ros.view import show
 TICK = 1.0 / 30.0
 
 
-@pytest.mark.parametrize("seconds_of_an_update", [0.01, 1.0, 2.0])
+@pytest.mark.parametrize("seconds_of_an_update", [0.1, 2.0])
 def test_topics_are_updated_each_second_however_long_an_update_takes(
     monkeypatch, seconds_of_an_update
 ):
