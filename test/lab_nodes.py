@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Optional
+from typing import Any, Optional
 
 import psutil
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # Wall seconds for a node to end before it is killed.
 STOP_SECONDS = 20.0
+
+
+def parser_of(prog: str, doc: Optional[str], **defaults: Any) -> argparse.ArgumentParser:
+    """Return a parser of options with defaults, which have the types of these."""
+    shape = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog=prog, description=doc, formatter_class=shape)
+    for name, default in defaults.items():
+        if default is False:
+            parser.add_argument(f"--{name}", action="store_true")
+        else:
+            parser.add_argument(f"--{name}", type=type(default), default=default)
+    return parser
 
 
 class Node:

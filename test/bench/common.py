@@ -18,7 +18,7 @@ from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.messages.gazebo_types import srv
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from lab_nodes import PACKAGE, Node  # noqa: E402
+from lab_nodes import PACKAGE, Node, parser_of  # noqa: E402
 
 INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
 # m between robots, as in the job fleet.
@@ -29,15 +29,8 @@ START_SECONDS = 60.0
 
 def options(doc: Optional[str], **defaults: Union[int, float, bool]) -> argparse.Namespace:
     """Read the command line: `out`, the JSON file to write, and options with their defaults."""
-    parser = argparse.ArgumentParser(
-        prog="bench.sh", description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("bench.sh", doc, **defaults)
     parser.add_argument("out", type=Path)
-    for name, default in defaults.items():
-        if default is False:
-            parser.add_argument(f"--{name}", action="store_true")
-        else:
-            parser.add_argument(f"--{name}", type=type(default), default=default)
     wanted = parser.parse_args()
     wanted.out.parent.mkdir(parents=True, exist_ok=True)
     return wanted

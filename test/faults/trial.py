@@ -330,9 +330,6 @@ class Trial:
         for one in self._processes():
             with contextlib.suppress(psutil.Error):
                 lines.append(f"{one.pid} {one.status()} {' '.join(one.cmdline())}")
-                if shutil.which("py-spy"):
-                    dump = ["py-spy", "dump", "--pid", str(one.pid)]
-                    lines.append(subprocess.run(dump, capture_output=True, text=True).stdout)
         if lines:
             (self._folder / "processes").write_text("\n".join(lines))
 

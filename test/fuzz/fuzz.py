@@ -2,6 +2,8 @@
 
 Ways are taken by turns, each mutant in a worker that may die of it. A failure leaves its input
 in the results' folder, beside the command that repeats it.
+--minutes N: so long; or --mutants N: so many, 1000 if neither is given. --first K: number of the
+first mutant. --each N: mutants of a way's share before the next one.
 """
 
 from __future__ import annotations
@@ -25,6 +27,9 @@ from tqdm import tqdm
 from ways import WAYS
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+from lab_nodes import parser_of  # noqa: E402
+
 # Wall seconds for a worker to come up, and for each mutant on average, on a busy machine too.
 PATIENCE, PATIENCE_EACH = 60.0, 1.0
 # Mutants of a way's share in a round.
@@ -171,17 +176,18 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, object]:
 
 def main() -> None:
     """Fuzz, print and write results/fuzz/summary.json; status 1 where something failed."""
-    parser = argparse.ArgumentParser(prog="fuzz.sh", description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=0.0, help="so long; or")
-    parser.add_argument("--mutants", type=int, default=0, help="so many; 1000 if neither is given")
-    parser.add_argument("--way", choices=sorted(WAYS), help="this way in only")
-    parser.add_argument("--first", type=int, default=0, help="number of the first mutant")
-    parser.add_argument(
-        "--each", type=int, default=ROUND, help="mutants of a way's share before the next one"
+    parser = parser_of(
+        "fuzz.sh",
+        __doc__,
+        seed=1,
+        minutes=0.0,
+        mutants=0,
+        first=0,
+        each=ROUND,
+        workers=os.cpu_count(),
+        out=Path("results/fuzz"),
     )
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=Path("results/fuzz"))
+    parser.add_argument("--way", choices=sorted(WAYS), help="this way in only")
     wanted = parser.parse_args()
     if not wanted.minutes and not wanted.mutants:
         wanted.mutants = 1000

@@ -47,7 +47,7 @@ from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
 from bullet_lab.ros.view.show import KINDS
 
 # `page` has added its folder to the path.
-from lab_nodes import PACKAGE, Node, end_all  # isort: skip
+from lab_nodes import PACKAGE, Node, end_all, parser_of  # isort: skip
 
 NODES: Dict[str, Tuple[str, ...]] = {
     "pybullet_bridge": (
@@ -356,10 +356,8 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
 
 def main() -> None:
     """Fuzz, print and write live.json; status 1 where something failed."""
-    parser = argparse.ArgumentParser(prog="fuzz.sh --live", description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--messages", type=int, default=5000)
-    parser.add_argument("--out", type=Path, default=Path("results/fuzz"))
+    out = Path("results/fuzz")
+    parser = parser_of("fuzz.sh --live", __doc__, seed=1, messages=5000, out=out)
     wanted = parser.parse_args()
     wanted.out.mkdir(parents=True, exist_ok=True)
     prepare_master()

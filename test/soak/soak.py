@@ -10,7 +10,6 @@ is judged: slopes within segments, after the first quarter of each.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import itertools
 import math
@@ -22,6 +21,7 @@ from typing import Any, Dict, Iterator, List, Sequence
 import numpy as np
 import rospy
 from lab import NODES, Lab
+from lab_nodes import parser_of
 from life import Life
 from slope import Slope, slope
 from tqdm import tqdm
@@ -221,13 +221,8 @@ def in_words(found: Dict[str, Any]) -> str:
 
 def main() -> None:
     """Soak; status 1 where something grows or fails."""
-    parser = argparse.ArgumentParser(prog="soak.sh", description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--hours", type=float, default=1.0, help="simulated, earlier segments counted"
-    )
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("results/soak"))
-    wanted = parser.parse_args()
+    out = Path("results/soak")
+    wanted = parser_of("soak.sh", __doc__, hours=1.0, seed=1, out=out).parse_args()
     folder = wanted.out.absolute()
     (folder / "log").mkdir(parents=True, exist_ok=True)
     samples = Samples(folder / "samples.csv")

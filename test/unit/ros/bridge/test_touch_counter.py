@@ -3,8 +3,6 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.bridge.running_world import RunningWorld, TouchCounter
 from bullet_lab.simulation.plugins.samples import PlanarCommand

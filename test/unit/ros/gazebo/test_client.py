@@ -1,9 +1,6 @@
 import math
 
 import pytest
-
-pytest.importorskip("rospy")
-
 from geometry_msgs.msg import Vector3
 from visualization_msgs.msg import Marker, MarkerArray
 

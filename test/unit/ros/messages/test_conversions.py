@@ -1,11 +1,8 @@
 import math
 
-import pytest
-
-pytest.importorskip("rospy")
-
 import genpy
 import numpy as np
+import pytest
 from geometry_msgs.msg import Twist, Vector3
 from message_fields import check, message_of, plain
 from nav_msgs.msg import Odometry

@@ -1,9 +1,6 @@
 """What controllers say and are told, as messages."""
 
 import pytest
-
-pytest.importorskip("rospy")
-
 from message_fields import check, message_of
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 

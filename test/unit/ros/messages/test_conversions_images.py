@@ -3,9 +3,6 @@ import struct
 import cv2
 import numpy as np
 import pytest
-
-pytest.importorskip("rospy")
-
 from message_fields import check, message_of
 from sensor_msgs.msg import PointField
 

@@ -1,7 +1,4 @@
 import pytest
-
-pytest.importorskip("rospy")
-
 from visualization_msgs.msg import Marker
 
 from bullet_lab.ros.messages.conversions import (

@@ -2,10 +2,6 @@ import math
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rospy")
-pytest.importorskip("gazebo_msgs.msg")
-
 from message_fields import check, message_of, plain
 from sensor_msgs.msg import Range
 

@@ -2,11 +2,8 @@
 
 import re
 
-import pytest
-
-pytest.importorskip("genmsg")
-
 import genmsg
+import pytest
 import rospkg
 import yaml
 from genmsg.gentools import compute_md5

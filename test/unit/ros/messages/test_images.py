@@ -1,13 +1,10 @@
 """What a camera_info says of an image, and which ones are refused."""
 
 import pytest
+from message_fields import message
+from sensor_msgs.msg import CameraInfo
 
-pytest.importorskip("rospy")
-
-from message_fields import message  # noqa: E402
-from sensor_msgs.msg import CameraInfo  # noqa: E402
-
-from bullet_lab.ros.messages.images import CameraGeometryError, camera_of  # noqa: E402
+from bullet_lab.ros.messages.images import CameraGeometryError, camera_of
 
 USUAL = """
     width: 640

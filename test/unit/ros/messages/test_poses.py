@@ -1,9 +1,6 @@
 import math
 
 import pytest
-
-pytest.importorskip("rospy")
-
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
 from bullet_lab.core.pose import Pose as PlainPose

@@ -2,10 +2,6 @@ import gc
 import weakref
 from types import SimpleNamespace
 
-import pytest
-
-pytest.importorskip("rospy")
-
 from bullet_lab.ros.node import node
 
 

@@ -1,9 +1,6 @@
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("rospy")
-
 import rospy
 from bullet_lab.srv import AdvanceResponse
 from geometry_msgs.msg import Twist

@@ -3,9 +3,6 @@
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("rospy")
-
 import rospy
 from nav_msgs.msg import Odometry
 

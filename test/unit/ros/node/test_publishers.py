@@ -2,8 +2,6 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.ros.node import publishers
 from bullet_lab.ros.node.publishers import await_room
 

@@ -2,9 +2,6 @@ import math
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rospy")
-
 from bullet_lab.msg import DockGoal, MarkerDetectionArray
 from message_fields import message
 from nav_msgs.msg import Odometry

@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.core.parameters import read_parameters
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import derived_seed

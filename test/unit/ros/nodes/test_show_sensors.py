@@ -1,7 +1,4 @@
 import pytest
-
-pytest.importorskip("rospy")
-
 from message_fields import message
 from visualization_msgs.msg import Marker
 

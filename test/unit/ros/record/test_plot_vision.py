@@ -2,8 +2,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rospy")
 import rospy
 
 from bullet_lab.ros.node.node import NodeError

@@ -3,8 +3,6 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("rospy")
 import rospy
 from message_fields import message
 from nav_msgs.msg import Odometry

@@ -4,9 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rospy")
-
 from geometry_msgs.msg import Point, PoseStamped, TransformStamped
 from message_fields import data_of, message
 from nav_msgs.msg import Odometry, Path
