@@ -11,10 +11,10 @@ import math
 import statistics
 import threading
 import time
-from typing import Any, Dict, Iterator, List
+from typing import Iterator, List
 
 import rospy
-from common import options, print_table, start_ros, write
+from common import options, report, start_ros
 from geometry_msgs.msg import Twist, Vector3
 from lab_nodes import Node, end_all
 from nav_msgs.msg import Odometry
@@ -134,45 +134,29 @@ def command_delays() -> List[int]:
     return [after - before for before, after in zip(arrivals, moved)]
 
 
-def measure(rounds: int, seconds: float) -> Dict[str, Any]:
-    """Run everything and return the figures."""
-    bare, bridge = [], []
-    for number in range(rounds):
-        bare.append(bare_factor())
-        bridge.append(bridge_factor(seconds))
-        print(f"round {number + 1} of {rounds}: bare {bare[-1]:.0f}, bridge {bridge[-1]:.0f}")
-    print("load at real-time factor 1 …")
-    with running(rtf=1.0) as node:
-        percent, memory = node.percent(2.0 * seconds), node.megabytes()
-    print("delay from command to motion …")
-    return {
-        "bare_real_time_factor": bare,
-        "bridge_real_time_factor": bridge,
-        "bare_median": statistics.median(bare),
-        "bridge_median": statistics.median(bridge),
-        "bridge_share_of_bare": statistics.median(b / a for a, b in zip(bare, bridge)),
-        "cpu_percent_of_a_core": percent,
-        "memory_mb": memory,
-        "largest_command_delay_steps": max(command_delays()),
-    }
-
-
 def main() -> None:
     """Measure, print and write."""
     wanted = options(__doc__, rounds=3, seconds=5.0)
     start_ros()
-    figures = measure(wanted.rounds, wanted.seconds)
-    delay = f"{figures['largest_command_delay_steps']}"
+    bare, bridge = [], []
+    for number in range(wanted.rounds):
+        bare.append(bare_factor())
+        bridge.append(bridge_factor(wanted.seconds))
+        print(f"round {number + 1}: bare {bare[-1]:.0f}, bridge {bridge[-1]:.0f}", flush=True)
+    print("load at real-time factor 1 …")
+    with running(rtf=1.0) as node:
+        percent, memory = node.percent(2.0 * wanted.seconds), node.megabytes()
+    print("delay from command to motion …")
+    share = statistics.median(b / a for a, b in zip(bare, bridge))
     rows = [
-        ("bare PyBullet loop, real-time factor", f"{figures['bare_median']:.0f}", ""),
-        ("bridge, real-time factor", f"{figures['bridge_median']:.0f}", ">= 50"),
-        ("bridge / bare", f"{figures['bridge_share_of_bare']:.2f}", ">= 0.50"),
-        ("at rtf 1: % of a core", f"{figures['cpu_percent_of_a_core']:.1f}", "<= 10"),
-        ("at rtf 1: memory, MB", f"{figures['memory_mb']:.0f}", "<= 250"),
-        (f"command to motion, steps (worst of {COMMANDS})", delay, "<= 1"),
+        ("bare PyBullet loop, real-time factor", statistics.median(bare), ".0f", ""),
+        ("bridge, real-time factor", statistics.median(bridge), ".0f", ">= 50"),
+        ("bridge / bare", share, ".2f", ">= 0.50"),
+        ("at rtf 1: % of a core", percent, ".1f", "<= 10"),
+        ("at rtf 1: memory, MB", memory, ".0f", "<= 250"),
+        (f"command to motion, steps (worst of {COMMANDS})", max(command_delays()), "d", "<= 1"),
     ]
-    print_table(rows)
-    write(wanted.out, figures)
+    report(wanted.out, rows, bare_real_time_factor=bare, bridge_real_time_factor=bridge)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from typing import Any, Dict, List
 import numpy as np
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
-from common import options, print_table, start_ros, write
+from common import Row, options, report, start_ros
 from lab_nodes import Node, end_all
 from sensor_msgs.msg import CameraInfo
 
@@ -172,8 +172,8 @@ class Stopwatch:
             rospy.signal_shutdown("measured")
 
 
-def frame_times(frames: int) -> Dict[str, Any]:
-    """Return medians in ms of PyBullet's pictures and of whole frames, by samples.
+def frame_times(frames: int) -> List[Row]:
+    """Measure PyBullet's pictures and whole frames; medians.
 
     To be called in a process of its own: a ROS node is set up once.
     """
@@ -186,15 +186,17 @@ def frame_times(frames: int) -> Dict[str, Any]:
         bridge.spin()
     finally:
         listener.kill()
-    bare, whole = (
-        {samples: 1e3 * float(np.median(times)) for samples, times in found.items()}
-        for found in (watch.bare, watch.bridge)
-    )
-    return {
-        "bare_ms": bare,
-        "render_to_publish_ms": whole,
-        "render_to_publish_over_bare": {s: whole[s] / bare[s] for s in SAMPLES},
-    }
+    rows: List[Row] = []
+    of = f"LP_NUM_THREADS={os.environ['LP_NUM_THREADS']}"
+    for samples, asked in ASKED.items():
+        bare, whole = (1e3 * float(np.median(t[samples])) for t in (watch.bare, watch.bridge))
+        title = f"{of}, {samples} samples: drawing to publishing"
+        rows += [
+            (f"{of}, {samples} samples: getCameraImage at its fastest, ms", bare, ".1f", ""),
+            (f"{title}, ms", whole, ".1f", ""),
+            (f"{title} / getCameraImage", whole / bare, ".2f", f"<= {asked:g}"),
+        ]
+    return rows
 
 
 class Stamps:
@@ -208,8 +210,8 @@ class Stamps:
         self.times.append(message.header.stamp.to_nsec() // 1_000_000)
 
 
-def real_time(seconds: float) -> Dict[str, Any]:
-    """Return how the camera does at real-time factor 1 with `aruco.py` listening."""
+def real_time(seconds: float) -> List[Row]:
+    """Measure how the camera does at real-time factor 1 with `aruco.py` listening."""
     bridge = Node("pybullet_bridge", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1")
     aruco = Node("aruco", "_image:=/mycamera/image_raw", "__name:=aruco")
     sent = Stamps("/mycamera/camera_info", CameraInfo)
@@ -225,15 +227,14 @@ def real_time(seconds: float) -> Dict[str, Any]:
     finally:
         end_all(aruco, bridge)
     expected = {-(-1000 * k // 30) for k in range(1, 10**6) if first < 1000 * k / 30 <= last}
-    return {
-        "simulated_s": (last - first) / 1000.0,
-        "real_time_factor": (last - first) / 1000.0 / passed,
-        "frames_expected": len(expected),
-        "frames_sent": len(expected & set(sent.times)),
-        "frames_processed": len(expected & set(seen.times)),
-        "bridge_cpu_percent_of_a_core": of_bridge,
-        "aruco_cpu_percent_of_a_core": of_aruco,
-    }
+    every = f"{len(expected)}"
+    return [
+        ("30 Hz, aruco.py: real-time factor", (last - first) / 1000.0 / passed, ".3f", ">= 0.99"),
+        ("frames sent", len(expected & set(sent.times)), "d", every),
+        ("frames processed by aruco.py", len(expected & set(seen.times)), "d", every),
+        ("bridge, % of a core", of_bridge, ".0f", "<= 30"),
+        ("aruco.py, % of a core", of_aruco, ".0f", ""),
+    ]
 
 
 def wait_for(condition: Any, what: str) -> None:
@@ -245,8 +246,8 @@ def wait_for(condition: Any, what: str) -> None:
         time.sleep(0.05)
 
 
-def frames_with(threads: int, frames: int, out: str) -> Dict[str, Any]:
-    """Return the times of frames in a process whose driver has so many threads."""
+def frames_with(threads: int, frames: int, out: str) -> List[Row]:
+    """Return the rows of a process whose driver has so many threads."""
     done = subprocess.run(
         [sys.executable, __file__, out, "--alone", "--frames", str(frames)],
         env={**os.environ, "LP_NUM_THREADS": str(threads)},
@@ -255,33 +256,8 @@ def frames_with(threads: int, frames: int, out: str) -> Dict[str, Any]:
         text=True,
     )
     # PyBullet's plugin talks, too.
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("{"))
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("["))
     return json.loads(line)
-
-
-def rows_of(figures: Dict[str, Any]) -> List[Any]:
-    """Return what was measured beside what is asked for."""
-    rows = []
-    for threads, found in figures["frames"].items():
-        of = f"LP_NUM_THREADS={threads}"
-        bare = " and ".join(f"{found['bare_ms'][str(samples)]:.1f}" for samples in SAMPLES)
-        rows.append((f"{of}: getCameraImage at its fastest, ms", bare, ""))
-        for samples, asked in ASKED.items():
-            whole = found["render_to_publish_ms"][str(samples)]
-            share = found["render_to_publish_over_bare"][str(samples)]
-            title = f"{of}: drawing to publishing, {samples} sample{'s' * (samples > 1)}"
-            rows.append((f"{title}, ms", f"{whole:.1f}", ""))
-            rows.append((f"{title} / getCameraImage", f"{share:.2f}", f"<= {asked:g}"))
-    found = figures["real_time"]
-    expected = f"{found['frames_expected']}"
-    return [
-        *rows,
-        ("30 Hz, aruco.py: real-time factor", f"{found['real_time_factor']:.3f}", ">= 0.99"),
-        ("frames sent", f"{found['frames_sent']}", expected),
-        ("frames processed by aruco.py", f"{found['frames_processed']}", expected),
-        ("bridge, % of a core", f"{found['bridge_cpu_percent_of_a_core']:.0f}", "<= 30"),
-        ("aruco.py, % of a core", f"{found['aruco_cpu_percent_of_a_core']:.0f}", ""),
-    ]
 
 
 def main() -> None:
@@ -291,16 +267,14 @@ def main() -> None:
         print(json.dumps(frame_times(wanted.frames)))
         return
     start_ros()
-    figures: Dict[str, Any] = {"driver": driver_name(), "load_average": os.getloadavg()[0]}
-    figures["frames"] = {}
+    rows: List[Row] = []
     for threads in (0, 2):
         print(f"frames with {threads} threads of the driver …", flush=True)
-        figures["frames"][threads] = frames_with(threads, wanted.frames, str(wanted.out))
+        rows += frames_with(threads, wanted.frames, str(wanted.out))
     print("real time …", flush=True)
     rospy.set_param("/use_sim_time", True)
-    figures["real_time"] = real_time(wanted.seconds)
-    print_table(rows_of(figures), figures["driver"])
-    write(wanted.out, figures)
+    rows += real_time(wanted.seconds)
+    report(wanted.out, rows, driver_name(), driver=driver_name(), load=os.getloadavg()[0])
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ from __future__ import annotations
 import statistics
 import time
 from io import BytesIO
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, List, Tuple
 
-from common import options, print_table, write
+from common import Row, options, report
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.conversions import Converter
@@ -86,37 +86,22 @@ def fleet_factor(robots: int, seconds: float) -> Tuple[float, float]:
         return whole, seconds / (time.perf_counter() - start)
 
 
-def measure(rounds: int, seconds: float) -> Dict[str, Any]:
-    """Run everything and return the figures; of several rounds, the medians."""
-    alone, among = scan_milliseconds(1, 100 * rounds), scan_milliseconds(20, 100 * rounds)
-    fleets = {}
-    for number in FLEETS:
-        factors = [fleet_factor(number, seconds) for _ in range(rounds)]
-        whole, engine = (statistics.median(column) for column in zip(*factors))
-        fleets[number] = {"real_time_factor": whole, "engine_alone": engine}
-    return {
-        "scan_ms": statistics.median(alone),
-        "scan_ms_95_percent": sorted(alone)[int(0.95 * len(alone))],
-        "scan_ms_among_20_robots": statistics.median(among),
-        "fleets": fleets,
-    }
-
-
 def main() -> None:
-    """Measure, print and write."""
+    """Measure, print and write the medians of the rounds."""
     wanted = options(__doc__, rounds=3, seconds=5.0)
-    figures = measure(wanted.rounds, wanted.seconds)
-    rows = [
-        ("360-ray scan with its message, ms", f"{figures['scan_ms']:.2f}", "<= 1"),
-        ("the same, 95 of 100", f"{figures['scan_ms_95_percent']:.2f}", ""),
-        ("the same among 20 robots", f"{figures['scan_ms_among_20_robots']:.2f}", "<= 1"),
+    alone, among = (scan_milliseconds(robots, 100 * wanted.rounds) for robots in (1, 20))
+    rows: List[Row] = [
+        ("360-ray scan with its message, ms", statistics.median(alone), ".2f", "<= 1"),
+        ("the same, 95 of 100", sorted(alone)[int(0.95 * len(alone))], ".2f", ""),
+        ("the same among 20 robots", statistics.median(among), ".2f", "<= 1"),
     ]
-    for number, factors in figures["fleets"].items():
+    for number in FLEETS:
+        factors = [fleet_factor(number, wanted.seconds) for _ in range(wanted.rounds)]
+        whole, engine = (statistics.median(column) for column in zip(*factors))
         name = f"{number} robots, odometry 20 Hz, lasers 10 Hz: real-time factor"
-        rows.append((name, f"{factors['real_time_factor']:.1f}", ">= 1" if number == 20 else ""))
-        rows.append(("    the engine's steps alone", f"{factors['engine_alone']:.1f}", ""))
-    print_table(rows)
-    write(wanted.out, figures)
+        rows.append((name, whole, ".1f", ">= 1" if number == 20 else ""))
+        rows.append((f"    {number} robots, the engine's steps alone", engine, ".1f", ""))
+    report(wanted.out, rows)
 
 
 if __name__ == "__main__":

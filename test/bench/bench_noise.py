@@ -17,9 +17,9 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import resource  # noqa: E402
 import time  # noqa: E402
-from typing import Any, Callable, Dict  # noqa: E402
+from typing import Callable  # noqa: E402
 
-from common import options, print_table, write  # noqa: E402
+from common import options, report  # noqa: E402
 
 from bullet_lab.core.trajectory import Trajectory  # noqa: E402
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator  # noqa: E402
@@ -69,49 +69,32 @@ def loop(trajectory: Trajectory) -> None:
                 path.update(*pose)
 
 
-def measure(rounds: int, paths: int) -> Dict[str, Any]:
-    """Run everything, in turns, and return the figures."""
+def main() -> None:
+    """Measure all in turns, print and write."""
+    wanted = options(__doc__, rounds=5, paths=1000)
     trajectory = resample(simulated_square(), RATE)
-    steps = len(LEVELS) * paths * (len(trajectory) - 1)
+    steps = len(LEVELS) * wanted.paths * (len(trajectory) - 1)
     loop_steps = len(LEVELS) * LOOP_PATHS * (len(trajectory) - 1)
     drawn, studied, looped = [], [], []
-    for number in range(rounds):
-        drawn.append(seconds(lambda: draw(trajectory, paths)))
-        studied.append(seconds(lambda: study(trajectory, paths)))
+    for number in range(wanted.rounds):
+        drawn.append(seconds(lambda: draw(trajectory, wanted.paths)))
+        studied.append(seconds(lambda: study(trajectory, wanted.paths)))
         looped.append(seconds(lambda: loop(trajectory)) / loop_steps)
         print(
-            f"round {number + 1} of {rounds}: {drawn[-1]:.2f} s to draw, {studied[-1]:.2f} s with "
-            f"metrics; the loop takes {1e6 * looped[-1]:.1f} us for a message"
+            f"round {number + 1} of {wanted.rounds}: {drawn[-1]:.2f} s to draw, "
+            f"{studied[-1]:.2f} s with metrics; the loop takes {1e6 * looped[-1]:.1f} us a message"
         )
-    return {
-        "levels": len(LEVELS),
-        "paths": paths,
-        "messages": len(trajectory),
-        "steps": steps,
-        "draw_s": drawn,
-        "study_s": studied,
-        "loop_s_per_message": looped,
-        "draw_best_s": min(drawn),
-        "study_best_s": min(studied),
-        "factor_drawn": steps * min(looped) / min(drawn),
-        "factor_studied": steps * min(looped) / min(studied),
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
-    }
-
-
-def main() -> None:
-    """Measure, print and write."""
-    wanted = options(__doc__, rounds=5, paths=1000)
-    figures = measure(wanted.rounds, wanted.paths)
+    of_loop = steps * min(looped)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     rows = [
-        ("paths drawn, s", f"{figures['draw_best_s']:.2f}", f"<= {MOST_SECONDS:g}"),
-        ("paths drawn and measured, s", f"{figures['study_best_s']:.2f}", f"<= {MOST_SECONDS:g}"),
-        ("times as fast as the loop", f"{figures['factor_drawn']:.0f}", f">= {LEAST_FACTOR:g}"),
-        ("the same with all metrics", f"{figures['factor_studied']:.0f}", ""),
-        ("most memory of the process, MB", f"{figures['memory_mb']:.0f}", ""),
+        ("paths drawn, s", min(drawn), ".2f", f"<= {MOST_SECONDS:g}"),
+        ("paths drawn and measured, s", min(studied), ".2f", f"<= {MOST_SECONDS:g}"),
+        ("times as fast as the loop", of_loop / min(drawn), ".0f", f">= {LEAST_FACTOR:g}"),
+        ("the same with all metrics", of_loop / min(studied), ".0f", ""),
+        ("most memory of the process, MB", memory, ".0f", ""),
     ]
-    print_table(rows, f"{figures['steps']} steps")
-    write(wanted.out, figures)
+    rounds = {"draw_s": drawn, "study_s": studied, "loop_s_per_message": looped}
+    report(wanted.out, rows, f"{steps} steps", **rounds)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any, List
 
 import rospy
-from common import Bridge, options, print_table, start_ros, write
+from common import Bridge, Row, options, report, start_ros
 from lab_nodes import end_all
 from sensor_msgs.msg import Image
 
@@ -57,8 +57,8 @@ def come_and_go(bridge: Bridge, model: str, count: int, steps: int) -> List[floa
     return times
 
 
-def passing_models(robot: str, count: int) -> Dict[str, float]:
-    """Return memory and step time before and after so many models have come and gone."""
+def passing_models(robot: str, count: int) -> List[Row]:
+    """Measure memory and step time before and after so many models have come and gone."""
     bridge = start(robot)
     steps = 1
     images: List[Any] = []
@@ -73,19 +73,17 @@ def passing_models(robot: str, count: int) -> Dict[str, float]:
     times = come_and_go(bridge, PASSING[robot], count, steps)
     after, step_after = bridge.megabytes(), step_microseconds(bridge)
     end_all(bridge)
-    return {
-        "models": count,
-        "megabytes_before": before,
-        "megabytes_after": after,
-        "step_microseconds_before": step_before,
-        "step_microseconds_after": step_after,
-        "milliseconds_each": statistics.median(times),
-        "images": len(images),
-    }
+    title = f"{count} models one after another, {robot} robot"
+    return [
+        (f"{title}: MB more", after - before, ".1f", "<= 5"),
+        (f"{title}: µs a step before", step_before, ".1f", ""),
+        (f"{title}: µs a step after", step_after, ".1f", "same"),
+        (f"{title}: ms each", statistics.median(times), ".1f", ""),
+    ]
 
 
-def crowd(count: int, path: Path) -> Dict[str, float]:
-    """Return how long so many models take to be spawned, saved, loaded and deleted."""
+def crowd(count: int, path: Path) -> List[Row]:
+    """Measure how long so many models take to be spawned, saved, loaded and deleted."""
     bridge = start("block")
     start_of_all = time.perf_counter()
     for number in range(count):
@@ -99,15 +97,13 @@ def crowd(count: int, path: Path) -> Dict[str, float]:
         bridge.delete(f"beacon_{number}")
     deleted = time.perf_counter() - start_of_end
     end_all(bridge)
-    return {
-        "crowd": count,
-        "spawn_milliseconds": 1e3 * spawned / count,
-        "delete_milliseconds": 1e3 * deleted / count,
-        "save_seconds": statistics.median(saved),
-        "save_seconds_worst": max(saved),
-        "file_megabytes": os.path.getsize(path) / 1e6,
-        "largest_error_metres": error,
-    }
+    return [
+        (f"{count} models: spawned, ms each", 1e3 * spawned / count, ".1f", ""),
+        (f"{count} models: saved, s (worst)", max(saved), ".2f", "< 1"),
+        (f"{count} models: file, MB", os.path.getsize(path) / 1e6, ".1f", ""),
+        (f"{count} models: loaded again, m off", error, ".1g", "<= 1e-6"),
+        (f"{count} models: deleted, ms each", 1e3 * deleted / count, ".1f", ""),
+    ]
 
 
 def largest_error(bridge: Bridge, path: Path) -> float:
@@ -125,31 +121,14 @@ def main() -> None:
     """Measure, print and write."""
     wanted = options(__doc__, models=1000, camera=False)
     start_ros()
-    figures: Dict[str, Any] = {}
-    rows = []
+    rows: List[Row] = []
     for robot in PASSING if wanted.camera else ("block",):
         print(f"{wanted.models} models one after another, {robot} robot …")
-        found = figures[f"passing_{robot}"] = passing_models(robot, wanted.models)
-        grown = found["megabytes_after"] - found["megabytes_before"]
-        before, after = (found[f"step_microseconds_{when}"] for when in ("before", "after"))
-        title = f"{wanted.models} models one after another, {robot} robot"
-        rows += [
-            (f"{title}: MB more", f"{grown:.1f}", "<= 5"),
-            (f"{title}: µs a step", f"{before:.1f} → {after:.1f}", "same"),
-            (f"{title}: ms each", f"{found['milliseconds_each']:.1f}", ""),
-        ]
-    title = f"{wanted.models} models at a time"
-    print(f"{title} …")
+        rows += passing_models(robot, wanted.models)
+    print(f"{wanted.models} models at a time …")
     with tempfile.TemporaryDirectory() as name:
-        found = figures["crowd"] = crowd(wanted.models, Path(name) / "crowd.world")
-    rows += [
-        (f"{title}: spawned, ms each", f"{found['spawn_milliseconds']:.1f}", ""),
-        (f"{title}: saved, s (worst)", f"{found['save_seconds_worst']:.2f}", "< 1"),
-        (f"{title}: loaded again, m off", f"{found['largest_error_metres']:.1g}", "<= 1e-6"),
-        (f"{title}: deleted, ms each", f"{found['delete_milliseconds']:.1f}", ""),
-    ]
-    print_table(rows)
-    write(wanted.out, figures)
+        rows += crowd(wanted.models, Path(name) / "crowd.world")
+    report(wanted.out, rows)
 
 
 if __name__ == "__main__":

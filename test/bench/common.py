@@ -25,6 +25,8 @@ INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
 SPACING = 2.5
 PER_ROW = 8
 START_SECONDS = 60.0
+# Of a table: name, value, its format, and what is asked for.
+Row = Tuple[str, float, str, str]
 
 
 def options(doc: Optional[str], **defaults: Union[int, float, bool]) -> argparse.Namespace:
@@ -43,12 +45,13 @@ def start_ros(sim_time: bool = False) -> None:
     rospy.set_param("/use_sim_time", sim_time)
 
 
-def print_table(rows: Sequence[Tuple[str, str, str]], title: str = "") -> None:
-    """Print names and values, and what is asked for."""
-    width = max(len(name) for name, _, _ in rows)
-    print(f"\n{title:{width}} {'measured':>14} {'asked':>8}")
-    for name, value, asked in rows:
-        print(f"{name:{width}} {value:>14} {asked:>8}".rstrip())
+def report(out: Path, rows: Sequence[Row], title: str = "", **more: Any) -> None:
+    """Print names, values in a format and what is asked for; write the values and more figures."""
+    width = max(len(row[0]) for row in rows)
+    print(f"\n{title:{width}} {'measured':>9} {'asked':>8}")
+    for name, value, shape, asked in rows:
+        print(f"{name:{width}} {value:>9{shape}} {asked:>8}".rstrip())
+    write(out, {**{name: value for name, value, _, _ in rows}, **more})
 
 
 def write(out: Path, figures: Mapping[str, Any]) -> None:
