@@ -26,17 +26,7 @@ from life import Life
 from slope import Slope, slope
 from tqdm import tqdm
 
-from bullet_lab.core.figures import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    VERMILION,
-    new_figure,
-    save,
-)
+from bullet_lab.core import figures
 from bullet_lab.core.files import write_json
 from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.studies.study import interrupt_once
@@ -50,7 +40,10 @@ COLUMNS = (
     *("segment", "at_rest", "hours", "speed"),
     *(f"{name}_{what}" for name in NODES for what in TAKEN),
 )
-COLOURS = (VERMILION, BLUE, GREEN, ORANGE, PURPLE, BLACK)
+COLOURS = (
+    *(figures.VERMILION, figures.BLUE, figures.GREEN),
+    *(figures.ORANGE, figures.PURPLE, figures.BLACK),
+)
 # Simulated seconds between samples, of long soaks; short ones have so many samples at least.
 SAMPLE_SECONDS, FEWEST_SAMPLES = 10.0, 60
 # Simulated seconds between rests; and wall seconds of one, in which nodes look for garbage.
@@ -185,7 +178,7 @@ def verdicts(samples: Samples) -> Dict[str, Dict[str, Any]]:
 
 def figure(samples: Samples, title: str) -> Any:
     """Draw memory, descriptors, threads and speed over time."""
-    drawing = new_figure(9.0, 10.0)
+    drawing = figures.new_figure(9.0, 10.0)
     axes = drawing.subplots(4, sharex=True)
     hours, segments, rest = samples.column("hours"), samples.column("segment"), samples.resting()
     begins = hours[np.flatnonzero(np.diff(segments)) + 1]
@@ -196,14 +189,14 @@ def figure(samples: Samples, title: str) -> Any:
             ax.plot(hours[rest], values[rest], color=colour, marker=".", lw=1.0, label=name)
         ax.set(ylabel=UNITS[what])
         ax.set_ylim(bottom=0.0)
-    axes[3].plot(hours, samples.column("speed"), color=GREY, lw=0.8)
+    axes[3].plot(hours, samples.column("speed"), color=figures.GREY, lw=0.8)
     axes[3].set(ylabel="times real time", xlabel="simulated time (h)")
     # Between two resets there may be next to nothing to do.
     axes[3].set_yscale("log")
     for ax in axes:
         ax.grid(alpha=0.3)
         for begin in begins:
-            ax.axvline(begin, color=BLACK, lw=0.8, ls=":")
+            ax.axvline(begin, color=figures.BLACK, lw=0.8, ls=":")
     axes[0].set_ylim(top=1.35 * axes[0].get_ylim()[1])
     axes[0].legend(ncol=len(NODES), fontsize="small", loc="upper center")
     axes[0].set_title(title, fontsize="medium")
@@ -237,7 +230,7 @@ def main() -> None:
     found = verdicts(samples)
     everything = found["all mb"]
     said = f"memory of all nodes at rest, MB after the first quarter: {in_words(everything)}"
-    save(figure(samples, f"{samples.hours:.2f} h simulated; {said}"), folder / "soak.png")
+    figures.save(figure(samples, f"{samples.hours:.2f} h simulated; {said}"), folder / "soak.png")
     summary = {
         "seed": wanted.seed,
         "hours": samples.hours,
