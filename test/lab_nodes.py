@@ -9,13 +9,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, Optional
+from typing import Any, Mapping, Optional, Sequence
 
 import psutil
+import rospy
 
 PACKAGE = Path(__file__).resolve().parents[1]
-# Wall seconds for a node to end before it is killed.
-STOP_SECONDS = 20.0
+# Wall seconds for a bridge to start, and for a node to end before it is killed.
+START_SECONDS, STOP_SECONDS = 120.0, 20.0
 
 
 def parser_of(prog: str, doc: Optional[str], **defaults: Any) -> argparse.ArgumentParser:
@@ -78,6 +79,28 @@ class Node:
 
     def _used(self) -> float:
         return sum(self.usage.cpu_times()[:2])
+
+
+class Lab:
+    """A bridge and nodes around it, by their names; each has a log in a folder.
+
+    Args:
+        folder: of the logs.
+        nodes: parameters and remappings by name.
+    """
+
+    def __init__(self, folder: Path, nodes: Mapping[str, Sequence[str]]):
+        self.nodes = {n: Node(n, *words, log=folder / f"{n}.log") for n, words in nodes.items()}
+        rospy.wait_for_service("/bullet_lab/advance", START_SECONDS)
+
+    def dead(self) -> list[str]:
+        """Return the nodes that have ended."""
+        return [name for name, node in self.nodes.items() if node.process.poll() is not None]
+
+    def tracebacks(self) -> list[str]:
+        """Return the tracebacks that nodes have printed."""
+        found = {name: node.tracebacks() for name, node in self.nodes.items()}
+        return [f"{name}: {text}" for name, texts in found.items() for text in texts]
 
 
 def end_all(*nodes: Node) -> None:

@@ -47,7 +47,7 @@ from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
 from bullet_lab.ros.view.show import KINDS
 
 # `page` has added its folder to the path.
-from lab_nodes import PACKAGE, Node, end_all, parser_of  # isort: skip
+from lab_nodes import PACKAGE, Lab, end_all, parser_of  # isort: skip
 
 NODES: Dict[str, Tuple[str, ...]] = {
     "pybullet_bridge": (
@@ -83,11 +83,11 @@ SAID, LAST_SENT = 1500, 40
 CALLS, TO_PAGE = 0.05, 0.1
 
 
-class Lab:
+class FuzzedLab(Lab):
     """The nodes that are fuzzed, and what they say."""
 
     def __init__(self, folder: Path):
-        self.nodes = {n: Node(n, *words, log=folder / f"{n}.log") for n, words in NODES.items()}
+        super().__init__(folder, NODES)
         self._bridge = self.nodes["pybullet_bridge"]
         self.not_finite: Counter = Counter()
         # What was sent last, and what before the first of those.
@@ -97,7 +97,6 @@ class Lab:
         # The view's last command on each topic.
         self.driven: Dict[str, Twist] = {}
         self.too_fast: Counter = Counter()
-        rospy.wait_for_service("/bullet_lab/advance", 120.0)
         spawn_cart()
         self.url = wait_for_url(self.nodes["view"].output)
         rospy.Subscriber("/clock", Clock, self._note_time, queue_size=1)
@@ -147,10 +146,6 @@ class Lab:
         """Return by how many MB the bridge has grown."""
         return self._bridge.megabytes() - self._memory
 
-    def dead(self) -> List[str]:
-        """Return the nodes that have ended."""
-        return [name for name, node in self.nodes.items() if node.process.poll() is not None]
-
     def resets(self) -> Counter:
         """Return how often the bridge has warned that a model's pose was no longer finite."""
         warning = re.compile(r"model '([^']*)': its pose is no longer finite")
@@ -180,10 +175,8 @@ class Lab:
     def end(self) -> List[str]:
         """End the nodes; return the tracebacks that they have printed."""
         end_all(*self.nodes.values())
-        found = {name: node.tracebacks() for name, node in self.nodes.items()}
         # Libraries that answer calls themselves print theirs, too.
-        ours = "bullet_lab/src"
-        return [f"{name}: {one}" for name, texts in found.items() for one in texts if ours in one]
+        return [text for text in self.tracebacks() if "bullet_lab/src" in text]
 
 
 def inputs() -> Tuple[Dict[str, str], List[str]]:
@@ -290,7 +283,7 @@ def publishers(topics: Dict[str, str]) -> List[Tuple[rospy.Publisher, type]]:
 def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     """Send so many messages; return what became of it."""
     random = np.random.default_rng([wanted.seed, 0xF])
-    lab = Lab(folder)
+    lab = FuzzedLab(folder)
     page = PageFuzzer(lab.url, random)
     # What is published at last is seen by the view, which is heard to listen then.
     time.sleep(3.0)

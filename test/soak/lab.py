@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Dict, List, Tuple
 
 import psutil
-import rospy
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from lab_nodes import STOP_SECONDS, Node, end_all  # noqa: E402
+from lab_nodes import STOP_SECONDS, Lab, Node, end_all  # noqa: E402
 
 NODES: Dict[str, Tuple[str, ...]] = {
     "pybullet_bridge": (
@@ -33,46 +32,35 @@ VISITOR = "canny_edges"
 """A node that comes and goes."""
 
 _MEGABYTE = 2.0**20
-_START_SECONDS = 120.0
 
 
-class Lab:
-    """Nodes as processes, which end with this one."""
+class Soaked(Lab):
+    """The nodes of a soak, which end with this process."""
 
     def __init__(self, folder: Path, seed: int):
         self._folder = folder
-        words = dict(NODES)
-        words["pybullet_bridge"] += (f"_seed:={seed}", f"_save_folder:={folder}")
-        self._nodes = {name: self._start(name, *words[name]) for name in NODES}
+        of_bridge = (*NODES["pybullet_bridge"], f"_seed:={seed}", f"_save_folder:={folder}")
+        super().__init__(folder, {**NODES, "pybullet_bridge": of_bridge})
         self._visitors: List[Node] = []
-        rospy.wait_for_service("/bullet_lab/advance", _START_SECONDS)
-
-    def _start(self, name: str, *words: str) -> Node:
-        return Node(name, *words, log=self._folder / f"{name}.log")
 
     def taken(self) -> Dict[str, Tuple[float, int, int]]:
         """Return each node's memory, see `memory_of`, its descriptors and its threads."""
         found = {}
-        for name, node in self._nodes.items():
+        for name, node in self.nodes.items():
             with node.usage.oneshot():
                 used = (memory_of(node.usage), node.usage.num_fds(), node.usage.num_threads())
                 found[name] = used
         return found
 
-    def dead(self) -> List[str]:
+    def deaths(self) -> List[str]:
         """Return what is to be said of nodes that have ended."""
-        ended = {name: node.process.poll() for name, node in self._nodes.items()}
-        return [f"{n} has ended with status {s}" for n, s in ended.items() if s is not None]
-
-    def tracebacks(self) -> List[str]:
-        """Return the tracebacks that nodes have printed."""
-        found = {name: node.tracebacks() for name, node in self._nodes.items()}
-        return [f"{name}: {text}" for name, texts in found.items() for text in texts]
+        statuses = {name: self.nodes[name].process.returncode for name in self.dead()}
+        return [f"{name} has ended with status {status}" for name, status in statuses.items()]
 
     def visit(self) -> None:
         """Have a node come, as many as there are calls."""
-        name = f"__name:=visitor{len(self._visitors)}"
-        self._visitors.append(self._start(VISITOR, "_image:=mycamera/image_raw", name))
+        words = ("_image:=mycamera/image_raw", f"__name:=visitor{len(self._visitors)}")
+        self._visitors.append(Node(VISITOR, *words, log=self._folder / f"{VISITOR}.log"))
 
     def end_visit(self, how: signal.Signals) -> bool:
         """Send one that has come a signal; return whether there was one."""
@@ -88,7 +76,7 @@ class Lab:
 
     def end(self) -> None:
         """End all nodes."""
-        end_all(*self._visitors, *self._nodes.values())
+        end_all(*self._visitors, *self.nodes.values())
 
 
 def memory_of(process: psutil.Process) -> float:
@@ -99,5 +87,5 @@ def memory_of(process: psutil.Process) -> float:
     """
     with contextlib.suppress(psutil.ZombieProcess):
         return sum(part.anonymous for part in process.memory_maps()) / _MEGABYTE
-    # It has ended since somebody looked, as `Lab.dead` will tell.
+    # It has ended since somebody looked, as `Soaked.dead` will tell.
     return 0.0

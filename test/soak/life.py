@@ -14,7 +14,7 @@ import rospy
 from bullet_lab.msg import MarkerDetectionArray
 from gazebo_msgs.msg import ModelState, ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion
-from lab import Lab
+from lab import Soaked
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Image, Imu, LaserScan
 from std_srvs.srv import Empty
@@ -68,7 +68,7 @@ class Life:
         done: how often what was done.
     """
 
-    def __init__(self, lab: Lab, random: np.random.Generator):
+    def __init__(self, lab: Soaked, random: np.random.Generator):
         self._lab, self._random = lab, random
         self.done: Counter = Counter()
         self._models: List[str] = []

@@ -20,7 +20,7 @@ from typing import Any, Dict, Iterator, List, Sequence
 
 import numpy as np
 import rospy
-from lab import NODES, Lab
+from lab import NODES, Soaked
 from lab_nodes import parser_of
 from life import Life
 from slope import Slope, slope
@@ -106,24 +106,24 @@ class Samples:
 def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, Any]:
     """Have a lab live until so many hours have been simulated; return what happened."""
     segment, before = samples.segment, samples.hours
-    lab = Lab(folder, seed)
+    lab = Soaked(folder, seed)
     failures: List[str] = []
     life = Life(lab, np.random.default_rng([seed, segment]))
     try:
         for taken in _seconds(life, lab, 3600.0 * (hours - before), failures):
             samples.add(segment, taken[0], before + taken[1] / 3600.0, *taken[2:])
     except (rospy.ServiceException, rospy.ROSException) as error:
-        failures += [f"the bridge does not answer: {error}", *lab.dead()]
+        failures += [f"the bridge does not answer: {error}", *lab.deaths()]
     except KeyboardInterrupt:
         print("stopped: what was sampled is kept, and the same command goes on", flush=True)
     else:
-        failures += lab.dead()
+        failures += lab.deaths()
     finally:
         lab.end()
     return {"done": dict(life.done), "failures": failures + lab.tracebacks()}
 
 
-def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator[List[float]]:
+def _seconds(life: Life, lab: Soaked, most: float, failures: List[str]) -> Iterator[List[float]]:
     """Live second by second; yield samples: at rest or not, seconds, speed, what nodes take."""
     period = min(SAMPLE_SECONDS, most / FEWEST_SAMPLES)
     acted = sampled = rested = life.seconds()
