@@ -67,6 +67,7 @@ def test_a_queue_refuses_what_goes_back_and_says_why(monkeypatch):
         (20.0, (0.05,), 0.05, False),
         (20.0, (0.05,), 0.1, True),
         # At 30 Hz the bridge's steps are 34, 67 and 100 ms.
+        (30.0, (), 0.033, False),
         (30.0, (0.034,), 0.066, False),
         (30.0, (0.034,), 0.067, True),
         (30.0, (0.067,), 0.099, False),
