@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import shlex
 import subprocess
 import sys
 import time
@@ -79,6 +80,11 @@ class Node:
 
     def _used(self) -> float:
         return sum(self.usage.cpu_times()[:2])
+
+
+def commands(text: str) -> dict[str, list[str]]:
+    """Return the words of nodes by their names, of a text with a line for each."""
+    return {name: words for name, *words in map(shlex.split, text.strip().splitlines())}
 
 
 class Lab:

@@ -47,21 +47,18 @@ from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
 from bullet_lab.ros.view.show import KINDS
 
 # `page` has added its folder to the path.
-from lab_nodes import PACKAGE, Lab, end_all, parser_of  # isort: skip
+from lab_nodes import PACKAGE, Lab, commands, end_all, parser_of  # isort: skip
 
-NODES: Dict[str, Tuple[str, ...]] = {
-    "pybullet_bridge": (
-        "_world:=package://bullet_lab/worlds/docking.world",
-        "_robot:=package://bullet_lab/urdf/camera_robot.urdf",
-        "_rtf:=0",
-    ),
-    "noisy_odom": ("_std:=0.1",),
-    "track_robot": ("_watch:=true",),
-    "aruco": ("_image:=mycamera/image_raw",),
-    "dock": (),
-    "drive_to_goal": (),
-    "view": ("_port:=18300",),
-}
+NODES = commands("""
+pybullet_bridge _world:=package://bullet_lab/worlds/docking.world \
+  _robot:=package://bullet_lab/urdf/camera_robot.urdf _rtf:=0
+noisy_odom _std:=0.1
+track_robot _watch:=true
+aruco _image:=mycamera/image_raw
+dock
+drive_to_goal
+view _port:=18300
+""")
 # A robot with controllers, as test/tutorials has it.
 CART, CONTROLLERS = "cart", ("joint_state_controller", "drive", "mast")
 # rospy's own, and what is there to end things.

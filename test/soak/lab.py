@@ -12,22 +12,18 @@ from typing import Dict, List, Tuple
 import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from lab_nodes import STOP_SECONDS, Lab, Node, end_all  # noqa: E402
+from lab_nodes import STOP_SECONDS, Lab, Node, commands, end_all  # noqa: E402
 
-NODES: Dict[str, Tuple[str, ...]] = {
-    "pybullet_bridge": (
-        "_world:=package://bullet_lab/worlds/docking.world",
-        "_robot:=package://bullet_lab/urdf/camera_robot.urdf",
-        "_rtf:=0",
-        "_camera_rate:=2",
-        "_lock_step:=noisy_odom_node drive_squares aruco",
-    ),
-    "noisy_odom": ("_std:=0.1", "_lock_step:=true"),
-    "drive_squares": ("_mode:=closed_loop", "_sides:=1000000", "_side:=1.5", "_lock_step:=true"),
-    "aruco": ("_image:=mycamera/image_raw", "_publish_tf:=true", "_lock_step:=true"),
-    "track_robot": ("_watch:=true",),
-    "dock": (),
-}
+NODES = commands("""
+pybullet_bridge _world:=package://bullet_lab/worlds/docking.world \
+  _robot:=package://bullet_lab/urdf/camera_robot.urdf _rtf:=0 _camera_rate:=2 \
+  _lock_step:='noisy_odom_node drive_squares aruco'
+noisy_odom _std:=0.1 _lock_step:=true
+drive_squares _mode:=closed_loop _sides:=1000000 _side:=1.5 _lock_step:=true
+aruco _image:=mycamera/image_raw _publish_tf:=true _lock_step:=true
+track_robot _watch:=true
+dock
+""")
 VISITOR = "canny_edges"
 """A node that comes and goes."""
 
