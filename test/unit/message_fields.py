@@ -51,9 +51,9 @@ def near(value):
 
 
 def plain(value):
-    """Return a time as seconds, and a vector or a quaternion as a list."""
+    """Return a time as seconds, and vectors, other messages and their lists as lists."""
     if isinstance(value, genpy.Time):
         return value.to_sec()
     if isinstance(value, genpy.Message):
-        return [getattr(value, name) for name in value.__slots__]
-    return list(value) if isinstance(value, tuple) else value
+        return [plain(getattr(value, name)) for name in value.__slots__]
+    return [plain(one) for one in value] if isinstance(value, (list, tuple)) else value
