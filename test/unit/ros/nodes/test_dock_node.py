@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 from bullet_lab.msg import DockGoal, MarkerDetectionArray
-from message_fields import message
+from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
 
@@ -139,9 +139,16 @@ def test_a_result_comes_as_it_was_sent(calibration):
     result = DockingResult(
         DockingError.NONE, "docked", 2, 0.4, 0.01, -0.02, calibration=calibration
     )
-    message = result_message(DockGoal(), result)
-    fields = (message.success, message.error_code, message.message, message.retries)
-    assert fields == (True, 0, "docked", 2)
-    assert (message.distance, message.lateral, message.yaw) == (0.4, 0.01, -0.02)
-    assert math.isnan(message.calibration.drift) == (calibration is None)
-    assert docking_result(message) == result
+    made = result_message(DockGoal(), result)
+    fields = """
+        success: true
+        error_code: 0
+        message: docked
+        retries: 2
+        distance: 0.4
+        lateral: 0.01
+        yaw: -0.02
+    """
+    check(made, fields)
+    assert math.isnan(made.calibration.drift) == (calibration is None)
+    assert docking_result(made) == result
