@@ -1,5 +1,6 @@
 """A service client checks the md5 sums of definitions: those of Gazebo and ros_control."""
 
+import functools
 import re
 
 import genmsg
@@ -51,14 +52,20 @@ SUMS = yaml.safe_load(
 UNUSED = {"SetJointTrajectory": "88f5c10979e3f9649d5ae87a3b12aa65"}
 
 
-def md5(path, package):
-    context = genmsg.MsgContext.create_default()
-    load = load_msg_from_file if path.suffix == ".msg" else load_srv_from_file
-    spec = load(context, str(path), f"{package}/{path.stem}")
+@functools.lru_cache(maxsize=None)
+def loaded(folder, package):
+    """Return where types are loaded to, and where those of other packages are."""
     pack = rospkg.RosPack()
     names = ("geometry_msgs", "std_msgs", "trajectory_msgs")
     folders = {name: [f"{pack.get_path(name)}/msg"] for name in names}
-    folders[package] = [str(path.parents[1] / "msg")]
+    return genmsg.MsgContext.create_default(), {**folders, package: [str(folder / "msg")]}
+
+
+def md5_of(folder, name, package):
+    (path,) = folder.glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
+    context, folders = loaded(folder, package)
+    load = load_msg_from_file if path.suffix == ".msg" else load_srv_from_file
+    spec = load(context, str(path), f"{package}/{path.stem}")
     load_depends(context, spec, folders)
     return compute_md5(context, spec)
 
@@ -70,11 +77,6 @@ def test_md5_sums_are_gazebos(package, folder, sums):
     for name, expected in sums.items():
         # The type's own package name is part of no sum, but is what clients import.
         assert md5_of(package / folder, name, "gazebo_msgs") == expected, name
-
-
-def md5_of(folder, name, package):
-    (path,) = folder.glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
-    return md5(path, package)
 
 
 def listed_types(package, stand_in):
