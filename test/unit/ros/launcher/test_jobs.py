@@ -269,6 +269,7 @@ def test_every_shipped_job_has_the_common_arguments_and_sound_defaults():
     assert of_fleet in jobs["fleet"].arguments["n"].targets
 
 
+@pytest.mark.long
 def test_listing_jobs_imports_no_node():
     code = (
         "import sys; from pathlib import Path; from bullet_lab.ros.launcher.jobs import find_jobs; "
