@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from bullet_lab.msg import DockGoal, MarkerDetectionArray
+from geometry_msgs.msg import Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
@@ -125,8 +126,8 @@ def test_an_unknown_frame_may_be_known_later():
 
 def test_a_leaning_dock_is_refused_for_good():
     wrong = goal("odom")
-    wrong.dock_pose.pose.orientation.x = 0.5
-    with pytest.raises(DockingFailureError) as caught:
+    wrong.dock_pose.pose.orientation = Quaternion(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+    with pytest.raises(DockingFailureError, match="not upright") as caught:
         rough_pose(wrong, DOCK, "odom", lookup)
     assert not isinstance(caught.value, NotYetError)
     assert isinstance(caught.value, LabError)
