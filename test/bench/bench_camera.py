@@ -1,37 +1,34 @@
-"""Measures the camera of the bridge; run it with scripts/bench.sh camera.
+"""Measures the camera of the bridge; scripts/bench.sh camera.
 
 First, the time from the start of a frame to the moment at which its message is written, without
 multisampling and with 4 samples for each pixel, over that of PyBullet's own `getCameraImage` of
 the same things at its fastest setting: without light and shadows, a dozen of the one and a dozen
 of the other in turns. Then
 a whole setup in real time: the bridge with the camera at 30 Hz, and `aruco.py` listening, whether
-every frame arrives, and what it costs. Prints a table and writes JSON.
+every frame arrives, and what it costs.
+--frames N: timed frames of each kind. --seconds S: wall time of the second part.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import json
 import os
-import platform
-import signal
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Dict, List
 
 import numpy as np
-import psutil
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
+from common import Row, options, report, start_ros
+from lab_nodes import Node, end_all
 from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.camera import Camera
@@ -46,10 +43,8 @@ RATE = 30.0
 # sleep between frames, whatever comes first pays for waking up.
 FRAME_RATE = 100.0
 SAMPLES = (1, 4)
-# What is asked for: of a bare call without and with multisampling, and of a core.
+# What is asked for: of a bare call without and with multisampling.
 ASKED = {1: 0.6, 4: 1.3}
-CPU_ASKED = 30.0
-STOP_SECONDS = 10.0
 PATIENCE = 60.0
 # Frames of the one and then of the other; the first of each do not count: they find the processor's
 # caches full of the other's data, and load the world the first time.
@@ -145,8 +140,8 @@ class Stopwatch:
         self.bridge: Dict[int, List[float]] = {samples: [] for samples in SAMPLES}
         self._produce = self._camera.produce
         self._camera.produce = self._timed_produce
-        self._after_steps = bridge.stepper._after_steps
-        bridge.stepper._after_steps = self._timed_flush
+        self._after_steps = bridge.stepper.after_steps
+        bridge.stepper.after_steps = self._timed_flush
         self._in_frame = 0.0
         self._since_bare = 0
 
@@ -177,8 +172,8 @@ class Stopwatch:
             rospy.signal_shutdown("measured")
 
 
-def frame_times(frames: int) -> Dict[str, Any]:
-    """Return medians in ms of PyBullet's pictures and of whole frames, by samples.
+def frame_times(frames: int) -> List[Row]:
+    """Measure PyBullet's pictures and whole frames; medians.
 
     To be called in a process of its own: a ROS node is set up once.
     """
@@ -190,16 +185,18 @@ def frame_times(frames: int) -> Dict[str, Any]:
     try:
         bridge.spin()
     finally:
-        stop(listener)
-    bare, whole = (
-        {samples: 1e3 * float(np.median(times)) for samples, times in found.items()}
-        for found in (watch.bare, watch.bridge)
-    )
-    return {
-        "bare_ms": bare,
-        "render_to_publish_ms": whole,
-        "render_to_publish_over_bare": {s: whole[s] / bare[s] for s in SAMPLES},
-    }
+        listener.kill()
+    rows: List[Row] = []
+    of = f"LP_NUM_THREADS={os.environ['LP_NUM_THREADS']}"
+    for samples, asked in ASKED.items():
+        bare, whole = (1e3 * float(np.median(t[samples])) for t in (watch.bare, watch.bridge))
+        title = f"{of}, {samples} samples: drawing to publishing"
+        rows += [
+            (f"{of}, {samples} samples: getCameraImage at its fastest, ms", bare, ".1f", ""),
+            (f"{title}, ms", whole, ".1f", ""),
+            (f"{title} / getCameraImage", whole / bare, ".2f", f"<= {asked:g}"),
+        ]
+    return rows
 
 
 class Stamps:
@@ -213,62 +210,31 @@ class Stamps:
         self.times.append(message.header.stamp.to_nsec() // 1_000_000)
 
 
-def real_time(seconds: float) -> Dict[str, Any]:
-    """Return how the camera does at real-time factor 1 with `aruco.py` listening."""
-    rospy.set_param("/use_sim_time", True)
-    bridge = start("pybullet_bridge.py", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1")
-    aruco = start("aruco.py", "_image:=/mycamera/image_raw", "__name:=aruco")
+def real_time(seconds: float) -> List[Row]:
+    """Measure how the camera does at real-time factor 1 with `aruco.py` listening."""
+    bridge = Node("pybullet_bridge", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1")
+    aruco = Node("aruco", "_image:=/mycamera/image_raw", "__name:=aruco")
     sent = Stamps("/mycamera/camera_info", CameraInfo)
     seen = Stamps("/aruco/detections", MarkerDetectionArray)
     try:
         wait_for(lambda: len(seen.times) > 30, "detections")
-        processes = {"bridge": process_of(bridge), "aruco": process_of(aruco)}
-        before = {name: cpu_seconds(process) for name, process in processes.items()}
+        loads = ThreadPoolExecutor(2)
         first, start_time = sent.times[-1], time.monotonic()
-        time.sleep(seconds)
+        of_bridge, of_aruco = loads.map(lambda node: node.percent(seconds), (bridge, aruco))
         last, passed = sent.times[-1], time.monotonic() - start_time
-        share = {n: (cpu_seconds(p) - before[n]) / passed for n, p in processes.items()}
         # The last one may still be looked at.
         wait_for(lambda: seen.times[-1] >= last, "the last frame")
     finally:
-        stop(aruco)
-        stop(bridge)
-    expected = [-(-1000 * k // 30) for k in range(1, 10**6) if first < 1000 * k / 30 <= last]
-    return {
-        "simulated_s": (last - first) / 1000.0,
-        "real_time_factor": (last - first) / 1000.0 / passed,
-        "frames_expected": len(expected),
-        "frames_sent": len(set(expected) & set(sent.times)),
-        "frames_processed": len(set(expected) & set(seen.times)),
-        **{f"{name}_cpu_percent_of_a_core": 100.0 * value for name, value in share.items()},
-    }
-
-
-def start(script: str, *words: str) -> subprocess.Popen:
-    """Start a node of the package."""
-    return subprocess.Popen(["rosrun", "bullet_lab", script, *words], preexec_fn=os.setsid)
-
-
-def stop(process: subprocess.Popen) -> None:
-    """End a process that was started here, and wait for it."""
-    process.send_signal(signal.SIGINT)
-    try:
-        process.wait(STOP_SECONDS)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def process_of(node: subprocess.Popen) -> psutil.Process:
-    """Return the process that runs a node."""
-    family = [psutil.Process(node.pid)]
-    family += family[0].children(recursive=True)
-    return max(family, key=lambda process: process.memory_info().rss)
-
-
-def cpu_seconds(process: psutil.Process) -> float:
-    """Return the processor time that a process has used, in s."""
-    return sum(process.cpu_times()[:2])
+        end_all(aruco, bridge)
+    expected = {-(-1000 * k // 30) for k in range(1, 10**6) if first < 1000 * k / 30 <= last}
+    every = f"{len(expected)}"
+    return [
+        ("30 Hz, aruco.py: real-time factor", (last - first) / 1000.0 / passed, ".3f", ">= 0.99"),
+        ("frames sent", len(expected & set(sent.times)), "d", every),
+        ("frames processed by aruco.py", len(expected & set(seen.times)), "d", every),
+        ("bridge, % of a core", of_bridge, ".0f", "<= 30"),
+        ("aruco.py, % of a core", of_aruco, ".0f", ""),
+    ]
 
 
 def wait_for(condition: Any, what: str) -> None:
@@ -280,77 +246,35 @@ def wait_for(condition: Any, what: str) -> None:
         time.sleep(0.05)
 
 
-def measure(frames: int, seconds: float) -> Dict[str, Any]:
-    """Run everything and return the figures."""
-    figures: Dict[str, Any] = {
-        "machine": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "driver": driver_name(),
-        "load_average": os.getloadavg()[0],
-        "frames": {},
-    }
-    for threads in (0, 2):
-        print(f"frames with {threads} threads of the driver …", flush=True)
-        command = [sys.executable, __file__, "--frames-only", "--frames", str(frames)]
-        environment = {**os.environ, "LP_NUM_THREADS": str(threads)}
-        out = subprocess.run(
-            command, env=environment, check=True, stdout=subprocess.PIPE, text=True
-        ).stdout
-        # PyBullet's plugin talks, too.
-        (line,) = (line for line in out.splitlines() if line.startswith("{"))
-        figures["frames"][threads] = json.loads(line)
-    print("real time …", flush=True)
-    figures["real_time"] = real_time(seconds)
-    return figures
-
-
-def print_table(figures: Dict[str, Any]) -> None:
-    """Print what was measured beside what is asked for."""
-    rows = []
-    for threads, found in figures["frames"].items():
-        of = f"LP_NUM_THREADS={threads}"
-        bare = " and ".join(f"{found['bare_ms'][str(samples)]:.1f}" for samples in SAMPLES)
-        rows.append((f"{of}: getCameraImage at its fastest, ms", bare, ""))
-        for samples, asked in ASKED.items():
-            whole = found["render_to_publish_ms"][str(samples)]
-            share = found["render_to_publish_over_bare"][str(samples)]
-            title = f"{of}: drawing to publishing, {samples} sample{'s' * (samples > 1)}"
-            rows.append((f"{title}, ms", f"{whole:.1f}", ""))
-            rows.append((f"{title} / getCameraImage", f"{share:.2f}", f"<= {asked:g}"))
-    found = figures["real_time"]
-    expected = f"{found['frames_expected']}"
-    rows += [
-        ("30 Hz, aruco.py: real-time factor", f"{found['real_time_factor']:.3f}", ">= 0.99"),
-        ("frames sent", f"{found['frames_sent']}", expected),
-        ("frames processed by aruco.py", f"{found['frames_processed']}", expected),
-    ]
-    shares = {n: f"{found[f'{n}_cpu_percent_of_a_core']:.0f}" for n in ("bridge", "aruco")}
-    rows.append(("bridge, % of a core", shares["bridge"], f"<= {CPU_ASKED:g}"))
-    rows.append(("aruco.py, % of a core", shares["aruco"], ""))
-    print(f"\n{figures['driver']:68} {'measured':>12} {'asked':>9}")
-    for name, value, asked in rows:
-        print(f"{name:68} {value:>12} {asked:>9}")
+def frames_with(threads: int, frames: int, out: str) -> List[Row]:
+    """Return the rows of a process whose driver has so many threads."""
+    done = subprocess.run(
+        [sys.executable, __file__, out, "--alone", "--frames", str(frames)],
+        env={**os.environ, "LP_NUM_THREADS": str(threads)},
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    # PyBullet's plugin talks, too.
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("["))
+    return json.loads(line)
 
 
 def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, nargs="?", help="JSON file to write")
-    parser.add_argument("--frames", type=int, default=100, help="timed frames of each kind")
-    parser.add_argument("--seconds", type=float, default=20.0, help="wall seconds in real time")
-    parser.add_argument("--frames-only", action="store_true", help=argparse.SUPPRESS)
-    wanted = parser.parse_args()
-    if wanted.frames_only:
+    """Measure, print and write; --alone prints the times of frames in this process."""
+    wanted = options(__doc__, frames=100, seconds=20.0, alone=False)
+    if wanted.alone:
         print(json.dumps(frame_times(wanted.frames)))
         return
-    prepare_master()
-    rospy.init_node("bench", disable_signals=True)
-    figures = measure(wanted.frames, wanted.seconds)
-    print_table(figures)
-    if wanted.out is not None:
-        wanted.out.parent.mkdir(parents=True, exist_ok=True)
-        wanted.out.write_text(json.dumps(figures, indent=2) + "\n")
-        print(f"\nwritten to {wanted.out}")
+    start_ros()
+    rows: List[Row] = []
+    for threads in (0, 2):
+        print(f"frames with {threads} threads of the driver …", flush=True)
+        rows += frames_with(threads, wanted.frames, str(wanted.out))
+    print("real time …", flush=True)
+    rospy.set_param("/use_sim_time", True)
+    rows += real_time(wanted.seconds)
+    report(wanted.out, rows, driver_name(), driver=driver_name(), load=os.getloadavg()[0])
 
 
 if __name__ == "__main__":

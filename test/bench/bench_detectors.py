@@ -1,14 +1,15 @@
-"""Compares three detectors of 36h11 on the same pictures; run it with scripts/bench.sh detectors.
+"""Compares three detectors of 36h11 on the same pictures; scripts/bench.sh detectors.
 
 Ours, OpenCV's ArUco and AprilTag 3 (pupil-apriltags), each with the best of a few settings, on
 renderings of a marker before photographs: found, corners, poses, time; for ours also whether the
 covariance is right. False detections are counted in crops of the photographs. Prints a table,
-writes JSON and heat maps. On all cores; what was done before it was stopped is not done again.
+writes JSON and heat maps. What was done before it was stopped is not done again.
+--scenes N: for each condition. --crops N: of photographs. --seed S: of all that is random.
+--workers N: processes; 0: one for each core.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import time
@@ -20,6 +21,7 @@ from typing import Any, Dict, Mapping
 
 import cv2
 import numpy as np
+from common import options, write
 from detectors.backgrounds import photographs
 from detectors.contestants import CONTESTANTS, Find, described
 from detectors.measures import ANGLES, CROPS_AT_ONCE, DISTANCES, Plan, cells, do, measured, scene
@@ -162,22 +164,14 @@ def print_table(report: Mapping[str, Any]) -> None:
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, help="JSON file to write")
-    parser.add_argument("--scenes", type=int, default=50, help="for each condition")
-    parser.add_argument("--crops", type=int, default=50_000, help="of photographs")
-    parser.add_argument("--workers", type=int, default=0, help="processes; 0: one for each core")
-    parser.add_argument("--seed", type=int, default=1, help="of all that is random")
-    wanted = parser.parse_args()
+    wanted = options(__doc__, scenes=50, crops=50_000, workers=0, seed=1)
     warnings.simplefilter("ignore")
     cv2.setNumThreads(1)
-    wanted.out.parent.mkdir(parents=True, exist_ok=True)
     plan = Plan(wanted.scenes, wanted.crops, wanted.seed, tuned(wanted.seed))
     report = compare(plan, wanted.out.with_suffix(".jsonl"), wanted.workers)
     print_table(report)
-    wanted.out.write_text(json.dumps(report, indent=2) + "\n")
+    write(wanted.out, report)
     save(heat_maps(report), wanted.out.with_suffix(".png"))
-    print(f"\nwritten to {wanted.out} and {wanted.out.with_suffix('.png')}")
 
 
 if __name__ == "__main__":

@@ -1,19 +1,17 @@
-"""Measures laser scans, and fleets of robots with lasers; run it with scripts/bench.sh laser.
+"""Measures laser scans, and fleets of robots with lasers; scripts/bench.sh laser.
 
-Prints a table and writes JSON. No ROS master: the simulation alone, and the making of messages.
+No ROS master: the simulation alone, and the making of messages.
+--rounds N: of which the median is taken. --seconds S: simulated, of each fleet.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import platform
 import statistics
 import time
 from io import BytesIO
-from pathlib import Path
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, List, Tuple
+
+from common import Row, options, report
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.conversions import Converter
@@ -29,19 +27,15 @@ SPACING = 1.5
 FIRST_PLACE = (1.0, 6.0)
 
 
-def place_of(number: int) -> Pose:
-    """Return where the robot of a number starts."""
-    row, column = divmod(number, PER_ROW)
-    x, y = FIRST_PLACE
-    return Pose((x + SPACING * column, y + SPACING * row, 0.0))
-
-
 def add_fleet(simulation: Simulation, number: int) -> List[ModelInstance]:
     """Add robots that drive in circles."""
     robots = []
     for index in range(number):
         name = f"robot_{index}"
-        robot = simulation.spawn(ROBOT, name, place_of(index), namespace=name)
+        row, column = divmod(index, PER_ROW)
+        x, y = FIRST_PLACE
+        pose = Pose((x + SPACING * column, y + SPACING * row, 0.0))
+        robot = simulation.spawn(ROBOT, name, pose, namespace=name)
         robot.command(f"/{name}/cmd_vel", PlanarCommand(vx=0.2, wz=0.3))
         robots.append(robot)
     return robots
@@ -57,14 +51,6 @@ def message_writer(kind: type) -> Callable[[Any], None]:
         convert(sample).serialize(buffer)
 
     return write
-
-
-def listen_to_all(robots: List[ModelInstance]) -> None:
-    """Have messages made of all that robots measure."""
-    for robot in robots:
-        for device in robot.plugins:
-            for output in device.outputs:
-                output.connect(message_writer(output.kind))
 
 
 def scan_milliseconds(robots: int, scans: int) -> List[float]:
@@ -85,7 +71,9 @@ def scan_milliseconds(robots: int, scans: int) -> List[float]:
 def fleet_factor(robots: int, seconds: float) -> Tuple[float, float]:
     """Return the real-time factors of a fleet: all of it, and the engine's steps alone."""
     with Simulation.of(WORLD) as simulation:
-        listen_to_all(add_fleet(simulation, robots))
+        for robot in add_fleet(simulation, robots):
+            for output in (o for device in robot.plugins for o in device.outputs):
+                output.connect(message_writer(output.kind))
         simulation.run_for(0.2)
         start = time.perf_counter()
         simulation.run_for(seconds)
@@ -98,52 +86,22 @@ def fleet_factor(robots: int, seconds: float) -> Tuple[float, float]:
         return whole, seconds / (time.perf_counter() - start)
 
 
-def measure(rounds: int, seconds: float) -> Dict[str, Any]:
-    """Run everything and return the figures; of several rounds, the medians."""
-    alone, among = scan_milliseconds(1, 100 * rounds), scan_milliseconds(20, 100 * rounds)
-    fleets = {}
-    for number in FLEETS:
-        factors = [fleet_factor(number, seconds) for _ in range(rounds)]
-        whole, engine = (statistics.median(column) for column in zip(*factors))
-        fleets[number] = {"real_time_factor": whole, "engine_alone": engine}
-    return {
-        "machine": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "scan_ms": statistics.median(alone),
-        "scan_ms_95_percent": sorted(alone)[int(0.95 * len(alone))],
-        "scan_ms_among_20_robots": statistics.median(among),
-        "fleets": fleets,
-    }
-
-
-def print_table(figures: Dict[str, Any]) -> None:
-    """Print what was measured beside what is asked for."""
-    rows = [
-        ("360-ray scan with its message, ms", f"{figures['scan_ms']:.2f}", "<= 1"),
-        ("the same, 95 of 100", f"{figures['scan_ms_95_percent']:.2f}", ""),
-        ("the same among 20 robots", f"{figures['scan_ms_among_20_robots']:.2f}", "<= 1"),
-    ]
-    for number, factors in figures["fleets"].items():
-        name = f"{number} robots, odometry 20 Hz, lasers 10 Hz: real-time factor"
-        rows.append((name, f"{factors['real_time_factor']:.1f}", ">= 1" if number == 20 else ""))
-        rows.append(("    the engine's steps alone", f"{factors['engine_alone']:.1f}", ""))
-    print(f"\n{'':62} {'measured':>9} {'asked':>7}")
-    for name, value, asked in rows:
-        print(f"{name:62} {value:>9} {asked:>7}")
-
-
 def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, help="JSON file to write")
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=5.0, help="simulated, of each fleet")
-    wanted = parser.parse_args()
-    figures = measure(wanted.rounds, wanted.seconds)
-    print_table(figures)
-    wanted.out.parent.mkdir(parents=True, exist_ok=True)
-    wanted.out.write_text(json.dumps(figures, indent=2) + "\n")
-    print(f"\nwritten to {wanted.out}")
+    """Measure, print and write the medians of the rounds."""
+    wanted = options(__doc__, rounds=3, seconds=5.0)
+    alone, among = (scan_milliseconds(robots, 100 * wanted.rounds) for robots in (1, 20))
+    rows: List[Row] = [
+        ("360-ray scan with its message, ms", statistics.median(alone), ".2f", "<= 1"),
+        ("the same, 95 of 100", sorted(alone)[int(0.95 * len(alone))], ".2f", ""),
+        ("the same among 20 robots", statistics.median(among), ".2f", "<= 1"),
+    ]
+    for number in FLEETS:
+        factors = [fleet_factor(number, wanted.seconds) for _ in range(wanted.rounds)]
+        whole, engine = (statistics.median(column) for column in zip(*factors))
+        name = f"{number} robots, odometry 20 Hz, lasers 10 Hz: real-time factor"
+        rows.append((name, whole, ".1f", ">= 1" if number == 20 else ""))
+        rows.append((f"    {number} robots, the engine's steps alone", engine, ".1f", ""))
+    report(wanted.out, rows)
 
 
 if __name__ == "__main__":

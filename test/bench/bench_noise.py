@@ -1,9 +1,10 @@
-"""Measures the noisy paths of the noise study; run it with scripts/bench.sh noise.
+"""Measures the noisy paths of the noise study; scripts/bench.sh noise.
 
 Ten levels of noise, a thousand paths of the simulated square at 20 Hz each, on one core: only to
 draw them, and with all metrics; beside the per-message loop of NoisyPath over the same messages.
-Prints a table of the best of some rounds, as others may be using the machine, and writes JSON.
+Prints the best of some rounds, as others may be using the machine.
 The loop gives each message its covariances; the many paths have them from `exact_moments`, once.
+--rounds N. --paths N: at each of the levels.
 """
 
 from __future__ import annotations
@@ -14,13 +15,11 @@ import os
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
-import argparse  # noqa: E402
-import json  # noqa: E402
-import platform  # noqa: E402
 import resource  # noqa: E402
 import time  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any, Callable, Dict  # noqa: E402
+from typing import Callable  # noqa: E402
+
+from common import options, report  # noqa: E402
 
 from bullet_lab.core.trajectory import Trajectory  # noqa: E402
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator  # noqa: E402
@@ -70,63 +69,32 @@ def loop(trajectory: Trajectory) -> None:
                 path.update(*pose)
 
 
-def measure(rounds: int, paths: int) -> Dict[str, Any]:
-    """Run everything, in turns, and return the figures."""
+def main() -> None:
+    """Measure all in turns, print and write."""
+    wanted = options(__doc__, rounds=5, paths=1000)
     trajectory = resample(simulated_square(), RATE)
-    steps = len(LEVELS) * paths * (len(trajectory) - 1)
+    steps = len(LEVELS) * wanted.paths * (len(trajectory) - 1)
     loop_steps = len(LEVELS) * LOOP_PATHS * (len(trajectory) - 1)
     drawn, studied, looped = [], [], []
-    for number in range(rounds):
-        drawn.append(seconds(lambda: draw(trajectory, paths)))
-        studied.append(seconds(lambda: study(trajectory, paths)))
+    for number in range(wanted.rounds):
+        drawn.append(seconds(lambda: draw(trajectory, wanted.paths)))
+        studied.append(seconds(lambda: study(trajectory, wanted.paths)))
         looped.append(seconds(lambda: loop(trajectory)) / loop_steps)
         print(
-            f"round {number + 1} of {rounds}: {drawn[-1]:.2f} s to draw, {studied[-1]:.2f} s with "
-            f"metrics; the loop takes {1e6 * looped[-1]:.1f} us for a message"
+            f"round {number + 1} of {wanted.rounds}: {drawn[-1]:.2f} s to draw, "
+            f"{studied[-1]:.2f} s with metrics; the loop takes {1e6 * looped[-1]:.1f} us a message"
         )
-    return {
-        "machine": platform.processor() or platform.machine(),
-        "levels": len(LEVELS),
-        "paths": paths,
-        "messages": len(trajectory),
-        "steps": steps,
-        "draw_s": drawn,
-        "study_s": studied,
-        "loop_s_per_message": looped,
-        "draw_best_s": min(drawn),
-        "study_best_s": min(studied),
-        "factor_drawn": steps * min(looped) / min(drawn),
-        "factor_studied": steps * min(looped) / min(studied),
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
-    }
-
-
-def print_table(figures: Dict[str, Any]) -> None:
-    """Print what was measured beside what is asked for."""
+    of_loop = steps * min(looped)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     rows = [
-        ("paths drawn, s", f"{figures['draw_best_s']:.2f}", f"<= {MOST_SECONDS:g}"),
-        ("paths drawn and measured, s", f"{figures['study_best_s']:.2f}", f"<= {MOST_SECONDS:g}"),
-        ("times as fast as the loop", f"{figures['factor_drawn']:.0f}", f">= {LEAST_FACTOR:g}"),
-        ("the same with all metrics", f"{figures['factor_studied']:.0f}", ""),
-        ("most memory of the process, MB", f"{figures['memory_mb']:.0f}", ""),
+        ("paths drawn, s", min(drawn), ".2f", f"<= {MOST_SECONDS:g}"),
+        ("paths drawn and measured, s", min(studied), ".2f", f"<= {MOST_SECONDS:g}"),
+        ("times as fast as the loop", of_loop / min(drawn), ".0f", f">= {LEAST_FACTOR:g}"),
+        ("the same with all metrics", of_loop / min(studied), ".0f", ""),
+        ("most memory of the process, MB", memory, ".0f", ""),
     ]
-    print(f"\n{figures['steps']} steps {'':30} {'measured':>9} {'asked':>9}")
-    for name, value, asked in rows:
-        print(f"{name:44} {value:>9} {asked:>9}")
-
-
-def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path, help="JSON file to write")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--paths", type=int, default=1000, help="at each of the levels")
-    wanted = parser.parse_args()
-    figures = measure(wanted.rounds, wanted.paths)
-    print_table(figures)
-    wanted.out.parent.mkdir(parents=True, exist_ok=True)
-    wanted.out.write_text(json.dumps(figures, indent=2) + "\n")
-    print(f"\nwritten to {wanted.out}")
+    rounds = {"draw_s": drawn, "study_s": studied, "loop_s_per_message": looped}
+    report(wanted.out, rows, f"{steps} steps", **rounds)
 
 
 if __name__ == "__main__":

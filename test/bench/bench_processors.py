@@ -1,24 +1,23 @@
 """What changes with the processor: each library is told in turn that it is on an older one.
 
-Prints which sums, functions and pictures have other bits then, and writes JSON; run it with
-scripts/bench.sh processors.
+Prints which sums, functions and pictures have other bits then; scripts/bench.sh processors.
+--here: computes them, as this process is told to, and prints their digests.
 """
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import math
 import os
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any, Dict
 
 import cv2
 import numpy as np
 import scipy.linalg
+from common import options
 
 from bullet_lab.core.files import write_json
 from bullet_lab.ros.verify import PROCESSORS
@@ -79,10 +78,7 @@ def results() -> Dict[str, Any]:
 
 def main() -> None:
     """Compare each with the first, print and write JSON."""
-    parser = argparse.ArgumentParser(prog="bench.sh processors", description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--here", action="store_true", help="compute, as this process is told to")
-    wanted = parser.parse_args()
+    wanted = options(__doc__, here=False)
     if wanted.here:
         all_bytes = {name: np.array(value).tobytes() for name, value in results().items()}
         print(json.dumps({n: hashlib.sha256(one).hexdigest() for n, one in all_bytes.items()}))
@@ -97,7 +93,6 @@ def main() -> None:
         usual = found["as it is"]
         others = [what for what, of in found[name].items() if of != usual[what]]
         print(f"{name}: {', '.join(others) or 'nothing'}", flush=True)
-    wanted.out.parent.mkdir(parents=True, exist_ok=True)
     write_json(wanted.out, found)
 
 

@@ -110,16 +110,16 @@ class Trial:
             environment["ROS_IP"] = "127.0.0.1"
             self._master = self._start_master()
             stack.callback(lambda: _end(self._master))
-        streams = [
+        out, err = (
             stack.enter_context((self._folder / name).open("w")) for name in ("stdout", "stderr")
-        ]
+        )
         self._job = subprocess.Popen(
             [str(PACKAGE / "scripts" / "run.sh"), self._fault.job, "out:=out", *self._words],
             cwd=self._folder,
             env=environment,
             stdin=subprocess.DEVNULL,
-            stdout=streams[0],
-            stderr=streams[1],
+            stdout=out,
+            stderr=err,
             start_new_session=True,
         )
 
@@ -321,8 +321,7 @@ class Trial:
         while self._processes() and time.monotonic() < deadline:
             time.sleep(0.05)
         for one in self._processes():
-            with contextlib.suppress(psutil.Error):
-                self._wrong(f"left running: {' '.join(one.cmdline())[:200]}")
+            self._wrong(f"left running: {' '.join(_command(one))[:200]}")
         self._describe_processes()
 
     def _describe_processes(self) -> None:
@@ -330,9 +329,6 @@ class Trial:
         for one in self._processes():
             with contextlib.suppress(psutil.Error):
                 lines.append(f"{one.pid} {one.status()} {' '.join(one.cmdline())}")
-                if shutil.which("py-spy"):
-                    dump = ["py-spy", "dump", "--pid", str(one.pid)]
-                    lines.append(subprocess.run(dump, capture_output=True, text=True).stdout)
         if lines:
             (self._folder / "processes").write_text("\n".join(lines))
 
@@ -357,10 +353,9 @@ class Trial:
             if "Traceback" in self._output(stream):
                 self._wrong(f"a traceback on {stream}")
         ours = (f"{self._fault.job}: ", "run.sh: ", "setup: ")
-        if status > 0 and status not in (130, 143):
-            reasons = [line for line in err.splitlines() if line.startswith(ours)]
-            if not reasons:
-                self._wrong(f"status {status} without a line with the reason")
+        said = any(line.startswith(ours) for line in err.splitlines())
+        if status > 0 and status not in (130, 143) and not said:
+            self._wrong(f"status {status} without a line with the reason")
         self._judge_leftovers()
         self._judge_results()
 

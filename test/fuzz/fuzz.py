@@ -2,6 +2,8 @@
 
 Ways are taken by turns, each mutant in a worker that may die of it. A failure leaves its input
 in the results' folder, beside the command that repeats it.
+--minutes N: so long; or --mutants N: so many, 1000 if neither is given. --first K: number of the
+first mutant. --each N: mutants of a way's share before the next one.
 """
 
 from __future__ import annotations
@@ -11,7 +13,6 @@ import itertools
 import json
 import math
 import os
-import queue
 import subprocess
 import sys
 import threading
@@ -19,15 +20,18 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Dict, Iterator, List, Sequence, Tuple
+from typing import Dict, Iterator, List, NamedTuple, Sequence, Tuple
 
 from mutations import generator, mutant
 from tqdm import tqdm
 from ways import WAYS
 
 HERE = Path(__file__).resolve().parent
-# Wall seconds for one mutant, and for a worker to come up; a busy machine is not a hang.
-PATIENCE = 60.0
+sys.path.insert(0, str(HERE.parent))
+from lab_nodes import parser_of  # noqa: E402
+
+# Wall seconds for a worker to come up, and for each mutant on average, on a busy machine too.
+PATIENCE, PATIENCE_EACH = 60.0, 1.0
 # Mutants of a way's share in a round.
 ROUND = 10
 
@@ -48,18 +52,12 @@ class Failure:
         return f"scripts/fuzz.sh {which} --mutants 1"
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """So many mutants of one way, from a number on."""
 
     way: str
     first: int
     count: int
-
-    def after(self, number: int) -> Tuple[Batch, ...]:
-        """Return what is left after the mutant of a number: nothing, or one batch."""
-        end = self.first + self.count
-        return (Batch(self.way, number + 1, end - number - 1),) if number + 1 < end else ()
 
 
 def try_all(batches: Sequence[Batch], seed: int, folder: Path) -> List[Failure]:
@@ -71,7 +69,9 @@ def try_all(batches: Sequence[Batch], seed: int, folder: Path) -> List[Failure]:
         failures += found
         if number < 0:
             raise SystemExit(f"fuzz: {found[-1].why}")
-        left = [*left[place].after(number), *left[place + 1 :]]
+        way, first, count = left[place]
+        rest = first + count - number - 1
+        left = [Batch(way, number + 1, rest)] * (rest > 0) + left[place + 1 :]
     return failures
 
 
@@ -79,48 +79,31 @@ def _one_worker(
     batches: Sequence[Batch], seed: int, folder: Path
 ) -> Tuple[int, int, List[Failure]]:
     """Return the place of the batch and the number of the last mutant, and the failures."""
-    words = [f"{one.way}:{one.first}:{one.count}" for one in batches]
-    process = subprocess.Popen(
-        [sys.executable, str(HERE / "worker.py"), str(seed), str(folder), *words],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-    )
-    lines: queue.Queue[str] = queue.Queue()
-    errors: List[str] = []
-    readers = [
-        threading.Thread(target=lambda: [lines.put(line) for line in process.stdout]),
-        threading.Thread(target=lambda: errors.extend(process.stderr)),
-    ]
-    for reader in readers:
-        reader.start()
-    place, number, failures, why = 0, -1, [], ""
-    deadline = time.monotonic() + PATIENCE
-    while True:
-        try:
-            line = lines.get(timeout=0.1)
-        except queue.Empty:
-            if process.poll() is not None and not readers[0].is_alive() and lines.empty():
-                break
-            if time.monotonic() > deadline:
-                why = f"no end after {PATIENCE:g} s"
-                process.kill()
-                deadline = float("inf")
-            continue
-        deadline = time.monotonic() + PATIENCE
+    words = [f"{way}:{first}:{count}" for way, first, count in batches]
+    patience = PATIENCE + PATIENCE_EACH * sum(batch.count for batch in batches)
+    why = ""
+    try:
+        done = subprocess.run(
+            [sys.executable, str(HERE / "worker.py"), str(seed), str(folder), *words],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=patience,
+        )
+        out = done.stdout
+        if done.returncode < 0:
+            why = f"signal {-done.returncode}"
+        elif done.returncode:
+            said = done.stderr.decode(errors="replace").strip().split("\n")[-1]
+            why = f"status {done.returncode}: {said}"
+    except subprocess.TimeoutExpired as error:
+        out, why = error.stdout or b"", f"no end after {patience:g} s"
+    place, number, failures = 0, -1, []
+    for line in out.decode(errors="replace").splitlines():
         if line.startswith("!"):
             failures.append(Failure(batches[place].way, seed, number, line[2:].strip()))
         else:
             way, number = line.split()[0], int(line.split()[1])
             place = next(at for at, one in enumerate(batches) if at >= place and one.way == way)
-    status = process.wait()
-    for reader in readers:
-        reader.join()
-    if status and not why:
-        said = errors[-1].strip() if errors else ""
-        why = f"signal {-status}" if status < 0 else f"status {status}: {said}"
     if why:
         failures.append(Failure(batches[place].way, seed, number, why))
     return place, number, failures
@@ -137,21 +120,20 @@ def keep(failure: Failure, folder: Path) -> None:
 
 
 def rounds(wanted: argparse.Namespace) -> Iterator[List[Batch]]:
-    """Return which mutants to try, without end."""
+    """Yield which mutants to try, until there are as many as wanted, or without end."""
     ways = [wanted.way] if wanted.way else list(WAYS)
+    left = wanted.mutants or math.inf
     for number in itertools.count():
-        counts = {way: wanted.each * WAYS[way].share for way in ways}
-        yield [Batch(way, wanted.first + number * counts[way], counts[way]) for way in ways]
-
-
-def shortened(batches: Sequence[Batch], most: int) -> List[Batch]:
-    """Return batches with so many mutants at most."""
-    kept: List[Batch] = []
-    for batch in batches:
-        count = min(batch.count, most - sum(one.count for one in kept))
-        if count > 0:
-            kept.append(Batch(batch.way, batch.first, count))
-    return kept
+        batches = []
+        for way in ways:
+            usual = wanted.each * WAYS[way].share
+            count = int(min(usual, left))
+            left -= count
+            if count:
+                batches.append(Batch(way, wanted.first + number * usual, count))
+        if not batches:
+            return
+        yield batches
 
 
 def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, object]:
@@ -166,11 +148,10 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, object]:
     def work() -> None:
         while True:
             with lock:
-                left = (wanted.mutants or math.inf) - sum(tried.values())
                 late = wanted.minutes and time.monotonic() - start > 60.0 * wanted.minutes
-                if left <= 0 or late:
+                batches = () if late else next(todo, ())
+                if not batches:
                     return
-                batches = shortened(next(todo), left)
                 for batch in batches:
                     tried[batch.way] += batch.count
             found = try_all(batches, wanted.seed, folder)
@@ -195,17 +176,18 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, object]:
 
 def main() -> None:
     """Fuzz, print and write results/fuzz/summary.json; status 1 where something failed."""
-    parser = argparse.ArgumentParser(prog="fuzz.sh", description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=0.0, help="so long; or")
-    parser.add_argument("--mutants", type=int, default=0, help="so many; 1000 if neither is given")
-    parser.add_argument("--way", choices=sorted(WAYS), help="this way in only")
-    parser.add_argument("--first", type=int, default=0, help="number of the first mutant")
-    parser.add_argument(
-        "--each", type=int, default=ROUND, help="mutants of a way's share before the next one"
+    parser = parser_of(
+        "fuzz.sh",
+        __doc__,
+        seed=1,
+        minutes=0.0,
+        mutants=0,
+        first=0,
+        each=ROUND,
+        workers=os.cpu_count(),
+        out=Path("results/fuzz"),
     )
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=Path("results/fuzz"))
+    parser.add_argument("--way", choices=sorted(WAYS), help="this way in only")
     wanted = parser.parse_args()
     if not wanted.minutes and not wanted.mutants:
         wanted.mutants = 1000

@@ -12,19 +12,16 @@ import argparse
 import contextlib
 import json
 import math
-import os
 import re
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections import Counter, deque
 from pathlib import Path
-from typing import Any, Deque, Dict, Iterator, List, Tuple
+from typing import Any, Deque, Dict, List, Tuple
 
 import numpy as np
-import psutil
 import roslib.message
 import rospy
 import rosservice
@@ -49,19 +46,19 @@ from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
 from bullet_lab.ros.view.show import KINDS
 
-NODES: Dict[str, Tuple[str, ...]] = {
-    "pybullet_bridge.py": (
-        "_world:=package://bullet_lab/worlds/docking.world",
-        "_robot:=package://bullet_lab/urdf/camera_robot.urdf",
-        "_rtf:=0",
-    ),
-    "noisy_odom.py": ("_std:=0.1",),
-    "track_robot.py": ("_watch:=true",),
-    "aruco.py": ("_image:=mycamera/image_raw",),
-    "dock.py": (),
-    "drive_to_goal.py": (),
-    "view.py": ("_port:=18300",),
-}
+# `page` has added its folder to the path.
+from lab_nodes import PACKAGE, Lab, commands, end_all, parser_of  # isort: skip
+
+NODES = commands("""
+pybullet_bridge _world:=package://bullet_lab/worlds/docking.world \
+  _robot:=package://bullet_lab/urdf/camera_robot.urdf _rtf:=0
+noisy_odom _std:=0.1
+track_robot _watch:=true
+aruco _image:=mycamera/image_raw
+dock
+drive_to_goal
+view _port:=18300
+""")
 # A robot with controllers, as test/tutorials has it.
 CART, CONTROLLERS = "cart", ("joint_state_controller", "drive", "mast")
 # rospy's own, and what is there to end things.
@@ -83,22 +80,12 @@ SAID, LAST_SENT = 1500, 40
 CALLS, TO_PAGE = 0.05, 0.1
 
 
-class Lab:
+class FuzzedLab(Lab):
     """The nodes that are fuzzed, and what they say."""
 
     def __init__(self, folder: Path):
-        self._logs = {name: (folder / f"{name}.log").open("w+") for name in NODES}
-        self.nodes = {
-            name: subprocess.Popen(
-                # Whoever stops this program leaves none of them behind.
-                ["setpriv", "--pdeathsig", "KILL", "rosrun", "bullet_lab", name, *words],
-                cwd=folder,
-                stdout=self._logs[name],
-                stderr=subprocess.STDOUT,
-                env={**os.environ, "PYTHONFAULTHANDLER": "1"},
-            )
-            for name, words in NODES.items()
-        }
+        super().__init__(folder, NODES)
+        self._bridge = self.nodes["pybullet_bridge"]
         self.not_finite: Counter = Counter()
         # What was sent last, and what before the first of those.
         self.sent: Deque[str] = deque(maxlen=LAST_SENT)
@@ -107,18 +94,17 @@ class Lab:
         # The view's last command on each topic.
         self.driven: Dict[str, Twist] = {}
         self.too_fast: Counter = Counter()
-        rospy.wait_for_service("/bullet_lab/advance", 120.0)
         spawn_cart()
-        self.url = wait_for_url(lambda: self.said("view.py"))
+        self.url = wait_for_url(self.nodes["view"].output)
         rospy.Subscriber("/clock", Clock, self._note_time, queue_size=1)
         for topic in OUTPUTS:
             rospy.Subscriber(topic, Odometry, self._check, topic, queue_size=50)
         time.sleep(5.0)
-        self.memory = self.megabytes()
+        self._memory = self._bridge.megabytes()
 
-    def listen_to_view(self, topics: List[Tuple[str, str]]) -> None:
+    def listen_to_view(self, topics: Dict[str, str]) -> None:
         """Note what the view commands, on all topics that commands are heard on."""
-        for topic, kind in topics:
+        for topic, kind in topics.items():
             if kind == "geometry_msgs/Twist":
                 rospy.Subscriber(topic, Twist, self._note_command, topic, queue_size=50)
 
@@ -153,33 +139,23 @@ class Lab:
             time.sleep(0.1)
         return False
 
-    def megabytes(self) -> float:
-        """Return the bridge's resident memory."""
-        family = psutil.Process(self.nodes["pybullet_bridge.py"].pid)
-        return sum(p.memory_info().rss for p in (family, *family.children(True))) / 2**20
-
-    def dead(self) -> List[str]:
-        """Return the nodes that have ended."""
-        return [name for name, process in self.nodes.items() if process.poll() is not None]
-
-    def said(self, name: str) -> str:
-        """Return all that a node has printed."""
-        self._logs[name].seek(0)
-        return self._logs[name].read()
+    def grown(self) -> float:
+        """Return by how many MB the bridge has grown."""
+        return self._bridge.megabytes() - self._memory
 
     def resets(self) -> Counter:
         """Return how often the bridge has warned that a model's pose was no longer finite."""
         warning = re.compile(r"model '([^']*)': its pose is no longer finite")
-        return Counter(warning.findall(self.said("pybullet_bridge.py")))
+        return Counter(warning.findall(self._bridge.output()))
 
     def last_words(self, name: str) -> str:
         """Return the status of a node that has ended, and what it printed at the end."""
-        text = self.said(name)
+        text = self.nodes[name].output()
         # Of the fault handler's pages, the thread that died is what counts.
         text = text[max(0, text.find("Current thread")) :]
         words = " ".join(text.split())
         kept = words if len(words) < 2 * SAID else f"{words[:SAID]} … {words[-SAID:]}"
-        return f"{self.nodes[name].returncode}: {kept}"
+        return f"{self.nodes[name].process.returncode}: {kept}"
 
     def time_goes_on(self) -> bool:
         """Return whether there are ticks of the clock again, once physics is not paused."""
@@ -195,35 +171,25 @@ class Lab:
 
     def end(self) -> List[str]:
         """End the nodes; return the tracebacks that they have printed."""
-        for process in self.nodes.values():
-            process.terminate()
-        for process in self.nodes.values():
-            process.wait(60.0)
-        found = []
-        for name in NODES:
-            # Libraries that answer calls themselves print theirs, too.
-            for part in self.said(name).split("Traceback")[1:]:
-                part = part.split("\n[")[0]
-                if "bullet_lab/src" in part:
-                    found.append(f"{name}: {' '.join(part.split())[-2500:]}")
-        return found
+        end_all(*self.nodes.values())
+        # Libraries that answer calls themselves print theirs, too.
+        return [text for text in self.tracebacks() if "bullet_lab/src" in text]
 
 
-def inputs() -> Tuple[List[Tuple[str, str]], List[str]]:
+def inputs() -> Tuple[Dict[str, str], List[str]]:
     """Return the topics that the nodes hear, with their types, and the services that they offer."""
-    mine = {f"/{name[:-3]}" for name in NODES}
-    mine |= {"/noisy_odom_node"}
+    mine = {f"/{name}" for name in NODES} | {"/noisy_odom_node"}
     _, subscribed, offered = rospy.get_master().getSystemState()[2]
     types = dict(rospy.get_master().getTopicTypes()[2])
-    topics = [
-        (topic, types[topic])
-        for topic, nodes in subscribed
+    topics = {
+        topic: types[topic]
+        for topic, nodes in sorted(subscribed)
         if mine & set(nodes) and topic not in HEARD_BY_ALL and types.get(topic, "*") != "*"
-    ]
+    }
     services = [
         name for name, nodes in offered if mine & set(nodes) and not name.endswith(LEFT_ALONE)
     ]
-    return sorted(topics), sorted(services)
+    return topics, sorted(services)
 
 
 def texts(seed: int) -> List[str]:
@@ -238,21 +204,17 @@ def texts(seed: int) -> List[str]:
 
 def spawn_cart() -> None:
     """Spawn a robot with controllers, if it is not there, and have them run."""
-    tutorials = Path(__file__).resolve().parents[1] / "tutorials"
+    tutorials = PACKAGE / "test" / "tutorials"
     text = (tutorials / "urdf" / "cart.urdf").read_text()
+    settings = yaml.safe_load((tutorials / "config" / f"{CART}.yaml").read_text())
     rospy.set_param(f"/{CART}/robot_description", text)
-    rospy.set_param(f"/{CART}", {**rospy.get_param(f"/{CART}"), **settings_of_cart(tutorials)})
+    rospy.set_param(f"/{CART}", {**rospy.get_param(f"/{CART}"), **settings})
     pose = PoseMsg(Point(-2.0, -2.0, 0.0), Quaternion(w=1.0))
     rospy.ServiceProxy("/gazebo/spawn_urdf_model", SpawnModel)(CART, text, "", pose, "")
     for name in CONTROLLERS:
         service(f"/{CART}/controller_manager/load_controller", LoadController)(name)
     switch = service(f"/{CART}/controller_manager/switch_controller", SwitchController)
     switch(CONTROLLERS, (), SwitchControllerRequest.STRICT, False, 0.0)
-
-
-def settings_of_cart(tutorials: Path) -> Dict[str, Any]:
-    """Return the parameters of the cart's controllers."""
-    return yaml.safe_load((tutorials / "config" / f"{CART}.yaml").read_text())
 
 
 def service(name: str, kind: type) -> rospy.ServiceProxy:
@@ -307,25 +269,18 @@ def shown(message: Any) -> str:
     return " ".join(str(message).split())[:500]
 
 
-@contextlib.contextmanager
-def publishers(topics: List[Tuple[str, str]]) -> Iterator[List[Tuple[rospy.Publisher, type]]]:
-    """Publishers on all topics."""
-    kinds = [(topic, roslib.message.get_message_class(kind)) for topic, kind in topics]
-    made = [(rospy.Publisher(t, kind, queue_size=100), kind) for t, kind in kinds if kind]
+def publishers(topics: Dict[str, str]) -> List[Tuple[rospy.Publisher, type]]:
+    """Return publishers on all topics, whose types are known."""
+    kinds = {topic: roslib.message.get_message_class(kind) for topic, kind in topics.items()}
+    made = [(rospy.Publisher(t, kind, queue_size=100), kind) for t, kind in kinds.items() if kind]
     time.sleep(1.0)
-    yield made
-    for publisher, _ in made:
-        publisher.unregister()
-
-
-def _bar(total: int) -> tqdm:
-    return tqdm(total=total, unit=" messages", disable=not sys.stderr.isatty())
+    return made
 
 
 def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     """Send so many messages; return what became of it."""
     random = np.random.default_rng([wanted.seed, 0xF])
-    lab = Lab(folder)
+    lab = FuzzedLab(folder)
     page = PageFuzzer(lab.url, random)
     # What is published at last is seen by the view, which is heard to listen then.
     time.sleep(3.0)
@@ -335,43 +290,43 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     messages = Messages(random, texts(wanted.seed))
     failures: List[str] = []
     sent, calls, to_page = Counter(), Counter(), 0
-    with publishers([*topics, *SHOWN.items()]) as outlets, _bar(wanted.messages) as bar:
-        for number in range(wanted.messages):
-            messages.now = rospy.get_time()
-            kind_of_input = random.random()
-            if kind_of_input < TO_PAGE:
-                lab.sent.append(page.send())
-                to_page += 1
-            elif kind_of_input < TO_PAGE + CALLS:
-                names = caller.names if random.integers(3) else caller.with_settings
-                name = names[random.integers(len(names))]
-                lab.sent.append(f"{name}: {caller.call(name, messages)}")
-                calls[name] += 1
-            else:
-                publisher, kind = outlets[random.integers(len(outlets))]
-                with contextlib.suppress(rospy.ROSException, rospy.ROSSerializationException):
-                    message = messages.fill(kind())
-                    lab.sent.append(f"{publisher.name}: {shown(message)}")
-                    publisher.publish(message)
-                sent[publisher.name] += 1
-            bar.update()
-            if number % 200 == 199:
-                if lab.dead():
-                    break
-                with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
-                    spawn_cart()
+    outlets = publishers({**topics, **SHOWN})
+    for number in tqdm(range(wanted.messages), unit=" messages", disable=None):
+        messages.now = rospy.get_time()
+        kind_of_input = random.random()
+        if kind_of_input < TO_PAGE:
+            lab.sent.append(page.send())
+            to_page += 1
+        elif kind_of_input < TO_PAGE + CALLS:
+            names = caller.names if random.integers(3) else caller.with_settings
+            name = names[random.integers(len(names))]
+            lab.sent.append(f"{name}: {caller.call(name, messages)}")
+            calls[name] += 1
+        else:
+            publisher, kind = outlets[random.integers(len(outlets))]
+            with contextlib.suppress(rospy.ROSException, rospy.ROSSerializationException):
+                message = messages.fill(kind())
+                lab.sent.append(f"{publisher.name}: {shown(message)}")
+                publisher.publish(message)
+            sent[publisher.name] += 1
+        if number % 200 == 199:
+            if lab.dead():
+                break
+            with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
+                spawn_cart()
+    for publisher, _ in outlets:
+        publisher.unregister()
     failures += [f"{name} has ended with {lab.last_words(name)}" for name in lab.dead()]
     if not page.lives():
-        failures.append(f"the page is no longer served: {lab.said('view.py')[-600:]}")
+        failures.append(f"the page is no longer served: {lab.nodes['view'].output()[-600:]}")
     page.close()
     if not failures:
         if not lab.view_has_stopped():
             failures.append(f"the view drives on: {lab.driven}")
         if not lab.time_goes_on():
-            failures.append(f"time does not go on: {lab.said('pybullet_bridge.py')[-600:]}")
-        grown = lab.megabytes() - lab.memory
-        if grown > MOST_GROWTH:
-            failures.append(f"the bridge has grown by {grown:.0f} MB")
+            failures.append(f"time does not go on: {lab.nodes['pybullet_bridge'].output()[-600:]}")
+        if lab.grown() > MOST_GROWTH:
+            failures.append(f"the bridge has grown by {lab.grown():.0f} MB")
     failures += [f"{name} became NaN: {n} warnings" for name, n in lab.resets().items()]
     failures += [f"{name} has not answered {n} times" for name, n in caller.silent.items()]
     failures += [f"{n} messages on {topic} are not finite" for topic, n in lab.not_finite.items()]
@@ -391,10 +346,8 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
 
 def main() -> None:
     """Fuzz, print and write live.json; status 1 where something failed."""
-    parser = argparse.ArgumentParser(prog="fuzz.sh --live", description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--messages", type=int, default=5000)
-    parser.add_argument("--out", type=Path, default=Path("results/fuzz"))
+    out = Path("results/fuzz")
+    parser = parser_of("fuzz.sh --live", __doc__, seed=1, messages=5000, out=out)
     wanted = parser.parse_args()
     wanted.out.mkdir(parents=True, exist_ok=True)
     prepare_master()

@@ -14,7 +14,8 @@ from mutations import mutant
 from viser import _messages
 from websockets.exceptions import WebSocketException
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "rostest"))
+TEST = Path(__file__).resolve().parents[1]
+sys.path += [str(TEST), str(TEST / "rostest")]
 from view_looker import Looker, pack  # noqa: E402
 
 TYPES = sorted(

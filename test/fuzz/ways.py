@@ -63,6 +63,11 @@ class Way:
     share: int = 8
 
 
+def text_of(path: Path, errors: str = "replace") -> str:
+    """Return a mutant as text."""
+    return path.read_text(encoding="utf-8", errors=errors)
+
+
 def files(*patterns: str) -> Callable[[], List[bytes]]:
     """Return the contents of files of the package that patterns name."""
     return lambda: [path.read_bytes() for one in patterns for path in sorted(PACKAGE.glob(one))]
@@ -89,7 +94,7 @@ def numbers_of(simulation: Simulation) -> List[float]:
 def spawn(path: Path) -> List[float]:
     """Spawn a text, as the services do, let it live for a while, and take it away."""
     simulation = hall()
-    part = read_spawned(path.read_text(encoding="utf-8", errors="surrogateescape"), "mutant")
+    part = read_spawned(text_of(path, "surrogateescape"), "mutant")
     if not isinstance(part, Model):
         return []
     before = simulation.step
@@ -126,15 +131,9 @@ def load_mesh(path: Path) -> List[float]:
     return triangles.vertices.ravel().tolist()
 
 
-def read_script(path: Path) -> List[float]:
-    """Read a material script."""
-    parse_script(path.read_text(encoding="utf-8", errors="replace"))
-    return []
-
-
 def read_docks_file(path: Path) -> List[float]:
     """Read a dock database."""
-    docks = parse_docks(path.read_text(encoding="utf-8", errors="replace"))
+    docks = parse_docks(text_of(path))
     return [value for dock in docks.values() for value in _floats(dataclasses.astuple(dock))]
 
 
@@ -152,22 +151,19 @@ def trajectory(path: Path) -> List[float]:
     return [*found.stamps.ravel().tolist(), *found.poses.ravel().tolist()]
 
 
-def picture(path: Path) -> List[float]:
-    """Read a picture."""
-    read_pixels(Texture(path))
-    return []
-
-
-def xacro(path: Path) -> List[float]:
+def expanded(path: Path) -> None:
     """Expand a xacro file and read what it stands for."""
     read_spawned(expand_xacro(path), "mutant")
-    return []
 
 
-def launch(path: Path) -> List[float]:
-    """Read a launch file as one of our jobs."""
-    read_job(path, PACKAGE)
-    return []
+def only(read: Callable[[Path], Any]) -> Callable[[Path], List[float]]:
+    """Return a way in of which no numbers come."""
+
+    def enter(path: Path) -> List[float]:
+        read(path)
+        return []
+
+    return enter
 
 
 @functools.lru_cache(maxsize=None)
@@ -185,12 +181,11 @@ def assignments() -> List[bytes]:
     return texts
 
 
-def assign(path: Path) -> List[float]:
+def assign(path: Path) -> None:
     """Check the words of a command line."""
-    name, *words = path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+    name, *words = text_of(path, "surrogateescape").split("\n")
     job = jobs().get(name) or next(iter(jobs().values()))
     read_assignments(job, words)
-    return []
 
 
 @functools.lru_cache(maxsize=None)
@@ -286,15 +281,15 @@ WAYS: Dict[str, Way] = {
     "stl": Way(stl_files, ".stl", load_mesh),
     "dae": Way(files("meshes/*.dae"), ".dae", load_mesh),
     "obj": Way(files("models/**/*.obj"), ".obj", load_mesh),
-    "material": Way(scripts, ".material", read_script),
-    "picture": Way(files("models/**/*.png"), ".png", picture),
+    "material": Way(scripts, ".material", only(lambda path: parse_script(text_of(path)))),
+    "picture": Way(files("models/**/*.png"), ".png", only(lambda path: read_pixels(Texture(path)))),
     "docks": Way(files("config/docks.yaml"), ".yaml", read_docks_file),
     "tum": Way(tum_files, ".tum", trajectory),
     "csv": Way(csv_files, ".csv", trajectory),
     "bag": Way(bags, ".bag", trajectory),
-    "xacro": Way(files("test/tutorials/**/*.xacro"), ".xacro", xacro, 1),
-    "launch": Way(files("launch/*.launch"), ".launch", launch),
-    "words": Way(assignments, ".txt", assign),
+    "xacro": Way(files("test/tutorials/**/*.xacro"), ".xacro", only(expanded), 1),
+    "launch": Way(files("launch/*.launch"), ".launch", only(lambda path: read_job(path, PACKAGE))),
+    "words": Way(assignments, ".txt", only(assign)),
     "parameters": Way(parameter_files, ".yaml", set_parameters),
 }
 

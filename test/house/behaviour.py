@@ -73,7 +73,7 @@ def live() -> Iterator[str]:
     import rosservice
 
     sys.path.insert(0, str(PACKAGE / "test" / "fuzz"))
-    from live import Lab
+    from live import FuzzedLab
 
     from bullet_lab.ros.launcher.supervision import prepare_master
 
@@ -81,7 +81,7 @@ def live() -> Iterator[str]:
     rospy.init_node("behaviour", disable_signals=True)
     rospy.set_param("/use_sim_time", True)
     with tempfile.TemporaryDirectory() as folder:
-        lab = Lab(Path(folder))
+        lab = FuzzedLab(Path(folder))
         master = rosgraph.Master("/behaviour")
         published, subscribed, services = master.getSystemState()
         kinds = dict(master.getTopicTypes())

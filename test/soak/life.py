@@ -7,14 +7,14 @@ import math
 import signal
 import time
 from collections import Counter
-from typing import Any, Iterator, List, Tuple
+from typing import Any, Iterator, List, Sequence, Tuple
 
 import numpy as np
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
 from gazebo_msgs.msg import ModelState, ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion
-from lab import Lab
+from lab import Soaked
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Image, Imu, LaserScan
 from std_srvs.srv import Empty
@@ -68,7 +68,7 @@ class Life:
         done: how often what was done.
     """
 
-    def __init__(self, lab: Lab, random: np.random.Generator):
+    def __init__(self, lab: Soaked, random: np.random.Generator):
         self._lab, self._random = lab, random
         self.done: Counter = Counter()
         self._models: List[str] = []
@@ -83,10 +83,8 @@ class Life:
         self._spawn_urdf = proxy("/gazebo/spawn_urdf_model", srv.SpawnModel)
         self._delete = proxy("/gazebo/delete_model", srv.DeleteModel)
         self._set_state = proxy("/gazebo/set_model_state", srv.SetModelState)
-        self._stand = [proxy(f"/gazebo/{name}_physics", Empty) for name in ("pause", "unpause")]
-        self._resets = {
-            n: proxy(f"/gazebo/{n}", Empty) for n in ("reset_world", "reset_simulation")
-        }
+        names = ("pause_physics", "unpause_physics", "reset_world", "reset_simulation")
+        self._do = {name: proxy(f"/gazebo/{name}", Empty) for name in names}
 
     def seconds(self) -> float:
         """Return the simulated seconds since the beginning, resets or not."""
@@ -106,11 +104,11 @@ class Life:
         self._watch()
         self._delete("boxes")
         # So that the pictures of all rests are alike.
-        self._resets["reset_world"]()
+        self._do["reset_world"]()
         self._watch()
-        self._stand[0]()
+        self._do["pause_physics"]()
         yield
-        self._stand[1]()
+        self._do["unpause_physics"]()
 
     def _watch(self) -> None:
         came: List[None] = []
@@ -130,25 +128,26 @@ class Life:
         if len(self._models) >= MOST_MODELS:
             return False
         name = f"model{self.done['model']}"
-        text = INCLUDE.format(self._random.choice(MODELS))
+        text = INCLUDE.format(self._drawn(MODELS))
         return self._spawned(self._spawn_sdf, name, text) and not self._models.append(name)
 
     def _no_model(self) -> bool:
         if not self._models:
             return False
-        name = self._models.pop(self._random.integers(len(self._models)))
+        name = self._drawn(self._models)
+        self._models.remove(name)
         return self._delete(name).success
 
     def _move(self) -> bool:
         if not self._models:
             return False
-        name = self._models[self._random.integers(len(self._models))]
-        return self._set_state(ModelState(model_name=name, pose=self._pose())).success
+        moved = ModelState(model_name=self._drawn(self._models), pose=self._pose())
+        return self._set_state(moved).success
 
     def _robot(self) -> bool:
         if self._guest:
             return False
-        text = (package_share() / "urdf" / f"{self._random.choice(ROBOTS)}.urdf").read_text()
+        text = (package_share() / "urdf" / f"{self._drawn(ROBOTS)}.urdf").read_text()
         self._guest = self._spawned(self._spawn_urdf, GUEST, text)
         return self._guest
 
@@ -159,14 +158,16 @@ class Life:
     def _listen(self) -> bool:
         if len(self._subscribers) >= MOST_SUBSCRIBERS:
             return False
-        topic, kind = TOPICS[self._random.integers(len(TOPICS))]
-        self._subscribers.append(rospy.Subscriber(topic, kind, _passed_over, queue_size=1))
+        topic, kind = self._drawn(TOPICS)
+        self._subscribers.append(rospy.Subscriber(topic, kind, lambda _: None, queue_size=1))
         return True
 
     def _no_listen(self) -> bool:
         if not self._subscribers:
             return False
-        self._subscribers.pop(self._random.integers(len(self._subscribers))).unregister()
+        listener = self._drawn(self._subscribers)
+        self._subscribers.remove(listener)
+        listener.unregister()
         return True
 
     def _visit(self) -> bool:
@@ -174,17 +175,20 @@ class Life:
         return True
 
     def _no_visit(self) -> bool:
-        return self._lab.end_visit(self._random.choice([signal.SIGINT, signal.SIGKILL]))
+        return self._lab.end_visit(self._drawn((signal.SIGINT, signal.SIGKILL)))
 
     def _reset_world(self) -> bool:
-        self._resets["reset_world"]()
+        self._do["reset_world"]()
         return True
 
     def _reset_simulation(self) -> bool:
         self.seconds()
-        self._resets["reset_simulation"]()
+        self._do["reset_simulation"]()
         self._before = 0.0
         return True
+
+    def _drawn(self, values: Sequence[Any]) -> Any:
+        return values[self._random.integers(len(values))]
 
     def _spawned(self, spawn: rospy.ServiceProxy, name: str, text: str) -> bool:
         return spawn(name, text, name, self._pose(), "").success
@@ -206,7 +210,3 @@ def small_boxes(number: int) -> str:
         for k in range(KEPT_DRAWABLES)
     )
     return f"<sdf version='1.6'><model name='boxes'><static>true</static>{links}</model></sdf>"
-
-
-def _passed_over(_message: Any) -> None:
-    pass

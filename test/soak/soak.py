@@ -10,7 +10,6 @@ is judged: slopes within segments, after the first quarter of each.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import itertools
 import math
@@ -21,22 +20,13 @@ from typing import Any, Dict, Iterator, List, Sequence
 
 import numpy as np
 import rospy
-from lab import NODES, Lab
+from lab import NODES, Soaked
+from lab_nodes import parser_of
 from life import Life
 from slope import Slope, slope
 from tqdm import tqdm
 
-from bullet_lab.core.figures import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    VERMILION,
-    new_figure,
-    save,
-)
+from bullet_lab.core import figures
 from bullet_lab.core.files import write_json
 from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.studies.study import interrupt_once
@@ -50,7 +40,10 @@ COLUMNS = (
     *("segment", "at_rest", "hours", "speed"),
     *(f"{name}_{what}" for name in NODES for what in TAKEN),
 )
-COLOURS = (VERMILION, BLUE, GREEN, ORANGE, PURPLE, BLACK)
+COLOURS = (
+    *(figures.VERMILION, figures.BLUE, figures.GREEN),
+    *(figures.ORANGE, figures.PURPLE, figures.BLACK),
+)
 # Simulated seconds between samples, of long soaks; short ones have so many samples at least.
 SAMPLE_SECONDS, FEWEST_SAMPLES = 10.0, 60
 # Simulated seconds between rests; and wall seconds of one, in which nodes look for garbage.
@@ -113,24 +106,24 @@ class Samples:
 def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, Any]:
     """Have a lab live until so many hours have been simulated; return what happened."""
     segment, before = samples.segment, samples.hours
-    lab = Lab(folder, seed)
+    lab = Soaked(folder, seed)
     failures: List[str] = []
     life = Life(lab, np.random.default_rng([seed, segment]))
     try:
         for taken in _seconds(life, lab, 3600.0 * (hours - before), failures):
             samples.add(segment, taken[0], before + taken[1] / 3600.0, *taken[2:])
     except (rospy.ServiceException, rospy.ROSException) as error:
-        failures += [f"the bridge does not answer: {error}", *lab.dead()]
+        failures += [f"the bridge does not answer: {error}", *lab.deaths()]
     except KeyboardInterrupt:
         print("stopped: what was sampled is kept, and the same command goes on", flush=True)
     else:
-        failures += lab.dead()
+        failures += lab.deaths()
     finally:
         lab.end()
     return {"done": dict(life.done), "failures": failures + lab.tracebacks()}
 
 
-def _seconds(life: Life, lab: Lab, most: float, failures: List[str]) -> Iterator[List[float]]:
+def _seconds(life: Life, lab: Soaked, most: float, failures: List[str]) -> Iterator[List[float]]:
     """Live second by second; yield samples: at rest or not, seconds, speed, what nodes take."""
     period = min(SAMPLE_SECONDS, most / FEWEST_SAMPLES)
     acted = sampled = rested = life.seconds()
@@ -185,7 +178,7 @@ def verdicts(samples: Samples) -> Dict[str, Dict[str, Any]]:
 
 def figure(samples: Samples, title: str) -> Any:
     """Draw memory, descriptors, threads and speed over time."""
-    drawing = new_figure(9.0, 10.0)
+    drawing = figures.new_figure(9.0, 10.0)
     axes = drawing.subplots(4, sharex=True)
     hours, segments, rest = samples.column("hours"), samples.column("segment"), samples.resting()
     begins = hours[np.flatnonzero(np.diff(segments)) + 1]
@@ -196,14 +189,14 @@ def figure(samples: Samples, title: str) -> Any:
             ax.plot(hours[rest], values[rest], color=colour, marker=".", lw=1.0, label=name)
         ax.set(ylabel=UNITS[what])
         ax.set_ylim(bottom=0.0)
-    axes[3].plot(hours, samples.column("speed"), color=GREY, lw=0.8)
+    axes[3].plot(hours, samples.column("speed"), color=figures.GREY, lw=0.8)
     axes[3].set(ylabel="times real time", xlabel="simulated time (h)")
     # Between two resets there may be next to nothing to do.
     axes[3].set_yscale("log")
     for ax in axes:
         ax.grid(alpha=0.3)
         for begin in begins:
-            ax.axvline(begin, color=BLACK, lw=0.8, ls=":")
+            ax.axvline(begin, color=figures.BLACK, lw=0.8, ls=":")
     axes[0].set_ylim(top=1.35 * axes[0].get_ylim()[1])
     axes[0].legend(ncol=len(NODES), fontsize="small", loc="upper center")
     axes[0].set_title(title, fontsize="medium")
@@ -221,13 +214,8 @@ def in_words(found: Dict[str, Any]) -> str:
 
 def main() -> None:
     """Soak; status 1 where something grows or fails."""
-    parser = argparse.ArgumentParser(prog="soak.sh", description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--hours", type=float, default=1.0, help="simulated, earlier segments counted"
-    )
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("results/soak"))
-    wanted = parser.parse_args()
+    out = Path("results/soak")
+    wanted = parser_of("soak.sh", __doc__, hours=1.0, seed=1, out=out).parse_args()
     folder = wanted.out.absolute()
     (folder / "log").mkdir(parents=True, exist_ok=True)
     samples = Samples(folder / "samples.csv")
@@ -242,7 +230,7 @@ def main() -> None:
     found = verdicts(samples)
     everything = found["all mb"]
     said = f"memory of all nodes at rest, MB after the first quarter: {in_words(everything)}"
-    save(figure(samples, f"{samples.hours:.2f} h simulated; {said}"), folder / "soak.png")
+    figures.save(figure(samples, f"{samples.hours:.2f} h simulated; {said}"), folder / "soak.png")
     summary = {
         "seed": wanted.seed,
         "hours": samples.hours,

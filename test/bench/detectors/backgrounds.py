@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import Dict, Iterator, Tuple
+from typing import Dict, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -23,27 +23,29 @@ _LEAST_EDGE, _LEAST_SPREAD = 128, 10.0
 
 def photographs() -> Dict[str, np.ndarray]:
     """Return the photographs by name, (480, 640) grey levels, cut to that shape in their middle."""
-    return {path.name: _fitted(image) for path, image in _originals()}
+    return {name: _fitted(image) for name, image in originals().items()}
 
 
 def originals() -> Dict[str, np.ndarray]:
     """Return the photographs by name as they are, grey levels."""
-    return {path.name: image for path, image in _originals()}
-
-
-def _originals() -> Iterator[Tuple[Path, np.ndarray]]:
+    found = {}
     for package, folder in _FOLDERS:
-        found = importlib.util.find_spec(package)
-        if found is None or not found.submodule_search_locations:
-            continue
+        spec = importlib.util.find_spec(package)
         # Debian's packages come without.
-        for path in sorted(Path(found.submodule_search_locations[0], folder).glob("*")):
-            if path.suffix.lower() not in _KINDS:
-                continue
-            image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-            if image is None or min(image.shape) < _LEAST_EDGE or image.std() < _LEAST_SPREAD:
-                continue
-            yield path, image
+        for place in (spec and spec.submodule_search_locations) or ():
+            for path in sorted(Path(place, folder).glob("*")):
+                image = _read(path) if path.suffix.lower() in _KINDS else None
+                if image is not None:
+                    found[path.name] = image
+    return found
+
+
+def _read(path: Path) -> Optional[np.ndarray]:
+    """Return a photograph; None where it is too small or too even for one."""
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None or min(image.shape) < _LEAST_EDGE or image.std() < _LEAST_SPREAD:
+        return None
+    return image
 
 
 def _fitted(image: np.ndarray) -> np.ndarray:

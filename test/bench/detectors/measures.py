@@ -23,13 +23,14 @@ from bullet_lab.vision.marker_pose import estimate_pose
 
 DISTANCES = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 ANGLES = (0.0, 20.0, 40.0, 60.0)
-STRESSES: Dict[str, Dict[str, Tuple[float, ...]]] = {
-    "motion": {"motion": (3.0, 7.0, 10.0, 13.0)},
-    "blur": {"blur": (1.0, 1.5, 2.0, 3.0)},
-    "noise": {"noise": (5.0, 10.0, 20.0)},
-    "contrast": {"contrast": (0.3, 0.15, 0.08)},
-    "occlusion": {"occlusion": (0.02, 0.06, 0.2)},
-    "glare": {"glare": (0.3, 0.6, 1.0)},
+# Levels of the conditions of these names.
+STRESSES: Dict[str, Tuple[float, ...]] = {
+    "motion": (3.0, 7.0, 10.0, 13.0),
+    "blur": (1.0, 1.5, 2.0, 3.0),
+    "noise": (5.0, 10.0, 20.0),
+    "contrast": (0.3, 0.15, 0.08),
+    "occlusion": (0.02, 0.06, 0.2),
+    "glare": (0.3, 0.6, 1.0),
 }
 CROP = (320, 240)
 PIXEL_SIGMA = 1e-3
@@ -45,9 +46,8 @@ def cells() -> List[Tuple[str, Conditions]]:
     found = [
         (f"{d:g} m, {a:g} deg", Conditions(distance=d, angle=a)) for d in DISTANCES for a in ANGLES
     ]
-    for name, values in STRESSES.items():
-        ((field, levels),) = values.items()
-        found += [(f"{name} {level:g}", Conditions(**{field: level})) for level in levels]
+    for name, levels in STRESSES.items():
+        found += [(f"{name} {level:g}", Conditions(**{name: level})) for level in levels]
     return found
 
 
@@ -177,14 +177,8 @@ def do(plan: Plan, number: int) -> Dict[str, Any]:
 
 def scene(conditions: Conditions, *seed: int) -> Scene:
     """Return a picture of a marker before one of the photographs."""
-    return draw_scene(conditions, _backgrounds(), seed)
+    return draw_scene(conditions, list(_photographs().values()), seed)
 
 
-@lru_cache(maxsize=None)
-def _backgrounds() -> List[np.ndarray]:
-    return list(photographs().values())
-
-
-@lru_cache(maxsize=None)
-def _originals() -> Dict[str, np.ndarray]:
-    return originals()
+_photographs = lru_cache(maxsize=None)(photographs)
+_originals = lru_cache(maxsize=None)(originals)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Sequence
 
 import numpy as np
-from scipy.stats import beta
+
+from bullet_lab.studies.shares import clopper_pearson
 
 CONFIDENCE = 0.95
 _DRAWS = 4000
@@ -45,16 +46,10 @@ def rate_of(false: Sequence[int], crops: Sequence[int], seed: int = 0) -> Rate:
     drawn = np.random.default_rng(seed).integers(len(of), size=(_DRAWS, len(of)))
     rates = wrong[drawn].sum(axis=1) / of[drawn].sum(axis=1)
     low, high = np.quantile(rates, (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE))
-    total, bad = float(wrong.sum()), float((wrong > 0).sum())
-    return Rate(
-        total / float(of.sum()),
-        float(low),
-        float(high),
-        _upper(total, float(of.sum())),
-        _upper(bad, float(len(of))),
+    total, bad = int(wrong.sum()), int((wrong > 0).sum())
+    every = int(of.sum())
+    of_crops, of_photographs = (
+        clopper_pearson(hits, trials, 1.0 - CONFIDENCE)[1]
+        for hits, trials in ((total, every), (bad, len(of)))
     )
-
-
-def _upper(count: float, of: float) -> float:
-    """Return the one-sided upper bound of Clopper and Pearson."""
-    return 1.0 if count >= of else float(beta.ppf(CONFIDENCE, count + 1.0, of - count))
+    return Rate(total / every, float(low), float(high), of_crops, of_photographs)

@@ -13,6 +13,7 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.dictionaries import dictionary_named
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
+CANVAS = (CAMERA.width, CAMERA.height)
 SIZE = 0.2
 """Edge of the marker's black square, m; one cell of white is around it."""
 
@@ -36,7 +37,6 @@ class Conditions:
         contrast: white less black, as a share of 255.
         occlusion: share of the black square that something is in front of.
         glare: brightness of a highlight on it, as a share of 255.
-        inverted: black and white are exchanged.
     """
 
     distance: float = 2.0
@@ -47,7 +47,6 @@ class Conditions:
     contrast: float = 0.7
     occlusion: float = 0.0
     glare: float = 0.0
-    inverted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +69,7 @@ class Scene:
 
 
 def draw_scene(
-    conditions: Conditions,
-    backgrounds: Sequence[np.ndarray],
-    seed: Sequence[int],
-    dictionary: str = "apriltag_36h11",
+    conditions: Conditions, backgrounds: Sequence[np.ndarray], seed: Sequence[int]
 ) -> Scene:
     """Draw pose, marker, light and background at random, and take the picture.
 
@@ -81,17 +77,14 @@ def draw_scene(
         conditions: what is not drawn.
         backgrounds: (480, 640) uint8 each, of which one is taken, and another is in front.
         seed: the same numbers give the same scene.
-        dictionary: of the marker.
     """
     rng = np.random.default_rng(seed)
-    tags = dictionary_named(dictionary)
+    tags = dictionary_named("apriltag_36h11")
     marker = int(rng.integers(len(tags.codes)))
     rotation, translation = _draw_pose(conditions, rng)
     corners = CAMERA.project(_UNIT * (0.5 * SIZE) @ rotation.T + translation)
     canvas = backgrounds[int(rng.integers(len(backgrounds)))].astype(np.float32)
     black, white = _levels(conditions, canvas, corners, rng)
-    if conditions.inverted:
-        black, white = white, black
     cells = np.pad(tags.pattern(marker).astype(np.float32), 1, constant_values=1.0)
     outline = CAMERA.project(
         _UNIT * (0.5 * SIZE * len(cells) / (len(cells) - 2)) @ rotation.T + translation
@@ -147,8 +140,7 @@ def _draw_pose(conditions: Conditions, rng: np.random.Generator) -> Tuple[np.nda
     """Return a pose with the whole marker in the picture: (3, 3) and (3,)."""
     reach = 0.5 * SIZE * 1.25
     while True:
-        u = rng.uniform(0.0, CAMERA.width)
-        v = rng.uniform(0.0, CAMERA.height)
+        u, v = rng.uniform(0.0, CAMERA.width), rng.uniform(0.0, CAMERA.height)
         sight = np.array([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, 1.0])
         sight /= np.linalg.norm(sight)
         # Facing the camera, turned about its normal, tilted about an axis across the sight.
@@ -165,8 +157,7 @@ def _draw_pose(conditions: Conditions, rng: np.random.Generator) -> Tuple[np.nda
         rotation = aim @ tilt @ facing @ roll
         translation = conditions.distance * sight
         seen = CAMERA.project(reach * _UNIT @ rotation.T + translation)
-        inside = (seen > _MARGIN).all() and (seen[:, 0] < CAMERA.width - _MARGIN).all()
-        if inside and (seen[:, 1] < CAMERA.height - _MARGIN).all():
+        if (seen > _MARGIN).all() and (seen < np.array(CANVAS) - _MARGIN).all():
             return rotation, translation
 
 
@@ -184,8 +175,7 @@ def _levels(
 def _light(rng: np.random.Generator) -> np.ndarray:
     """Return the brightness of the light over the picture, which falls off to one side."""
     slope = rng.uniform(-0.15, 0.15, 2)
-    across = np.linspace(-1.0, 1.0, CAMERA.width, dtype=np.float32)
-    down = np.linspace(-1.0, 1.0, CAMERA.height, dtype=np.float32)
+    across, down = (np.linspace(-1.0, 1.0, size, dtype=np.float32) for size in CANVAS)
     return (1.0 + slope[0] * across + slope[1] * down[:, None]).astype(np.float32)
 
 
@@ -202,8 +192,7 @@ def _hide(
     middle = corners[side] + place * (corners[(side + 1) % 4] - corners[side])
     square = np.zeros(canvas.shape, np.uint8)
     cv2.fillConvexPoly(square, np.rint(corners * 16).astype(np.int32), 1, shift=4)
-    rows, columns = np.indices(canvas.shape, dtype=np.float32)
-    away = np.hypot(columns - np.float32(middle[0]), rows - np.float32(middle[1]))
+    away = np.sqrt(_squared_distances(middle))
     inside = np.sort(away[square > 0])
     radius = float(inside[min(len(inside) - 1, int(share * len(inside)))])
     cover = np.clip(radius - away + 0.5, 0.0, 1.0)
@@ -215,9 +204,13 @@ def _highlight(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     middle = corners.mean(axis=0)
     place = middle + rng.uniform(-0.5, 0.5) * (corners[0] - middle)
     width = 0.25 * float(np.linalg.norm(corners[2] - corners[0]))
-    rows, columns = np.indices((CAMERA.height, CAMERA.width), dtype=np.float32)
-    square = (columns - np.float32(place[0])) ** 2 + (rows - np.float32(place[1])) ** 2
-    return np.exp(-0.5 * square / np.float32(width) ** 2)
+    return np.exp(-0.5 * _squared_distances(place) / np.float32(width) ** 2)
+
+
+def _squared_distances(place: np.ndarray) -> np.ndarray:
+    """Return the squares of all pixels' distances from a place, px²."""
+    rows, columns = np.indices(CANVAS[::-1], dtype=np.float32)
+    return (columns - np.float32(place[0])) ** 2 + (rows - np.float32(place[1])) ** 2
 
 
 def _motion_kernel(length: float, direction: float) -> np.ndarray:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
 from bullet_lab.ros import verify
@@ -35,15 +36,13 @@ def of(tmp_path, name, text, **more):
 
 
 def test_a_table_is_its_columns(tmp_path):
-    found = of(tmp_path, "a.csv", "stamp,x,word\n0.0,1.0,go\n1.0,3.0,\n2.0,inf,go\n")
+    rows = "stamp,x,word\n0.0,1.0,go\n1.0,3.0,\n2.0,inf,go\n"
+    found = of(tmp_path, "a.csv", rows)
     assert [found.numbers[f"x {what}"] for what in ("count", "mean", "std")] == [2, 2, 1]
     assert found.numbers["stamp std"] == pytest.approx(np.sqrt(2 / 3))
     assert not [name for name in found.numbers if "word" in name]
-    assert found == of(tmp_path, "b.csv", "stamp,x,word\n0.0,1.0,go\n1.0,3.0,\n2.0,inf,go\n")
-    assert (
-        found.hash
-        != of(tmp_path, "c.csv", "stamp,x,word\n0.0,1.0,go\n1.0,3.0,x\n2.0,inf,go\n").hash
-    )
+    assert found == of(tmp_path, "b.csv", rows)
+    assert found.hash != of(tmp_path, "c.csv", rows.replace("3.0,", "3.0,x")).hash
 
 
 def test_a_path_is_its_columns(tmp_path):
@@ -84,26 +83,28 @@ def test_invalid_json_is_refused(tmp_path):
         of(tmp_path, "a.json", "{")
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "reference", "tolerance", "row"),
-    [
-        (("a", 1.0), ("a", 1.0), ("a", 1.0), 0.0, (True, "same", 0.0, True)),
-        (("a", 1.0), ("b", 1.0), ("a", 1.0), 0.0, (False, "same", 0.0, False)),
-        (("a", 1.0), ("a", 1.0), ("b", 1.25), 0.3, (True, "within", 0.2, True)),
-        (("a", 1.0), ("a", 1.0), ("b", 1.25), 0.1, (True, "differs", 0.2, False)),
-        (("a", 1.0), ("a", 1.0), ("b", 1.0), 0.0, (True, "differs", 0.0, False)),
-        (("a", 1.0), ("a", 1.0), None, 0.0, (True, "none", None, True)),
-        (("a", 1.0), None, ("a", 1.0), 0.0, (False, "same", 0.0, False)),
-        (None, None, ("a", 1.0), 0.0, (False, "differs", None, False)),
-    ],
-)
+# Both runs and the reference, each with its hash and x; tolerance. Whether the runs are alike, what
+# the reference says, the difference, whether all is well.
+COMPARED = """
+    - [[a, 1.0], [a, 1.0], [a, 1.0], 0.0, [true, same, 0.0, true]]
+    - [[a, 1.0], [b, 1.0], [a, 1.0], 0.0, [false, same, 0.0, false]]
+    - [[a, 1.0], [a, 1.0], [b, 1.25], 0.3, [true, within, 0.2, true]]
+    - [[a, 1.0], [a, 1.0], [b, 1.25], 0.1, [true, differs, 0.2, false]]
+    - [[a, 1.0], [a, 1.0], [b, 1.0], 0.0, [true, differs, 0.0, false]]
+    - [[a, 1.0], [a, 1.0], null, 0.0, [true, none, null, true]]
+    - [[a, 1.0], null, [a, 1.0], 0.0, [false, same, 0.0, false]]
+    - [null, null, [a, 1.0], 0.0, [false, differs, null, false]]
+"""
+
+
+@pytest.mark.parametrize("first, second, reference, tolerance, row", yaml.safe_load(COMPARED))
 def test_a_result_is_compared(first, second, reference, tolerance, row, monkeypatch):
     def results(of_one):
         return {"x.csv": Fingerprint(of_one[0], {"x": of_one[1]})} if of_one else {}
 
     monkeypatch.setattr(verify, "TOLERANCES", {"j": tolerance})
     found = list(compared("j", *map(results, (first, second, reference))))
-    assert [(r.twice, r.reference, r.difference, r.good) for r in found] == [row]
+    assert [[r.twice, r.reference, r.difference, r.good] for r in found] == [row]
 
 
 def test_the_table_shows_what_is_wrong():

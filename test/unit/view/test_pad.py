@@ -17,6 +17,11 @@ def wheel(driven):
     return DriverSeat(lambda tab, shares: driven.append((tab, shares)))
 
 
+@pytest.fixture
+def pad(wheel):
+    return Pad("a", wheel)
+
+
 @pytest.mark.parametrize(
     "text", ["1 nan 0", "inf 1 0", "1 1e999 0", "1 0", "1 0 0 0", "", b"1 1 0", None, "1 " * 10**6]
 )
@@ -24,8 +29,7 @@ def test_an_invalid_command_is_late_and_a_stop(text):
     assert read_command(text) == (-math.inf, STILL)
 
 
-def test_a_command_is_valid_from_the_time_that_it_carries(wheel, driven):
-    pad = Pad("a", wheel)
+def test_a_command_is_valid_from_the_time_that_it_carries(pad, driven):
     pad.take("10 1 0", 10.3)
     assert driven == [("a", (1.0, 0.0))]
     assert pad.patience(10.3) == pytest.approx(HOLD - 0.3)
@@ -35,8 +39,7 @@ def test_a_command_is_valid_from_the_time_that_it_carries(wheel, driven):
 
 
 @pytest.mark.parametrize("age", [HOLD, 2.0, 6.0, -1.0])
-def test_a_late_command_is_a_stop(wheel, driven, age):
-    pad = Pad("a", wheel)
+def test_a_late_command_is_a_stop(pad, driven, age):
     pad.take(f"{10.0 - age} 1 0", 10.0)
     assert not driven
     assert pad.state(10.0)["late"]
@@ -45,8 +48,7 @@ def test_a_late_command_is_a_stop(wheel, driven, age):
     assert driven == [("a", (1.0, 0.0)), ("a", STILL)]
 
 
-def test_a_burst_of_old_words_drives_nothing(wheel, driven):
-    pad = Pad("a", wheel)
+def test_a_burst_of_old_words_drives_nothing(pad, driven):
     for number in range(60):
         pad.take(f"{10.0 + number * PERIOD} 1 0", 17.0)
     assert not driven
@@ -75,8 +77,7 @@ def test_who_leaves_is_stopped_and_others_may_drive(wheel, driven):
     assert wheel.claim("b")
 
 
-def test_a_stop_is_passed_on_once(wheel, driven):
-    pad = Pad("a", wheel)
+def test_a_stop_is_passed_on_once(pad, driven):
     for text in ("10 0 0", "10 1 0", "10 0 0", "10 0 0"):
         pad.take(text, 10.0)
     assert driven == [("a", (1.0, 0.0)), ("a", STILL)]

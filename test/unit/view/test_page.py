@@ -32,15 +32,24 @@ class Driven:
         while shares not in self.sent:
             socket.send("{} {} {}".format(json.loads(socket.recv(60))["time"], *shares))
 
-    def wait_until_still(self):
+    def all_until_still(self):
+        """Return what has driven, once the last of it is a stop."""
         deadline = time.monotonic() + 60.0
-        while STILL not in self.sent and time.monotonic() < deadline:
+        while self.sent[-1:] != [STILL]:
+            assert time.monotonic() < deadline
             time.sleep(0.01)
-        return self.sent
+        return set(self.sent)
 
 
 @pytest.fixture
 def driven():
+    made = Driven()
+    yield made
+    made.page.close()
+
+
+@pytest.fixture(scope="module")
+def shown():
     made = Driven()
     yield made
     made.page.close()
@@ -55,8 +64,8 @@ def status_of(url):
         return error.code
 
 
-def test_the_page_comes_with_the_pad_and_may_load_nothing_from_elsewhere(driven):
-    with urllib.request.urlopen(driven.page.url) as answer:
+def test_the_page_comes_with_the_pad_and_may_load_nothing_from_elsewhere(shown):
+    with urllib.request.urlopen(shown.page.url) as answer:
         page, policy = answer.read(), answer.headers["Content-Security-Policy"]
     assert b"drive-pad" in page
     assert "http:" not in policy
@@ -66,13 +75,13 @@ def test_the_page_comes_with_the_pad_and_may_load_nothing_from_elsewhere(driven)
     (nonce,) = set(re.findall(b"<script nonce='([^']*)'", page))
     assert len(re.findall(b"<script", page)) == len(re.findall(b"<script nonce=", page))
     assert f"'nonce-{nonce.decode()}'" in policy
-    with urllib.request.urlopen(driven.page.url) as answer:
+    with urllib.request.urlopen(shown.page.url) as answer:
         assert nonce not in answer.read()
 
 
 @pytest.mark.parametrize("headers", [{}, {"Accept-Encoding": "gzip"}])
-def test_a_request_is_answered_whatever_encodings_it_accepts(driven, headers):
-    scheme, _, host, path = driven.page.url.split("/", 3)
+def test_a_request_is_answered_whatever_encodings_it_accepts(shown, headers):
+    scheme, _, host, path = shown.page.url.split("/", 3)
     connection = http.client.HTTPConnection(host)
     connection.putrequest("GET", f"/{path}", skip_accept_encoding=True)
     for name, value in headers.items():
@@ -82,41 +91,40 @@ def test_a_request_is_answered_whatever_encodings_it_accepts(driven, headers):
     connection.close()
 
 
-def test_there_is_nothing_without_the_token(driven):
-    assert status_of(driven.origin + "/") == 403
-    assert status_of(driven.page.url + "../../etc/passwd") == 404
+def test_there_is_nothing_without_the_token(shown):
+    assert status_of(shown.origin + "/") == 403
+    assert status_of(shown.page.url + "../../etc/passwd") == 404
     with pytest.raises(InvalidStatus):
-        connect(driven.origin.replace("http", "ws", 1) + "/drive", origin=driven.origin)
+        connect(shown.origin.replace("http", "ws", 1) + "/drive", origin=shown.origin)
 
 
-@pytest.mark.parametrize("path", ["", "tab", "tab/drive"])
+@pytest.mark.parametrize("path", ["", "tab/drive"])
 @pytest.mark.parametrize("origin", [None, "http://evil.example"])
-def test_there_is_no_socket_from_elsewhere(driven, path, origin):
+def test_there_is_no_socket_from_elsewhere(shown, path, origin):
     with pytest.raises(InvalidStatus):
-        driven.socket(path, origin=origin)
+        shown.socket(path, origin=origin)
 
 
 def test_a_command_drives_and_silence_stops(driven):
     with driven.socket() as socket:
         driven.drive(socket, (1.0, -0.5))
-        assert driven.wait_until_still()[-1] == STILL
-    assert set(driven.sent) == {(1.0, -0.5), STILL}
+        assert driven.all_until_still() == {(1.0, -0.5), STILL}
 
 
 def test_a_closed_page_stops_the_robot(driven):
     with driven.socket() as socket:
         driven.drive(socket, (1.0, 0.0))
-    assert driven.wait_until_still()[-1] == STILL
+    driven.all_until_still()
 
 
 def test_16_mb_of_text_drive_nothing_and_harm_nobody(driven):
     with driven.socket() as socket:
         socket.send("1" * 2**24)
         driven.drive(socket, (0.5, 0.0))
-    assert set(driven.wait_until_still()) == {(0.5, 0.0), STILL}
+    assert driven.all_until_still() == {(0.5, 0.0), STILL}
 
 
-def test_a_page_that_is_taken_moves_on_to_the_next_port(driven):
+def test_a_page_that_is_taken_moves_on_to_the_next_port(shown):
     second = Page(18200, DriverSeat(print))
-    assert second.url.rsplit("/", 2)[0] != driven.origin
+    assert second.url.rsplit("/", 2)[0] != shown.origin
     second.close()

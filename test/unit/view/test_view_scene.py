@@ -26,7 +26,7 @@ SIZE = (1.0, 2.0, 3.0)
 
 
 class Node:
-    """A node of the scene, and what was set of it."""
+    """A node of the scene, and how often something of it was set."""
 
     def __init__(self, nodes, name, **properties):
         self.__dict__.update(properties, nodes=nodes, name=name, sent=0)
@@ -62,34 +62,38 @@ def scene():
     return Scene()
 
 
-def test_solids_of_a_kind_are_one_node_that_is_sent_once_they_move(scene):
+@pytest.fixture
+def put(scene):
+    """A function that puts solids at places along x and y, and has them sent."""
     solids = Solids(scene, "/s")
-    for number in range(20):
-        solids.put_solid(number, "box", Pose((number, 0.0, 0.0)), SIZE, RED)
-    solids.flush()
+
+    def put(*places, colour=RED, first=0):
+        for key, place in enumerate(places, first):
+            solids.put_solid(key, "box", Pose((*place, 0.0)), SIZE, colour)
+        solids.flush()
+        return solids
+
+    return put
+
+
+def test_solids_of_a_kind_are_one_node_that_is_sent_once_they_move(scene, put):
+    put(*((number, 0.0) for number in range(20)))
     (node,) = scene.nodes.values()
     assert node.batched_positions[:, 0].tolist() == list(range(20))
     assert node.batched_colors.dtype == np.uint8
+    put((3.0, 0.0), first=3)
     assert not node.sent
-    solids.put_solid(3, "box", Pose((3.0, 0.0, 0.0)), SIZE, RED)
-    solids.flush()
-    assert not node.sent
-    solids.put_solid(3, "box", Pose((3.0, 7.0, 0.0)), SIZE, RED)
-    solids.flush()
+    put((3.0, 7.0), first=3)
     assert node.batched_positions[3].tolist() == [3.0, 7.0, 0.0]
     assert scene.nodes["/s/box"] is node
 
 
-def test_a_solid_that_comes_goes_or_turns_to_glass_makes_nodes_anew(scene):
-    solids = Solids(scene, "/s")
-    solids.put_solid("a", "box", Pose(), SIZE, RED)
-    solids.put_solid("b", "box", Pose(), SIZE, RED)
-    solids.flush()
-    solids.put_solid("b", "box", Pose(), SIZE, GLASS)
-    solids.flush()
+def test_a_solid_that_comes_goes_or_turns_to_glass_makes_nodes_anew(scene, put):
+    put((0.0, 0.0), (0.0, 0.0))
+    solids = put((0.0, 0.0), colour=GLASS, first=1)
     assert len(scene.nodes["/s/box"].batched_positions) == 1
     assert scene.nodes["/s/box_see_through"].batched_opacities.tolist() == [0.5]
-    for key in "ab":
+    for key in (0, 1):
         solids.drop(key)
     solids.flush()
     assert not scene.nodes

@@ -2,8 +2,6 @@ import threading
 
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.ros.bridge import topics
 from bullet_lab.ros.bridge.topics import Arrival, CommandCounter, Route
 

@@ -2,8 +2,6 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.ros.bridge.running_world import RunningWorld, tf_prefixes
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.simulation.world.description import Link, Model

@@ -1,5 +1,3 @@
-import threading
-
 from bullet_lab.ros.bridge.timing import FOR_EVER, NOT_YET, TimeGate
 
 
@@ -55,20 +53,3 @@ def test_a_restart_takes_grants_back_but_not_those_for_ever():
     assert gate.holding() == ("a",)
     gate.leave("a")
     assert gate.limit() == 100
-
-
-def test_calls_from_many_threads():
-    gate = TimeGate([f"n{i}" for i in range(8)])
-
-    def work(name):
-        for step in range(500):
-            gate.grant(name, step)
-            gate.limit()
-            gate.holding()
-
-    threads = [threading.Thread(target=work, args=(f"n{i}",)) for i in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert gate.limit() == 499

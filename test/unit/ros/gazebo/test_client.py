@@ -1,64 +1,61 @@
 import math
 
 import pytest
-
-pytest.importorskip("rospy")
-
-from geometry_msgs.msg import Vector3
-from visualization_msgs.msg import Marker, MarkerArray
+from message_fields import message
+from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.ros.gazebo.client import StandingModels
 from bullet_lab.ros.nodes.populate import free_name
 
-
-def marker(name, kind, x=0.0, y=0.0, z=0.5, scale=(1.0, 1.0, 1.0), yaw=0.0, number=0):
-    made = Marker(ns=name, id=number, type=kind, scale=Vector3(*scale))
-    made.pose.position.x, made.pose.position.y, made.pose.position.z = x, y, z
-    made.pose.orientation.z, made.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-    return made
+ALONG_Y = "{z: 0.7071067811865476, w: 0.7071067811865476}"
 
 
-def models(*markers):
-    found = StandingModels()
-    found.take(MarkerArray(list(markers)))
+def models(*texts, known=None):
+    """Return models of which markers tell: cubes (type 1), balls (2) and meshes (10)."""
+    found = known or StandingModels()
+    found.take(message(MarkerArray, f"markers: [{', '.join(texts)}]"))
     return found
 
 
 def test_boxes_are_as_large_as_they_are():
-    found = models(marker("box", Marker.CUBE, 2.0, 0.0, scale=(1.0, 2.0, 1.0), yaw=math.pi / 2))
+    pose = f"{{position: {{x: 2.0, z: 0.5}}, orientation: {ALONG_Y}}}"
+    found = models(f"{{ns: box, type: 1, scale: {{x: 1.0, y: 2.0, z: 1.0}}, pose: {pose}}}")
     assert found.nearest(2.0, 0.0) == ("box", 0.0)
-    name, distance = found.nearest(0.5, 0.0)
-    assert distance == pytest.approx(0.5)
+    assert found.nearest(0.5, 0.0)[1] == pytest.approx(0.5)
     assert found.origin("box") == (2.0, 0.0, 0.5)
     assert found.origin("ball") is None
 
 
 def test_meshes_are_as_large_as_their_file_says():
-    beacon = marker("beacon_0", Marker.MESH_RESOURCE, 1.0, 1.0, 0.0)
-    beacon.mesh_resource = "package://bullet_lab/meshes/beacon.dae"
-    name, distance = models(beacon).nearest(2.0, 1.0)
+    text = """{ns: beacon_0, type: 10, scale: {x: 1.0, y: 1.0, z: 1.0},
+        pose: {position: {x: 1.0, y: 1.0}, orientation: {w: 1.0}},
+        mesh_resource: "package://bullet_lab/meshes/beacon.dae"}"""
+    name, distance = models(text).nearest(2.0, 1.0)
     assert name == "beacon_0"
     assert distance == pytest.approx(0.75, abs=1e-3)
 
 
 def test_floors_are_in_nobodys_way():
-    found = models(marker("floor", Marker.CUBE, z=-0.01, scale=(20.0, 20.0, 0.01)))
+    pose = "{position: {z: -0.01}, orientation: {w: 1.0}}"
+    found = models(f"{{ns: floor, type: 1, scale: {{x: 20.0, y: 20.0, z: 0.01}}, pose: {pose}}}")
     assert found.names() == ("floor",)
     assert found.nearest(0.0, 0.0) == ("", math.inf)
 
 
 def test_models_come_move_and_go():
+    def unit(name, x):
+        pose = f"{{position: {{x: {x}, z: 0.5}}, orientation: {{w: 1.0}}}}"
+        return f"{{ns: {name}, type: 1, scale: {{x: 1.0, y: 1.0, z: 1.0}}, pose: {pose}}}"
+
     found = StandingModels()
     assert not found.is_known()
-    found.take(MarkerArray([marker("a", Marker.CUBE), marker("b", Marker.SPHERE, 5.0)]))
+    models(unit("a", 0.0), unit("b", 5.0), known=found)
     assert found.is_known()
-    found.take(MarkerArray([marker("a", Marker.CUBE, 3.0)]))
+    models(unit("a", 3.0), known=found)
     assert found.nearest(0.0, 0.0)[1] == pytest.approx(2.5)
-    gone = marker("a", Marker.CUBE)
-    gone.action = Marker.DELETE
-    found.take(MarkerArray([gone]))
+    models("{ns: a, action: 2}", known=found)
     assert found.names() == ("b",)
-    found.take(MarkerArray([Marker(action=Marker.DELETEALL)]))
+    models("{action: 3}", known=found)
     assert found.names() == ()
 
 

@@ -23,50 +23,57 @@ def test_clients_read_names_kinds_limits_and_choices():
     found = {parameter["name"]: parameter for parameter in read["parameters"]}
     assert list(found) == [setting.name for setting in COMPRESSION]
     quality, switch = found["jpeg_quality"], found["jpeg_optimize"]
-    assert (quality["type"], quality["min"], quality["max"], quality["default"]) == (
-        *("int", 1, 100, 80),
-    )
-    assert (switch["type"], switch["min"], switch["max"]) == ("bool", False, True)
+    assert [quality[key] for key in ("type", "min", "max", "default")] == ["int", 1, 100, 80]
+    assert [switch[key] for key in ("type", "min", "max")] == ["bool", False, True]
     assert "png" in found["format"]["edit_method"]
 
 
-def test_what_is_changed_is_asked_for_and_the_start_is_not(monkeypatch):
-    class Server:
-        def __init__(self, kind, take, namespace):
-            self.namespace = namespace
-            self.config = take(dict(kind.defaults), -1)
-            self.take = take
+class Server:
+    """The server of dynamic_reconfigure, to which clients speak in the tests."""
 
+    def __init__(self, kind, take, namespace):
+        self.config = take(dict(kind.defaults), -1)
+        self.take = take
+
+    def _set_callback(self, request):
+        return request.config.groups
+
+
+@pytest.fixture
+def settings(monkeypatch):
+    """A function that offers a rate of 2 Hz and returns its server."""
     monkeypatch.setattr(physics, "Server", Server)
+
+    def offer(change):
+        setting = Setting("rate", 2.0, "Hz", 0.0, 50.0)
+        return physics.Reconfigurable("/eye", [setting], change)._server
+
+    return offer
+
+
+def test_what_is_changed_is_asked_for_and_the_start_is_not(settings):
     asked = []
 
     def change(values):
         asked.append(values)
         return {"rate": 5.0}
 
-    made = physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], change)
+    server = settings(change)
     assert not asked
-    assert made._server.take({"rate": 9.0}, 1) == {"rate": 5.0}
+    assert server.take({"rate": 9.0}, 1) == {"rate": 5.0}
     assert asked == [{"rate": 9.0}]
 
 
 @pytest.mark.parametrize("rate", [math.nan, math.inf, 0.0])
-def test_what_is_refused_changes_nothing(monkeypatch, rate):
-    class Server:
-        def __init__(self, kind, take, namespace):
-            self.config = take(dict(kind.defaults), -1)
-            self.take = take
-
+def test_what_is_refused_changes_nothing(settings, rate):
     def change(values):
         if not values["rate"] > 0.0:
             raise LabError("the rate has to be positive")
         return values
 
-    monkeypatch.setattr(physics, "Server", Server)
-    made = physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 0.0, 50.0)], change)
-    assert made._server.take({"rate": rate}, 1) == {"rate": 2.0}
-    assert made._server.take({"rate": 9.0}, 1) == {"rate": 9.0}
-    assert made._server.take({"rate": rate}, 1) == {"rate": 9.0}
+    server = settings(change)
+    taken = [server.take({"rate": given}, 1)["rate"] for given in (rate, 9.0, rate)]
+    assert taken == [2.0, 9.0, 9.0]
 
 
 @pytest.mark.parametrize(
@@ -91,15 +98,6 @@ def test_without_the_package_nothing_is_offered(monkeypatch):
     physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()
 
 
-def test_groups_of_a_request_are_ignored(monkeypatch):
-    class Server:
-        def __init__(self, kind, take, namespace):
-            pass
-
-        def _set_callback(self, request):
-            return request.config.groups
-
-    monkeypatch.setattr(physics, "Server", Server)
-    made = physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz", 1.0, 50.0)], dict)
+def test_groups_of_a_request_are_ignored(settings):
     without_a_first = SimpleNamespace(config=SimpleNamespace(groups=["id 7, parent 7"]))
-    assert made._server._set_callback(without_a_first) == []
+    assert settings(dict)._set_callback(without_a_first) == []

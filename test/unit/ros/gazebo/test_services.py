@@ -1,7 +1,5 @@
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo import services
 from bullet_lab.ros.messages.gazebo_types import srv

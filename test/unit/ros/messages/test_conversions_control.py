@@ -1,12 +1,10 @@
 """What controllers say and are told, as messages."""
 
 import pytest
-
-pytest.importorskip("rospy")
-
+from message_fields import check, message_of
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 
-from bullet_lab.ros.messages.conversions import COMMANDS, Converter
+from bullet_lab.ros.messages.conversions import COMMANDS
 from bullet_lab.simulation.plugins.samples import (
     JointCommand,
     JointCommands,
@@ -32,19 +30,31 @@ def test_commands(message, command):
 
 
 def test_the_state_of_a_loop():
-    gains = (4.0, 3.0, 2.0, 1.0)
-    sample = LoopSample(1500, 1.0, 0.75, 0.1, 0.25, 0.001, -7.0, gains, True)
-    message = Converter(LoopSample).convert(sample)
-    assert message._type == "control_msgs/JointControllerState"
-    assert message.header.stamp.to_sec() == 1.5
-    assert (message.set_point, message.process_value, message.error) == (1.0, 0.75, 0.25)
-    assert (message.process_value_dot, message.time_step, message.command) == (0.1, 0.001, -7.0)
-    assert (message.p, message.i, message.d, message.i_clamp) == gains
-    assert message.antiwindup
+    sample = LoopSample(1500, 1.0, 0.75, 0.1, 0.25, 0.001, -7.0, (4.0, 3.0, 2.0, 1.0), True)
+    message = message_of(sample)
+    fields = """
+        _type: control_msgs/JointControllerState
+        header.stamp: 1.5
+        set_point: 1.0
+        process_value: 0.75
+        process_value_dot: 0.1
+        error: 0.25
+        time_step: 0.001
+        command: -7.0
+        p: 4.0
+        i: 3.0
+        d: 2.0
+        i_clamp: 1.0
+        antiwindup: true
+    """
+    check(message, fields)
 
 
 def test_what_is_left_of_a_command():
-    sample = VelocitySample(20, "", PlanarCommand(vx=0.3, wz=-0.4))
-    message = Converter(VelocitySample).convert(sample)
-    assert message._type == "geometry_msgs/TwistStamped"
-    assert (message.twist.linear.x, message.twist.angular.z) == (0.3, -0.4)
+    message = message_of(VelocitySample(20, "", PlanarCommand(vx=0.3, wz=-0.4)))
+    fields = """
+        _type: geometry_msgs/TwistStamped
+        twist.linear: [0.3, 0.0, 0.0]
+        twist.angular: [0.0, 0.0, -0.4]
+    """
+    check(message, fields)

@@ -1,7 +1,5 @@
 import pytest
-
-pytest.importorskip("rospy")
-
+from message_fields import check, plain
 from visualization_msgs.msg import Marker
 
 from bullet_lab.ros.messages.conversions import (
@@ -42,44 +40,32 @@ def markers(tmp_path):
         yield world_markers(simulation.models["things"], "map")
 
 
-def size(marker):
-    return marker.scale.x, marker.scale.y, marker.scale.z
-
-
 def test_each_visible_shape_is_a_marker_of_its_own(markers):
     kinds = [Marker.CUBE, Marker.CYLINDER, Marker.SPHERE, Marker.CUBE, Marker.MESH_RESOURCE]
     assert [marker.type for marker in markers] == kinds
-    assert {marker.ns for marker in markers} == {"things"}
     assert len({marker.id for marker in markers}) == len(markers)
-    assert {marker.header.frame_id for marker in markers} == {"map"}
-    assert {marker.action for marker in markers} == {Marker.ADD}
+    for marker in markers:
+        check(marker, "{ns: things, header.frame_id: map, action: 0}")
 
 
 def test_sizes_are_those_of_the_shapes(markers):
-    box, can, ball, floor, mesh = markers
-    assert size(box) == (1, 2, 3)
-    assert size(can) == (1, 1, 2)
-    assert size(ball) == (0.5, 0.5, 0.5)
-    assert size(floor)[:2] == (LARGEST_PLANE, 4)
-    assert size(mesh) == (1, 2, 3)
-    assert mesh.mesh_resource == "package://bullet_lab/meshes/beacon.dae"
+    sizes = [plain(marker.scale) for marker in markers]
+    floor = sizes.pop(3)
+    assert sizes == [[1, 2, 3], [1, 1, 2], [0.5, 0.5, 0.5], [1, 2, 3]]
+    assert floor[:2] == [LARGEST_PLANE, 4]
+    assert markers[4].mesh_resource == "package://bullet_lab/meshes/beacon.dae"
 
 
-def test_poses_are_in_the_world(markers):
+def test_poses_are_in_the_world_and_colours_as_there(markers):
     # 3 m ahead of a link that is 1 m above a model which looks along y from (1, 2).
-    place, turn = markers[0].pose.position, markers[0].pose.orientation
-    assert (place.x, place.y, place.z) == pytest.approx((1.0, 5.0, 1.0))
-    assert (turn.z, turn.w) == pytest.approx((0.5**0.5, 0.5**0.5))
+    assert plain(markers[0].pose.position) == pytest.approx([1.0, 5.0, 1.0])
+    assert plain(markers[0].pose.orientation) == pytest.approx([0.0, 0.0, 0.5**0.5, 0.5**0.5])
+    assert plain(markers[0].color) == pytest.approx([0.1, 0.2, 0.3, 0.4])
 
 
 def test_a_plane_is_drawn_below_its_surface(markers):
     floor = markers[3]
     assert floor.pose.position.z + 0.5 * floor.scale.z < 1.0
-
-
-def test_colours_are_those_of_the_world(markers):
-    colour = markers[0].color
-    assert (colour.r, colour.g, colour.b, colour.a) == pytest.approx((0.1, 0.2, 0.3, 0.4))
 
 
 COLLADA = "<COLLADA><instance_material/></COLLADA>"
@@ -103,7 +89,7 @@ def test_what_markers_have_no_field_for_stands_in_their_text(tmp_path):
         marker = _marker(Visual(shape, material=material))
         assert look_of(marker.text) == Look(material, isinstance(shape, Plane))
     # A picture on it is as large as it was.
-    assert size(marker)[:2] == (500.0, 4.0)
+    assert plain(marker.scale)[:2] == [500.0, 4.0]
     assert _marker(Visual(Box((1.0, 1.0, 1.0)))).text == ""
 
 

@@ -1,127 +1,120 @@
 """A service client checks the md5 sums of definitions: those of Gazebo and ros_control."""
 
+import functools
 import re
 
-import pytest
-
-pytest.importorskip("genmsg")
-
 import genmsg
+import pytest
+import rospkg
+import yaml
 from genmsg.gentools import compute_md5
 from genmsg.msg_loader import load_depends, load_msg_from_file, load_srv_from_file
 
-SUMS = {
-    "SpawnModel": "9ed9c82c96abe1a00c3e8cdaeee24413",
-    "DeleteModel": "9ce56b4e9e54616de25d796dc972a262",
-    "GetModelState": "4c515e936d3319c9610c559c60bfc3d4",
-    "SetModelState": "5b3ab0281d4f5445def017e3a2e4a07b",
-    "GetWorldProperties": "36bb0f2eccf4d8be971410c22818ba3f",
-    "GetModelProperties": "5717f7bd34ed990fa80e28b3015027a3",
-    "GetPhysicsProperties": "575a5e74786981b7df2e3afc567693a6",
-    "SetPhysicsProperties": "97e2057080558ce4730434b5fae75c91",
-    "ApplyBodyWrench": "585b9f9618aa0581b207e2f2d90866bc",
-    "ModelState": "9330fd35f2fcd82d457e54bd54e10593",
-    "ModelStates": "48c080191eb15c41858319b4d8a609c2",
-    "ODEPhysics": "667d56ddbd547918c32d1934503dc335",
+SUMS = yaml.safe_load(
+    """
+    SpawnModel: 9ed9c82c96abe1a00c3e8cdaeee24413
+    DeleteModel: 9ce56b4e9e54616de25d796dc972a262
+    GetModelState: 4c515e936d3319c9610c559c60bfc3d4
+    SetModelState: 5b3ab0281d4f5445def017e3a2e4a07b
+    GetWorldProperties: 36bb0f2eccf4d8be971410c22818ba3f
+    GetModelProperties: 5717f7bd34ed990fa80e28b3015027a3
+    GetPhysicsProperties: 575a5e74786981b7df2e3afc567693a6
+    SetPhysicsProperties: 97e2057080558ce4730434b5fae75c91
+    ApplyBodyWrench: 585b9f9618aa0581b207e2f2d90866bc
+    ModelState: 9330fd35f2fcd82d457e54bd54e10593
+    ModelStates: 48c080191eb15c41858319b4d8a609c2
+    ODEPhysics: 667d56ddbd547918c32d1934503dc335
     # Of gazebo_msgs as well, though not in the lab's table.
-    "ApplyJointEffort": "c0039811b8cc919490b3cff748cdf46b",
-    "BodyRequest": "5eade9afe7f232d78005bd0cafeab755",
-    "ContactState": "48c0ffb054b8c444f870cecea1ee50d9",
-    "ContactsState": "acbcb1601a8e525bf72509f18e6f668d",
-    "GetJointProperties": "7b30be900f50aa21efec4a0ec92d91c9",
-    "GetLinkProperties": "0e06a70386d0ee3fb880c02f23fcd821",
-    "GetLinkState": "09d6c98cce97b35f7ab9bd70300657ab",
-    "JointRequest": "0be1351618e1dc030eb7959d9a4902de",
-    "LinkState": "0818ebbf28ce3a08d48ab1eaa7309ebe",
-    "LinkStates": "48c080191eb15c41858319b4d8a609c2",
-    "SetLinkState": "8a5146eb66ae4d26b0860b08f3f271be",
-    "SetModelConfiguration": "10e3139d3b669c40afc057d38956fff7",
-    "DeleteLight": "ae11ea8100d536d5b92c2b5917abf912",
-    "GetLightProperties": "df2cef87e13e2e6990e81e8aaa454c19",
-    "ODEJointProperties": "1b744c32a920af979f53afe2f9c3511f",
-    "PerformanceMetrics": "884f71fd5037b886ec5e126b83c4425a",
-    "SensorPerformanceMetric": "01762ded18cfe9ebc7c8222667c99547",
-    "SetJointProperties": "15a76e921b1410c698d82782ea5fa370",
-    "SetLightProperties": "e6f13430c57278bb364aca53a1bf5ebf",
-    "SetLinkProperties": "d534ce1b36ee99de0ffa806c3a6348f0",
-    "WorldState": "de1a9de3ab7ba97ac0e9ec01a4eb481e",
-}
+    ApplyJointEffort: c0039811b8cc919490b3cff748cdf46b
+    BodyRequest: 5eade9afe7f232d78005bd0cafeab755
+    ContactState: 48c0ffb054b8c444f870cecea1ee50d9
+    ContactsState: acbcb1601a8e525bf72509f18e6f668d
+    GetJointProperties: 7b30be900f50aa21efec4a0ec92d91c9
+    GetLinkProperties: 0e06a70386d0ee3fb880c02f23fcd821
+    GetLinkState: 09d6c98cce97b35f7ab9bd70300657ab
+    JointRequest: 0be1351618e1dc030eb7959d9a4902de
+    LinkState: 0818ebbf28ce3a08d48ab1eaa7309ebe
+    LinkStates: 48c080191eb15c41858319b4d8a609c2
+    SetLinkState: 8a5146eb66ae4d26b0860b08f3f271be
+    SetModelConfiguration: 10e3139d3b669c40afc057d38956fff7
+    DeleteLight: ae11ea8100d536d5b92c2b5917abf912
+    GetLightProperties: df2cef87e13e2e6990e81e8aaa454c19
+    ODEJointProperties: 1b744c32a920af979f53afe2f9c3511f
+    PerformanceMetrics: 884f71fd5037b886ec5e126b83c4425a
+    SensorPerformanceMetric: 01762ded18cfe9ebc7c8222667c99547
+    SetJointProperties: 15a76e921b1410c698d82782ea5fa370
+    SetLightProperties: e6f13430c57278bb364aca53a1bf5ebf
+    SetLinkProperties: d534ce1b36ee99de0ffa806c3a6348f0
+    WorldState: de1a9de3ab7ba97ac0e9ec01a4eb481e
+    """
+)
 # Of the stand-in alone: the bridge offers no such service, as Gazebo's node does not.
 UNUSED = {"SetJointTrajectory": "88f5c10979e3f9649d5ae87a3b12aa65"}
 
 
-def md5(path, package):
-    context = genmsg.MsgContext.create_default()
-    load = load_msg_from_file if path.suffix == ".msg" else load_srv_from_file
-    spec = load(context, str(path), f"{package}/{path.stem}")
-    folders = _ros_folders()
-    folders[package] = [str(path.parents[1] / "msg")]
-    load_depends(context, spec, folders)
-    return compute_md5(context, spec)
-
-
-def _ros_folders():
-    rospkg = pytest.importorskip("rospkg")
+@functools.lru_cache(maxsize=None)
+def loaded(folder, package):
+    """Return where types are loaded to, and where those of other packages are."""
     pack = rospkg.RosPack()
     names = ("geometry_msgs", "std_msgs", "trajectory_msgs")
-    known = [name for name in names if name in pack.list()]
-    return {name: [f"{pack.get_path(name)}/msg"] for name in known}
+    folders = {name: [f"{pack.get_path(name)}/msg"] for name in names}
+    return genmsg.MsgContext.create_default(), {**folders, package: [str(folder / "msg")]}
+
+
+def md5_of(folder, name, package):
+    (path,) = folder.glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
+    context, folders = loaded(folder, package)
+    load = load_msg_from_file if path.suffix == ".msg" else load_srv_from_file
+    spec = load(context, str(path), f"{package}/{path.stem}")
+    load_depends(context, spec, folders)
+    return compute_md5(context, spec)
 
 
 @pytest.mark.parametrize(
     "folder, sums", [(".", SUMS), ("stand_ins/gazebo_msgs", {**SUMS, **UNUSED})]
 )
 def test_md5_sums_are_gazebos(package, folder, sums):
-    for name in sums:
-        compare(package, folder, name, sums[name])
+    for name, expected in sums.items():
+        # The type's own package name is part of no sum, but is what clients import.
+        assert md5_of(package / folder, name, "gazebo_msgs") == expected, name
 
 
-def compare(package, folder, name, expected):
-    (path,) = (package / folder).glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
-    # The type's own package name is part of no sum, but is what clients import.
-    assert md5(path, "gazebo_msgs") == expected, name
-
-
-def test_the_stand_in_builds_all_that_it_holds(package):
-    folder = package / "stand_ins" / "gazebo_msgs"
-    listed = set(re.findall(r"(\w+\.(?:msg|srv))", (folder / "CMakeLists.txt").read_text()))
-    assert listed == {path.name for path in folder.glob("[ms][sr][gv]/*")}
-    assert {name.split(".")[0] for name in listed} == {*SUMS, *UNUSED}
-    built = (package / "CMakeLists.txt").read_text()
-    assert [name for name in listed if name not in built] == [f"{name}.srv" for name in UNUSED]
-
-
-# For Noetic.
-CONTROL_SUMS = {
-    "control_msgs": {"JointControllerState": "987ad85e4756f3aef7f1e5e7fe0595d1"},
-    "controller_manager_msgs": {
-        "ControllerState": "aeb6b261d97793ab74099a3740245272",
-        "HardwareInterfaceResources": "f25b55cbf1d1f76e82e5ec9e83f76258",
-        "ListControllerTypes": "c1d4cd11aefa9f97ba4aeb5b33987f4e",
-        "ListControllers": "1341feb2e63fa791f855565d0da950d8",
-        "LoadController": "647e5c54b8d6468952d8d31f1efe96c0",
-        "ReloadControllerLibraries": "40e8c411fd1797d2e2c486018f846040",
-        "SwitchController": "b29a7abc673b2c54c14b54e50f8d06a5",
-        "UnloadController": "647e5c54b8d6468952d8d31f1efe96c0",
-    },
-}
-
-
-@pytest.mark.parametrize(
-    ("stand_in", "name"),
-    [(stand_in, name) for stand_in, sums in CONTROL_SUMS.items() for name in sums],
-)
-def test_md5_sums_are_those_of_ros_control(package, stand_in, name):
-    for folder in (package, package / "stand_ins" / stand_in):
-        (path,) = folder.glob(f"[ms][sr][gv]/{name}.[ms][sr][gv]")
-        assert md5(path, stand_in) == CONTROL_SUMS[stand_in][name]
-
-
-@pytest.mark.parametrize("stand_in", CONTROL_SUMS)
-def test_the_stand_ins_of_ros_control_build_all_types(package, stand_in):
+def listed_types(package, stand_in):
+    """Return the files that a stand-in builds, of which the package builds all but some."""
     folder = package / "stand_ins" / stand_in
     listed = set(re.findall(r"(\w+\.(?:msg|srv))", (folder / "CMakeLists.txt").read_text()))
     assert listed == {path.name for path in folder.glob("[ms][sr][gv]/*")}
-    assert {name.split(".")[0] for name in listed} == set(CONTROL_SUMS[stand_in])
     built = (package / "CMakeLists.txt").read_text()
-    assert [name for name in listed if name not in built] == []
+    return {name.split(".")[0] for name in listed}, [n for n in listed if n not in built]
+
+
+def test_the_stand_in_builds_all_that_it_holds(package):
+    listed, left_out = listed_types(package, "gazebo_msgs")
+    assert listed == {*SUMS, *UNUSED}
+    assert left_out == [f"{name}.srv" for name in UNUSED]
+
+
+# For Noetic.
+CONTROL_SUMS = yaml.safe_load(
+    """
+    control_msgs: {JointControllerState: 987ad85e4756f3aef7f1e5e7fe0595d1}
+    controller_manager_msgs:
+      ControllerState: aeb6b261d97793ab74099a3740245272
+      HardwareInterfaceResources: f25b55cbf1d1f76e82e5ec9e83f76258
+      ListControllerTypes: c1d4cd11aefa9f97ba4aeb5b33987f4e
+      ListControllers: 1341feb2e63fa791f855565d0da950d8
+      LoadController: 647e5c54b8d6468952d8d31f1efe96c0
+      ReloadControllerLibraries: 40e8c411fd1797d2e2c486018f846040
+      SwitchController: b29a7abc673b2c54c14b54e50f8d06a5
+      UnloadController: 647e5c54b8d6468952d8d31f1efe96c0
+    """
+)
+
+
+@pytest.mark.parametrize("stand_in", CONTROL_SUMS)
+def test_the_types_of_ros_control(package, stand_in):
+    sums = CONTROL_SUMS[stand_in]
+    for name, expected in sums.items():
+        for folder in (package, package / "stand_ins" / stand_in):
+            assert md5_of(folder, name, stand_in) == expected, name
+    assert listed_types(package, stand_in) == (set(sums), [])

@@ -2,6 +2,7 @@
 
 import pytest
 import rospy
+from message_fields import message
 from nav_msgs.msg import Odometry
 
 from bullet_lab.ros.node import odometry
@@ -14,11 +15,12 @@ def test_time_that_has_been_set_back_to_less_than_a_period_is_no_error(monkeypat
     monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
     monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(0))
     newest = NewestOdometry("odom")
-    for stamp in (1.0, 1.05):
-        message = Odometry()
-        message.header.stamp = rospy.Time(stamp)
-        message.pose.pose.orientation.w = 1.0
-        newest.take(message)
+    for nsecs in (0, 50_000_000):
+        text = f"""
+            header: {{stamp: {{secs: 1, nsecs: {nsecs}}}}}
+            pose: {{pose: {{orientation: {{w: 1.0}}}}}}
+        """
+        newest.take(message(Odometry, text))
     assert newest.newest(rospy.Time(0.01)) == (0.0, 0.0, 0.0)
 
 

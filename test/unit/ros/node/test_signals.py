@@ -21,7 +21,7 @@ print(rospy.is_shutdown())
 """
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("name", [pytest.param("SIGINT", marks=pytest.mark.long), "SIGTERM"])
 def test_a_signal_ends_a_node_whose_main_thread_is_busy(name):
     program = PROGRAM.format(name=name)
     run = subprocess.run(

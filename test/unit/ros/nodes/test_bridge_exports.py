@@ -2,8 +2,6 @@ import os
 
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.ros.nodes import bridge
 from bullet_lab.ros.nodes.bridge import add_exported_paths
 

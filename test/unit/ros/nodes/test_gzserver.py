@@ -2,8 +2,6 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.errors import LabError
 from bullet_lab.ros.nodes import gzserver as gazebo_server
 from bullet_lab.ros.nodes.gzserver import bridge_parameters, parse_server_arguments

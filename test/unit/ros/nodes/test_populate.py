@@ -1,7 +1,5 @@
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import numbered

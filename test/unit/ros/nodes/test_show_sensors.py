@@ -1,10 +1,5 @@
-import math
-
 import pytest
-
-pytest.importorskip("rospy")
-
-from geometry_msgs.msg import Vector3, Wrench
+from message_fields import message, plain
 from visualization_msgs.msg import Marker
 
 from bullet_lab.ros.messages.gazebo_types import msg
@@ -12,17 +7,20 @@ from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.nodes.show_sensors import contact_markers, total_wrench
 
 
-def touching(force=2.0):
-    wrenches = [Wrench(Vector3(-force, 0, 0), Vector3(0, 0, 1)), Wrench(Vector3(), Vector3())]
-    state = msg.ContactState(
-        wrenches=wrenches,
-        total_wrench=Wrench(Vector3(-force, 0, 0), Vector3(0, 0, 1)),
-        contact_positions=[Vector3(1, 2, 3), Vector3(1, 3, 3)],
-        contact_normals=[Vector3(-1, 0, 0), Vector3(-1, 0, 0)],
-    )
-    message = msg.ContactsState(states=[state, state])
-    message.header.frame_id = "bumper_link"
-    return message
+def touching(force=2.0, normals="[{x: -1}, {x: -1}]"):
+    """Return two pairs of shapes that touch in two points each, of which the second is idle."""
+    wrench = f"{{force: {{x: {-force}}}, torque: {{z: 1}}}}"
+    state = f"""
+          - wrenches: [{wrench}, {{}}]
+            total_wrench: {wrench}
+            contact_positions: [{{x: 1, y: 2, z: 3}}, {{x: 1, y: 3, z: 3}}]
+            contact_normals: {normals}
+    """
+    text = f"""
+        header: {{frame_id: bumper_link}}
+        states: {2 * state}
+    """
+    return message(msg.ContactsState, text.replace("inf", ".inf").replace("nan", ".nan"))
 
 
 def test_each_point_has_a_sphere_a_normal_and_its_force():
@@ -34,16 +32,14 @@ def test_each_point_has_a_sphere_a_normal_and_its_force():
     assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
     force = next(marker for marker in markers if marker.ns == "force")
     assert force.header.frame_id == "bumper_link"
-    start, end = force.points
-    assert (start.x, start.y, start.z) == (1, 2, 3)
-    assert (end.x, end.y, end.z) == pytest.approx((0.8, 2.0, 3.0))
+    start, end = map(plain, force.points)
+    assert start == [1, 2, 3]
+    assert end == pytest.approx([0.8, 2.0, 3.0])
 
 
 def test_the_wrench_is_that_of_all_contacts():
-    total = total_wrench(touching())
-    assert (total.force.x, total.torque.z) == (-4.0, 2.0)
-    none = total_wrench(msg.ContactsState())
-    assert (none.force.x, none.force.y, none.force.z) == (0, 0, 0)
+    assert plain(total_wrench(touching())) == [[-4.0, 0.0, 0.0], [0.0, 0.0, 2.0]]
+    assert plain(total_wrench(msg.ContactsState())) == [[0.0] * 3] * 2
 
 
 def test_nothing_touched_takes_the_markers_away():
@@ -53,10 +49,8 @@ def test_nothing_touched_takes_the_markers_away():
 
 def test_what_is_refused():
     with pytest.raises(InputError, match="not finite"):
-        total_wrench(touching(math.nan))
+        total_wrench(touching(float("nan")))
     with pytest.raises(InputError, match="not finite"):
-        list(contact_markers(touching(math.inf), 0.1))
-    bad = touching()
-    bad.states[0].contact_normals.pop()
+        list(contact_markers(touching(float("inf")), 0.1))
     with pytest.raises(InputError, match="without a normal"):
-        list(contact_markers(bad, 0.1))
+        list(contact_markers(touching(normals="[{x: -1}]"), 0.1))

@@ -1,12 +1,10 @@
 import json
-import math
 import threading
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("rospy")
 import rospy
+from message_fields import message
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.figures import new_figure
@@ -55,13 +53,25 @@ def receive(monkeypatch):
     return receivers
 
 
+@pytest.fixture
+def recording(tmp_path, receive):
+    """A recording until an announced end, with one message."""
+    made = recording_in(tmp_path)
+    receive["odom"](odometry(1))
+    return made
+
+
+def recording_in(folder, **more):
+    parameters = TimedParameters(out=str(folder), about={"job": "test"}, until="over", **more)
+    return Recorder(PathReport(folder), parameters, "odom")
+
+
 def odometry(number, x=0.0, frame="odom"):
-    message = Odometry()
-    message.header.stamp = rospy.Time(0, 50_000_000 * number)
-    message.header.frame_id = frame
-    message.pose.pose.position.x = x
-    message.pose.pose.orientation.w = 1.0
-    return message
+    text = f"""
+        header: {{stamp: {{nsecs: {50_000_000 * number}}}, frame_id: {frame}}}
+        pose: {{pose: {{position: {{x: {x}}}, orientation: {{w: 1.0}}}}}}
+    """
+    return message(Odometry, text)
 
 
 def summary_of(folder):
@@ -72,19 +82,13 @@ def end_at(number):
     return SimpleNamespace(data=rospy.Time(0, 50_000_000 * number))
 
 
-def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(tmp_path, receive):
-    parameters = TimedParameters(out=str(tmp_path), about={"job": "test"}, until="over")
-    recording = Recorder(PathReport(tmp_path), parameters, "odom")
-    for message in (
-        odometry(1),
-        odometry(2, math.nan),
-        odometry(2, frame="map"),
-        odometry(1),
-        odometry(2),
-        odometry(3),
-        odometry(4),
-    ):
-        receive["odom"](message)
+def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(
+    tmp_path, receive, recording
+):
+    for bad in (odometry(2, ".nan"), odometry(2, frame="map"), odometry(1)):
+        receive["odom"](bad)
+    for number in (2, 3, 4):
+        receive["odom"](odometry(number))
     assert len((tmp_path / "path.tum").read_text().splitlines()) == 4
     receive["over"](end_at(3))
     recording.run()
@@ -99,28 +103,23 @@ def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(tm
     assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
 
 
-def test_an_end_that_nothing_comes_up_to_is_one_all_the_same(tmp_path, receive, monkeypatch):
+def test_an_end_that_nothing_comes_up_to_is_one_all_the_same(
+    tmp_path, receive, recording, monkeypatch
+):
     monkeypatch.setattr(recorder, "PATIENCE", 0.05)
-    parameters = TimedParameters(out=str(tmp_path), until="over")
-    recording = Recorder(PathReport(tmp_path), parameters, "odom")
-    receive["odom"](odometry(1))
     receive["over"](end_at(3))
     recording.run()
     assert summary_of(tmp_path)["rows"] == 1
 
 
-def test_nothing_is_cut_off_where_it_is_broken_off(tmp_path, receive, monkeypatch):
-    parameters = TimedParameters(out=str(tmp_path), until="over")
-    recording = Recorder(PathReport(tmp_path), parameters, "odom")
-    receive["odom"](odometry(1))
+def test_nothing_is_cut_off_where_it_is_broken_off(tmp_path, recording, monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
     recording.run()
     assert (summary_of(tmp_path)["finished"], summary_of(tmp_path)["rows"]) == (False, 1)
 
 
 def test_pictures_are_renewed_before_the_summary(tmp_path, receive):
-    parameters = TimedParameters(out=str(tmp_path), until="over", plot_period=0.01)
-    recording = Recorder(PathReport(tmp_path), parameters, "odom")
+    recording = recording_in(tmp_path, plot_period=0.01)
     receive["odom"](odometry(1))
     seen = []
 

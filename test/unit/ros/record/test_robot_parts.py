@@ -3,7 +3,8 @@
 from types import SimpleNamespace
 
 import pytest
-from bullet_lab.msg import ModelDescription, PluginDescription
+from bullet_lab.msg import ModelDescription
+from message_fields import message, messages
 
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import robot_parts
@@ -26,44 +27,41 @@ from bullet_lab.ros.record.robot_parts import (
 TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
 
 
-def model(name, *plugins, of_world_file=False):
-    return ModelDescription(name=name, plugins=plugins, of_world_file=of_world_file)
-
-
-def plugin(inputs=(), outputs=()):
-    return PluginDescription(filename="lib.so", inputs=list(inputs), outputs=list(outputs))
-
-
 def master(subscribed=(), published=()):
     return SimpleNamespace(
         subscribed=dict(subscribed), published=dict(published), services=set()
     )
 
 
-CART = model("cart", plugin(["/go"], ["/odom"]))
-ROVER = model("rover", plugin(["/rover/go"], ["/rover/odom"]))
-LAMP = model("lamp", plugin([], ["/light"]))
-WALL = model("wall", of_world_file=True)
-BOX = model("box")
+CART, ROVER, LAMP, BOX, WALL, DOOR, MOVER, STATUE = messages(
+    ModelDescription,
+    """
+    - {name: cart, plugins: [{inputs: [/go], outputs: [/odom]}]}
+    - {name: rover, plugins: [{inputs: [/rover/go], outputs: [/rover/odom]}]}
+    - {name: lamp, plugins: [{outputs: [/light]}]}
+    - {name: box}
+    - {name: wall, of_world_file: true}
+    - {name: a_door, of_world_file: true, plugins: [{}]}
+    - {name: mover, of_world_file: true, plugins: [{inputs: [/go]}]}
+    - {name: a_statue, of_world_file: true, plugins: [{inputs: [/go]}], is_static: true}
+    """,
+)
 
 
 @pytest.mark.parametrize(
     ("models", "name", "found"),
     [
-        ([WALL, BOX, LAMP, CART], "", "cart"),
-        ([WALL, BOX, LAMP], "", "lamp"),
-        ([WALL, BOX], "", "box"),
-        ([CART, ROVER], "rover", "rover"),
-        ([CART, WALL], "wall", "wall"),
+        ([WALL, BOX, LAMP, CART], "", CART),
+        ([WALL, BOX, LAMP], "", LAMP),
+        ([WALL, BOX], "", BOX),
+        ([CART, ROVER], "rover", ROVER),
+        ([CART, WALL], "wall", WALL),
+        ([WALL], "", None),
+        ([CART], "rover", None),
     ],
 )
 def test_the_robot_is_one_that_can_be_driven(models, name, found):
-    assert choose(models, name, ["/go", "/rover/go"]).name == found
-
-
-@pytest.mark.parametrize(("models", "name"), [([], ""), ([WALL], ""), ([CART], "rover")])
-def test_no_robot_yet(models, name):
-    assert choose(models, name, ["/go"]) is None
+    assert choose(models, name, ["/go", "/rover/go"]) is found
 
 
 def test_topics_of_another_robot_are_not_its_own():
@@ -73,12 +71,11 @@ def test_topics_of_another_robot_are_not_its_own():
     )
     robot = robot_of(ROVER, [CART], [], now)
     assert (robot.drive, robot.odometry) == ("/rover/go", "/rover/odom")
-    found = topics_of(CART, [ROVER], now.published)
-    assert set(found) == {"/odom", "/joint_states"}
+    assert set(topics_of(CART, [ROVER], now.published)) == {"/odom", "/joint_states"}
 
 
 def test_a_controller_drives_where_no_plugin_names_a_topic():
-    husky = model("husky", plugin(), plugin([], ["/truth"]))
+    husky = message(ModelDescription, "{name: husky, plugins: [{}, {outputs: [/truth]}]}")
     now = master(
         {"/base/cmd_vel": TWIST, "/light": "std_msgs/Bool"},
         {"/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
@@ -88,9 +85,9 @@ def test_a_controller_drives_where_no_plugin_names_a_topic():
 
 
 def test_the_odometry_is_that_of_the_plugin_that_drives():
-    rover = model("rover", plugin([], ["/cmd/odom"]), plugin(["/cmd/vel"], ["/driven"]))
+    text = "plugins: [{outputs: [/cmd/odom]}, {inputs: [/cmd/vel], outputs: [/driven]}]"
     now = master({"/cmd/vel": TWIST}, {"/cmd/odom": ODOMETRY, "/driven": ODOMETRY})
-    assert robot_of(rover, [], [], now).odometry == "/driven"
+    assert robot_of(message(ModelDescription, text), [], [], now).odometry == "/driven"
 
 
 def test_warnings_of_the_world_are_left_out():
@@ -101,42 +98,36 @@ def test_warnings_of_the_world_are_left_out():
 
 
 def test_of_several_robots_the_first_by_name_is_driven():
-    tb = [model(f"tb3_{n}", plugin([f"/tb3_{n}/go"])) for n in (2, 0, 1)]
-    drives = [f"/tb3_{n}/go" for n in range(3)]
-    assert choose([LAMP, *tb], "", drives).name == "tb3_0"
-    now = master(dict.fromkeys(drives, TWIST))
-    assert robot_of(tb[1], [LAMP, tb[0], tb[2]], [], now).choice == ("tb3_0", "tb3_1", "tb3_2")
+    text = "[{name: tb_2, plugins: [{inputs: [/2]}]}, {name: tb_0, plugins: [{inputs: [/0]}]}]"
+    two, zero = messages(ModelDescription, text)
+    assert choose([LAMP, two, zero], "", ["/0", "/2"]) is zero
+    now = master({"/0": TWIST, "/2": TWIST})
+    assert robot_of(zero, [LAMP, two], [], now).choice == ("tb_0", "tb_2")
 
 
 def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
-    robot = model("robot", plugin(["/go"]), of_world_file=True)
-    statue = model("a_statue", plugin(["/go"]), of_world_file=True)
-    statue.is_static = True
-    door = model("a_door", plugin(), of_world_file=True)
-    world = [WALL, statue, door, robot]
+    world = [WALL, STATUE, DOOR, MOVER]
     assert choose(world, "", ["/go"]) is None
-    assert choose(world, "", ["/go"], True).name == "robot"
-    assert choose([*world, BOX], "", ["/go"], True).name == "box"
+    assert choose(world, "", ["/go"], True) is MOVER
+    assert choose([*world, BOX], "", ["/go"], True) is BOX
     # A controller may drive it, whose topic no plugin names.
-    assert choose([WALL, statue, door], "", ["/base/go"], True).name == "a_door"
+    assert choose([WALL, STATUE, DOOR], "", ["/base/go"], True) is DOOR
     assert choose(world, "", [], True) is None
     # Warnings about the robot are not those of the world.
-    warnings = ["model 'robot': odd", "model 'wall': crooked"]
-    assert robot_of(robot, world[:-1], warnings, master()).said == ("model 'robot': odd",)
+    warnings = ["model 'mover': odd", "model 'wall': crooked"]
+    assert robot_of(MOVER, world[:-1], warnings, master()).said == ("model 'mover': odd",)
 
 
 def test_whom_model_may_name():
-    wall = model("wall", of_world_file=True)
-    wall.is_static = True
-    assert candidates([wall]) == "no model in the world can move"
-    assert candidates([BOX, wall, LAMP]) == "model:=NAME takes one of lamp, box"
+    assert candidates([STATUE]) == "no model in the world can move"
+    assert candidates([BOX, STATUE, LAMP]) == "model:=NAME takes one of lamp, box"
 
 
 def test_why_a_robot_stands(monkeypatch):
     rates = {"cart::left": [2.0], "cart::right": [0.0], "cart::ball": []}
     answers = {joint: SimpleNamespace(rate=rate) for joint, rate in rates.items()}
     monkeypatch.setattr(robot_parts.rospy, "ServiceProxy", lambda *_: answers.__getitem__)
-    cart = model("cart")
+    cart = message(ModelDescription, "name: cart")
     assert why_it_stands(cart, "/go", False) == ["nothing listens to /go"]
     assert why_it_stands(cart, "/go", True) == ["it stands on nothing"]
     cart.joints, cart.stands_on = ["left", "right", "ball"], ["base"]
@@ -147,51 +138,34 @@ def test_why_a_robot_stands(monkeypatch):
     assert why_it_stands(cart, "/go", True) == ["the model is static"]
 
 
-class Clock:
-    """Wall time that goes on by what is slept."""
-
-    def __init__(self):
-        self.now = 0.0
-
-    def monotonic(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-
 @pytest.fixture
 def found(monkeypatch):
-    """What is found where these models come at these times (s), and when."""
+    """What is found where these models come at these times (s), and when; time takes no time."""
 
-    def find(name, path="some.launch", **coming):
-        clock = Clock()
-        robots = {m: (at, of_world) for m, (at, of_world) in coming.items()}
+    def find(name, **coming):
+        clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
+        clock.sleep = lambda seconds: setattr(clock, "now", clock.now + seconds)
 
         def models():
             return [
-                ModelDescription(
-                    name=name,
-                    of_world_file=of_world,
-                    plugins=[PluginDescription(inputs=[f"/{name}/go"])],
+                message(
+                    ModelDescription,
+                    f"{{name: {model}, of_world_file: {world}, plugins: [{{inputs: [/{model}]}}]}}",
                 )
-                for name, (at, of_world) in robots.items()
+                for model, (at, world) in coming.items()
                 if clock.now >= at
             ]
 
-        def subscribed():
-            return {f"/{model.name}/go": VELOCITIES for model in models()}
+        def now():
+            drives = {f"/{model.name}": VELOCITIES for model in models()}
+            return SimpleNamespace(services={SERVICE}, subscribed=drives)
 
         monkeypatch.setattr(robot_parts, "time", clock)
-        monkeypatch.setattr(
-            robot_parts,
-            "Master",
-            lambda: SimpleNamespace(services={SERVICE}, subscribed=subscribed()),
-        )
+        monkeypatch.setattr(robot_parts, "Master", now)
         monkeypatch.setattr(robot_parts, "described", lambda: SimpleNamespace(models=models()))
         monkeypatch.setattr(robot_parts.rospy, "ServiceProxy", lambda *_: lambda: None)
-        launched = SimpleNamespace(path=path, check=lambda: None)
         monkeypatch.setattr(robot_parts.rospy, "is_shutdown", lambda: False)
+        launched = SimpleNamespace(path="some.launch", check=lambda: None)
         return find_robot(name, launched).name, clock.now
 
     return find
@@ -279,20 +253,16 @@ def test_the_debian_package_of_a_ros_package(monkeypatch, tmp_path, package, fou
 
     monkeypatch.setattr(robot_parts.subprocess, "run", run)
     monkeypatch.setattr(robot_parts, "INSTALLED", tmp_path)
-    debian_package.cache_clear()
-    assert debian_package(package) == found
-    debian_package.cache_clear()
+    package_of = debian_package.__wrapped__
+    assert package_of(package) == found
     # What is installed already does not help.
     (tmp_path / f"{found}:amd64.list").touch()
-    assert debian_package(package) == ""
-    debian_package.cache_clear()
+    assert package_of(package) == ""
 
 
 def test_a_machine_without_apt(monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
-    debian_package.cache_clear()
-    assert debian_package("amcl") == ""
-    debian_package.cache_clear()
+    assert debian_package.__wrapped__("amcl") == ""
 
 
 def test_no_launch_file():

@@ -1,8 +1,5 @@
 import numpy as np
 import pytest
-
-pytest.importorskip("rospy")
-
 from sensor_msgs.msg import PointCloud2, PointField
 
 from bullet_lab.ros.view.cameras import GREY, points_of

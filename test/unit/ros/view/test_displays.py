@@ -1,6 +1,3 @@
-import pytest
-
-pytest.importorskip("rospy")
 
 from bullet_lab.ros.view.displays import Displays, Kind
 

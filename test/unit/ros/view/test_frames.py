@@ -4,8 +4,6 @@ from math import pi
 
 import pytest
 
-pytest.importorskip("rospy")
-
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.view.frames import FrameTree
 

@@ -1,18 +1,14 @@
 """What displays make of the bytes of messages."""
 
-from io import BytesIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rospy")
-
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
+from geometry_msgs.msg import Point, PoseStamped, TransformStamped
+from message_fields import data_of, message
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
-from std_msgs.msg import ColorRGBA
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -22,14 +18,6 @@ from bullet_lab.ros.view.displays import OdometryDisplay, ScanDisplay, read_path
 from bullet_lab.ros.view.frames import DisplayContext, read_transforms
 from bullet_lab.ros.view.markers import MarkersDisplay, read_marker, read_markers
 from bullet_lab.ros.view.subscription import MessageError, reader_of
-
-TURN = Quaternion(0.0, 0.0, 0.6, 0.8)
-
-
-def data_of(message):
-    buffer = BytesIO()
-    message.serialize(buffer)
-    return buffer.getvalue()
 
 
 class Node:
@@ -62,32 +50,36 @@ def context(monkeypatch):
 
 
 def test_transforms():
-    message = TFMessage()
-    for number in range(3):
-        transform = TransformStamped(child_frame_id=f"/child{number}")
-        transform.header.frame_id = "parent" * number
-        transform.transform.translation = Vector3(number, 2.0, 3.0)
-        transform.transform.rotation = Quaternion(0.0, 0.0, 1.2, 1.6)
-        message.transforms.append(transform)
-    found = reader_of(TFMessage, read_transforms)(data_of(message))
-    assert [(parent, child) for child, parent, _ in found] == [
-        ("parent" * number, f"child{number}") for number in range(3)
-    ]
-    assert found[2][2].position == (2.0, 2.0, 3.0)
-    assert found[2][2].quaternion == pytest.approx((0.0, 0.0, 0.6, 0.8))
+    text = """
+        transforms:
+          - header: {frame_id: ""}
+            child_frame_id: /child0
+            transform: {rotation: {w: 1.0}}
+          - header: {frame_id: parent}
+            child_frame_id: child1
+            transform: {translation: {x: 2.0, y: 3.0, z: 4.0}, rotation: {z: 1.2, w: 1.6}}
+    """
+    found = reader_of(TFMessage, read_transforms)(data_of(message(TFMessage, text)))
+    assert [names for *names, _ in found] == [["child0", ""], ["child1", "parent"]]
+    assert found[1][2].position == (2.0, 3.0, 4.0)
+    assert found[1][2].quaternion == pytest.approx((0.0, 0.0, 0.6, 0.8))
 
 
 def test_odometry(context):
-    message = Odometry(child_frame_id="base")
-    message.header.frame_id = "/odom"
-    message.pose.pose = Pose(Point(1.0, 2.0, 3.0), TURN)
+    text = """
+        header: {frame_id: /odom}
+        child_frame_id: base
+        pose:
+          pose: {position: {x: 1.0, y: 2.0, z: 3.0}, orientation: {z: 0.6, w: 0.8}}
+    """
+    made = message(Odometry, text)
     covariance = np.zeros((6, 6))
     covariance[:2, :2] = ((0.25, 0.0), (0.0, 0.01))
-    message.pose.covariance = covariance.ravel().tolist()
+    made.pose.covariance = covariance.ravel().tolist()
     display = OdometryDisplay(context, "/odom")
-    display.show(reader_of(Odometry)(data_of(message)))
-    message.pose.pose.position.x = 1.5
-    display.show(message)
+    display.show(reader_of(Odometry)(data_of(made)))
+    made.pose.pose.position.x = 1.5
+    display.show(made)
     (trail,) = context.scene.nodes["/topics/odom/trail/0"].points
     assert trail == pytest.approx(np.array([[1.0, 2.0, 0.02], [1.5, 2.0, 0.02]]))
     ellipse = context.scene.nodes["/topics/odom/ellipse"].points.reshape(-1, 3)
@@ -98,59 +90,80 @@ def test_odometry(context):
 
 
 def test_scan(context):
-    message = LaserScan(angle_min=-1.0, angle_increment=0.5, range_min=0.25, range_max=8.0)
-    message.header.frame_id = "/laser"
-    message.ranges = [1.0, float("inf"), float("nan"), 2.5, 0.125]
-    message.intensities = [7.0] * 5
+    text = """
+        header: {frame_id: /laser}
+        angle_min: -1.0
+        angle_increment: 0.5
+        range_min: 0.25
+        range_max: 8.0
+        ranges: [1.0, .inf, .nan, 2.5, 0.125]
+        intensities: [7.0, 7.0, 7.0, 7.0, 7.0]
+    """
+    made = message(LaserScan, text)
     display = ScanDisplay(context, "/scan")
-    display.show(reader_of(LaserScan)(data_of(message)))
+    display.show(reader_of(LaserScan)(data_of(made)))
     points = context.scene.nodes["/topics/scan"].points
     angles, ranges = np.array([-1.0, 0.5]), np.array([1.0, 2.5])
     expected = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(2)))
     assert points == pytest.approx(expected)
-    message.angle_min = float("nan")
+    made.angle_min = float("nan")
     with pytest.raises(MessageError):
-        display.show(message)
+        display.show(made)
 
 
 @pytest.mark.parametrize("frames", [(), ("odom",) * 4, ("odom", "", "odometry"), ("odom", "base")])
 def test_path(frames):
-    message = Path()
-    message.header.frame_id = "odom"
+    made = message(Path, "header: {frame_id: odom}")
     for number, frame in enumerate(frames):
-        pose = PoseStamped(pose=Pose(Point(number, 2.0 * number, 0.5), TURN))
-        pose.header.frame_id = frame
-        message.poses.append(pose)
-    frame, places = read_path(data_of(message))
+        made.poses.append(message(PoseStamped, "pose: {orientation: {z: 0.6, w: 0.8}}"))
+        made.poses[-1].header.frame_id = frame
+        made.poses[-1].pose.position = Point(number, 2.0 * number, 0.5)
+    frame, places = read_path(data_of(made))
     assert frame == "odom"
     assert places.tolist() == [[n, 2.0 * n, 0.5] for n in range(len(frames))]
 
 
 def test_markers():
-    line = Marker(ns="line", id=7, type=Marker.LINE_STRIP, frame_locked=True, text="größer")
-    line.header.frame_id = "/odom"
-    line.points = [Point(n, 0.0, 1.0) for n in range(5)]
-    line.colors = [ColorRGBA(0.5, 0.25, 0.0, 1.0)] * 5
-    mesh = Marker(ns="mesh", type=Marker.MESH_RESOURCE, mesh_use_embedded_materials=True)
-    mesh.mesh_resource, mesh.scale = "package://a/b.dae", Vector3(1.0, 2.0, 3.0)
-    mesh.pose = Pose(Point(1.0, 2.0, 3.0), TURN)
-    mesh.color = ColorRGBA(0.5, 0.25, 0.0, 1.0)
-    first, second = reader_of(MarkerArray, read_markers)(data_of(MarkerArray([line, mesh])))
+    text = """
+        markers:
+          - header: {frame_id: /odom}
+            ns: line
+            id: 7
+            type: 4
+            frame_locked: true
+            text: größer
+            points: [{x: 0.0, z: 1.0}, {x: 1.0, z: 1.0}]
+            colors: [{r: 0.5, a: 1.0}, {r: 0.5, a: 1.0}]
+          - ns: mesh
+            type: 10
+            mesh_use_embedded_materials: true
+            mesh_resource: package://a/b.dae
+            scale: {x: 1.0, y: 2.0, z: 3.0}
+            pose: {position: {x: 1.0, y: 2.0, z: 3.0}, orientation: {z: 0.6, w: 0.8}}
+            color: {r: 0.5, g: 0.25, a: 1.0}
+    """
+    made = message(MarkerArray, text)
+    first, second = reader_of(MarkerArray, read_markers)(data_of(made))
     assert (first.frame, first.key, first.text) == ("odom", ("line", 7), "größer")
-    assert first.points[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert first.colours.shape == (5, 4)
+    assert first.points.tolist() == [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
+    assert first.colours.tolist() == [[0.5, 0.0, 0.0, 1.0]] * 2
     assert first.pose.quaternion == (0.0, 0.0, 0.0, 1.0)
     assert (first.locked, second.locked) == (True, False)
     assert (first.embedded, second.embedded) == (False, True)
     assert (second.mesh, second.scale) == ("package://a/b.dae", (1.0, 2.0, 3.0))
     assert second.colour == (0.5, 0.25, 0.0, 1.0)
-    assert read_marker(mesh).pose.position == (1.0, 2.0, 3.0)
+    assert second.pose.position == (1.0, 2.0, 3.0)
 
 
 def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(monkeypatch):
-    marker = Marker(type=Marker.CUBE_LIST, points=[Point()] * 3, colors=[ColorRGBA()])
-    marker.color, marker.scale = ColorRGBA(1.0, 0.5, 0.0, 1.0), Vector3(1.0, 1.0, 1.0)
-    subscription = SimpleNamespace(take=lambda: [[read_marker(marker)]])
+    text = """
+        type: 6
+        points: [{}, {}, {}]
+        colors: [{}]
+        color: {r: 1.0, g: 0.5, a: 1.0}
+        scale: {x: 1.0, y: 1.0, z: 1.0}
+    """
+    subscription = SimpleNamespace(take=lambda: [[read_marker(message(Marker, text))]])
     monkeypatch.setattr(markers, "Subscription", lambda *arguments, **options: subscription)
     shown = {}
     scene = SimpleNamespace(
@@ -161,35 +174,38 @@ def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("read", "message"),
+    ("read", "made"),
     [
         (reader_of(TFMessage, read_transforms), TFMessage([TransformStamped()])),
         (reader_of(Odometry), Odometry()),
-        (read_path, Path(poses=[PoseStamped()])),
         (read_path, Path(poses=[PoseStamped()] * 3)),
         (reader_of(LaserScan), LaserScan(ranges=[1.0] * 3)),
         (reader_of(MarkerArray, read_markers), MarkerArray([Marker(points=[Point()])])),
         (reader_of(Clock), Clock()),
     ],
 )
-def test_what_is_cut_short_is_refused(read, message):
-    data = data_of(message)
+def test_what_is_cut_short_is_refused(read, made):
+    data = data_of(made)
     for length in range(0, len(data), 3):
         with pytest.raises(MessageError):
             read(data[:length])
 
 
-def test_what_is_not_finite_is_refused():
-    transform = TransformStamped()
-    transform.transform.translation.x = float("nan")
+@pytest.mark.parametrize(
+    ("read", "kind", "text"),
+    [
+        (read_transforms, TFMessage, "transforms: [{transform: {translation: {x: .nan}}}]"),
+        (read_marker, Marker, "points: [{x: .inf}]"),
+    ],
+)
+def test_what_is_not_finite_is_refused(read, kind, text):
     with pytest.raises(LabError):
-        read_transforms(TFMessage([transform]))
+        read(message(kind, text))
+
+
+def test_a_path_with_a_pose_that_is_not_finite_is_refused():
     with pytest.raises(LabError):
-        read_marker(Marker(points=[Point(float("inf"), 0.0, 0.0)]))
-    path = Path(poses=[PoseStamped(), PoseStamped()])
-    path.poses[1].pose.position.y = float("nan")
-    with pytest.raises(LabError):
-        read_path(data_of(path))
+        read_path(data_of(message(Path, "poses: [{}, {pose: {position: {y: .nan}}}]")))
 
 
 @pytest.mark.parametrize("read", [reader_of(TFMessage, read_transforms), reader_of(MarkerArray)])

@@ -10,7 +10,7 @@ from bullet_lab.ros.view import show
 TICK = 1.0 / 30.0
 
 
-@pytest.mark.parametrize("seconds_of_an_update", [0.01, 1.0, 2.0])
+@pytest.mark.parametrize("seconds_of_an_update", [0.1, 2.0])
 def test_topics_are_updated_each_second_however_long_an_update_takes(
     monkeypatch, seconds_of_an_update
 ):
@@ -27,10 +27,10 @@ def test_topics_are_updated_each_second_however_long_an_update_takes(
     monkeypatch.setattr(show, "FramesDisplay", mock.MagicMock())
     monkeypatch.setattr(show.Show, "_update", update)
     shown = show.Show(mock.MagicMock(), mock.MagicMock(), list, "world", 10.0)
-    while clock.now < 60.0:
+    while clock.now < 30.0:
         shown.tick()
         clock.now += TICK
     # A topic that is advertised just after an update is seen at the end of the next one.
     waits = [end - begin for begin, end in zip(begins, ends[1:])]
-    assert len(waits) > 10
+    assert len(waits) > 5
     assert max(waits) < 2 * seconds_of_an_update + 1.0 + 2 * TICK
