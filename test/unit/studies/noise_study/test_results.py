@@ -137,7 +137,9 @@ def test_a_case_does_not_depend_on_what_else_is_studied(results):
     (alone,) = study(read_tum(results[0] / "tum" / "perfect.tum"), settings)
     key = ("report", 5.0, 0.1)
     (same,) = [c for c in results[1]["cases"] if (c["model"], c["rate_hz"], c["std"]) == key]
-    assert alone.metrics == same["metrics"]
+    # The path has been rounded to the digits of its file.
+    for name, parts in same["metrics"].items():
+        assert alone.metrics[name] == pytest.approx(parts)
 
 
 def test_the_simulated_square():

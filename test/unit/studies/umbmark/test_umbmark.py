@@ -157,20 +157,6 @@ def _shares(runs, number):
     return [one - other for one, other in zip(*((e.diameter_error, e.base_error) for e in both))]
 
 
-@pytest.mark.long
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    # Noise that is nothing like what the weights are made for.
-    root = 2e-4 * np.array(((3.0, 0.0, 0.0), (-1.0, 0.5, 0.0), (0.3, 1.0, 2.0)))
-    generator, count = np.random.default_rng(5), 1000
-    held = np.zeros(2)
-    for _ in range(count):
-        found = fit(perturbed(generator, root), 0.38)
-        ends = (found.intervals[name] for name in ("diameter_error", "base_error"))
-        held += [low <= 0.0 <= high for low, high in ends]
-    low, high = stats.binom.ppf((0.0005, 0.9995), count, 0.95)
-    assert (low <= held).all() and (held <= high).all()
-
-
 def test_a_centre_lies_within_its_ellipse_by_hotelling():
     points = np.random.default_rng(6).normal(0.0, (1.0, 2.0), (6, 2))
     shape = centre_ellipse(points)
