@@ -16,7 +16,7 @@ from bullet_lab.reports import Reading
 from bullet_lab.simulation import plugins
 from bullet_lab.simulation.plugins.controllers import controller
 from bullet_lab.simulation.world.sdf import read_spawned
-from bullet_lab.studies.noise_study.study import StudySettings, run_study
+from bullet_lab.studies.noise_study.study import StudySettings, study
 from bullet_lab.vision import features
 
 sys.path.insert(0, str(Path(__file__).parent / "simulation" / "plugins" / "controllers"))
@@ -113,15 +113,14 @@ def test_the_job_is_declared_by_its_launch_file(tmp_path):
     assert job.arguments["side"].help("")[0] == "side:=2"
 
 
-def test_the_noise_model_is_studied(tmp_path):
+def test_the_noise_model_is_studied():
     named("noise/odometry_noise", "SlipRule")
     assert rule_of("slip", {"slip": 0.5}).slip == 0.5
     assert "slip" in MODELS
     way = np.column_stack([np.linspace(0.0, 2.0, 50), np.zeros(50), np.zeros(50)])
     settings = StudySettings(levels=(0.05,), models=("slip",), rates=(10.0,), paths=500)
-    summary = run_study(tmp_path, settings, Trajectory(0.1 * np.arange(50), way))
-    (case,) = summary["cases"]
-    pose = case["final_pose_error"]
+    (case,) = study(Trajectory(0.1 * np.arange(50), way), settings)
+    pose = case.summary()["final_pose_error"]
     exact, sample = (np.array(pose[f"{kind}_covariance"])[0, 0] for kind in ("exact", "sample"))
     # 500 paths: the variance's relative deviation is 6 %.
     assert sample == pytest.approx(exact, rel=0.25)

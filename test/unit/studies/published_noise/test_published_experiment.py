@@ -48,6 +48,11 @@ def run(tmp_path_factory):
     return folder, json.loads((folder / "summary.json").read_text()), said.getvalue()
 
 
+def read(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
 def by_name(summary):
     return {row["name"]: row for row in summary["combinations"]}
 
@@ -156,21 +161,15 @@ def test_each_of_three_defects_has_its_own_mark_on_the_third_side(run):
 def test_tables(run):
     folder, summary, _ = run
     assert {path.name for path in folder.iterdir()} == FILES
-    with (folder / "combinations.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows, lengths = (read(folder / name) for name in ("combinations.csv", "lengths.csv"))
     assert len(rows) == 32
     for row, about in zip(rows, summary["combinations"]):
         assert [name for name in DEFECTS if row[name] == "1"] == about["defects"]
         assert float(row["side3_q50_m"]) == about["lengths_m"]["side3"]["q50"]
         assert float(row["p_corners"]) == about["p_values"]["corners"]["p"]
-    with (folder / "lengths.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 32 * SEEDS
-    best = [row for row in rows if [row[name] for name in DEFECTS] == list("11010")]
-    assert [int(row["seed"]) for row in best] == list(range(1, SEEDS + 1))
-    median = np.median([float(row["side3_m"]) for row in best])
-    found = by_name(summary)["aliasing + unwrapped + sampled"]["lengths_m"]["side3"]["q50"]
-    assert median == pytest.approx(found, abs=1e-5)
+    assert [int(row["seed"]) for row in lengths] == 32 * list(range(1, SEEDS + 1))
+    median = np.median([float(row["side3_m"]) for row in lengths[:SEEDS]])
+    assert median == pytest.approx(float(rows[0]["side3_q50_m"]), abs=1e-5)
 
 
 def test_blocks_do_not_show(drive):
