@@ -17,7 +17,6 @@ from bullet_lab.drive import (
     GoalLimits,
     Square,
     SquareDriver,
-    approach,
     open_loop_side,
 )
 from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS, SupportPatch
@@ -112,13 +111,6 @@ def test_progress_is_along_the_side():
     driver.command((1.0, 1.0, 0.5 * math.pi))
     driver.command((1.3, 2.5, 0.0))
     assert driver.distance == pytest.approx(1.5)
-
-
-def test_approach():
-    assert approach(1.0, 0.2, 0.02) == 0.2
-    assert approach(0.05, 0.2, 0.02) == pytest.approx(0.1)
-    assert approach(0.001, 0.2, 0.02) == 0.02
-    assert approach(0.001, 0.01, 0.02) == 0.01
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,7 @@ BUSY = threading.Lock()
 def overlapping(number):
     """Whether another task runs in this process at the same time."""
     alone = BUSY.acquire(blocking=False)
+    # Others would begin by then.
     time.sleep(0.05)
     if alone:
         BUSY.release()
@@ -222,7 +223,7 @@ def test_a_cluster_of_somebody_else():
 
 
 def test_a_cluster_that_goes_away_is_an_error(monkeypatch):
-    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_SCHEDULER", 1.0)
+    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_SCHEDULER", PATIENCE)
     with in_process_cluster(1) as cluster:
         results = workers(scheduler=cluster.scheduler_address)(square, range(100))
         next(results)
