@@ -166,6 +166,7 @@ def evo_values(folder, case, number):
 
 @pytest.mark.usefixtures("home")
 def test_evo_says_the_same_of_exported_paths(tmp_path):
+    # At 0.9 Hz some poses have two others equally near to the distance.
     path, key = resample(square(), 0.9), ("report", 0.5, 0.9)
     case = study_case(path, key, np.random.default_rng(61), 4, 1.0, 2)
     names = ("ape_rmse_m", "ape_heading_rmse_deg", "rpe_rmse_m", "rpe_heading_rmse_deg")
