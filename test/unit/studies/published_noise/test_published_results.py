@@ -122,16 +122,6 @@ def test_what_is_left_out_is_hardly_beside_the_line():
     assert 1e-4 < off.max() < 2.0 / 9.0 / 122.9
 
 
-def test_points_at_rest_are_drawn_where_they_are():
-    shown = drawn(np.repeat(VERTICES, 20, axis=0))
-    kept = shown[np.append(True, np.abs(np.diff(shown, axis=0)).max(axis=1) > 1e-9)]
-    np.testing.assert_allclose(kept, VERTICES, atol=1e-9)
-
-
-def test_the_way_back_is_drawn_as_well():
-    assert drawn([(0, 0), (2.008, 0), (2, 0), (2, -2)])[:, 0].max() == pytest.approx(2.008)
-
-
 def test_corners_wherever_the_square_is():
     assert find_corners(VERTICES).tolist() == FOUND
     angle = 0.7

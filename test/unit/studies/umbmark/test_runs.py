@@ -77,20 +77,14 @@ def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
 
 
 def test_a_table_of_what_was_measured_with_a_rule(tmp_path):
-    # At corners 90° - alpha: the odometry's square is perfect, the true one is known.
-    alpha = 0.01
-    ends = {}
-    for way, sign in (("ccw", 1.0), ("cw", -1.0)):
-        turns = sign * (0.5 * math.pi - alpha) * np.arange(5)
-        end = 2.0 * np.exp(1j * turns[:4]).sum()
-        ends[way] = (float(end.real), float(end.imag), float(turns[4]) - sign * math.tau)
-    rows = [f"{way},{x!r},{y!r},{yaw!r}" for way, (x, y, yaw) in ends.items()]
-    file = tmp_path / "returns.csv"
-    file.write_text("\n".join(["direction,x,y,yaw", *rows]))
-    runs = read_runs(file, "", "", 2.0)
-    found = fit(runs, 0.4).errors
-    assert found.base_error == pytest.approx(0.5 * math.pi / (0.5 * math.pi - alpha) - 1.0)
-    assert found.diameter_error == pytest.approx(0.0, abs=1e-9)
+    rows = [("ccw", 0.1, -0.2, 0.03), ("cw", -0.1, 0.05, -0.02)]
+    text = "\n".join(",".join(map(str, row)) for row in rows)
+    (tmp_path / "returns.csv").write_text(f"direction,x,y,yaw\n{text}\n")
+    runs = read_runs(tmp_path / "returns.csv", "", "", 2.0)
+    for run, (way, *end) in zip(runs, rows):
+        assert run.direction == way
+        assert run.return_error() == pytest.approx(end)
+        assert run.odometry == pytest.approx(perfect_square(2.0, way))
 
 
 def test_a_perfect_square_comes_back():

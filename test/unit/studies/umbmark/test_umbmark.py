@@ -58,25 +58,24 @@ def measured(ends, side=1.0):
     return [SquareRun("run", perfect_square(side, way), start, tuple(end)) for way, end in ends]
 
 
-def test_a_wrong_base_leaves_both_centres_on_the_same_side():
-    base_error = 1e-5
-    counter, clockwise = ideal_runs(errors(base=base_error))
-    # Each turn is too small by alpha, so that the four sides end at -2 L alpha (1, -1).
-    alpha = 0.5 * math.pi * (1.0 - 1.0 / (1.0 + base_error))
-    offset = 2.0 * 4.0 * alpha
-    assert counter.return_error()[:2] == pytest.approx((-offset, offset), rel=2e-3)
+# A wrong base makes each turn too small by alpha; unequal wheels bend each side left by beta.
+SMALL = 1e-5
+ALPHA = 0.5 * math.pi * (1.0 - 1.0 / (1.0 + SMALL))
+BETA = 4.0 * SMALL / BELIEVED.base
+
+
+@pytest.mark.parametrize(
+    ("wrong", "offset", "counter_end"),
+    [
+        (errors(base=SMALL), 8.0 * ALPHA, (-1.0, 1.0, -0.5)),
+        (errors(diameter=SMALL), 8.0 * BETA, (1.0, -1.0, 0.5)),
+    ],
+)
+def test_small_errors_leave_both_centres_where_the_closed_form_has_them(wrong, offset, counter_end):
+    counter, clockwise = ideal_runs(wrong)
+    assert counter.return_error() == pytest.approx(np.multiply(offset, counter_end), rel=2e-3)
     assert clockwise.return_error()[:2] == pytest.approx((-offset, -offset), rel=2e-3)
-    assert counter.return_error()[2] == pytest.approx(-4.0 * alpha, rel=2e-3)
     assert (counter.direction, clockwise.direction) == ("ccw", "cw")
-
-
-def test_unequal_wheels_leave_the_centres_on_opposite_sides():
-    diameter_error = 1e-5
-    counter, clockwise = ideal_runs(errors(diameter=diameter_error))
-    # Each side bends to the left by beta.
-    offset = 2.0 * 4.0 * (4.0 * diameter_error / BELIEVED.base)
-    assert counter.return_error()[:2] == pytest.approx((offset, -offset), rel=2e-3)
-    assert clockwise.return_error()[:2] == pytest.approx((-offset, -offset), rel=2e-3)
 
 
 def test_the_figures_are_those_of_the_paper():
