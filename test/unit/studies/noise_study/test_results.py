@@ -9,6 +9,12 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.trajectory import Trajectory, read_tum
+from bullet_lab.studies.noise_study.figures import (
+    banana_figure,
+    coverage_figure,
+    distances_figure,
+    regions_figure,
+)
 from bullet_lab.studies.noise_study.study import (
     StudySettings,
     main,
@@ -130,14 +136,25 @@ def test_tum_files_share_their_stamps(results):
     np.testing.assert_allclose(clean.poses, perfect.poses, atol=1e-12)
 
 
-def test_a_case_does_not_depend_on_what_else_is_studied(results):
+@pytest.fixture(scope="module")
+def alone(results):
     settings = StudySettings(levels=(0.1,), models=("report",), rates=(5.0,), paths=20, seed=3)
-    (alone,) = study(read_tum(results[0] / "tum" / "perfect.tum"), settings)
+    (case,) = study(read_tum(results[0] / "tum" / "perfect.tum"), settings)
+    return case
+
+
+def test_a_case_does_not_depend_on_what_else_is_studied(results, alone):
     key = ("report", 5.0, 0.1)
     (same,) = [c for c in results[1]["cases"] if (c["model"], c["rate_hz"], c["std"]) == key]
     # The path has been rounded to the digits of its file.
     for name, parts in same["metrics"].items():
         assert alone.metrics[name] == pytest.approx(parts)
+
+
+def test_where_regions_have_no_volume_there_are_figures_too(alone):
+    for draw in (coverage_figure, regions_figure, distances_figure):
+        assert draw([alone]).axes
+    assert banana_figure([alone], 3).axes
 
 
 def test_the_simulated_square():
