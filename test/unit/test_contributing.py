@@ -4,6 +4,7 @@ import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from bullet_lab.reports import Reading
 from bullet_lab.simulation import plugins
 from bullet_lab.simulation.plugins.controllers import controller
 from bullet_lab.simulation.world.sdf import read_spawned
-from bullet_lab.studies.noise_study.study import StudySettings, run_study
+from bullet_lab.studies.noise_study.study import StudySettings, study
 from bullet_lab.vision import features
 
 sys.path.insert(0, str(Path(__file__).parent / "simulation" / "plugins" / "controllers"))
@@ -43,17 +44,15 @@ def named(file, name):
     return space[name]
 
 
-@pytest.fixture
-def forgotten(monkeypatch):
-    """Plugins and controllers that a test makes known are unknown afterwards."""
-    monkeypatch.setattr(plugins, "_KINDS", dict(plugins._KINDS))
-    known = dict(controller.CONTROLLERS)
-    yield
-    controller.CONTROLLERS.clear()
-    controller.CONTROLLERS.update(known)
+@pytest.fixture(autouse=True)
+def forgotten():
+    """What a test makes known is unknown afterwards: plugins, controllers and noise models."""
+    known = (plugins._KINDS, controller.CONTROLLERS, MODELS)
+    with mock.patch.dict(known[0]), mock.patch.dict(known[1]), mock.patch.dict(known[2]):
+        yield
 
 
-def test_the_plugin_measures(world, forgotten):
+def test_the_plugin_measures(world):
     named("simulation/plugins/altimeter", "Altimeter")
     robot = world.add(read_spawned(MAST, "mast"))
     heights = []
@@ -63,7 +62,7 @@ def test_the_plugin_measures(world, forgotten):
     assert heights[-1].range == pytest.approx(1.5)
 
 
-def test_the_controller_brakes(world, forgotten):
+def test_the_controller_brakes(world):
     named("simulation/plugins/controllers/brake", "JointBrake")
     _, manager = control_robots.spawn(world)
     settings = {"type": "my_controllers/JointBrake", "joint": "turntable_joint", "damping": 0.05}
@@ -100,14 +99,6 @@ def test_the_report_leaves_its_files(tmp_path):
     assert (tmp_path / "imu.csv").exists()
 
 
-@pytest.fixture
-def slip(monkeypatch):
-    before = dict(MODELS)
-    yield
-    MODELS.clear()
-    MODELS.update(before)
-
-
 def test_the_job_is_declared_by_its_launch_file(tmp_path):
     pytest.importorskip("roslaunch")
     from bullet_lab.ros.launcher.jobs import read_job
@@ -122,15 +113,14 @@ def test_the_job_is_declared_by_its_launch_file(tmp_path):
     assert job.arguments["side"].help("")[0] == "side:=2"
 
 
-def test_the_noise_model_is_studied(slip, tmp_path):
+def test_the_noise_model_is_studied():
     named("noise/odometry_noise", "SlipRule")
     assert rule_of("slip", {"slip": 0.5}).slip == 0.5
     assert "slip" in MODELS
     way = np.column_stack([np.linspace(0.0, 2.0, 50), np.zeros(50), np.zeros(50)])
     settings = StudySettings(levels=(0.05,), models=("slip",), rates=(10.0,), paths=500)
-    summary = run_study(tmp_path, settings, Trajectory(0.1 * np.arange(50), way))
-    (case,) = summary["cases"]
-    pose = case["final_pose_error"]
+    (case,) = study(Trajectory(0.1 * np.arange(50), way), settings)
+    pose = case.summary()["final_pose_error"]
     exact, sample = (np.array(pose[f"{kind}_covariance"])[0, 0] for kind in ("exact", "sample"))
     # 500 paths: the variance's relative deviation is 6 %.
     assert sample == pytest.approx(exact, rel=0.25)

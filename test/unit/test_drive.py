@@ -17,7 +17,6 @@ from bullet_lab.drive import (
     GoalLimits,
     Square,
     SquareDriver,
-    approach,
     open_loop_side,
 )
 from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS, SupportPatch
@@ -29,13 +28,14 @@ ICE = SupportPatch(0.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)
 PERIOD = 0.05
 
 
-def integrate(pose, command, patch):
-    """Return the pose one odometry period later."""
+def integrate(pose, command, patch=ICE):
+    """Return the pose one odometry period later; its friction slows a robot down."""
     x, y, yaw = pose
     speed, _, turn = patch.slow_down(command[0], 0.0, command[1], BLOCK.mass * 9.8, 1e-3)
+    heading = yaw + 0.5 * PERIOD * turn
     return (
-        x + PERIOD * speed * math.cos(yaw),
-        y + PERIOD * speed * math.sin(yaw),
+        x + PERIOD * speed * math.cos(heading),
+        y + PERIOD * speed * math.sin(heading),
         wrap(yaw + PERIOD * turn),
     )
 
@@ -48,6 +48,7 @@ def drive(square, patch, start=(0.0, 0.0, 0.0)):
         if driver.sides_done == len(corners):
             corners.append(pose)
         if command is None:
+            assert driver.sides_done == square.sides
             return corners, commands
         commands.append(command)
         assert len(commands) < 20_000
@@ -67,9 +68,10 @@ def test_the_length_and_speed_set_the_number_of_commands():
     assert list(open_loop_side(other)) == [(0.2, 0.0)] * 5 + [(0.0, 0.3)] * 2
 
 
-@pytest.mark.parametrize("patch", [BLOCK, ICE])
-@pytest.mark.parametrize("turn_speed", [-0.5236, 0.5236])
-@pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (3.0, -1.0, 3.0), (0.0, 0.0, -1.57)])
+@pytest.mark.parametrize(
+    ("patch", "turn_speed", "start"),
+    [(BLOCK, -0.5236, (3.0, -1.0, 3.0)), (ICE, 0.5236, (0.0, 0.0, -1.57))],
+)
 def test_a_closed_loop_ends_within_its_tolerances(patch, turn_speed, start):
     corners, commands = drive(Square(turn_speed=turn_speed), patch, start)
     for before, after in zip(corners, corners[1:]):
@@ -111,100 +113,46 @@ def test_progress_is_along_the_side():
     assert driver.distance == pytest.approx(1.5)
 
 
-def test_approach():
-    assert approach(1.0, 0.2, 0.02) == 0.2
-    assert approach(0.05, 0.2, 0.02) == pytest.approx(0.1)
-    assert approach(0.001, 0.2, 0.02) == 0.02
-    assert approach(0.001, 0.01, 0.02) == 0.01
-
-
 @pytest.mark.parametrize(
-    "values",
+    ("kind", "values"),
     [
-        {"sides": 0},
-        {"side": 0.0},
-        {"side": math.nan},
-        {"side": math.inf},
-        {"speed": -0.2},
-        {"speed": math.inf},
-        {"turn_speed": 0.0},
-        {"turn_speed": math.nan},
+        (Square, {"sides": 0}),
+        (Square, {"side": 0.0}),
+        (Square, {"speed": math.inf}),
+        (Square, {"turn_speed": 0.0}),
+        (Square, {"turn_speed": True}),
+        (GoalLimits, {"acceleration": 0.0}),
+        (GoalLimits, {"tolerance": 0.005}),
     ],
 )
-def test_squares_that_cannot_be_driven(values):
+def test_what_cannot_be_driven_is_refused(kind, values):
     given = {f"~{name}": value for name, value in values.items()}
     with pytest.raises(ParameterError):
-        read_parameters(Square, given.get)
+        read_parameters(kind, given.get)
 
 
-SHORT = Square(sides=2, side=0.2, turn_commands=3)
-
-
-def test_open_loop_sends_the_commands_of_all_sides():
-    driver = SquareDriver(SHORT)
-    commands = list(iter(driver.command, None))
-    assert commands == 2 * list(open_loop_side(SHORT))
-    assert (driver.rate, driver.needs_pose, driver.sides_done) == (10.0, False, 2)
-    assert driver.command() is None
-
-
-def test_sides_are_counted_after_their_turn():
-    driver = SquareDriver(SHORT)
-    done = []
-    while driver.command() is not None:
-        done.append(driver.sides_done)
-    # Ten commands of a side and three of its turn.
-    assert done == [0] * 13 + [1] * 13
-
-
-def test_the_distance_is_that_of_the_sides():
-    driver = SquareDriver(Square(sides=2, side=0.06, turn_commands=2))
-    distances = []
-    while driver.command() is not None:
-        distances.append(driver.distance)
+def test_open_loop_sends_the_commands_of_all_sides_and_counts_them():
+    square = Square(sides=2, side=0.06, turn_commands=2)
+    driver, sent = SquareDriver(square), []
+    for command in iter(driver.command, None):
+        sent.append((command, driver.sides_done, driver.distance))
+    commands, sides_done, distances = zip(*sent)
+    assert list(commands) == 2 * list(open_loop_side(square))
+    # Three commands of a side and two of its turn.
+    assert sides_done == (0,) * 5 + (1,) * 5
     side = [0.0, 0.02, 0.04, 0.06, 0.06]
     assert distances == pytest.approx(side + [0.06 + distance for distance in side])
+    assert (driver.rate, driver.needs_pose, driver.sides_done) == (10.0, False, 2)
     assert driver.distance == pytest.approx(0.12)
-
-
-def test_closed_loop_drives_a_square_by_the_poses():
-    """A robot that follows commands exactly, at 20 Hz."""
-    driver = SquareDriver(Square(sides=4, side=0.5), "closed_loop")
-    x, y, yaw = 3.0, -1.0, math.radians(20.0)
-    corners = [(x, y)]
-    for _ in range(3000):
-        command = driver.command((x, y, yaw))
-        if command is None:
-            break
-        ahead, turn = command
-        x, y = x + ahead * math.cos(yaw) / driver.rate, y + ahead * math.sin(yaw) / driver.rate
-        yaw += turn / driver.rate
-        if len(corners) == driver.sides_done:
-            corners.append((x, y))
-    assert command is None
-    assert driver.sides_done == 4
-    assert driver.distance == pytest.approx(2.0, abs=0.01)
-    assert math.dist((x, y), corners[0]) < 0.01
-    assert math.remainder(yaw - math.radians(20.0), math.tau) == pytest.approx(0.0, abs=0.01)
+    assert driver.command() is None
 
 
 def test_an_unknown_mode_is_refused():
     with pytest.raises(DriverError, match="mode 'by_feel' is not one of open_loop, closed_loop"):
-        SquareDriver(SHORT, "by_feel")
+        SquareDriver(Square(), "by_feel")
 
 
 LIMITS = GoalLimits()
-
-
-def integrate_freely(pose, command):
-    """Return the pose of a frictionless robot one period later."""
-    x, y, yaw = pose
-    v, w = command
-    return (
-        x + PERIOD * v * math.cos(yaw + 0.5 * PERIOD * w),
-        y + PERIOD * v * math.sin(yaw + 0.5 * PERIOD * w),
-        wrap(yaw + PERIOD * w),
-    )
 
 
 def drive_to(goal, start=(0.0, 0.0, 0.0), limits=LIMITS, blur=lambda pose: pose):
@@ -213,26 +161,22 @@ def drive_to(goal, start=(0.0, 0.0, 0.0), limits=LIMITS, blur=lambda pose: pose)
     while driver.phase is not DrivePhase.ARRIVED:
         commands.append(driver.command(blur(pose), PERIOD))
         assert len(commands) < 20_000, f"never arrives at {goal}"
-        pose = integrate_freely(pose, commands[-1])
+        pose = integrate(pose, commands[-1])
     return pose, commands
 
 
-def goals():
-    for direction in range(0, 360, 45):
-        angle = math.radians(direction)
-        for distance in (0.06, 0.3, 2.0):
-            for yaw in (-2.0, 0.0, 3.1):
-                yield distance * math.cos(angle), distance * math.sin(angle), yaw
+@pytest.mark.parametrize("distance", [0.06, 2.0])
+@pytest.mark.parametrize("direction", range(0, 360, 45))
+def test_arrives_within_the_tolerances_whatever_the_goal(direction, distance):
+    angle = math.radians(direction)
+    x, y = distance * math.cos(angle), distance * math.sin(angle)
+    for yaw in (-2.0, 3.1):
+        pose, _ = drive_to((x, y, yaw), start=(0.0, 0.0, 0.4))
+        assert math.dist(pose[:2], (x, y)) <= LIMITS.tolerance
+        assert abs(wrap(pose[2] - yaw)) <= LIMITS.yaw_tolerance
 
 
-@pytest.mark.parametrize("goal", list(goals()))
-def test_arrives_within_the_tolerances_whatever_the_goal(goal):
-    pose, _ = drive_to(goal, start=(0.0, 0.0, 0.4))
-    assert math.dist(pose[:2], goal[:2]) <= LIMITS.tolerance
-    assert abs(wrap(pose[2] - goal[2])) <= LIMITS.yaw_tolerance
-
-
-@pytest.mark.parametrize("tolerance", [0.01, 0.05, 0.3])
+@pytest.mark.parametrize("tolerance", [0.01, 0.3])
 def test_arrives_within_other_tolerances(tolerance):
     limits = replace(LIMITS, tolerance=tolerance, yaw_tolerance=tolerance)
     pose, _ = drive_to((1.0, -0.7, 1.0), limits=limits)
@@ -298,23 +242,15 @@ def test_what_is_left():
     assert driver.turn_left((0.0, 0.0, -3.0)) == pytest.approx(6.0 - math.tau)
 
 
-@pytest.mark.parametrize("goal", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0, 0, math.nan)])
+@pytest.mark.parametrize("goal", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf)])
 def test_goals_that_are_none(goal):
     with pytest.raises(DriverError, match="not finite"):
         GoalDriver(goal)
 
 
 @pytest.mark.parametrize(
-    "change", [{"speed": 0.0}, {"acceleration": -1.0}, {"gain": math.nan}, {"tolerance": 0.005}]
+    ("robot", "goal"), [("block_robot", (-0.3, 0.0, 0.0)), ("camera_robot", (0.6, 0.4, -1.0))]
 )
-def test_limits_that_are_none(change):
-    given = {f"~{name}": value for name, value in change.items()}
-    with pytest.raises(ParameterError):
-        read_parameters(GoalLimits, given.get)
-
-
-@pytest.mark.parametrize("robot", ["block_robot", "camera_robot"])
-@pytest.mark.parametrize("goal", [(0.6, 0.4, -1.0), (-0.3, 0.0, 0.0)])
 def test_both_robots_of_the_course_stop_at_the_goal(robot, goal):
     with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
         instance = simulation.spawn(f"package://bullet_lab/urdf/{robot}.urdf")

@@ -33,21 +33,11 @@ ROOMS = (
     "ros.launcher",
     "ros.verify",
 )
-# What is made by catkin.
-PASSED_OVER = ("msg", "srv")
-MOST_FILES = 30
+ROS = {"rospy", "roslaunch", "rosgraph", "tf2_ros", "actionlib"}
 
 
-def modules():
-    for path in sorted(SOURCE.rglob("*.py")):
-        parts = path.relative_to(SOURCE).with_suffix("").parts
-        yield ".".join(part for part in parts if part != "__init__"), path
-
-
-MODULES = dict(modules())
-
-
-def imports(path):
+def imported(path):
+    """Yield what a file imports by its full name, with the names that it takes from a module."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -56,9 +46,25 @@ def imports(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def own(path):
-    names = {name.partition("bullet_lab.")[2] for name in imports(path)}
-    return {name for name in names if name in MODULES and name not in PASSED_OVER}
+@pytest.fixture(scope="module")
+def imports():
+    """What each module of the package imports."""
+    found = {}
+    for path in SOURCE.rglob("*.py"):
+        parts = path.relative_to(SOURCE).with_suffix("").parts
+        module = ".".join(part for part in parts if part != "__init__")
+        found[module] = set(imported(path))
+    return found
+
+
+@pytest.fixture(scope="module")
+def own(imports):
+    """Which other modules of the package each module imports."""
+    names = {
+        module: {name.partition("bullet_lab.")[2] for name in every}
+        for module, every in imports.items()
+    }
+    return {module: some & set(imports) - {module} for module, some in names.items()}
 
 
 def room_of(module):
@@ -66,27 +72,23 @@ def room_of(module):
     return max(inside, key=len, default="")
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_a_room_imports_from_below(module):
-    level = ROOMS.index(room_of(module))
-    above = [name for name in own(MODULES[module]) if ROOMS.index(room_of(name)) > level]
+def level(module):
+    return ROOMS.index(room_of(module))
+
+
+def test_a_room_imports_from_below(own):
+    above = [(m, name) for m, names in own.items() for name in names if level(name) > level(m)]
     assert not above
 
 
-def test_no_module_imports_itself_by_way_of_others():
-    graph = {module: own(path) - {module} for module, path in MODULES.items()}
+def test_no_module_imports_itself_by_way_of_others(own):
+    graph = own
     while graph:
         leaves = {module for module, needed in graph.items() if not needed & set(graph)}
         assert leaves, f"in a circle: {sorted(graph)}"
         graph = {module: needed for module, needed in graph.items() if module not in leaves}
 
 
-@pytest.mark.parametrize("module", [name for name in MODULES if room_of(name)[:3] != "ros"])
-def test_only_ros_knows_rospy(module):
-    roots = {name.partition(".")[0] for name in imports(MODULES[module])}
-    assert not roots & {"rospy", "roslaunch", "rosgraph", "tf2_ros", "actionlib"}
-
-
-def test_no_folder_is_crowded():
-    for folder in {path.parent for path in MODULES.values()}:
-        assert len(list(folder.glob("*.py"))) <= MOST_FILES
+def test_only_ros_knows_rospy(imports):
+    roots = {m: {name.partition(".")[0] for name in names} for m, names in imports.items()}
+    assert not [m for m in roots if room_of(m)[:3] != "ros" and roots[m] & ROS]

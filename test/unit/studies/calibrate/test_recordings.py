@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from recorded_bags import write_bag
 
 from bullet_lab.core.trajectory import Trajectory, TrajectoryError
 from bullet_lab.studies.calibrate.recordings import find_recordings, read_pair
@@ -29,12 +30,7 @@ def assert_truth_first(found):
 
 @pytest.mark.parametrize(
     "truth, odometry",
-    [
-        ("odom", "noisy_odom"),
-        ("truth", "odom"),
-        ("run1_truth", "run1_odom"),
-        ("groundtruth", "odometry"),
-    ],
+    [("odom", "noisy_odom"), ("run1_truth", "run1_odom"), ("groundtruth", "odometry")],
 )
 def test_two_files_belong_together_by_their_names(tmp_path, truth, odometry):
     write_pair(tmp_path, truth, odometry)
@@ -70,32 +66,20 @@ def test_two_files_of_any_name_are_read_where_they_are_named(tmp_path):
     assert_truth_first([read_pair(tmp_path / "one.tum", tmp_path / "other.tum", TOPICS)])
 
 
-def test_a_bag_has_both_on_two_topics(tmp_path):
-    rosbag = pytest.importorskip("rosbag")
-    import rospy
-    from geometry_msgs.msg import PoseStamped, TransformStamped
-    from nav_msgs.msg import Odometry
-
-    with rosbag.Bag(str(tmp_path / "run.bag"), "w") as bag:
-        for t in range(5):
-            stamp = rospy.Time(1 + t)
-            pose, odometry, transform = PoseStamped(), Odometry(), TransformStamped()
-            pose.pose.position.x, odometry.pose.pose.position.x = t, 2.0 * t
-            transform.transform.translation.x = t
-            turns = (
-                pose.pose.orientation,
-                odometry.pose.pose.orientation,
-                transform.transform.rotation,
-            )
-            for turn in turns:
-                turn.w = 1.0
-            for topic, message in (("/truth", pose), ("/odom", odometry), ("/tracked", transform)):
-                message.header.stamp = stamp
-                bag.write(topic, message, stamp)
+def test_a_bag_has_both_on_two_topics_of_any_type_of_pose(tmp_path):
+    geometry = pytest.importorskip("geometry_msgs.msg")
+    odometry = pytest.importorskip("nav_msgs.msg").Odometry
+    stamps, true, reported = np.arange(1.0, 6.0), line(1.0).poses, line(2.0).poses
+    write_bag(
+        tmp_path / "run.bag",
+        ("/truth", geometry.PoseStamped, stamps, true),
+        ("/amcl", geometry.PoseWithCovarianceStamped, stamps, true),
+        ("/tracked", geometry.TransformStamped, stamps, true),
+        ("/odom", odometry, stamps, reported),
+    )
     assert_truth_first(find_recordings([tmp_path], TOPICS))
-    assert_truth_first(find_recordings([tmp_path / "run.bag"], ("tracked", "odom")))
-    with pytest.raises(TrajectoryError, match="nothing on the topic /nix; odometry is on /odom"):
-        find_recordings([tmp_path], ("/truth", "/nix"))
+    for truth in ("amcl", "tracked"):
+        assert_truth_first(find_recordings([tmp_path / "run.bag"], (truth, "odom")))
 
 
 def test_where_there_is_nothing_that_is_said(tmp_path):

@@ -4,10 +4,10 @@ import csv
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from scipy import stats
 from test_dock_campaign import fake_trial
+from test_dock_summary import record
 
 from bullet_lab.core.files import FileError
 from bullet_lab.studies.dock_campaign.compare import (
@@ -16,7 +16,6 @@ from bullet_lab.studies.dock_campaign.compare import (
     figures_of,
     paired_figures,
     quantile,
-    share,
 )
 from bullet_lab.studies.dock_campaign.results import LOG, DockLog
 from bullet_lab.studies.dock_campaign.study import DockCampaignSettings
@@ -32,18 +31,6 @@ def logged(folder, dockings, **draw):
     log.close()
 
 
-def record(result="docked", time=10.0, lateral=0.0, contacts=0):
-    return {
-        "result": result,
-        "sim_time_s": time,
-        "distance_error_m": 0.0,
-        "lateral_error_m": lateral,
-        "yaw_error_deg": 0.0,
-        "wall_contacts": contacts,
-        "retries": 0,
-    }
-
-
 def test_what_is_drawn_does_not_depend_on_the_controller():
     for index in range(20):
         ours = draw_scenario(DrawSettings(), index)
@@ -51,27 +38,13 @@ def test_what_is_drawn_does_not_depend_on_the_controller():
         assert other == replace(ours, controller="graceful")
 
 
-@pytest.mark.parametrize(("hits", "trials"), [(0, 20), (20, 20), (199, 200)])
-def test_intervals_of_shares_are_clopper_and_pearsons(hits, trials):
-    found = share(hits, trials)
-    if hits < trials:
-        high = found["high"] / 100.0
-        assert stats.binom.cdf(hits, trials, high) == pytest.approx(0.025)
-    if hits > 0:
-        low = found["low"] / 100.0
-        assert stats.binom.sf(hits - 1, trials, low) == pytest.approx(0.025)
-
-
 @pytest.mark.parametrize(("part", "count"), [(0.5, 15), (0.5, 200), (0.9, 100), (0.99, 1000)])
-def test_intervals_of_quantiles_hold_what_they_promise(part, count):
-    # Of a uniform law the quantile is `part` itself; the values' ranks decide.
-    rng = np.random.default_rng(3)
-    held = 0
-    for _ in range(400):
-        found = quantile(rng.uniform(size=count), part)
-        held += found["low"] <= part <= found["high"]
-    # With at least 95 %: fewer than this have a probability of 1e-6.
-    assert held >= stats.binom.ppf(1e-6, 400, 0.95)
+def test_intervals_of_quantiles_are_the_narrowest_with_the_confidence(part, count):
+    # The number of values below the quantile, whatever their law, has a binomial distribution.
+    found, below = quantile(range(count), part), stats.binom(count, part)
+    low, high = int(found["low"]), int(found["high"])
+    assert below.cdf(low) < 0.025 <= below.cdf(low + 1)
+    assert below.cdf(high - 1) < 0.975 <= below.cdf(high)
 
 
 def test_few_values_leave_the_far_end_open():
@@ -84,27 +57,27 @@ def test_few_values_leave_the_far_end_open():
 def test_what_counts_as_docked():
     figures = figures_of(
         [
-            record(),
-            record("inaccurate", lateral=0.02),
-            record("inaccurate", lateral=-0.06),
-            record("wall_contact", contacts=1),
-            record("not_detected"),
+            record(0, distance_error_m=0.0),
+            record(1, "inaccurate", lateral_error_m=0.02),
+            record(2, "inaccurate", lateral_error_m=-0.06),
+            record(3, "wall_contact", wall_contacts=1),
+            record(4, "not_detected", retries=0),
         ]
     )
     values = [figure["value"] for name, figure in figures.items() if name.endswith("(%)")]
-    assert values == pytest.approx([20.0, 40.0, 60.0, 20.0, 0.0])
+    assert values == pytest.approx([20.0, 40.0, 60.0, 20.0, 80.0])
     assert figures["lateral error, median (mm)"]["value"] == pytest.approx(20.0)
 
 
 def test_pairs_are_compared_index_by_index():
-    first = [record(time=10.0), record(), record("not_detected"), record("timed_out")]
-    second = [record(time=7.0), record("not_detected"), record(), record("timed_out")]
-    paired = paired_figures(first, second)
+    docked, lost, late = record(0), record(0, "not_detected"), record(0, "timed_out")
+    faster = record(0, sim_time_s=27.0)
+    paired = paired_figures([docked, docked, lost, late], [faster, lost, docked, late])
     counts = [v for k, v in paired.items() if k.endswith("docked")]
     assert counts == [1, 1, 1, 1]
     assert paired["mcnemar_p"] == 1.0
     assert paired["time, median difference (s)"]["value"] == pytest.approx(-3.0)
-    assert paired_figures([record()] * 6, [record("timed_out")] * 6)["mcnemar_p"] == 2.0 * 0.5**6
+    assert paired_figures([docked] * 6, [late] * 6)["mcnemar_p"] == 2.0 * 0.5**6
 
 
 def test_table_picture_and_numbers_are_left(tmp_path):

@@ -1,25 +1,21 @@
+"""A campaign of dockings: its files, whatever happens on the way to them."""
+
 import csv
 import json
 import os
 import random
+import shutil
 import signal
-import subprocess
-import sys
-import time
 from multiprocessing import get_context
 
 import numpy as np
-import psutil
 import pytest
 
-from bullet_lab.core.parameters import ParameterError
 from bullet_lab.docking.database import ERRORS
 from bullet_lab.docking.types import DockingError, DockingResult
-from bullet_lab.studies.dock_campaign.results import DockLogError
 from bullet_lab.studies.dock_campaign.study import (
     DockCampaignSettings,
     describe,
-    main,
     run_campaign,
 )
 from bullet_lab.studies.dock_campaign.trial import (
@@ -28,7 +24,7 @@ from bullet_lab.studies.dock_campaign.trial import (
     draw_scenario,
     run_trial,
 )
-from bullet_lab.studies.workers import TaskLostError, WorkersError, workers
+from bullet_lab.studies.workers import TaskLostError, workers
 
 FILES = ("dockings.jsonl", "campaign.csv", "campaign.png")
 
@@ -59,11 +55,6 @@ def fake_trial(settings, index):
     return run_trial(settings, index, outcome_of)
 
 
-def slow_trial(settings, index):
-    time.sleep(0.1)
-    return fake_trial(settings, index)
-
-
 def in_order(trial, indices):
     return ((index, trial(index)) for index in indices)
 
@@ -74,14 +65,26 @@ def shuffled(trial, indices):
     return in_order(trial, indices)
 
 
-def stopping_after(count):
+def stopping_after(count, stop):
     def run(trial, indices):
         for number, found in enumerate(shuffled(trial, indices)):
             if number == count:
-                raise KeyboardInterrupt
+                stop()
             yield found
 
     return run
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def nothing(trial, indices):
+    pytest.fail("something was run again")
 
 
 def campaign(folder, run=in_order, dockings=30, trial=fake_trial, **draw):
@@ -115,10 +118,7 @@ def test_files_say_what_happened(reference):
     assert [int(row["index"]) for row in rows] == list(range(30))
     docked = [row for row in rows if row["result"] == "docked"]
     assert summary["docked"] == len(docked) < 30
-    told = [row for row in rows if row["result"] in ("docked", "inaccurate")]
-    largest = max(abs(float(row["lateral_error_m"])) for row in told)
     assert all(abs(float(row["lateral_error_m"])) <= 0.004 for row in docked)
-    assert summary["lateral_error_m"]["max"] == largest
     assert summary["seed"] == 1
     assert summary["run"]["dockings"] == 30
     assert summary["run"]["sim_time_s"] == pytest.approx(summary["sim_time_s"])
@@ -135,7 +135,7 @@ def test_order_does_not_matter(reference, tmp_path):
 def test_a_stopped_campaign_goes_on_where_it_was(reference, tmp_path):
     for count in (4, 9, 0):
         with pytest.raises(KeyboardInterrupt):
-            campaign(tmp_path, stopping_after(count))
+            campaign(tmp_path, stopping_after(count, interrupt))
         assert not (tmp_path / "summary.json").exists()
     done = []
 
@@ -154,25 +154,14 @@ def test_a_finished_campaign_can_be_enlarged(reference, tmp_path):
     assert_same_results(tmp_path, reference)
 
 
-def test_a_finished_campaign_runs_nothing_again(tmp_path):
-    first = campaign(tmp_path)
-    second = campaign(tmp_path, lambda *_: pytest.fail("something was run again"))
-    assert first["docked"] == second["docked"]
-    assert second["run"]["real_time_factor"] is None
-    assert describe(second)
-
-
-def test_fewer_dockings_of_a_larger_campaign(tmp_path):
-    campaign(tmp_path, dockings=30)
-    summary = campaign(tmp_path, dockings=10)
-    assert summary["dockings"] == 10
+@pytest.mark.parametrize("dockings", [30, 10])
+def test_a_finished_campaign_runs_nothing_again(reference, tmp_path, dockings):
+    shutil.copy(reference / "dockings.jsonl", tmp_path)
+    summary = campaign(tmp_path, nothing, dockings)
+    assert summary["dockings"] == dockings
+    assert summary["run"]["real_time_factor"] is None
+    assert describe(summary)[0].startswith(f"{summary['docked']} of {dockings} docked")
     assert len((tmp_path / "dockings.jsonl").read_text().splitlines()) == 31
-
-
-def test_another_campaign_in_the_folder_is_refused(tmp_path):
-    campaign(tmp_path, dockings=3)
-    with pytest.raises(DockLogError, match="seed 1, not 2"):
-        campaign(tmp_path, dockings=3, seed=2)
 
 
 def test_what_has_crashed_is_reported_and_the_rest_goes_on(tmp_path):
@@ -233,77 +222,14 @@ def test_a_docking_does_not_depend_on_those_before_it():
     assert alone[-1] == after_others[-1]
 
 
-def test_killed_it_leaves_nothing_behind_and_goes_on_with_what_it_has(reference, tmp_path):
-    folder, temporary = tmp_path / "out", tmp_path / "tmp"
-    temporary.mkdir()
-    log = folder / "dockings.jsonl"
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path\n"
-        "import test_dock_campaign as t\n"
-        "if __name__ == '__main__':\n"
-        "    t.campaign(Path(sys.argv[2]), t.workers(2), trial=t.slow_trial)\n"
-    )
-    script = tmp_path / "run.py"
-    script.write_text(code)
-    process = subprocess.Popen(
-        [sys.executable, str(script), os.path.dirname(__file__), str(folder)],
-        env=dict(os.environ, TMPDIR=str(temporary)),
-        stderr=subprocess.DEVNULL,
-    )
-    deadline = time.monotonic() + 60.0
-    while not log.exists() or log.read_bytes().count(b"\n") < 5:
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    children = psutil.Process(process.pid).children(recursive=True)
-    assert len(children) >= 2
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    _, alive = psutil.wait_procs(children, timeout=20.0)
-    assert alive == []
-    assert list(temporary.iterdir()) == []
-    lines = log.read_bytes().count(b"\n")
-    assert lines < 31
+def test_killed_it_goes_on_with_what_it_has(reference, tmp_path):
+    run = stopping_after(9, die)
+    killed = get_context("fork").Process(target=campaign, args=(tmp_path, run))
+    killed.start()
+    killed.join()
+    assert killed.exitcode == -signal.SIGKILL
+    log = tmp_path / "dockings.jsonl"
+    # The machine itself may fail as well, within a line.
     log.write_bytes(log.read_bytes()[:-7])
-    new = campaign(folder)["run"]["dockings"]
-    assert new == 30 - (lines - 2)
-    assert_same_results(folder, reference)
-
-
-@pytest.mark.parametrize("count", [0, 1_000_001])
-def test_impossible_numbers_of_dockings_are_refused(count):
-    with pytest.raises(ParameterError, match="dockings is"):
-        DockCampaignSettings(dockings=count)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ([], "out"),
-        (["x", "-n", "0"], "--dockings is '0': it must be a whole number from 1 to 1000000"),
-        (["x", "-n", "two"], "--dockings is 'two'"),
-        (["x", "--worlds", "kitchen"], "kitchen"),
-        (["x", "--workers", "-1"], "--workers is '-1'"),
-        (["x", "--scheduler", "somewhere", "-n", "1"], "tcp://host:8786"),
-        (["/proc/no", "-n", "1"], "cannot make the folder"),
-    ],
-)
-def test_bad_command_lines_end_with_one_line(words, said, capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as caught:
-        main([*words, "__name:=dock_campaign"])
-    assert caught.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("dock_campaign: ")
-    assert said in line
-
-
-def test_nobody_to_work_is_an_error_and_nothing_is_lost(tmp_path):
-    def run(trial, indices):
-        yield indices[0], trial(indices[0])
-        raise WorkersError("gone")
-
-    with pytest.raises(WorkersError):
-        campaign(tmp_path, run)
-    assert len((tmp_path / "dockings.jsonl").read_text().splitlines()) == 2
-    campaign(tmp_path)
+    assert campaign(tmp_path)["run"]["dockings"] == 30 - 8
+    assert_same_results(tmp_path, reference)

@@ -1,6 +1,7 @@
 """Tests of the control law, the filter and the stages of the controller beside ours."""
 
 import math
+from dataclasses import replace
 
 import docking_standin as standin
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.docking.geometry import Viewpoint, corner_points
-from bullet_lab.docking.types import CameraMount, DockingError, Observation, Odometry, Sighting
+from bullet_lab.docking.types import CameraMount, DockingError
 from bullet_lab.studies.dock_campaign.graceful import (
     NAV2,
     GracefulSettings,
@@ -19,7 +20,7 @@ from bullet_lab.studies.dock_campaign.graceful import (
 )
 
 
-@pytest.mark.parametrize("heading", [-2.0, -0.5, 0.1, 1.0])
+@pytest.mark.parametrize("heading", [-2.0, 0.1])
 def test_a_target_straight_ahead_is_the_closed_form(heading):
     # With delta = 0 it is the slow subsystem's steering alone.
     v, w = graceful_command((1.5, 0.0, heading), NAV2)
@@ -82,46 +83,42 @@ def test_what_is_no_marker_has_no_pose():
     assert marker_poses(np.zeros((4, 2)), 0.2, standin.CAMERA, standin.MOUNT) == []
 
 
-def docking(start, seen=lambda seconds: True, settings=NAV2, seconds=80.0):
-    """Run a task on a robot that does at once what it is told to."""
-    stand = standin.Stand(start, walls=False)
-    dock = standin.make_dock(stand)
-    task = GracefulTask(dock, dock.pose, standin.MOUNT, settings)
-    rng, pose, now = np.random.default_rng(1), np.array(start), 0.0
-    while task.result is None and now < seconds:
-        task.add_odometry(Odometry(now, tuple(pose.tolist())))
-        if task.wants_images and seen(now) and round(now / 0.05) % 4 == 0:
-            there = se2.between(stand.dock, pose)
-            corners = standin.see_print(there, standin.Print(), stand, rng)
-            found = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
-            task.add_observation(Observation(now, standin.CAMERA, found))
-        v, w = task.tick(now)
-        pose = se2.compose(pose, (0.05 * v, 0.0, 0.05 * w))
-        now += 0.05
-    return task.result, se2.between(stand.dock, pose)
+def docking(start, seen=lambda seconds: True, settings=NAV2):
+    """Dock with a robot that does at once what it is told to; return how it went."""
+
+    class Task(GracefulTask):
+        def add_observation(self, observation):
+            hidden = replace(observation, sightings=())
+            super().add_observation(observation if seen(observation.stamp) else hidden)
+
+    stand = standin.Stand(start, walls=False, lag=0.0, settings=settings)
+    return standin.run(stand, controller=lambda *dock, settings, seed: Task(*dock, settings))
+
+
+def assert_docked(run):
+    assert run.result.success
+    assert math.hypot(run.distance_error, run.lateral_error) < 0.06
 
 
 def test_it_stops_within_its_threshold():
-    result, pose = docking((0.8, 0.1, 0.1))
-    assert result.success
-    assert math.hypot(pose[0] + 0.56, pose[1]) < 0.06
-    assert result.lateral == pytest.approx(pose[1], abs=0.005)
+    run = docking((0.8, 0.1, 0.1))
+    assert_docked(run)
+    assert run.result.lateral == pytest.approx(run.lateral_error, abs=0.005)
 
 
 def test_it_waits_for_the_marker_and_then_says_that_it_is_not_there():
-    result, _ = docking((0.8, 0.1, 0.1), seen=lambda seconds: False)
-    assert result.error == DockingError.NOT_DETECTED
+    run = docking((0.8, 0.1, 0.1), seen=lambda seconds: False)
+    assert run.result.error == DockingError.NOT_DETECTED
 
 
 def test_lost_on_the_way_it_goes_back_and_tries_again():
-    result, pose = docking((1.0, 0.0, 0.0), seen=lambda seconds: not 5.0 < seconds < 9.0)
-    assert result.success
-    assert result.retries >= 1
-    assert math.hypot(pose[0] + 0.56, pose[1]) < 0.06
+    run = docking((1.0, 0.0, 0.0), seen=lambda seconds: not 5.0 < seconds < 9.0)
+    assert_docked(run)
+    assert run.result.retries >= 1
 
 
 def test_without_retries_it_says_why():
     settings = GracefulSettings(max_retries=0, dock_approach_timeout=2.0)
-    result, _ = docking((1.0, 0.0, 0.0), settings=settings)
+    result = docking((1.0, 0.0, 0.0), settings=settings).result
     assert result.error == DockingError.CONTROL_FAILED
     assert "not reached" in result.message

@@ -8,7 +8,7 @@ from recorded_paths import poses_of
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
-from bullet_lab.core.trajectory import Trajectory, path_error, read_tum
+from bullet_lab.core.trajectory import Trajectory, path_error
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.noise_study.statistics import (
@@ -20,12 +20,7 @@ from bullet_lab.studies.noise_study.statistics import (
 )
 from bullet_lab.studies.paths import resample, tum_text
 
-CASES = [
-    ("report", 0.5, 0.9),
-    ("rate_invariant", 0.05, 5.0),
-    ("probabilistic", 0.2, 20.0),
-    ("rate_invariant", 0.5, 20.0),
-]
+CASES = [("report", 0.5, 0.9), ("probabilistic", 0.2, 20.0)]
 
 
 def square(laps=1, rest=10):
@@ -38,11 +33,6 @@ def square(laps=1, rest=10):
     for move in moves:
         poses.append(se2.compose(poses[-1], move))
     return Trajectory(7.0 + 0.05 * np.arange(len(poses)), poses)
-
-
-def kept_case(model, std, rate, keep=4):
-    generator = np.random.default_rng(60)
-    return study_case(resample(square(), rate), (model, std, rate), generator, 50, 1.0, keep)
 
 
 def measured(trajectory, model, std, count=4):
@@ -175,29 +165,12 @@ def evo_values(folder, case, number):
 
 
 @pytest.mark.usefixtures("home")
-@pytest.mark.parametrize(("model", "std", "rate"), CASES)
-def test_evo_says_the_same(tmp_path, model, std, rate):
-    case = kept_case(model, std, rate)
-    steps = noisy_steps(case.trajectory.poses, level_rule(model, std))
-    metrics = PathMetrics(case.trajectory, steps, 1.0)
-    (block,) = noisy_blocks(steps, np.random.default_rng(60), 2, 10**7)
-    for number, row in enumerate(metrics.values(block)):
-        values = dict(zip(metrics.names, row))
-        ours = [
-            values["ape_rmse_m"],
-            values["ape_heading_rmse_deg"],
-            values["rpe_rmse_m"],
-            values["rpe_heading_rmse_deg"],
-        ]
+def test_evo_says_the_same_of_exported_paths(tmp_path):
+    # At 0.9 Hz some poses have two others equally near to the distance.
+    path, key = resample(square(), 0.9), ("report", 0.5, 0.9)
+    case = study_case(path, key, np.random.default_rng(61), 4, 1.0, 2)
+    names = ("ape_rmse_m", "ape_heading_rmse_deg", "rpe_rmse_m", "rpe_heading_rmse_deg")
+    # The same draws as the study's.
+    for number, (values, _) in enumerate(measured(path, *key[:2])[:2]):
+        ours = [values[name] for name in names]
         assert ours == pytest.approx(evo_values(tmp_path, case, number), rel=0.0, abs=1e-6)
-
-
-def test_an_exported_path_comes_back(tmp_path):
-    case = kept_case("rate_invariant", 0.3, 5.0)
-    path = case.kept_path(3)
-    (tmp_path / "a.tum").write_text(tum_text(path))
-    back = read_tum(tmp_path / "a.tum")
-    np.testing.assert_array_equal(back.poses[:, :2], path.poses[:, :2])
-    np.testing.assert_allclose(wrap(back.poses[:, 2] - path.poses[:, 2]), 0.0, atol=1e-14)
-    with pytest.raises(IndexError):
-        case.kept_path(4)

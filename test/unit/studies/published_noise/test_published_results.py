@@ -1,9 +1,8 @@
 """Lengths read from drawn paths, and the p-values and verdicts that follow from them."""
 
-import math
-
 import numpy as np
 import pytest
+from scipy.stats import beta
 
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import NONE, Defects, combinations
@@ -27,12 +26,6 @@ from bullet_lab.studies.published_noise.results import (
 )
 
 
-def lengths(rng, count):
-    """Return lengths as of a run, which hang together."""
-    size = np.exp(rng.standard_normal((count, 1)))
-    return np.abs(size * rng.normal(size=(count, 3)) * [0.001, 0.002, 0.2])
-
-
 def test_p_value_of_one_length_is_twice_its_rank():
     runs = 0.1 * np.arange(1, 100)[:, np.newaxis]
     assert p_value([0.31], runs).value == pytest.approx(2 * 4 / 100)
@@ -46,32 +39,13 @@ def test_of_several_lengths_the_most_unusual_one_counts():
     assert p_value([500, 9.5], runs).value == pytest.approx(2 * 2 * 10 / 1000)
 
 
-def test_p_values_of_replays_are_below_a_share_at_most_as_often():
-    rng = np.random.default_rng(2)
-    values = []
-    for _ in range(400):
-        every = lengths(rng, 200)
-        values.append(p_value(every[0], every[1:]).value)
-    for share in (0.05, 0.1, 0.5):
-        # 99.9 % of the time.
-        sigma = math.sqrt(share * (1 - share) / 400)
-        assert np.mean(np.array(values) <= share) < share + 3.1 * sigma
-    assert np.mean(np.array(values) <= 0.5) > 0.25
-
-
-def test_the_bound_holds_as_often_as_it_says():
-    rng = np.random.default_rng(3)
-    true = 0.04
-    # Of a length that is uniform, 2 % are above 0.98.
-    found = np.array([p_value([0.98], rng.random((150, 1))).high for _ in range(1000)])
-    missed = np.mean(found < true)
-    # One-sided 95 % for each of the two tails together; 99.9 % of the time.
-    assert missed < 0.025 + 3.1 * math.sqrt(0.025 * 0.975 / 1000)
-
-
-def test_the_bound_of_none_in_many():
-    high = p_value([2.0], np.linspace(0, 1, 1000)[:, np.newaxis]).high
-    assert high == pytest.approx(2 * (1 - 0.025 ** (1 / 1000)))
+def test_the_bound_is_clopper_and_pearsons_for_all_tails_at_once():
+    runs = np.linspace(0, 1, 100)[:, np.newaxis]
+    # None and two of 100 runs are further out.
+    assert p_value([2.0], runs).high == pytest.approx(2 * (1 - 0.025 ** (1 / 100)))
+    assert p_value([0.985], runs).high == pytest.approx(2 * beta.isf(0.025, 3, 98))
+    both = p_value([2.0, 0.5], np.tile(runs, 2))
+    assert both.high == pytest.approx(4 * (1 - 0.0125 ** (1 / 100)))
 
 
 def test_too_few_runs_exclude_nothing():
@@ -91,11 +65,12 @@ def judged(explains, name):
     return verdict(name, found, "all")
 
 
-def test_verdicts():
-    assert judged(lambda d: d.aliasing and not d.unbent, "aliasing") == NEEDED
-    assert judged(lambda d: d.aliasing and not d.unbent, "unbent") == RULED_OUT
-    assert judged(lambda d: d.aliasing and not d.unbent, "sampled") == UNKNOWN
-    assert judged(lambda d: False, "aliasing") == UNKNOWN
+@pytest.mark.parametrize(
+    ("name", "expected"), [("aliasing", NEEDED), ("unbent", RULED_OUT), ("sampled", UNKNOWN)]
+)
+def test_verdicts(name, expected):
+    assert judged(lambda d: d.aliasing and not d.unbent, name) == expected
+    assert judged(lambda d: False, name) == UNKNOWN
 
 
 def test_what_is_not_excluded_leaves_the_verdict_open():
@@ -147,16 +122,6 @@ def test_what_is_left_out_is_hardly_beside_the_line():
     assert 1e-4 < off.max() < 2.0 / 9.0 / 122.9
 
 
-def test_points_at_rest_are_drawn_where_they_are():
-    shown = drawn(np.repeat(VERTICES, 20, axis=0))
-    kept = shown[np.append(True, np.abs(np.diff(shown, axis=0)).max(axis=1) > 1e-9)]
-    np.testing.assert_allclose(kept, VERTICES, atol=1e-9)
-
-
-def test_the_way_back_is_drawn_as_well():
-    assert drawn([(0, 0), (2.008, 0), (2, 0), (2, -2)])[:, 0].max() == pytest.approx(2.008)
-
-
 def test_corners_wherever_the_square_is():
     assert find_corners(VERTICES).tolist() == FOUND
     angle = 0.7
@@ -190,13 +155,6 @@ def test_lengths():
     np.testing.assert_allclose(measure(VERTICES, perfect), expected, atol=1e-12)
 
 
-def test_lengths_do_not_depend_on_where_the_square_is():
-    angle = -2.2
-    turn = np.array([(np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))])
-    moved = measure(VERTICES @ turn + [3, 4], CORNERS @ turn + [3, 4])
-    np.testing.assert_allclose(moved, measure(VERTICES, CORNERS), atol=1e-12)
-
-
 def test_what_figure_1b_shows(package):
     figure = read_published_figure(package / "data" / "fig1_paths.csv")
     expected = [1.6, 3.0, 213.6, 1.55, 1.6, 0.41]
@@ -210,10 +168,7 @@ def test_what_figure_1b_shows(package):
     "text, error",
     [
         ("", "has to name the columns series, x_m, y_m"),
-        ("a,b\n1,2\n", "has to name the columns"),
         ("series,x_m,y_m\nfig1b_noisy,1\n", "line 2: a value is not a number"),
-        ("series,x_m,y_m\nfig1b_noisy,1,here\n", "line 2: a value is not a number"),
-        ("series,x_m,y_m\nfig1b_noisy,1,nan\n", "not finite"),
         ("series,x_m,y_m\nfig1b_noisy,0,0\n", "no path fig1b_perfect"),
         ("series,x_m,y_m\nfig1b_noisy,0,0\nfig1b_perfect,1,1\n", "four sides"),
     ],

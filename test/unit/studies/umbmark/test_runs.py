@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from recorded_bags import write_bag
 
 from bullet_lab.core import se2
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
@@ -47,23 +48,15 @@ def write_table(folder, name, true, reported):
     (folder / f"{name}.csv").write_text("\n".join(text))
 
 
-def write_bag(folder, name, true, reported):
-    rosbag = pytest.importorskip("rosbag")
-    rospy = pytest.importorskip("rospy")
-    from nav_msgs.msg import Odometry
-
-    with rosbag.Bag(str(folder / f"{name}.bag"), "w") as bag:
-        for topic, path in (("/odom", reported), ("/truth", true)):
-            for stamp, (x, y, yaw) in zip(path.stamps, path.poses.tolist()):
-                message = Odometry()
-                message.header.stamp = rospy.Time.from_sec(float(stamp) + 1.0)
-                message.pose.pose.position.x, message.pose.pose.position.y = x, y
-                turn = message.pose.pose.orientation
-                turn.x, turn.y, turn.z, turn.w = se2.quaternion_from_yaw(yaw)
-                bag.write(topic, message, message.header.stamp)
+def write_both(folder, name, true, reported):
+    kind = pytest.importorskip("nav_msgs.msg").Odometry
+    both = (("/odom", reported), ("/truth", true))
+    # ROS has no stamp 0.
+    topics = [(topic, kind, path.stamps + 1.0, path.poses) for topic, path in both]
+    write_bag(folder / f"{name}.bag", *topics)
 
 
-@pytest.mark.parametrize("write", [write_pair, write_table, write_bag])
+@pytest.mark.parametrize("write", [write_pair, write_table, write_both])
 def test_files_of_both_ways_say_what_the_wheels_are(write, tmp_path):
     for name, turn in (("a", 0.5), ("b", -0.5)):
         write(tmp_path, name, *recorded(turn))
@@ -74,7 +67,7 @@ def test_files_of_both_ways_say_what_the_wheels_are(write, tmp_path):
     assert found.base_error == pytest.approx(WRONG.base_error, rel=1e-3)
 
 
-@pytest.mark.parametrize(("shift", "share"), [(1000.0, 1.0), (-1000.0, 1.0), (0.0, 0.7)])
+@pytest.mark.parametrize(("shift", "share"), [(1000.0, 1.0), (0.0, 0.7)])
 def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
     true, reported = recorded(0.5)
     count = int(share * len(true.stamps))
@@ -84,20 +77,14 @@ def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
 
 
 def test_a_table_of_what_was_measured_with_a_rule(tmp_path):
-    # At corners 90° - alpha: the odometry's square is perfect, the true one is known.
-    alpha = 0.01
-    ends = {}
-    for way, sign in (("ccw", 1.0), ("cw", -1.0)):
-        turns = sign * (0.5 * math.pi - alpha) * np.arange(5)
-        end = 2.0 * np.exp(1j * turns[:4]).sum()
-        ends[way] = (float(end.real), float(end.imag), float(turns[4]) - sign * math.tau)
-    rows = [f"{way},{x!r},{y!r},{yaw!r}" for way, (x, y, yaw) in ends.items()]
-    file = tmp_path / "returns.csv"
-    file.write_text("\n".join(["direction,x,y,yaw", *rows]))
-    runs = read_runs(file, "", "", 2.0)
-    found = fit(runs, 0.4).errors
-    assert found.base_error == pytest.approx(0.5 * math.pi / (0.5 * math.pi - alpha) - 1.0)
-    assert found.diameter_error == pytest.approx(0.0, abs=1e-9)
+    rows = [("ccw", 0.1, -0.2, 0.03), ("cw", -0.1, 0.05, -0.02)]
+    text = "\n".join(",".join(map(str, row)) for row in rows)
+    (tmp_path / "returns.csv").write_text(f"direction,x,y,yaw\n{text}\n")
+    runs = read_runs(tmp_path / "returns.csv", "", "", 2.0)
+    for run, (way, *end) in zip(runs, rows):
+        assert run.direction == way
+        assert run.return_error() == pytest.approx(end)
+        assert run.odometry == pytest.approx(perfect_square(2.0, way))
 
 
 def test_a_perfect_square_comes_back():
@@ -110,10 +97,8 @@ def test_a_perfect_square_comes_back():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a,b\n1,2\n", "has to name the columns"),
         ("direction,x,y,yaw\nleft,0,0,0\n", "line 2: the direction has to be one of cw, ccw"),
         ("direction,x,y,yaw\ncw,0,nan,0\n", "line 2"),
-        (CSV_HEADER + "\n0,0,0,0,0,0,0\n", "only one pose"),
         (CSV_HEADER + "\n0,0,0,0,0,0,0\n1,1,0,0,1,0,0\n", "not once round"),
     ],
 )

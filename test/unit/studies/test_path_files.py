@@ -1,0 +1,115 @@
+"""Paths are read from files of every format, and what is wrong with a file is said."""
+
+import builtins
+
+import numpy as np
+import pytest
+from recorded_bags import write_bag
+
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
+from bullet_lab.studies.paths import PathFileError, read_path, tum_text
+
+PATH = Trajectory([1.0, 2.0, 3.5], [(0.0, 0.0, 0.1), (0.5, -0.2, 1.0), (1.0, 0.3, -3.0)])
+
+
+@pytest.fixture
+def odometry():
+    return pytest.importorskip("nav_msgs.msg").Odometry
+
+
+def assert_same(path):
+    np.testing.assert_allclose(path.stamps, PATH.stamps, atol=1e-9)
+    np.testing.assert_allclose(path.poses, PATH.poses, atol=1e-12)
+
+
+def test_text_holds_the_path(tmp_path):
+    (tmp_path / "a.tum").write_text(tum_text(PATH))
+    table = zip(PATH.stamps.tolist(), PATH.poses.tolist())
+    rows = [f"{yaw!r},{x!r},{y!r},{stamp!r},7" for stamp, (x, y, yaw) in table]
+    (tmp_path / "a.csv").write_text("\n".join(["yaw,x,y,stamp,more", *rows]) + "\n")
+    for name in ("a.tum", "a.csv"):
+        assert_same(read_path(tmp_path / name))
+
+
+def test_a_bag_holds_the_path_on_a_topic_with_or_without_its_slash(tmp_path, odometry):
+    file = tmp_path / "a.bag"
+    write_bag(file, ("/odom", odometry, PATH.stamps, PATH.poses))
+    for topic in ("/odom", "odom"):
+        assert_same(read_path(file, topic))
+    with pytest.raises(PathFileError, match="nothing on the topic /nix; odometry is on /odom"):
+        read_path(file, "/nix")
+
+
+def test_a_bag_with_a_repeated_stamp(tmp_path, odometry):
+    write_bag(tmp_path / "a.bag", ("/odom", odometry, (1.0, 1.0), PATH.poses))
+    with pytest.raises(LabError, match="stamps must increase"):
+        read_path(tmp_path / "a.bag")
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ({"_type": "my_msgs/Path"}, "is of my_msgs/Path, not nav_msgs/Odometry"),
+        ({"_md5sum": 32 * "0"}, "is of another nav_msgs/Odometry"),
+    ],
+)
+def test_a_bag_with_other_messages(tmp_path, odometry, written, said):
+    foreign = type("Foreign", (odometry,), written)
+    write_bag(tmp_path / "a.bag", ("/odom", foreign, PATH.stamps, PATH.poses))
+    with pytest.raises(PathFileError, match=said):
+        read_path(tmp_path / "a.bag")
+
+
+def test_what_a_bag_says_of_its_messages_is_not_believed(tmp_path, odometry):
+    foreign = type("Foreign", (odometry,), {"_full_text": "int32 x"})
+    write_bag(tmp_path / "a.bag", ("/odom", foreign, PATH.stamps, PATH.poses))
+    assert_same(read_path(tmp_path / "a.bag"))
+
+
+@pytest.mark.parametrize("content", [b"", b"#ROSBAG V2.0\n\x01\x02"])
+def test_an_unreadable_bag(tmp_path, content):
+    pytest.importorskip("rosbag")
+    (tmp_path / "a.bag").write_bytes(content)
+    with pytest.raises(PathFileError, match="^cannot read .*a.bag: "):
+        read_path(tmp_path / "a.bag")
+
+
+def test_a_bag_without_rosbag(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def fail(name, *args, **kwds):
+        if name == "rosbag":
+            raise ImportError("No module named 'rosbag'")
+        return real(name, *args, **kwds)
+
+    monkeypatch.setattr(builtins, "__import__", fail)
+    with pytest.raises(PathFileError, match="without ROS's rosbag"):
+        read_path(tmp_path / "a.bag")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("one.tum", "0 0 0 0 0 0 0 1\n", "only one pose"),
+        ("still.tum", "0 0 0 0 0 0 0 1\n1 9e-4 0 0 0 0 0 1\n", "shorter than 0.001 m"),
+        ("far.tum", "0 2e7 0 0 0 0 0 1\n1 2e7 1 0 0 0 0 1\n", r"longer than 1e\+07 m"),
+        ("long.tum", "0 9e6 0 0 0 0 0 1\n1 -9e6 0 0 0 0 0 1\n", r"longer than 1e\+07 m"),
+        ("nan.csv", "stamp,x,y,yaw\n0,0,0,0\n1,1,nan,0\n", "line 3: a value is not finite"),
+        ("word.csv", "stamp,x,y,yaw\n0,0,0,0\n1,1,a,0\n", "line 3: a value is not a number"),
+        ("short.csv", "stamp,x,y,yaw\n0,0,0,0\n1,1\n", "line 3: a value is not a number"),
+        ("twice.csv", "stamp,x,y,yaw\n0,0,0,0\n0,1,0,0\n", "stamps must increase"),
+        ("head.csv", "t,x,y\n0,0,0\n", "has to name the columns stamp, x, y, yaw"),
+        ("bytes.csv", "\udcff", "is not a table"),
+    ],
+)
+def test_a_bad_file(tmp_path, name, content, said):
+    (tmp_path / name).write_text(content, errors="surrogateescape")
+    with pytest.raises(LabError, match=said) as caught:
+        read_path(tmp_path / name)
+    assert str(tmp_path / name) in str(caught.value)
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(PathFileError, match="cannot read .*nix.csv: No such file"):
+        read_path(tmp_path / "nix.csv")
