@@ -13,7 +13,7 @@ from lab_testing import run_job
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.docking.database import DockUncertainty, drawn_error
 
-TIMEOUT = 240
+TIMEOUT = 600
 FOLDER = tempfile.TemporaryDirectory()
 # To be quick; farther starts, such as the job's own, are in test/long.
 NEAR = ("x:=1.6", "y:=0.1")

@@ -40,7 +40,7 @@ class FleetJobTest(unittest.TestCase):
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            timeout=200,
+            timeout=600,
         )
         if run.returncode:
             raise AssertionError(f"the job ended with status {run.returncode}:\n{run.stdout}")

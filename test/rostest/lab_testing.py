@@ -20,7 +20,7 @@ from bullet_lab.core.se2 import quaternion_from_yaw
 from bullet_lab.ros.node.lock_step import publishers_know_this_node
 
 # Wall seconds after which something is not going to happen any more.
-PATIENCE = 60.0
+PATIENCE = 180.0
 # Nodes that are not named as their executables are.
 NAMES = {"noisy_odom.py": "noisy_odom_node"}
 PACKAGE = Path(rospkg.RosPack().get_path("bullet_lab"))
@@ -103,7 +103,7 @@ class Node:
             # Not at once with SIGKILL, or the master would still know its topics and services.
             self.signal()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(10)
+                self.process.wait(PATIENCE)
         self.process.kill()
         self.process.wait()
 
@@ -232,7 +232,7 @@ def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint
     return message
 
 
-def run_job(job, *words, folder, status=0, timeout=250):
+def run_job(job, *words, folder, status=0, timeout=600):
     """Run a job on a master of its own; return its output folder and what it printed.
 
     Args:

@@ -22,7 +22,7 @@ from bullet_lab.studies.squares import SquaresSettings, run_squares
 sys.path.append(str(Path(__file__).resolve().parents[1] / "unit"))
 from recorded_paths import read_paths_csv, recover_noise  # noqa: E402
 
-TIMEOUT = 200
+TIMEOUT = 600
 FOLDER = tempfile.TemporaryDirectory()
 STD = 0.1
 SEED = 1

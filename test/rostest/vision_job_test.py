@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import rostest
 
-TIMEOUT = 250
+TIMEOUT = 600
 FOLDER = tempfile.TemporaryDirectory()
 PICTURES = {"view_camera", "canny_edges", "good_features", "harris_corners", "aruco"}
 # Where the robot's camera is, in its base, and the marker in the world; m.
