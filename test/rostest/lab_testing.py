@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import unittest
 import xmlrpc.client
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from bullet_lab.ros.node.lock_step import publishers_know_this_node
 
 # Wall seconds after which something is not going to happen any more.
 PATIENCE = 180.0
+# Likewise for a job.
+JOB_PATIENCE = 600.0
 # Nodes that are not named as their executables are.
 NAMES = {"noisy_odom.py": "noisy_odom_node"}
 PACKAGE = Path(rospkg.RosPack().get_path("bullet_lab"))
@@ -219,6 +222,35 @@ def publisher(name, kind, **options):
     return made
 
 
+class NodeTest(unittest.TestCase):
+    """Nodes, topics and publishers that end with a test."""
+
+    def node(self, script, name="", **parameters):
+        """A node, see `Node`."""
+        node = Node(script, name, **parameters)
+        self.addCleanup(node.end)
+        return node
+
+    def topic(self, name, kind, connected=True):
+        """A topic, see `Topic`."""
+        topic = Topic(name, kind, connected)
+        self.addCleanup(topic.close)
+        return topic
+
+    def publisher(self, name, kind, **options):
+        """A publisher with a subscriber."""
+        made = publisher(name, kind, **options)
+        self.addCleanup(made.unregister)
+        return made
+
+    def assert_bad_parameter(self, node, *words):
+        """Assert that a node ends with a line that has some words."""
+        self.assertEqual(2, node.wait(), node.err)
+        self.assertEqual(1, len(node.err.splitlines()), node.err)
+        for word in words:
+            self.assertIn(word, node.err)
+
+
 def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint"):
     """An odometry message."""
     message = Odometry()
@@ -232,7 +264,7 @@ def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint
     return message
 
 
-def run_job(job, *words, folder, status=0, timeout=600):
+def run_job(job, *words, folder, status=0, out="out"):
     """Run a job on a master of its own; return its output folder and what it printed.
 
     Args:
@@ -240,19 +272,20 @@ def run_job(job, *words, folder, status=0, timeout=600):
         words: arguments such as "seed:=1".
         folder: where a folder for this run is made.
         status: that it is to end with.
-        timeout: s that it may take.
+        out: name of the output folder; empty for the default.
     """
     where = Path(tempfile.mkdtemp(dir=folder))
+    words = (job, *words, f"out:={out}") if out else (job, *words)
     environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
     run = subprocess.run(
-        [sys.executable, "-m", "bullet_lab.ros.launcher", job, *words, "out:=out"],
+        [sys.executable, "-m", "bullet_lab.ros.launcher", *words],
         cwd=where,
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        timeout=timeout,
+        timeout=JOB_PATIENCE,
     )
     if run.returncode != status:
-        raise AssertionError(f"{job} {words} ended with status {run.returncode}:\n{run.stdout}")
-    return where / "out", run.stdout
+        raise AssertionError(f"{words} ended with status {run.returncode}:\n{run.stdout}")
+    return where / (out or f"results/{job}"), run.stdout

@@ -6,11 +6,13 @@ import pytest
 pytest.importorskip("rospy")
 
 import rospy
-from bullet_lab.msg import DockGoal, MarkerDetection, MarkerDetectionArray
+from bullet_lab.msg import DockGoal, MarkerDetection, MarkerDetectionArray, UndockGoal
 from geometry_msgs.msg import PoseStamped, Quaternion
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Header
 
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.progress import DockingFailureError
@@ -20,8 +22,10 @@ from bullet_lab.ros.messages.images import CameraGeometryError
 from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.odometry import OdometryError
 from bullet_lab.ros.nodes.dock import (
+    DockParameters,
     NotYetError,
     camera_of,
+    check_goal,
     docking_result,
     mount_of,
     odometry_of,
@@ -140,6 +144,34 @@ def test_a_leaning_dock_is_refused_for_good():
         rough_pose(wrong, DOCK, "odom", lookup)
     assert not isinstance(caught.value, NotYetError)
     assert isinstance(caught.value, LabError)
+
+
+@pytest.mark.parametrize(
+    "wrong, said",
+    [
+        (DockGoal(max_retries=-2, dock_id="dock"), "max_retries is -2"),
+        (DockGoal(), "neither dock_id nor"),
+        (goal("odom", math.nan), "not finite"),
+        (DockGoal(dock_pose=PoseStamped(header=Header(frame_id="odom"))), "no unit quaternion"),
+        (UndockGoal(-0.1), "distance is -0.1 m"),
+        (UndockGoal(10.1), "from 0 to 10 m"),
+        (UndockGoal(math.nan), "distance is nan m"),
+    ],
+)
+def test_invalid_goals_are_refused(wrong, said):
+    with pytest.raises(DockingFailureError, match=said) as caught:
+        check_goal(wrong)
+    assert caught.value.error == DockingError.NOT_VALID
+
+
+def test_a_dock_that_the_database_does_not_have():
+    with pytest.raises(ParameterError, match="~dock is 'kitchen': it must be one of"):
+        DockParameters(dock="kitchen").database()
+
+
+def test_goals_at_the_limits_are_valid():
+    for good in (DockGoal(max_retries=-1, dock_id="dock"), UndockGoal(0.0), UndockGoal(10.0)):
+        check_goal(good)
 
 
 def test_corners_stay_numbers():
