@@ -11,13 +11,13 @@ import rostest
 from actionlib import GoalStatus, SimpleActionClient
 from actionlib_msgs.msg import GoalStatusArray
 from bullet_lab.msg import DockAction, DockGoal, DockResult, UndockAction, UndockGoal
-from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Twist
-from lab_testing import Node, NodeTest, Topic, wait_for
+from geometry_msgs.msg import PoseStamped, Twist
+from lab_testing import Node, NodeTest, Topic, transform, wait_for
 from standin import DockStandIn
-from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from bullet_lab.docking.types import DockingState
+from bullet_lab.ros.messages.poses import stamped_pose
 
 APPROACHING = int(DockingState.APPROACHING)
 
@@ -50,7 +50,8 @@ class DockFailuresTest(NodeTest):
 
     def setUp(self):
         self.states = []
-        self.robot.pose = (2.6, 0.0, 0.0)
+        with self.robot.lock:
+            self.robot.pose = (2.6, 0.0, 0.0)
         self.robot.does = {"odom", "camera_info", "detections", "move"}
 
     def tearDown(self):
@@ -93,14 +94,6 @@ class DockFailuresTest(NodeTest):
         wait_for(lambda: APPROACHING in self.states, "the approach")
         wait_for(lambda: self.commands.messages[-1].linear.x > 0.05, "motion")
 
-    def pose(self, frame, x, y, yaw=0.0):
-        message = PoseStamped()
-        message.header.frame_id = frame
-        message.pose.position.x, message.pose.position.y = x, y
-        message.pose.orientation.z = math.sin(0.5 * yaw)
-        message.pose.orientation.w = math.cos(0.5 * yaw)
-        return message
-
     # Invalid goals
 
     def test_unknown_dock(self):
@@ -108,7 +101,7 @@ class DockFailuresTest(NodeTest):
         self.assert_failed(DockResult.NOT_IN_DATABASE, "no dock 'kitchen'")
 
     def test_unknown_frame(self):
-        self.send("", dock_pose=self.pose("mars", 4.0, 0.0))
+        self.send("", dock_pose=stamped_pose(rospy.Time(0), "mars", (4.0, 0.0, 0.0)))
         self.assert_failed(DockResult.NOT_VALID, "mars")
 
     def test_undocking_too_far(self):
@@ -145,7 +138,8 @@ class DockFailuresTest(NodeTest):
     def test_time_set_back(self):
         self.send()
         self.wait_until_approaching()
-        self.robot.now = rospy.Time(0, 500_000_000)
+        with self.robot.lock:
+            self.robot.now = rospy.Time(0, 500_000_000)
         self.assert_failed(DockResult.UNKNOWN, "set back")
         # A new goal is pursued as ever, and both actions say how their goals stand.
         for action in ("dock", "undock"):
@@ -160,8 +154,8 @@ class DockFailuresTest(NodeTest):
         sender = rospy.Publisher("/tf", TFMessage, queue_size=1)
         self.addCleanup(sender.unregister)
         wait_for(lambda: sender.get_num_connections() >= 1, "the node")
-        late = TransformStamped(Header(0, rospy.Time(2**32 - 1), "odom"), "nobody", Transform())
-        late.transform.rotation.w = 1.0
+        late = transform("odom", "nobody")
+        late.header.stamp = rospy.Time(2**32 - 1)
         sender.publish(TFMessage([late]))
         wait_for(lambda: "/tf: refused: a stamp at the end" in self.shared.err, "a warning")
         self.assertTrue(self.result().success)
@@ -212,7 +206,8 @@ class DockFailuresTest(NodeTest):
     def test_pose_on_a_map(self):
         pose = self.topic("dock/dock_pose", PoseStamped)
         # (4, 0, 0) of the odometry, some decimetres beside it.
-        self.send("", dock_pose=self.pose("map", 0.1, 5.1, math.pi / 2))
+        dock = stamped_pose(rospy.Time(0), "map", (0.1, 5.1, math.pi / 2))
+        self.send("", dock_pose=dock)
         self.wait_until_approaching()
         found = pose.messages[-1]
         self.assertEqual("odom", found.header.frame_id)

@@ -9,15 +9,24 @@ import rostest
 import tf2_ros
 from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalID, GoalStatus
-from geometry_msgs.msg import PoseStamped, TransformStamped, Twist
-from lab_testing import Node, NodeTest, Topic, odometry, publisher, wait_for
+from geometry_msgs.msg import PoseStamped, Twist
+from lab_testing import (
+    QUARTER_TURN,
+    Node,
+    NodeTest,
+    Topic,
+    odometry,
+    publisher,
+    transform,
+    wait_for,
+)
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseGoal
 from nav_msgs.msg import Path
 from standin import RobotStandIn
 from std_msgs.msg import Float64, Time
 from visualization_msgs.msg import MarkerArray
 
-from bullet_lab.core.se2 import quaternion_from_yaw
+from bullet_lab.ros.messages.poses import stamped_pose
 
 TOLERANCE = 0.05
 FAR = 50.0
@@ -25,22 +34,7 @@ ENDS = (GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.PREEMPTED)
 
 
 def goal(x, y, yaw=0.0, frame="odom"):
-    message = PoseStamped()
-    message.header.stamp = rospy.Time.now()
-    message.header.frame_id = frame
-    message.pose.position.x, message.pose.position.y = x, y
-    turn = message.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
-    return message
-
-
-def transform(parent, child, x, y, yaw):
-    message = TransformStamped()
-    message.header.frame_id, message.child_frame_id = parent, child
-    message.transform.translation.x, message.transform.translation.y = x, y
-    turn = message.transform.rotation
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
-    return message
+    return stamped_pose(rospy.Time.now(), frame, (x, y, yaw))
 
 
 class Drive:
@@ -145,7 +139,8 @@ class DriveToGoalTest(GoalTest):
 
     def setUp(self):
         self.take(self.shared)
-        self.robot.pose = (0.0, 0.0, 0.0)
+        with self.robot.lock:
+            self.robot.pose = (0.0, 0.0, 0.0)
         self.robot.does = {"odom", "move"}
         self.robot.says = odometry
         # The next goal shall not find the pose that the robot had before.
@@ -192,7 +187,7 @@ class DriveToGoalTest(GoalTest):
         broadcaster = tf2_ros.StaticTransformBroadcaster()
         self.addCleanup(broadcaster.pub_tf.unregister)
         # The odometry's origin is at (2, 1) on the map, turned by 90 degrees.
-        broadcaster.sendTransform(transform("map", "odom", 2.0, 1.0, math.pi / 2))
+        broadcaster.sendTransform(transform("map", "odom", (2.0, 1.0, 0.0), QUARTER_TURN))
         wait_for(lambda: broadcaster.pub_tf.get_num_connections(), "the node to listen")
         self.goals.publish(goal(2.0, 1.6, math.pi / 2, "/map"))
         self.wait_for_status(GoalStatus.SUCCEEDED)

@@ -1,6 +1,7 @@
 """What the rostests share: nodes as processes, masters of their own, topics as lists."""
 
 import contextlib
+import math
 import os
 import signal
 import socket
@@ -15,9 +16,11 @@ from pathlib import Path
 import rosgraph
 import rospkg
 import rospy
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.se2 import quaternion_from_yaw
+from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.lock_step import publishers_know_this_node
 
 # Wall seconds after which something is not going to happen any more.
@@ -26,6 +29,8 @@ PATIENCE = 180.0
 JOB_PATIENCE = 600.0
 # Nodes that are not named as their executables are.
 NAMES = {"noisy_odom.py": "noisy_odom_node"}
+# About z, as a quaternion.
+QUARTER_TURN = quaternion_from_yaw(0.5 * math.pi)
 PACKAGE = Path(rospkg.RosPack().get_path("bullet_lab"))
 
 
@@ -257,10 +262,15 @@ def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint
     message.header.stamp = rospy.Time.from_sec(seconds)
     message.header.frame_id = frame
     message.child_frame_id = child
-    message.pose.pose.position.x = x
-    message.pose.pose.position.y = y
-    turn = message.pose.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
+    message.pose.pose = stamped_pose(message.header.stamp, frame, (x, y, yaw)).pose
+    return message
+
+
+def transform(parent, child, position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0)):
+    """A transform between two frames; `turn` is a quaternion."""
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    message.transform = Transform(Vector3(*position), Quaternion(*turn))
     return message
 
 

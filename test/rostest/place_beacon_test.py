@@ -7,8 +7,8 @@ import sys
 import rospy
 import rostest
 import tf2_ros
-from geometry_msgs.msg import Point, PointStamped, TransformStamped
-from lab_testing import Node, NodeTest, Topic, publisher, wait_for
+from geometry_msgs.msg import Point, PointStamped
+from lab_testing import QUARTER_TURN, Node, NodeTest, Topic, publisher, transform, wait_for
 from sensor_msgs.msg import Range
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -91,11 +91,7 @@ class PlaceBeaconTest(NodeTest):
     def test_points_in_other_frames(self):
         broadcaster = tf2_ros.StaticTransformBroadcaster()
         self.addCleanup(broadcaster.pub_tf.unregister)
-        transform = TransformStamped(child_frame_id="map")
-        transform.header.frame_id = "world"
-        transform.transform.translation.x = 1.0
-        transform.transform.rotation.z = transform.transform.rotation.w = math.sqrt(0.5)
-        broadcaster.sendTransform(transform)
+        broadcaster.sendTransform(transform("world", "map", (1.0, 0.0, 0.0), QUARTER_TURN))
         name = self.place(click(3.0, 0.5, "map"))
         for wanted, value in zip((0.5, 3.0), place_of(name)):
             self.assertAlmostEqual(wanted, value, 9)

@@ -8,8 +8,8 @@ import numpy as np
 import rospy
 import tf2_ros
 from bullet_lab.msg import MarkerDetection, MarkerDetectionArray
-from geometry_msgs.msg import TransformStamped, Twist
-from lab_testing import PATIENCE, odometry, wait_for
+from geometry_msgs.msg import Twist
+from lab_testing import PATIENCE, QUARTER_TURN, odometry, transform, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
@@ -20,6 +20,7 @@ CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 CAMERA_AHEAD, CAMERA_HEIGHT = 0.16, 0.44
 MARKER_SIZE, MARKER_HEIGHT = 0.2, 0.5
 FRAME = "camera_optical_frame"
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)
 SPEED = 8.0
 # Wall seconds for a command at each tick to a robot at rest, once there was one at the tick
 # before; after a tick without one, the speed for as many simulated seconds: a node that is starved
@@ -42,6 +43,7 @@ class RobotStandIn:
         pose: x, y, yaw of the robot.
         does: what goes on; take a word out and it stops: "odom", "move".
         now: simulated time.
+        lock: held to change pose or time.
         says: makes a message of odometry from seconds, x, y and yaw.
     """
 
@@ -50,6 +52,7 @@ class RobotStandIn:
         self.does = {"odom", "move"}
         self.now = rospy.Time(1)
         self.says = odometry
+        self.lock = threading.Lock()
         self._tick = tick
         self._command = (0.0, 0.0)
         self._answered = threading.Event()
@@ -124,16 +127,20 @@ class RobotStandIn:
     def _step(self):
         """Move, and send odometry before the clock that wakes the driver."""
         self._steps += 1
-        self.now += rospy.Duration(0, round(1e9 * self._tick))
-        now = self.now
-        if "move" in self.does:
-            (x, y, yaw), (ahead, turn) = self.pose, self._command
-            middle = yaw + 0.5 * turn * self._tick
-            x += ahead * self._tick * math.cos(middle)
-            y += ahead * self._tick * math.sin(middle)
-            self.pose = (x, y, yaw + turn * self._tick)
+        with self.lock:
+            self.now += rospy.Duration(0, round(1e9 * self._tick))
+            now = self.now
+            if "move" in self.does:
+                self._move()
         self._sense(now)
         self._publishers["clock"].publish(Clock(now))
+
+    def _move(self):
+        (x, y, yaw), (ahead, turn) = self.pose, self._command
+        middle = yaw + 0.5 * turn * self._tick
+        x += ahead * self._tick * math.cos(middle)
+        y += ahead * self._tick * math.sin(middle)
+        self.pose = (x, y, yaw + turn * self._tick)
 
     def _sense(self, now):
         """Send what the robot measures."""
@@ -159,7 +166,10 @@ class DockStandIn(RobotStandIn):
         self._publishers["camera_info"] = self._publisher("mycamera/camera_info", CameraInfo)
         self._publishers["detections"] = self._publisher("aruco/detections", MarkerDetectionArray)
         self._static = tf2_ros.StaticTransformBroadcaster()
-        self._static.sendTransform([_camera_transform(), _map_transform()])
+        camera = transform("base_footprint", FRAME, (CAMERA_AHEAD, 0.0, CAMERA_HEIGHT), OPTICAL)
+        # The odometry's origin: 1 m to the left of the map's, turned by 90 degrees.
+        odom = transform("map", "odom", (0.0, 1.0, 0.0), QUARTER_TURN)
+        self._static.sendTransform([camera, odom])
 
     def _sense(self, now):
         super()._sense(now)
@@ -197,23 +207,3 @@ def seen_corners(pose):
     pixels = CAMERA.project(np.column_stack((-left, -up, ahead)))
     inside = (pixels > 2.0).all() and (pixels < (637.0, 477.0)).all()
     return pixels if inside and x < 3.9 else None
-
-
-def _camera_transform():
-    transform = TransformStamped()
-    transform.header.frame_id, transform.child_frame_id = "base_footprint", FRAME
-    transform.transform.translation.x = CAMERA_AHEAD
-    transform.transform.translation.z = CAMERA_HEIGHT
-    turn = transform.transform.rotation
-    turn.x, turn.y, turn.z, turn.w = -0.5, 0.5, -0.5, 0.5
-    return transform
-
-
-def _map_transform():
-    """The odometry's origin on a map: 1 m to the left of the map's, turned by 90 degrees."""
-    transform = TransformStamped()
-    transform.header.frame_id, transform.child_frame_id = "map", "odom"
-    transform.transform.translation.y = 1.0
-    turn = transform.transform.rotation
-    turn.z = turn.w = math.sqrt(0.5)
-    return transform
