@@ -20,7 +20,12 @@ from lab_testing import (
     transform,
     wait_for,
 )
-from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseGoal
+from move_base_msgs.msg import (
+    MoveBaseAction,
+    MoveBaseActionGoal,
+    MoveBaseActionResult,
+    MoveBaseGoal,
+)
 from nav_msgs.msg import Path
 from standin import RobotStandIn
 from std_msgs.msg import Float64, Time
@@ -46,7 +51,8 @@ class Drive:
     """
 
     def __init__(self, does=("odom", "move"), **parameters):
-        self.robot = RobotStandIn(odom=parameters.get("odom", "odom"))
+        ends = [("move_base/result", MoveBaseActionResult)]
+        self.robot = RobotStandIn(odom=parameters.get("odom", "odom"), ends=ends)
         self.robot.does = set(does)
         self.robot.start()
         self.commands = Topic("cmd_vel", Twist, connected=False)

@@ -7,7 +7,12 @@ import time
 import numpy as np
 import rospy
 import tf2_ros
-from bullet_lab.msg import MarkerDetection, MarkerDetectionArray
+from bullet_lab.msg import (
+    DockActionResult,
+    MarkerDetection,
+    MarkerDetectionArray,
+    UndockActionResult,
+)
 from geometry_msgs.msg import Twist
 from lab_testing import PATIENCE, QUARTER_TURN, odometry, transform, wait_for
 from nav_msgs.msg import Odometry
@@ -22,22 +27,21 @@ MARKER_SIZE, MARKER_HEIGHT = 0.2, 0.5
 FRAME = "camera_optical_frame"
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)
 SPEED = 8.0
-# Wall seconds for a command at each tick to a robot at rest, once there was one at the tick
-# before; after a tick without one, the speed for as many simulated seconds: a node that is starved
-# keeps its odometry.
-ANSWER_SECONDS = 0.3
-SLOW_SPEED, SLOW_SECONDS = 1.0, 0.6
+# Wall seconds for a command to a robot at rest, once there was one at the tick before.
+REST_SECONDS = 3.0
 
 
 class RobotStandIn:
     """Simulates wheels and odometry, at most `SPEED` times as fast as the wall clock.
 
     As long as the robot moves, time waits at each tick for the next command, however long that
-    takes: a busy machine changes nothing. The node that drives it ticks once a `tick`.
+    takes: a busy machine changes nothing. At rest it waits for a while, unless a goal has ended.
+    The node that drives the robot ticks once a `tick`.
 
     Args:
         tick: s from one command to the next, and from one message of odometry to the next.
         odom: topic of the odometry.
+        ends: topics that tell of the ends of goals, and their types.
 
     Attributes:
         pose: x, y, yaw of the robot.
@@ -47,7 +51,7 @@ class RobotStandIn:
         says: makes a message of odometry from seconds, x, y and yaw.
     """
 
-    def __init__(self, tick=0.05, odom="odom"):
+    def __init__(self, tick=0.05, odom="odom", ends=()):
         self.pose = (0.0, 0.0, 0.0)
         self.does = {"odom", "move"}
         self.now = rospy.Time(1)
@@ -58,13 +62,13 @@ class RobotStandIn:
         self._answered = threading.Event()
         self._answers = False
         self._over = False
-        self._slow = 0.0
         self._steps = 0
         self._publishers = {
             "clock": self._publisher("/clock", Clock),
             "odom": self._publisher(odom, Odometry),
         }
         self._subscriber = rospy.Subscriber("cmd_vel", Twist, self._take, tcp_nodelay=True)
+        self._ends = [rospy.Subscriber(*end, self._take_end) for end in ends]
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self):
@@ -76,9 +80,8 @@ class RobotStandIn:
         """Stop time."""
         self._over = True
         self._thread.join()
-        self._subscriber.unregister()
-        for publisher in self._publishers.values():
-            publisher.unregister()
+        for topic in (self._subscriber, *self._ends, *self._publishers.values()):
+            topic.unregister()
 
     def wait(self, seconds):
         """Wait until some simulated seconds have passed."""
@@ -103,25 +106,27 @@ class RobotStandIn:
         self._answers = True
         self._answered.set()
 
+    def _take_end(self, _):
+        self._answers = False
+        self._answered.set()
+
     def _run(self):
         next_time = time.monotonic()
         while not self._over:
-            speed = SLOW_SPEED if self._slow > 0.0 else SPEED
-            next_time = max(next_time + self._tick / speed, time.monotonic())
+            next_time = max(next_time + self._tick / SPEED, time.monotonic())
             time.sleep(max(0.0, next_time - time.monotonic()))
             self._step()
-            self._slow -= self._tick
             if self._answers:
                 self._wait_for_command()
 
     def _wait_for_command(self):
-        deadline = time.monotonic() + PATIENCE
-        while not self._answered.wait(ANSWER_SECONDS):
-            is_lost = self._subscriber.get_num_connections() == 0 or time.monotonic() > deadline
-            if self._over or is_lost or self._command == (0.0, 0.0):
-                self._answers, self._slow = False, SLOW_SECONDS
+        begun = time.monotonic()
+        while not self._answered.wait(0.1):
+            patience = REST_SECONDS if self._command == (0.0, 0.0) else PATIENCE
+            is_late = time.monotonic() > begun + patience
+            if self._over or is_late or self._subscriber.get_num_connections() == 0:
+                self._answers = False
                 return
-        self._slow = 0.0
         self._answered.clear()
 
     def _step(self):
@@ -159,7 +164,8 @@ class DockStandIn(RobotStandIn):
     """
 
     def __init__(self):
-        super().__init__()
+        docked, undocked = ("dock/result", DockActionResult), ("undock/result", UndockActionResult)
+        super().__init__(ends=[docked, undocked])
         self.pose = (2.6, 0.0, 0.0)
         self.does |= {"camera_info", "detections"}
         self.matrix = CAMERA.matrix.ravel().tolist()
