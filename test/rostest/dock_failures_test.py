@@ -138,8 +138,7 @@ class DockFailuresTest(NodeTest):
     def test_time_set_back(self):
         self.send()
         self.wait_until_approaching()
-        with self.robot.lock:
-            self.robot.now = rospy.Time(0, 500_000_000)
+        self.robot.set_time(rospy.Time(0, 500_000_000))
         self.assert_failed(DockResult.UNKNOWN, "set back")
         # A new goal is pursued as ever, and both actions say how their goals stand.
         for action in ("dock", "undock"):

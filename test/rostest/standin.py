@@ -14,7 +14,7 @@ from bullet_lab.msg import (
     UndockActionResult,
 )
 from geometry_msgs.msg import Twist
-from lab_testing import PATIENCE, QUARTER_TURN, odometry, transform, wait_for
+from lab_testing import QUARTER_TURN, odometry, transform, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
@@ -29,13 +29,17 @@ OPTICAL = (-0.5, 0.5, -0.5, 0.5)
 SPEED = 8.0
 # Wall seconds for a command to a robot at rest, once there was one at the tick before.
 REST_SECONDS = 3.0
+# Likewise to a robot that moves.
+MOTION_SECONDS = 60.0
+# After time was set back, a node may miss a tick: steps that do not wait.
+FREE_STEPS = 5
 
 
 class RobotStandIn:
     """Simulates wheels and odometry, at most `SPEED` times as fast as the wall clock.
 
-    As long as the robot moves, time waits at each tick for the next command, however long that
-    takes: a busy machine changes nothing. At rest it waits for a while, unless a goal has ended.
+    As long as the robot moves, time waits at each tick for the next command: a busy machine
+    changes nothing. At rest it waits for a while, unless a goal has ended.
     The node that drives the robot ticks once a `tick`.
 
     Args:
@@ -46,15 +50,15 @@ class RobotStandIn:
     Attributes:
         pose: x, y, yaw of the robot.
         does: what goes on; take a word out and it stops: "odom", "move".
-        now: simulated time.
-        lock: held to change pose or time.
+        lock: held to change the pose.
         says: makes a message of odometry from seconds, x, y and yaw.
     """
 
     def __init__(self, tick=0.05, odom="odom", ends=()):
         self.pose = (0.0, 0.0, 0.0)
         self.does = {"odom", "move"}
-        self.now = rospy.Time(1)
+        self._now = rospy.Time(1)
+        self._free = 0
         self.says = odometry
         self.lock = threading.Lock()
         self._tick = tick
@@ -82,6 +86,11 @@ class RobotStandIn:
         self._thread.join()
         for topic in (self._subscriber, *self._ends, *self._publishers.values()):
             topic.unregister()
+
+    def set_time(self, now):
+        """Set the simulated time."""
+        with self.lock:
+            self._now, self._free = now, FREE_STEPS
 
     def wait(self, seconds):
         """Wait until some simulated seconds have passed."""
@@ -116,13 +125,14 @@ class RobotStandIn:
             next_time = max(next_time + self._tick / SPEED, time.monotonic())
             time.sleep(max(0.0, next_time - time.monotonic()))
             self._step()
-            if self._answers:
+            self._free -= 1
+            if self._answers and self._free < 0:
                 self._wait_for_command()
 
     def _wait_for_command(self):
         begun = time.monotonic()
         while not self._answered.wait(0.1):
-            patience = REST_SECONDS if self._command == (0.0, 0.0) else PATIENCE
+            patience = REST_SECONDS if self._command == (0.0, 0.0) else MOTION_SECONDS
             is_late = time.monotonic() > begun + patience
             if self._over or is_late or self._subscriber.get_num_connections() == 0:
                 self._answers = False
@@ -133,8 +143,8 @@ class RobotStandIn:
         """Move, and send odometry before the clock that wakes the driver."""
         self._steps += 1
         with self.lock:
-            self.now += rospy.Duration(0, round(1e9 * self._tick))
-            now = self.now
+            self._now += rospy.Duration(0, round(1e9 * self._tick))
+            now = self._now
             if "move" in self.does:
                 self._move()
         self._sense(now)
