@@ -13,7 +13,6 @@ from lab_testing import run_job
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.docking.database import DockUncertainty, drawn_error
 
-TIMEOUT = 240
 FOLDER = tempfile.TemporaryDirectory()
 # To be quick; farther starts, such as the job's own, are in test/long.
 NEAR = ("x:=1.6", "y:=0.1")
@@ -22,7 +21,7 @@ NEAR = ("x:=1.6", "y:=0.1")
 @functools.lru_cache(maxsize=None)
 def dock(*words, status=0):
     """Run the job in a folder of its own; return its output folder."""
-    return run_job("dock", *words, folder=FOLDER.name, status=status, timeout=TIMEOUT)[0]
+    return run_job("dock", *words, folder=FOLDER.name, status=status)[0]
 
 
 def summary_of(out):

@@ -2,15 +2,13 @@
 """The job fleet leaves the paths of all robots, each driven as if it were alone."""
 
 import json
-import os
-import subprocess
-import sys
 import tempfile
 import unittest
 from pathlib import Path
 
 import numpy as np
 import rostest
+from lab_testing import run_job
 
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.noise.odometry_noise import derived_seed
@@ -29,21 +27,9 @@ class FleetJobTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.folder = tempfile.TemporaryDirectory()
-        root = Path(cls.folder.name)
-        cls.out, cls.plain = root / "out", root / "plain"
-        environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
-        words = ["fleet", f"n:={ROBOTS}", f"seed:={SEED}", "out:=out"]
-        run = subprocess.run(
-            [sys.executable, "-m", "bullet_lab.ros.launcher", *words],
-            cwd=root,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            timeout=200,
-        )
-        if run.returncode:
-            raise AssertionError(f"the job ended with status {run.returncode}:\n{run.stdout}")
+        cls.plain = Path(cls.folder.name) / "plain"
+        words = (f"n:={ROBOTS}", f"seed:={SEED}")
+        cls.out, _ = run_job("fleet", *words, folder=cls.folder.name)
         cls.summary = json.loads((cls.out / "summary.json").read_text())
         # The first robot of the fleet starts where that of the squares does.
         run_squares(cls.plain, SquaresSettings(seed=derived_seed(SEED, 0)))

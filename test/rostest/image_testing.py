@@ -4,7 +4,7 @@ import sys
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
-from lab_testing import PACKAGE, Topic, wait_for
+from lab_testing import PACKAGE, NodeTest, Topic, wait_for
 from sensor_msgs.msg import CameraInfo, Image
 
 # The exact images of the unit tests.
@@ -79,18 +79,20 @@ class Diagnosis:
         self._node = node
         self._topic = Topic("/diagnostics", DiagnosticArray, connected=False)
 
+    def found(self, words, level=None):
+        """Return a status, of a level if one is given, whose message has some words, or None."""
+        for message in list(self._topic.messages):
+            for status in message.status:
+                mine = status.name.startswith(f"{self._node}:") and level in (None, status.level)
+                if mine and words in status.message:
+                    return status
+        return None
+
     def wait(self, level, words):
         """Wait for a status of a level whose message has some words; return it."""
-
-        def found():
-            for message in list(self._topic.messages):
-                for status in message.status:
-                    mine = status.name.startswith(f"{self._node}:")
-                    if mine and status.level == level and words in status.message:
-                        return status
-            return None
-
-        return wait_for(found, f"{self._node} to say '{words}' ({level}); had {self.said()}")
+        return wait_for(
+            lambda: self.found(words, level), lambda: f"'{words}' ({level}); had {self.said()}"
+        )
 
     def said(self):
         """All that it has said so far."""
@@ -99,3 +101,20 @@ class Diagnosis:
     def close(self):
         """Listen no longer."""
         self._topic.close()
+
+
+class ImageNodeTest(NodeTest):
+    """What tests of a running node that looks at images share; each has a camera of its own."""
+
+    def camera(self, with_info=True):
+        """A camera; the next one comes when the node looks at this one no longer."""
+        camera = FakeCamera(with_info)
+        self.addCleanup(camera.end)
+        self.addCleanup(wait_for, lambda: not camera.looked_at(), "the nodes to look away")
+        return camera
+
+    def diagnosis(self, node):
+        """What a node says of itself from now on."""
+        diagnosis = Diagnosis(node)
+        self.addCleanup(diagnosis.close)
+        return diagnosis

@@ -1,6 +1,7 @@
 """What the rostests share: nodes as processes, masters of their own, topics as lists."""
 
 import contextlib
+import math
 import os
 import signal
 import socket
@@ -8,21 +9,28 @@ import subprocess
 import sys
 import tempfile
 import time
+import unittest
 import xmlrpc.client
 from pathlib import Path
 
 import rosgraph
 import rospkg
 import rospy
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.se2 import quaternion_from_yaw
+from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.lock_step import publishers_know_this_node
 
 # Wall seconds after which something is not going to happen any more.
-PATIENCE = 60.0
+PATIENCE = 180.0
+# Likewise for a job.
+JOB_PATIENCE = 600.0
 # Nodes that are not named as their executables are.
 NAMES = {"noisy_odom.py": "noisy_odom_node"}
+# About z, as a quaternion.
+QUARTER_TURN = quaternion_from_yaw(0.5 * math.pi)
 PACKAGE = Path(rospkg.RosPack().get_path("bullet_lab"))
 
 
@@ -103,7 +111,7 @@ class Node:
             # Not at once with SIGKILL, or the master would still know its topics and services.
             self.signal()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(10)
+                self.process.wait(PATIENCE)
         self.process.kill()
         self.process.wait()
 
@@ -219,20 +227,54 @@ def publisher(name, kind, **options):
     return made
 
 
+class NodeTest(unittest.TestCase):
+    """Nodes, topics and publishers that end with a test."""
+
+    def node(self, script, name="", **parameters):
+        """A node, see `Node`."""
+        node = Node(script, name, **parameters)
+        self.addCleanup(node.end)
+        return node
+
+    def topic(self, name, kind, connected=True):
+        """A topic, see `Topic`."""
+        topic = Topic(name, kind, connected)
+        self.addCleanup(topic.close)
+        return topic
+
+    def publisher(self, name, kind, **options):
+        """A publisher with a subscriber."""
+        made = publisher(name, kind, **options)
+        self.addCleanup(made.unregister)
+        return made
+
+    def assert_bad_parameter(self, node, *words):
+        """Assert that a node ends with a line that has some words."""
+        self.assertEqual(2, node.wait(), node.err)
+        self.assertEqual(1, len(node.err.splitlines()), node.err)
+        for word in words:
+            self.assertIn(word, node.err)
+
+
 def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint"):
     """An odometry message."""
     message = Odometry()
     message.header.stamp = rospy.Time.from_sec(seconds)
     message.header.frame_id = frame
     message.child_frame_id = child
-    message.pose.pose.position.x = x
-    message.pose.pose.position.y = y
-    turn = message.pose.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_yaw(yaw)
+    message.pose.pose = stamped_pose(message.header.stamp, frame, (x, y, yaw)).pose
     return message
 
 
-def run_job(job, *words, folder, status=0, timeout=250):
+def transform(parent, child, position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0)):
+    """A transform between two frames; `turn` is a quaternion."""
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    message.transform = Transform(Vector3(*position), Quaternion(*turn))
+    return message
+
+
+def run_job(job, *words, folder, status=0, out="out"):
     """Run a job on a master of its own; return its output folder and what it printed.
 
     Args:
@@ -240,19 +282,20 @@ def run_job(job, *words, folder, status=0, timeout=250):
         words: arguments such as "seed:=1".
         folder: where a folder for this run is made.
         status: that it is to end with.
-        timeout: s that it may take.
+        out: name of the output folder; empty for the default.
     """
     where = Path(tempfile.mkdtemp(dir=folder))
+    words = (job, *words, f"out:={out}") if out else (job, *words)
     environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
     run = subprocess.run(
-        [sys.executable, "-m", "bullet_lab.ros.launcher", job, *words, "out:=out"],
+        [sys.executable, "-m", "bullet_lab.ros.launcher", *words],
         cwd=where,
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        timeout=timeout,
+        timeout=JOB_PATIENCE,
     )
     if run.returncode != status:
-        raise AssertionError(f"{job} {words} ended with status {run.returncode}:\n{run.stdout}")
-    return where / "out", run.stdout
+        raise AssertionError(f"{words} ended with status {run.returncode}:\n{run.stdout}")
+    return where / (out or f"results/{job}"), run.stdout

@@ -4,14 +4,13 @@
 import copy
 import math
 import sys
-import unittest
 from dataclasses import asdict
 
 import numpy as np
 import rospy
 import rostest
-from bullet_lab.srv import SetNoise
-from lab_testing import PACKAGE, Node, Topic, odometry, publisher, wait_for
+from bullet_lab.srv import SetNoise, SetNoiseRequest
+from lab_testing import PACKAGE, NodeTest, odometry, wait_for
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker
 
@@ -49,23 +48,21 @@ def planar_part(covariance):
     return np.array(covariance).reshape(6, 6)[np.ix_(PLANAR_AXES, PLANAR_AXES)]
 
 
-class NoisyOdomTest(unittest.TestCase):
-    """Each test has a node of its own."""
+class NoisyOdomTest(NodeTest):
+    """Each test has its own noise, in this process."""
 
     def start(self, **parameters):
-        node = Node("noisy_odom.py", **parameters)
-        self.addCleanup(node.end)
-        self.noisy = Topic("noisy_odom", Odometry)
-        self.addCleanup(self.noisy.close)
-        self.perfect = publisher("odom", Odometry)
-        self.addCleanup(self.perfect.unregister)
-        return node
+        self.adder = NoisyOdometry(NoisyOdomParameters(**parameters))
+        self.addCleanup(self.adder._service.shutdown)
+        for topic in (self.adder.sub, self.adder.pub, self.adder._ellipse):
+            self.addCleanup(topic.unregister)
+        self.noisy = self.topic("noisy_odom", Odometry)
 
     def send(self, messages, expected=None):
-        """Publish messages; return all noisy ones once there are so many (one for each)."""
+        """Take messages; return all noisy ones once there are so many (one for each)."""
         expected = len(self.noisy.messages) + len(messages) if expected is None else expected
         for message in messages:
-            self.perfect.publish(message)
+            self.adder.odom_callback(message)
         return self.noisy.wait(expected)
 
     def assert_follows(self, path, perfect, noisy):
@@ -78,52 +75,25 @@ class NoisyOdomTest(unittest.TestCase):
                 quaternion_from_yaw(step.pose[2]), (turn.x, turn.y, turn.z, turn.w), atol=1e-12
             )
 
-    def test_one_message_for_each_with_its_header(self):
-        self.start(std=0.1, seed=3)
-        perfect = arc(50)
-        noisy = self.send(perfect)
-        self.assertEqual([m.header.stamp for m in perfect], [m.header.stamp for m in noisy])
-        self.assertEqual({"odom"}, {m.header.frame_id for m in noisy})
-        self.assertEqual({"base_footprint"}, {m.child_frame_id for m in noisy})
-
-    def test_first_message_is_unchanged(self):
-        self.start(std=1.0)
-        first = arc(8)[-1]
-        noisy = self.send([first])[0]
-        first.header.seq = noisy.header.seq
-        for message in (first, noisy):
-            turn = message.pose.pose.orientation
-            turn.z, turn.w = round(turn.z, 14), round(turn.w, 14)
-        self.assertEqual(first, noisy)
-
-    def test_same_seed_gives_the_same_draws(self):
-        perfect = arc(40)
-        for model, std, seed in (("report", 0.1, 7), ("rate_invariant", 0.2, 8)):
-            node = self.start(std=std, seed=seed, model=model)
+    def test_one_message_for_each_with_the_draws_of_the_seed(self):
+        perfect, alphas = arc(40), (0.01, 0.02, 0.03, 0.04)
+        for model, std, given in (("rate_invariant", 0.2, ()), ("probabilistic", 0.0, alphas)):
+            named = {f"alpha{i}": value for i, value in enumerate(given, 1)}
+            self.start(model=model, std=std, seed=8, **named)
             noisy = self.send(perfect)
-            self.assert_follows(NoisyPath(make_rule(model, std), seed), perfect, noisy)
-            node.end()
-            self.noisy.close()
-            self.perfect.unregister()
-
-    def test_probabilistic_model_has_its_alphas(self):
-        alphas = (0.01, 0.02, 0.03, 0.04)
-        named = {f"alpha{i}": value for i, value in enumerate(alphas, 1)}
-        self.start(model="probabilistic", seed=5, **named)
-        perfect = arc(40)
-        noisy = self.send(perfect)
-        rule = make_rule("probabilistic", 0.0, alphas)
-        self.assert_follows(NoisyPath(rule, 5), perfect, noisy)
+            self.assertEqual([m.header.stamp for m in perfect], [m.header.stamp for m in noisy])
+            self.assertEqual({"odom"}, {m.header.frame_id for m in noisy})
+            self.assertEqual({"base_footprint"}, {m.child_frame_id for m in noisy})
+            self.assert_follows(NoisyPath(make_rule(model, std, given), 8), perfect, noisy)
+            self.doCleanups()
 
     def test_noise_is_changed_while_it_runs(self):
         self.start(std=0.1, seed=4)
-        change = rospy.ServiceProxy("noisy_odom_node/set_noise", SetNoise)
-        change.wait_for_service(30.0)
         perfect = arc(60)
-        noisy = list(self.send(perfect[:20]))
-        self.assertTrue(change("rate_invariant", 0.3, []).success)
-        noisy = list(self.send(perfect[20:40]))
-        refused = change("", -1.0, [])
+        self.send(perfect[:20])
+        self.assertTrue(self.adder.set_noise(SetNoiseRequest("rate_invariant", 0.3, [])).success)
+        self.send(perfect[20:40])
+        refused = self.adder.set_noise(SetNoiseRequest("", -1.0, []))
         self.assertFalse(refused.success)
         self.assertIn("std", refused.status_message)
         noisy = self.send(perfect[40:])
@@ -134,8 +104,7 @@ class NoisyOdomTest(unittest.TestCase):
 
     def test_ellipse_is_drawn_around_the_noisy_pose(self):
         self.start(std=0.3, seed=4)
-        ellipses = Topic("noisy_odom_ellipse", Marker)
-        self.addCleanup(ellipses.close)
+        ellipses = self.topic("noisy_odom_ellipse", Marker)
         perfect = arc(30)
         noisy = self.send(perfect)
         last = noisy[-1].header.stamp
@@ -151,39 +120,7 @@ class NoisyOdomTest(unittest.TestCase):
         lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance), points)
         np.testing.assert_allclose(lengths, SQUARE_RADIUS, rtol=1e-6)
 
-    def test_covariance_grows_and_is_added(self):
-        self.start(std=0.1, seed=2)
-        perfect = arc(30)
-        noisy = self.send(perfect)
-        path = NoisyPath(make_rule("report", 0.1), 2)
-        traces = []
-        for given, got in zip(perfect, noisy):
-            step = path.update(*pose(given))
-            added = np.array(got.pose.covariance) - np.array(given.pose.covariance)
-            np.testing.assert_allclose(step.covariance, planar_part(added), atol=1e-12)
-            rest = added.reshape(6, 6).copy()
-            rest[np.ix_(PLANAR_AXES, PLANAR_AXES)] = 0.0
-            self.assertFalse(rest.any())
-            traces.append(np.trace(planar_part(added)))
-        self.assertEqual(0.0, traces[0])
-        self.assertTrue(np.all(np.diff(traces) > 0.0))
-
-    def test_twist_has_the_noise_of_its_step(self):
-        self.start(std=0.1, seed=2)
-        perfect = arc(30, period=0.2)
-        noisy = self.send(perfect)
-        path = NoisyPath(make_rule("report", 0.1), 2)
-        path.update(*pose(perfect[0]))
-        for given, got in list(zip(perfect, noisy))[1:]:
-            step = path.update(*pose(given))
-            twist = got.twist.twist
-            error = (twist.linear.x - 1.0, twist.linear.y, twist.angular.z - 1.0)
-            np.testing.assert_allclose(np.array(step.motion_error) / 0.2, error, atol=1e-12)
-            added = np.array(got.twist.covariance) - np.array(given.twist.covariance)
-            expected = step.motion_covariance / 0.2**2
-            np.testing.assert_allclose(expected, planar_part(added), atol=1e-12)
-
-    def test_systematic_errors_come_below_the_noise(self):
+    def test_poses_twists_and_covariances_have_the_errors_of_their_steps(self):
         errors = SystematicErrors(0.1, -0.05, 0.02, 0.01, 0.5)
         self.start(std=0.1, seed=2, **asdict(errors))
         perfect = arc(30, period=0.2)
@@ -193,52 +130,31 @@ class NoisyOdomTest(unittest.TestCase):
             step = reported.update(*pose(given))
             noise = path.update(*step.pose)
             np.testing.assert_allclose(noise.pose, pose(got), rtol=0, atol=1e-12)
-            if given is not perfect[0]:
-                twist = got.twist.twist
-                error = (twist.linear.x - 1.0, twist.linear.y, twist.angular.z - 1.0)
-                expected = (np.array(step.motion_error) + noise.motion_error) / 0.2
-                np.testing.assert_allclose(expected, error, atol=1e-12)
-
-    def test_robot_at_rest_gets_no_noise(self):
-        self.start(std=1.0)
-        still = [odometry(0.05 * k, 1.0, 2.0, 2.5) for k in range(1, 30)]
-        for message in self.send(still):
-            np.testing.assert_allclose((1.0, 2.0, 2.5), pose(message), atol=1e-12)
-
-    def test_what_cannot_be_used_is_refused(self):
-        node = self.start(std=0.1, seed=4)
-        perfect = arc(10)
-        self.send(perfect[:5])
-        bad = [odometry(0.26) for _ in range(10)]
-        bad[0].pose.pose.position.x = math.nan
-        bad[1].pose.pose.position.y = math.inf
-        bad[2].pose.pose.orientation.w = 0.0
-        bad[3].header.frame_id = "map"
-        bad[4].child_frame_id = "wheel"
-        bad[5].header.stamp = perfect[4].header.stamp
-        bad[6].pose.pose.position.x = 1e308
-        bad[7].twist.twist.linear.y = math.nan
-        bad[8].pose.covariance[7] = math.inf
-        bad[9].pose.pose.position.z = -math.inf
-        noisy = self.send(bad + perfect[5:], 10)
-        self.assertEqual([m.header.stamp for m in perfect], [m.header.stamp for m in noisy])
-        # Nothing of the refused ones is in the path.
-        self.assert_follows(NoisyPath(make_rule("report", 0.1), 4), perfect, noisy)
-        self.assertTrue(node.runs())
-        wait_for(lambda: "odom: refused:" in node.err, "a warning")
-        self.assertNotIn("Traceback", node.err)
+            added = np.array(got.pose.covariance) - np.array(given.pose.covariance)
+            np.testing.assert_allclose(noise.covariance, planar_part(added), atol=1e-12)
+            rest = added.reshape(6, 6).copy()
+            rest[np.ix_(PLANAR_AXES, PLANAR_AXES)] = 0.0
+            self.assertFalse(rest.any())
+            if given is perfect[0]:
+                self.assertEqual(given.twist, got.twist)
+                continue
+            twist = got.twist.twist
+            error = (twist.linear.x - 1.0, twist.linear.y, twist.angular.z - 1.0)
+            expected = (np.array(step.motion_error) + noise.motion_error) / 0.2
+            np.testing.assert_allclose(expected, error, atol=1e-12)
+            added = np.array(got.twist.covariance) - np.array(given.twist.covariance)
+            expected = noise.motion_covariance / 0.2**2
+            np.testing.assert_allclose(expected, planar_part(added), atol=1e-12)
 
     def test_perfect_message_stays_as_it_came(self):
-        node = NoisyOdometry(NoisyOdomParameters(std=0.5, seed=1))
-        self.addCleanup(node.sub.unregister)
-        self.addCleanup(node.pub.unregister)
+        self.start(std=0.5, seed=1)
         for message in arc(10):
             before = copy.deepcopy(message)
-            node.odom_callback(message)
+            self.adder.odom_callback(message)
             self.assertEqual(before, message)
-            self.assertEqual(before, node.last_odom)
-            self.assertEqual(before, node.msg)
-        self.assertNotAlmostEqual(message.pose.pose.position.x, node.pose[0])
+            self.assertEqual(before, self.adder.last_odom)
+            self.assertEqual(before, self.adder.msg)
+        self.assertNotAlmostEqual(message.pose.pose.position.x, self.adder.pose[0])
 
     def test_time_set_back_starts_anew(self):
         self.start(std=0.1, seed=6)
@@ -261,19 +177,38 @@ class NoisyOdomTest(unittest.TestCase):
         np.testing.assert_allclose(due, stamps, atol=1e-9)
         self.assertAlmostEqual(perfect[23].pose.pose.position.x, pose(noisy[0])[0])
 
-    def test_bad_parameters(self):
-        for name, value in (("alpha1", ".nan"), ("stdd", "0.1")):
-            node = Node("noisy_odom.py", **{name: value})
-            self.addCleanup(node.end)
-            self.assertEqual(2, node.wait(), node.err)
-            self.assertEqual(1, len(node.err.splitlines()), node.err)
-            self.assertIn(f"~{name}", node.err)
 
-    def test_ctrl_c(self):
-        node = self.start()
-        self.send(arc(3))
+class NoisyOdomNodeTest(NodeTest):
+    """The node as a process."""
+
+    def test_what_cannot_be_used_is_refused_until_ctrl_c(self):
+        node = self.node("noisy_odom.py", std=0.1, seed=4)
+        noisy, sender = self.topic("noisy_odom", Odometry), self.publisher("odom", Odometry)
+        perfect = arc(10)
+        bad = [odometry(0.26) for _ in range(6)]
+        bad[0].pose.pose.position.x = math.nan
+        bad[1].header.frame_id = "map"
+        bad[2].header.stamp = perfect[4].header.stamp
+        bad[3].twist.twist.linear.y = math.nan
+        bad[4].pose.covariance[7] = math.inf
+        bad[5].pose.pose.position.z = -math.inf
+        for message in perfect[:5] + bad + perfect[5:]:
+            sender.publish(message)
+        stamps = [message.header.stamp for message in noisy.wait(10)]
+        self.assertEqual([message.header.stamp for message in perfect], stamps)
+        # Nothing of the refused ones is in the path.
+        path = NoisyPath(make_rule("report", 0.1), 4)
+        expected = [path.update(*pose(message)).pose for message in perfect]
+        np.testing.assert_allclose(expected, list(map(pose, noisy.messages)), atol=1e-12)
+        change = rospy.ServiceProxy("noisy_odom_node/set_noise", SetNoise)
+        self.assertTrue(change("rate_invariant", 0.3, []).success)
+        wait_for(lambda: "odom: refused:" in node.err, "a warning")
         node.signal()
-        self.assertEqual((0, ""), (node.wait(), node.err))
+        self.assertEqual(0, node.wait(), node.err)
+        self.assertNotIn("Traceback", node.err)
+
+    def test_bad_parameters(self):
+        self.assert_bad_parameter(self.node("noisy_odom.py", alpha1=".nan"), "~alpha1")
 
 
 def setUpModule():

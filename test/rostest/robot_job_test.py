@@ -141,10 +141,6 @@ class RobotJobTest(unittest.TestCase):
         self.assertEqual({}, summary["drive"])
         self.assertIn("it is shown, not driven", printed)
 
-    def test_a_file_that_is_not_there(self):
-        _, printed = run_job("robot", "urdf:=nothing.urdf", folder=FOLDER.name, status=2)
-        self.assertIn("urdf is 'nothing.urdf': it must be a file that exists", printed)
-
 
 if __name__ == "__main__":
     rostest.rosrun("bullet_lab", "robot_job_test", "__main__")

@@ -222,7 +222,7 @@ def _with_arrays(value, buffers):
     return value
 
 
-def wait_for_url(output, seconds=60.0):
+def wait_for_url(output, seconds=180.0):
     """Return the URL that a view has printed; `output` says what it has printed so far."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:

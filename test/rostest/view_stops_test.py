@@ -4,14 +4,13 @@
 import signal
 import sys
 import time
-import unittest
 from pathlib import Path
 
 import rospkg
 import rospy
 import rostest
 from geometry_msgs.msg import Twist
-from lab_testing import PACKAGE, Node, Topic, wait_for
+from lab_testing import PACKAGE, Node, NodeTest, Topic, wait_for
 from nav_msgs.msg import Odometry
 from view_looker import Link, Looker, wait_for_url
 
@@ -21,7 +20,7 @@ LATEST = 0.6
 BURST = 6.0
 
 
-class ViewStopsTest(unittest.TestCase):
+class ViewStopsTest(NodeTest):
     @classmethod
     def setUpClass(cls):
         world = "package://bullet_lab/worlds/empty.world"
@@ -34,12 +33,15 @@ class ViewStopsTest(unittest.TestCase):
         cls.bridge.end()
 
     def setUp(self):
-        self.view = Node("view.py", port=18100, speed=SPEED)
-        self.addCleanup(self.view.end)
+        self.view = self.node("view.py", port=18100, speed=SPEED)
         self.url = wait_for_url(lambda: self.view.out)
-        self.looker = Looker(self.url)
-        self.addCleanup(self.looker.close)
+        self.looker = self.closed(Looker(self.url))
         wait_for(self.is_offered, "the robot on the page")
+
+    def closed(self, thing):
+        """Have a thing closed at the end of the test."""
+        self.addCleanup(thing.close)
+        return thing
 
     def is_offered(self):
         controls = list(self.looker.controls.values())
@@ -61,11 +63,16 @@ class ViewStopsTest(unittest.TestCase):
             return self.speed() > 0.9 * SPEED
 
         wait_for(drives, "the robot to drive")
+        self.hold(driver, seconds)
+        driver.send("1 0")
+
+    @staticmethod
+    def hold(driver, seconds=BURST):
+        """Hold the key."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             driver.send("1 0")
             time.sleep(0.1)
-        driver.send("1 0")
 
     def check_stop(self, before):
         """Check that it stands, no farther from there than it drives in the time allowed."""
@@ -99,33 +106,23 @@ class ViewStopsTest(unittest.TestCase):
                 self.view.signal(signal.SIGCONT)
 
     def test_a_slow_link(self):
-        link = Link(self.url, 2.0)
-        self.addCleanup(link.close)
-        there = Looker(link.url)
-        self.addCleanup(there.close)
+        link = self.closed(Link(self.url, 2.0))
+        there = self.closed(Looker(link.url))
         before = self.place()
         with there.driver() as driver:
-            end = time.monotonic() + BURST
-            while time.monotonic() < end:
-                driver.send("1 0")
-                time.sleep(0.1)
+            self.hold(driver)
             wait_for(lambda: driver.listen()["late"], "the page to say so")
             self.check_stop(before)
 
     def test_a_stalled_link(self):
-        link = Link(self.url)
-        self.addCleanup(link.close)
-        there = Looker(link.url)
-        self.addCleanup(there.close)
+        link = self.closed(Link(self.url))
+        there = self.closed(Looker(link.url))
         wait_for(lambda: there.controls, "the page")
         with there.driver() as driver:
             self.drive(driver)
             before = self.place()
             link.stalled.set()
-            end = time.monotonic() + BURST
-            while time.monotonic() < end:
-                driver.send("1 0")
-                time.sleep(0.1)
+            self.hold(driver)
             self.check_stop(before)
             driver.socket.send(f"{driver.told['time']} 0 0")
             link.stalled.clear()
@@ -135,9 +132,8 @@ class ViewStopsTest(unittest.TestCase):
             self.check_stop(before)
 
     def test_another_page_takes_over_by_asking(self):
-        commands = Topic("cmd_vel", Twist, connected=False)
-        other = Looker(self.url)
-        self.addCleanup(other.close)
+        commands = self.topic("cmd_vel", Twist, False)
+        other = self.closed(Looker(self.url))
         with self.looker.driver() as first, other.driver() as second:
             self.drive(first, 0.0)
             wait_for(lambda: second.listen()["other"], "the page to say who drives")
@@ -148,10 +144,9 @@ class ViewStopsTest(unittest.TestCase):
             first.send("1 0")
             wait_for(lambda: commands.messages[-1] == Twist(), "the robot to be stopped")
             self.assertFalse([m for m in commands.messages[count:] if m.linear.x])
-        commands.close()
 
     def test_a_slider_that_says_nan_or_too_much(self):
-        commands = Topic("cmd_vel", Twist, connected=False)
+        commands = self.topic("cmd_vel", Twist, False)
         for value in (float("nan"), 1e9, -5.0):
             self.looker.press("m/s", value)
         self.looker.press("Robot", "/elsewhere")
@@ -166,7 +161,6 @@ class ViewStopsTest(unittest.TestCase):
             wait_for(drives, "the robot to be driven")
         wait_for(lambda: commands.messages[-1] == Twist(), "the robot to be stopped")
         self.assertTrue(all(0.0 <= m.linear.x <= 2.0 for m in commands.messages))
-        commands.close()
 
 
 if __name__ == "__main__":

@@ -4,14 +4,13 @@
 import subprocess
 import sys
 import time
-import unittest
 
 import numpy as np
 import rosgraph
 import rospy
 import rostest
 from geometry_msgs.msg import PoseStamped, Twist
-from lab_testing import PACKAGE, Node, Topic, wait_for
+from lab_testing import PACKAGE, Node, NodeTest, Topic, wait_for
 from nav_msgs.msg import Odometry
 from view_looker import Looker, wait_for_url
 from visualization_msgs.msg import Marker
@@ -27,21 +26,21 @@ def heard_by(node):
     return {topic for topic, nodes in subscribers if node in nodes}
 
 
-class ViewTest(unittest.TestCase):
+class ViewTest(NodeTest):
     @classmethod
     def setUpClass(cls):
         rospy.set_param("/robot_description", ROBOT.read_text())
         cls.bridge = Node("pybullet_bridge.py", world=WORLD, publish_world_tf=True, paused=True)
         cls.states = subprocess.Popen(["rosrun", "robot_state_publisher", "robot_state_publisher"])
-        cls.view = Node("view.py", port=18080, unpause=True)
-        cls.url = wait_for_url(lambda: cls.view.out)
+        cls.shared = Node("view.py", port=18080, unpause=True)
+        cls.url = wait_for_url(lambda: cls.shared.out)
         cls.commands = Topic("cmd_vel", Twist, connected=False)
         cls.odom = Topic("odom", Odometry)
 
     @classmethod
     def tearDownClass(cls):
         cls.states.terminate()
-        for node in (cls.view, cls.bridge):
+        for node in (cls.shared, cls.bridge):
             node.end()
 
     def setUp(self):
@@ -57,33 +56,42 @@ class ViewTest(unittest.TestCase):
     def test_a_robot_that_is_driven_is_seen_where_odometry_says(self):
         before = np.array(self.see("/robots/0"))
         with self.looker.driver() as driver:
-            deadline = time.monotonic() + 20.0
-            while np.linalg.norm(self.see("/robots/0") - before) < 0.3:
-                self.assertLess(time.monotonic(), deadline)
+
+            def is_driven():
                 driver.send("1 0")
                 time.sleep(0.1)
+                return np.linalg.norm(self.see("/robots/0") - before) > 0.3
+
+            wait_for(is_driven, "the robot to be driven")
             self.assertGreater(self.commands.messages[-1].linear.x, 0.0)
         wait_for(lambda: self.commands.messages[-1] == Twist(), "the robot to be stopped")
         wait_for(self.is_still, "the robot to stand")
+        self.odom.wait(len(self.odom.messages) + 10)
         place = self.odom.messages[-1].pose.pose.position
+        # The page shows the newest pose when all is still.
+        wait_for(lambda: self.is_seen_at(place), lambda: f"{self.see('/robots/0')} at {place}")
+
+    def is_seen_at(self, place):
         seen = self.see("/robots/0")[0]
-        self.assertLess(np.hypot(seen[0] - place.x, seen[1] - place.y), CENTIMETRE)
+        return np.hypot(seen[0] - place.x, seen[1] - place.y) < CENTIMETRE
 
     def is_still(self):
-        speed = self.odom.messages[-1].twist.twist.linear.x
-        time.sleep(0.2)
-        return abs(speed) < 1e-3
+        return abs(self.odom.messages[-1].twist.twist.linear.x) < 1e-3
 
     def test_silence_stops_the_robot(self):
         self.see("/robots/0")
         with self.looker.driver() as driver:
-            while not (self.commands.messages and self.commands.messages[-1].angular.z > 0.0):
+
+            def turns():
                 driver.send("0 1")
                 time.sleep(0.1)
+                return self.commands.messages and self.commands.messages[-1].angular.z > 0.0
+
+            wait_for(turns, "the robot to turn")
             wait_for(lambda: self.commands.messages[-1] == Twist(), "the robot to be stopped")
 
     def test_a_click_on_the_floor_is_a_goal(self):
-        goals = Topic("move_base_simple/goal", PoseStamped, connected=False)
+        goals = self.topic("move_base_simple/goal", PoseStamped, False)
         self.see("/robots/0")
 
         def clicked():
@@ -95,7 +103,6 @@ class ViewTest(unittest.TestCase):
         self.assertEqual(goal.header.frame_id, "world")
         self.assertAlmostEqual(goal.pose.position.x, 1.5)
         self.assertAlmostEqual(goal.pose.position.y, -0.5)
-        goals.close()
 
     def test_what_sensors_feel_is_seen(self):
         points = wait_for(lambda: self.looker.nodes.get("/topics/scan"), "the laser")["points"]
@@ -104,18 +111,15 @@ class ViewTest(unittest.TestCase):
         self.assertTrue(len(self.see("/topics/bullet_lab/world/solids/box")))
 
     def test_bad_messages_are_ignored(self):
-        sender = rospy.Publisher("/strange", Marker, queue_size=1, latch=True)
+        sender = self.publisher("/strange", Marker)
         good = Marker(type=Marker.CUBE, ns="good")
         good.header.frame_id, good.color.a = "world", 1.0
         good.scale.x = good.scale.y = good.scale.z = 0.3
         bad = Marker(type=Marker.CUBE)
         bad.pose.position.x = float("nan")
-        wait_for(lambda: sender.get_num_connections(), "the view")
         for marker in (bad, Marker(type=77), good):
             sender.publish(marker)
-            time.sleep(0.2)
         self.see("/topics/strange/solids/box")
-        sender.unregister()
 
     def test_nothing_is_heard_while_nobody_looks(self):
         self.see("/robots/0")

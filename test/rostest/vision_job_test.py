@@ -3,41 +3,19 @@
 
 import json
 import math
-import os
-import subprocess
-import sys
 import tempfile
 import unittest
-from pathlib import Path
 
 import cv2
 import numpy as np
 import rostest
+from lab_testing import run_job
 
-TIMEOUT = 250
 FOLDER = tempfile.TemporaryDirectory()
 PICTURES = {"view_camera", "canny_edges", "good_features", "harris_corners", "aruco"}
 # Where the robot's camera is, in its base, and the marker in the world; m.
 CAMERA = (0.16, 0.44)
 MARKER = (4.0, 0.0, 0.5)
-
-
-def run_job(*words):
-    """Run the job in a folder of its own; return its output folder and what it printed."""
-    folder = Path(tempfile.mkdtemp(dir=FOLDER.name))
-    environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
-    run = subprocess.run(
-        [sys.executable, "-m", "bullet_lab.ros.launcher", "vision", *words, "out:=out"],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=TIMEOUT,
-    )
-    if run.returncode:
-        raise AssertionError(f"{words} ended with status {run.returncode}:\n{run.stdout}")
-    return folder / "out", run.stdout
 
 
 def marker_from(x, y, yaw_deg):
@@ -55,7 +33,7 @@ class VisionJobTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.out, cls.printed = run_job()
+        cls.out, cls.printed = run_job("vision", folder=FOLDER.name)
         cls.summary = json.loads((cls.out / "summary.json").read_text())
 
     def test_a_picture_and_a_line_for_each_detector(self):

@@ -2,12 +2,14 @@ import math
 
 import numpy as np
 import pytest
-from bullet_lab.msg import DockGoal, MarkerDetectionArray
-from geometry_msgs.msg import Quaternion
+from bullet_lab.msg import DockGoal, MarkerDetectionArray, UndockGoal
+from geometry_msgs.msg import PoseStamped, Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Header
 
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.progress import DockingFailureError
@@ -15,8 +17,10 @@ from bullet_lab.docking.types import CalibrationErrors, DockingError, DockingRes
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.nodes.dock import (
+    DockParameters,
     NotYetError,
     camera_of,
+    check_goal,
     docking_result,
     mount_of,
     odometry_of,
@@ -88,14 +92,14 @@ def test_markers_without_finite_corners_are_left_out():
     assert not found.deviations.any()
 
 
-def goal(frame="''"):
-    """Return a goal with a pose in a frame: 3 m ahead, 1 m to the left and turned by -0.2 rad."""
+def goal(frame="''", x=3.0):
+    """Return a goal with a pose in a frame: x m ahead, 1 m to the left and turned by -0.2 rad."""
     text = f"""
         dock_id: dock
         dock_pose:
           header: {{frame_id: {frame}}}
           pose:
-            position: {{x: 3.0, y: 1.0}}
+            position: {{x: {x}, y: 1.0}}
             orientation: {{z: {math.sin(-0.1)}, w: {math.cos(0.1)}}}
     """
     return message(DockGoal, text)
@@ -131,6 +135,34 @@ def test_a_leaning_dock_is_refused_for_good():
         rough_pose(wrong, DOCK, "odom", lookup)
     assert not isinstance(caught.value, NotYetError)
     assert isinstance(caught.value, LabError)
+
+
+@pytest.mark.parametrize(
+    "wrong, said",
+    [
+        (DockGoal(max_retries=-2, dock_id="dock"), "max_retries is -2"),
+        (DockGoal(), "neither dock_id nor"),
+        (goal("odom", ".nan"), "not finite"),
+        (DockGoal(dock_pose=PoseStamped(header=Header(frame_id="odom"))), "no unit quaternion"),
+        (UndockGoal(-0.1), "distance is -0.1 m"),
+        (UndockGoal(10.1), "from 0 to 10 m"),
+        (UndockGoal(math.nan), "distance is nan m"),
+    ],
+)
+def test_invalid_goals_are_refused(wrong, said):
+    with pytest.raises(DockingFailureError, match=said) as caught:
+        check_goal(wrong)
+    assert caught.value.error == DockingError.NOT_VALID
+
+
+def test_a_dock_that_the_database_does_not_have():
+    with pytest.raises(ParameterError, match="~dock is 'kitchen': it must be one of"):
+        DockParameters(dock="kitchen").database()
+
+
+def test_goals_at_the_limits_are_valid():
+    for good in (DockGoal(max_retries=-1, dock_id="dock"), UndockGoal(0.0), UndockGoal(10.0)):
+        check_goal(good)
 
 
 @pytest.mark.parametrize(
