@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from noise_paths import assert_moments, wandering
 from scipy import stats
 
 from bullet_lab.core import se2
@@ -10,24 +11,13 @@ from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS, model_named
 
 PATHS, FAMILY = 10_000, 0.001
-STDS = (0.05, 0.3, 1.0)
-
-
-def winding(count=60):
-    """Ahead, back, sideways and turns on the spot."""
-    moves = np.random.default_rng(70).normal([0.1, 0.0, 0.0], [0.05, 0.02, 0.2], (count, 3))
-    moves[20:30, :2] = 0.0
-    moves[40:50, 0] = -0.1
-    poses = [np.array([3.0, -2.0, 2.0])]
-    for move in moves:
-        poses.append(se2.compose(poses[-1], move))
-    return np.array(poses)
+STDS = (0.05, 1.0)
 
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("std", STDS)
 def test_sample_moments_are_the_exact_ones(model, std):
-    steps, at = noisy_steps(winding(), model_named(model).at_level(std)), [25, 60]
+    steps, at = noisy_steps(wandering(60), model_named(model).at_level(std)), [25, 60]
     exact = exponential_moments(steps, at)
     coordinates = []
     for block in noisy_blocks(steps, np.random.default_rng(71), PATHS):
@@ -37,24 +27,18 @@ def test_sample_moments_are_the_exact_ones(model, std):
     # Mean 3, covariance 6 entries, at two poses, for each model and level.
     quantile = stats.norm.isf(0.5 * FAMILY / (9 * 2 * len(MODELS) * len(STDS)))
     for k, found in enumerate(np.moveaxis(np.concatenate(coordinates), 1, 0)):
-        scale = np.sqrt(np.diag(exact.covariance[k]))
-        centred = (found - exact.mean[k]) / scale
-        assert (np.abs(centred.mean(axis=0)) <= quantile / np.sqrt(PATHS)).all()
-        products = centred[:, :, None] * centred[:, None, :]
-        error = products.std(axis=0) / np.sqrt(PATHS)
-        expected = exact.covariance[k] / np.outer(scale, scale)
-        assert (np.abs(products.mean(axis=0) - expected) <= quantile * error).all()
+        assert_moments(found, exact.mean[k], exact.covariance[k], quantile)
 
 
 def test_a_pose_does_not_depend_on_which_others_are_asked_for():
-    steps = noisy_steps(winding(), model_named("rate_invariant").at_level(0.2))
+    steps = noisy_steps(wandering(60), model_named("rate_invariant").at_level(0.2))
     some, one = exponential_moments(steps, [10, 30, 60]), exponential_moments(steps, [30])
     np.testing.assert_allclose(some.covariance[1], one.covariance[0], rtol=1e-12)
     np.testing.assert_allclose(some.mean[1], one.mean[0], rtol=1e-12)
 
 
 def test_no_noise_is_no_error():
-    steps = noisy_steps(winding(), model_named("report").at_level(0.0))
+    steps = noisy_steps(wandering(60), model_named("report").at_level(0.0))
     found = exponential_moments(steps, [60])
     assert not found.mean.any()
     assert not found.covariance.any()

@@ -6,9 +6,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from noise_paths import square, wandering
 from recorded_paths import poses_of
 
-from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
@@ -27,29 +27,8 @@ from bullet_lab.studies.paths import ResamplingError, find_corners, resample
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 
 
-def wild_path():
-    """Ahead, back, sideways, turns on the spot and rests, far from the origin, at odd headings."""
-    generator = np.random.default_rng(40)
-    moves = generator.normal(0.0, [0.05, 0.02, 0.1], (120, 3))
-    moves[:20, 1:] = 0.0
-    moves[40:60, :2] = 0.0
-    moves[60:80] = 0.0
-    moves[80:90, 0] = -0.03
-    moves[90:95, :2] = 2e-5
-    poses = [np.array([30.0, -20.0, 3.0])]
-    for move in moves:
-        poses.append(se2.compose(poses[-1], move))
-    return np.array(poses)
-
-
-def square(count=20, side=2.0):
-    moves = np.zeros((count + count // 2, 3))
-    moves[:count, 0] = side / count
-    moves[count:, 2] = math.pi / 2 / (count // 2)
-    poses = [np.zeros(3)]
-    for move in np.tile(moves, (4, 1)):
-        poses.append(se2.compose(poses[-1], move))
-    poses = np.array(poses)
+def square_drive(count=20):
+    poses = square(count, start=(0.0, 0.0, 0.0))
     return Trajectory(0.05 * np.arange(len(poses)), poses)
 
 
@@ -67,7 +46,7 @@ def assert_same_poses(actual, expected):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_the_same_draws_give_the_paths_of_the_loop(rule):
-    poses, path = wild_path(), NoisyPath(rule, 41)
+    poses, path = wandering(), NoisyPath(rule, 41)
     expected = []
     for _ in range(3):
         path.restart()
@@ -77,7 +56,7 @@ def test_the_same_draws_give_the_paths_of_the_loop(rule):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_the_covariance_of_the_loop_is_that_of_the_exact_moments(rule):
-    poses, path = wild_path(), NoisyPath(rule, 42)
+    poses, path = wandering(), NoisyPath(rule, 42)
     expected = exact_moments(noisy_steps(poses, rule)).about_perfect()
     for _ in range(2):
         path.restart()
@@ -87,7 +66,7 @@ def test_the_covariance_of_the_loop_is_that_of_the_exact_moments(rule):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_first_order_is_the_recursion_of_textbooks(rule):
-    steps = noisy_steps(wild_path(), rule)
+    steps = noisy_steps(wandering(), rule)
     moments, covariance = first_order_moments(steps), np.zeros((3, 3))
     rows = zip(*(getattr(steps, name) for name in ("angle", "trans", "variance1")))
     for k, (psi, d, variance1) in enumerate(rows):
@@ -100,17 +79,11 @@ def test_first_order_is_the_recursion_of_textbooks(rule):
     assert not moments.mean.any()
 
 
-@pytest.mark.parametrize("size", [1, 250, 10**6])
+@pytest.mark.parametrize("size", [1, 250])
 def test_the_size_of_the_blocks_does_not_matter(size):
-    poses = wild_path()
+    poses = wandering()
     expected = drawn(poses, RULES[0], 43, 7)
     np.testing.assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
-
-
-def test_more_paths_begin_with_the_same_ones():
-    poses = wild_path()
-    few, many = (drawn(poses, RULES[1], 44, count) for count in (3, 8))
-    np.testing.assert_array_equal(many[:3], few)
 
 
 def test_each_case_has_draws_of_its_own():
@@ -130,7 +103,7 @@ def test_the_levels_of_the_probabilistic_model_start_from_the_defaults_of_noisy_
 
 def test_memory_does_not_grow_with_the_number_of_paths(monkeypatch):
     monkeypatch.setattr(study_statistics, "QUANTILE_PATHS", 500)
-    trajectory = square(10)
+    trajectory = square_drive(10)
 
     def peak(paths):
         tracemalloc.start()
@@ -146,14 +119,14 @@ def test_memory_does_not_grow_with_the_number_of_paths(monkeypatch):
 
 
 def test_a_path_at_its_own_rate_is_itself():
-    trajectory = square()
+    trajectory = square_drive()
     np.testing.assert_array_equal(resample(trajectory, 20.0).stamps, trajectory.stamps)
     np.testing.assert_allclose(resample(trajectory, 20.0).poses, trajectory.poses, atol=1e-14)
 
 
-@pytest.mark.parametrize("rate", [0.9, 5.0, 7.3, 50.0])
+@pytest.mark.parametrize("rate", [0.9, 50.0])
 def test_another_rate_keeps_start_end_and_way(rate):
-    trajectory = square()
+    trajectory = square_drive()
     other = resample(trajectory, rate)
     np.testing.assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
     assert np.diff(other.stamps)[:-1] == pytest.approx(1.0 / rate)
@@ -170,11 +143,11 @@ def test_a_heading_is_interpolated_the_short_way_round():
 
 def test_a_rate_that_is_too_high():
     with pytest.raises(ResamplingError, match="1e\\+09 Hz for .* are too many messages"):
-        resample(square(), 1e9)
+        resample(square_drive(), 1e9)
 
 
 def test_the_corners_of_a_square():
-    trajectory = square(20)
+    trajectory = square_drive(20)
     corners = trajectory.poses[find_corners(trajectory), :2]
     np.testing.assert_allclose(corners, [[2, 0], [2, 2], [0, 2], [0, 0]], atol=1e-12)
 

@@ -10,6 +10,8 @@ from recorded_paths import make_rule, recover_noise
 
 from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.noise.calibration import Problem, fit, intervals
+from bullet_lab.noise.goodness import drawn_pairs
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import (
     MODELS,
@@ -21,7 +23,6 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
-from bullet_lab.studies.noise_study.study import StudySettings, run_study
 
 SLIP = """
 @dataclass(frozen=True)
@@ -77,21 +78,13 @@ def test_its_noise_is_put_on_pose_by_pose(slip):
     np.testing.assert_allclose(found[:, 1], draws[:, 0], atol=1e-6)
 
 
-@pytest.mark.long
-def test_it_is_studied_and_drawn_as_the_others_are(slip, tmp_path):
-    settings = StudySettings(
-        levels=(0.0, 0.05), models=("report", "slip"), rates=(10.0,), paths=2000
-    )
-    summary = run_study(tmp_path, settings, bend())
-    assert (tmp_path / "levels_slip.png").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "tum" / "slip_std_0.05.tum").exists()
-    case = next(c for c in summary["cases"] if (c["model"], c["std"]) == ("slip", 0.05))
-    pose = case["final_pose_error"]
-    exact, sample = (np.array(pose[f"{kind}_covariance"]) for kind in ("exact", "sample"))
-    assert exact[0, 0] > 0.0
-    np.testing.assert_allclose(sample, exact, atol=0.2 * np.abs(exact).max())
-    (other,) = [c for c in summary["cases"] if (c["model"], c["std"]) == ("report", 0.05)]
-    assert pose != other["final_pose_error"]
+def test_its_parameters_are_calibrated(slip):
+    steps = np.tile([[0.04, 0.0, 0.0], [0.0, 0.0, 0.1]], (100, 1))
+    pairs = drawn_pairs(steps, SlipRule(0.1, 0.02), np.random.default_rng(1), 1)
+    problem = Problem(pairs, "slip")
+    (std, slipped) = intervals(problem, fit(problem))[0]
+    assert 0.05 < std[0] < 0.1 < std[1] < 0.15
+    assert 0.01 < slipped[0] < 0.02 < slipped[1] < 0.03
 
 
 def test_the_node_takes_it_with_its_parameters():
