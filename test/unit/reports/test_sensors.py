@@ -3,41 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.core.files import Series, SeriesError
 from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import SensorsReport
 
 MS = 1_000_000
-
-
-def test_rows_are_in_the_file_at_once_and_cut_at_the_end(tmp_path):
-    path = tmp_path / "deep" / "a.csv"
-    series = Series(path, ("x", "y"))
-    series.add(50 * MS, (1, math.inf))
-    assert path.read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
-    series.add(100 * MS, (0.1, -2.0))
-    series.finish(60 * MS)
-    assert path.read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
-    stamps, rows = series.table()
-    assert stamps.tolist() == [0.05]
-    assert rows.tolist() == [[1.0, math.inf]]
-
-
-def test_an_empty_series(tmp_path):
-    series = Series(tmp_path / "a.csv", ("x", "y"))
-    assert series.last is None
-    assert series.table()[1].shape == (0, 2)
-
-
-@pytest.mark.parametrize(
-    ("stamp", "values"), [(100 * MS, (1.0, 2.0)), (200 * MS, (1.0,)), (200 * MS, (math.nan, 1.0))]
-)
-def test_rows_that_are_refused(tmp_path, stamp, values):
-    series = Series(tmp_path / "a.csv", ("x", "y"))
-    series.add(100 * MS, (0.0, 0.0))
-    with pytest.raises(SeriesError):
-        series.add(stamp, values)
-    assert len((tmp_path / "a.csv").read_text().splitlines()) == 2
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.core.files import FileError, Series, SeriesError
+from bullet_lab.core.files import SeriesError
 from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import DISTANCES, BeaconsReport
 
@@ -71,9 +71,3 @@ def test_figure_has_a_curve_over_the_truth_for_each_beacon(tmp_path):
     np.testing.assert_allclose(drawn[0], [5.0, math.hypot(2.0, 4.0)])
     np.testing.assert_allclose(drawn[1], [5.25, 4.0])
     assert len(drawn) == 4
-
-
-def test_a_full_disk_is_one_line(tmp_path):
-    (tmp_path / "rows.csv").symlink_to("/dev/full")
-    with pytest.raises(FileError, match="No space left"):
-        Series(tmp_path / "rows.csv", "ab").add(0, (1.0, 2.0))

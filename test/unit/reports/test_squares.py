@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from recorded_paths import read_paths_csv
 
-from bullet_lab.core.files import FileError, SeriesError
 from bullet_lab.core.trajectory import CSV_HEADER, read_tum
 from bullet_lab.reports import Reading
 from bullet_lab.reports.squares import (
@@ -34,16 +33,6 @@ def fill(recording, perfect=20, noisy=15):
             recording.add("noisy_odom", (index + 1) * TICK, POSES[-index - 1])
 
 
-def test_rows_are_on_disk_at_once(recording):
-    assert lines(recording, "paths.csv") == [CSV_HEADER]
-    fill(recording, perfect=3, noisy=2)
-    # Nothing was finished or closed, as after a crash.
-    assert len(lines(recording, "odom.tum")) == 3
-    assert len(lines(recording, "noisy_odom.tum")) == 2
-    assert len(lines(recording, "paths.csv")) == 3
-    assert len(read_tum(recording.folder / "odom.tum")) == 3
-
-
 @pytest.mark.parametrize("finish", [False, True])
 def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
     fill(recording)
@@ -64,37 +53,6 @@ def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
     assert in_memory[1].poses.tolist() == second.poses.tolist()
     assert in_memory[0].stamps.tolist() == first.stamps.tolist()
     assert recording.perfect().poses.tolist() == [list(pose) for pose in POSES[:20]]
-
-
-def test_only_equal_stamps_make_a_pair_whatever_comes_first(recording):
-    recording.add("noisy_odom", TICK, POSES[0])
-    recording.add("noisy_odom", 2 * TICK + 1, POSES[1])
-    recording.add("noisy_odom", 3 * TICK, POSES[2])
-    for index in (1, 2, 3, 4):
-        recording.add("odom", index * TICK, POSES[10 + index])
-    perfect, noisy = recording.pairs()
-    assert perfect.stamps.tolist() == [0.05, 0.15]
-    assert perfect.poses.tolist() == [list(POSES[11]), list(POSES[13])]
-    assert noisy.poses.tolist() == [list(POSES[0]), list(POSES[2])]
-    read = read_paths_csv(recording.folder / "paths.csv")
-    assert read[1].poses.tolist() == noisy.poses.tolist()
-
-
-@pytest.mark.parametrize("stamp", [0, TICK - 1, TICK])
-def test_time_does_not_go_back(recording, stamp):
-    recording.add("odom", TICK, POSES[0])
-    with pytest.raises(SeriesError, match="^time goes back from 0.050000000 s to "):
-        recording.add("odom", stamp, POSES[1])
-    recording.add("noisy_odom", stamp, POSES[2])
-    assert len(lines(recording, "odom.tum")) == 1
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_poses_are_finite(recording, bad):
-    with pytest.raises(SeriesError, match="not finite"):
-        recording.add("noisy_odom", TICK, (0.0, bad, 0.0))
-    assert lines(recording, "noisy_odom.tum") == []
-    assert recording.series["noisy_odom"].last is None
 
 
 def test_finish_leaves_out_what_came_later(recording):
@@ -120,12 +78,6 @@ def test_an_empty_recording(recording):
     assert summary["side_lengths_m"] == summary["turns_deg"] == []
     assert summary["pairs"] == 0
     assert summary["ape_rmse_m"] is None
-
-
-def test_a_place_that_cannot_be_written_to(tmp_path):
-    (tmp_path / "odom.tum").mkdir()
-    with pytest.raises(FileError, match="^cannot write .*odom.tum: Is a directory$"):
-        SquaresReport(tmp_path)
 
 
 def test_time_set_back_begins_a_new_run(recording):
