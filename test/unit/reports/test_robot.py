@@ -44,10 +44,11 @@ def displacement(*poses):
     return made
 
 
-def leg(reported, true, quantity="ahead_m", asked=1.0):
+def leg(reported, true, quantity="ahead_m", asked=1.0, seconds=5.0, **more):
     figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
     odometry = None if reported is None else {**figures, **reported}
-    return Leg("metre", quantity, asked, moved(odometry), moved({**figures, **true}), 5.0)
+    truth = {**figures, **true}
+    return Leg("metre", quantity, asked, moved(odometry), moved(truth), seconds, **more)
 
 
 def moved(figures):
@@ -161,33 +162,29 @@ WALL = ("house::wall_3",)
 
 
 @pytest.mark.parametrize(
-    ("reported", "true", "asked", "late", "touched", "line"),
+    ("reported", "true", "late", "touched", "line"),
     [
-        (0.71, 0.71, 1.0, True, WALL, "metre: 0.71 of 1 m: touches house::wall_3, out of time"),
-        (1.0, 0.61, 1.0, False, ("r1::base",), "metre: 0.61 of 1 m: touches r1::base"),
-        (0.32, 0.32, 1.0, True, (), "metre: 0.32 of 1 m: out of time after 5 s"),
-        (None, -0.5, 1.0, True, (), "metre: -0.50 of 1 m: drove the other way, out of time"),
+        (0.71, 0.71, True, WALL, "metre: 0.71 of 1 m: touches house::wall_3, out of time"),
+        (1.0, 0.61, False, ("r1::base",), "metre: 0.61 of 1 m: touches r1::base"),
+        (0.32, 0.32, True, (), "metre: 0.32 of 1 m: out of time after 5 s"),
+        (None, -0.5, True, (), "metre: -0.50 of 1 m: drove the other way, out of time"),
         # The odometry is wrong by far, in either direction.
-        (1.0, 0.3, 1.0, False, (), "metre: 0.30 of 1 m, turned by"),
-        (0.4, 1.5, 1.0, False, (), "metre: 1.50 of 1 m, turned by"),
+        (1.0, 0.3, False, (), "metre: 0.30 of 1 m, turned by"),
+        (0.4, 1.5, False, (), "metre: 1.50 of 1 m, turned by"),
     ],
 )
-def test_a_robot_that_did_not_do_what_it_was_asked(reported, true, asked, late, touched, line):
-    figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
-    odometry = None if reported is None else {**figures, "ahead_m": reported}
-    truth = {**figures, "ahead_m": true}
-    one = Leg("metre", "ahead_m", asked, moved(odometry), moved(truth), 5.0, late, touched)
+def test_a_robot_that_did_not_do_what_it_was_asked(reported, true, late, touched, line):
+    odometry = None if reported is None else {"ahead_m": reported}
+    one = leg(odometry, {"ahead_m": true}, late=late, touched=touched)
     assert one.has_failed()
     assert one.figures()["failed"]
     assert one.line().startswith(line)
 
 
 def test_a_turn_the_other_way():
-    figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": -1636.8}
-    one = Leg("turn", "turned_deg", 360.0, moved(figures), moved(figures), 43.7, True)
-    assert one.line().startswith(
-        "turn: -1636.80 of 360 °: turned the other way, out of time after 44 s"
-    )
+    turned = {"turned_deg": -1636.8}
+    one = leg(turned, turned, "turned_deg", 360.0, 43.7, late=True)
+    assert "-1636.80 of 360 °: turned the other way, out of time after 44 s" in one.line()
 
 
 @pytest.mark.parametrize(
@@ -208,9 +205,8 @@ def test_a_robot_that_did_what_it_was_asked(one, report):
 
 
 def test_the_line_has_the_reasons():
-    figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
     causes = ("none of its joints turn", "it stands on base")
-    one = Leg("metre", "ahead_m", 1.0, moved(None), moved(figures), 16.0, True, (), causes)
+    one = leg(None, {}, seconds=16.0, late=True, causes=causes)
     assert one.line() == (
         "metre: it does not move (0.000 m of 1): none of its joints turn, it stands on base, "
         "out of time after 16 s"
