@@ -27,6 +27,7 @@ def test_figures_are_those_of_the_robot_at_rest():
     assert figures["yaw_error_deg"] == pytest.approx(math.degrees(0.1))
     assert (figures["seconds"], figures["message"]) == (2.0, "there")
     assert figures["driven_m"] == pytest.approx(0.4)
+    assert greatest_speed(PATH) == pytest.approx(0.2)
     assert "at the goal after 2.0 s and 0.40 m: 5.0 cm" in title_of([figures])
 
 
@@ -34,18 +35,7 @@ def test_a_goal_that_is_still_driven_to():
     figures = goal_figures(GoalRecord((5.0, 0.0, 0.0), 1.0), PATH)
     assert (figures["reached"], figures["seconds"]) == (False, None)
     assert title_of([figures]) == "the goal was not reached: not finished"
-    assert goal_figures(GoalRecord((5.0, 0.0, 0.0), 1.0, 2.0), None)["distance_m"] is None
-
-
-def test_titles():
-    done, lost = {"reached": True}, {"reached": False}
-    assert title_of([]) == "no goal was given"
-    assert title_of([done, lost, done]) == "2 of 3 goals reached"
-
-
-def test_speed():
-    assert greatest_speed(PATH) == pytest.approx(0.2)
-    assert greatest_speed(Trajectory([0.0], [[0.0, 0.0, 0.0]])) == 0.0
+    assert title_of([figures, {"reached": True}]) == "1 of 2 goals reached"
 
 
 def test_the_picture_leaves_out_what_is_far(tmp_path):
