@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.docking.database import DockUncertainty
+from bullet_lab.docking.database import DockTolerance, DockUncertainty
 from bullet_lab.docking.task import DockingTask
 from bullet_lab.docking.types import (
     DockingError,
@@ -79,30 +79,28 @@ def test_same_numbers_give_the_same_drive():
 
 
 @pytest.mark.parametrize(
-    "prints",
-    [(), long((standin.Print(id=1),)), long((standin.Print(height=0.9),)), long((DECOY,))],
+    "changes",
+    [
+        {"prints": (), "start": (2.5, 0.0, 0.0)},
+        long({"prints": ()}),
+        long({"prints": (standin.Print(id=1),)}),
+        long({"prints": (standin.Print(height=0.9),)}),
+        long({"prints": (DECOY,)}),
+        long({"dropout": 1.0}),  # a covered camera sees nothing, but is there
+    ],
 )
-def test_says_that_the_marker_is_not_there(prints):
-    run = standin.run(replace(PLAIN, prints=prints, obstacles=(DECOY_PANEL,)))
+def test_says_that_the_marker_is_not_there(changes):
+    run = standin.run(replace(PLAIN, obstacles=(DECOY_PANEL,), **changes))
     assert run.result.error == DockingError.NOT_DETECTED
     assert not run.result.success
     assert not run.contact
     assert math.isnan(run.result.lateral)
 
 
-@pytest.mark.long
-def test_a_covered_camera_sees_nothing_but_is_there():
-    run = standin.run(replace(PLAIN, dropout=1.0))
-    assert run.result.error == DockingError.NOT_DETECTED
-
-
 def test_without_search_only_what_is_in_sight_counts():
-    stand = replace(PLAIN, start=(1.0, 0.0, 3.0))
-    dock = standin.make_dock(stand)
-    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(search=False))
-    feed = Feed(task, stand.start)
+    feed = fed((1.0, 0.0, 3.0), search=False)
     feed.run(3.0)
-    assert task.result.error == DockingError.NOT_DETECTED
+    assert feed.task.result.error == DockingError.NOT_DETECTED
     assert feed.moved == 0.0
 
 
@@ -148,14 +146,23 @@ class Feed:
         self.now += 0.05
 
 
+def fed(start=(1.0, 0.0, 0.0), dock_changes=(), **settings):
+    """Return a feed of a docking that begins."""
+    dock = replace(standin.make_dock(PLAIN), **dict(dock_changes))
+    return Feed(DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(**settings)), start)
+
+
 def approaching():
     """Return a feed that is on its approach."""
-    dock = standin.make_dock(PLAIN)
-    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(time_limit=90.0))
-    feed = Feed(task)
+    feed = fed(time_limit=90.0)
     feed.run(30.0, until=DockingState.APPROACHING)
     feed.run(1.0)
     assert feed.command[0] > 0.05
+    assert feed.task.state == DockingState.APPROACHING
+    assert feed.task.wants_images
+    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
+    assert feed.task.place == pytest.approx((-x - 0.16, y, yaw), abs=0.05)
+    assert math.dist(feed.task.dock_pose[:2], PLAIN.dock[:2]) < 0.05
     return feed
 
 
@@ -168,29 +175,30 @@ def check_ended(feed, error):
 
 
 def test_images_may_be_late():
-    dock = standin.make_dock(PLAIN)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT), (1.0, 0.3, 0.4))
+    feed = fed((1.0, 0.3, 0.4))
     feed.late = 0.35
     feed.run(120.0)
     assert feed.task.result.success, feed.task.result
-    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
+    _, y, yaw = se2.between(PLAIN.dock, feed.pose)
     assert abs(y) < 0.006
     assert abs(yaw) < math.radians(0.6)
 
 
-def test_a_camera_that_stops_is_noticed():
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"images": False}, DockingError.CAMERA_LOST),
+        ({"odometry": False}, DockingError.ODOMETRY_LOST),
+        ({"blocked": True}, DockingError.BLOCKED),
+    ],
+)
+def test_what_stops_is_noticed(changes, error):
     feed = approaching()
-    feed.images = False
+    vars(feed).update(changes)
     start = feed.pose.copy()
-    check_ended(feed, DockingError.CAMERA_LOST)
+    check_ended(feed, error)
     # Unseen, it does not go on for long.
     assert math.dist(start[:2], feed.pose[:2]) < 0.5
-
-
-def test_odometry_that_stops_is_noticed():
-    feed = approaching()
-    feed.odometry = False
-    check_ended(feed, DockingError.ODOMETRY_LOST)
 
 
 @pytest.mark.parametrize("jump", [(0.4, 0.0, 0.0), (0.0, 0.0, 0.8), (math.nan, 0.0, 0.0)])
@@ -201,21 +209,12 @@ def test_odometry_that_jumps_is_noticed(jump):
     check_ended(feed, DockingError.ODOMETRY_LOST)
 
 
-def test_a_blocked_robot_gives_up():
-    feed = approaching()
-    feed.blocked = True
-    check_ended(feed, DockingError.BLOCKED)
-
-
 def test_gives_up_when_its_time_is_over():
-    dock = standin.make_dock(PLAIN)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(time_limit=2.0)))
-    check_ended(feed, DockingError.TIMED_OUT)
+    check_ended(fed(time_limit=2.0), DockingError.TIMED_OUT)
 
 
 def test_no_camera_at_all():
-    dock = standin.make_dock(PLAIN)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT))
+    feed = fed()
     feed.images = False
     check_ended(feed, DockingError.CAMERA_LOST)
     assert feed.moved == 0.0
@@ -224,14 +223,11 @@ def test_no_camera_at_all():
 @pytest.mark.long
 def test_gives_up_after_its_retries():
     # A tolerance that nothing meets.
-    stand = replace(PLAIN, start=(1.5, 0.0, 0.0))
-    dock = standin.make_dock(stand)
-    dock = replace(dock, tolerance=replace(dock.tolerance, lateral=1e-9))
-    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(max_retries=1))
-    feed = Feed(task, stand.start)
+    tolerance = DockTolerance(0.005, 1e-9, math.radians(0.4))
+    feed = fed((1.5, 0.0, 0.0), {"tolerance": tolerance}, max_retries=1)
     feed.run(120.0)
-    assert task.result.error == DockingError.CONTROL_FAILED
-    assert task.result.retries == 1
+    assert feed.task.result.error == DockingError.CONTROL_FAILED
+    assert feed.task.result.retries == 1
 
 
 def test_a_marker_that_vanishes_is_searched_again():
@@ -244,30 +240,18 @@ def test_a_marker_that_vanishes_is_searched_again():
 
 
 def test_a_start_within_the_walls_is_not_valid():
-    sure = DockUncertainty(0.05, 0.02)
-    dock = replace(standin.make_dock(replace(PLAIN, dock_error=(0.0, 0.0, 0.0))), uncertainty=sure)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT), (3.0, 0.6, 0.0))
+    sure = {"uncertainty": DockUncertainty(0.05, 0.02), "pose": PLAIN.dock}
+    feed = fed((3.0, 0.6, 0.0), sure)
     check_ended(feed, DockingError.NOT_VALID)
     assert feed.moved == 0.0
 
 
 def test_a_docked_distance_from_where_the_marker_is_not_seen_is_refused_at_once():
-    dock = replace(standin.make_dock(PLAIN), docked_distance=0.2)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT))
+    feed = fed(dock_changes={"docked_distance": 0.2})
     check_ended(feed, DockingError.NOT_VALID)
     assert feed.now < 0.2
     assert feed.moved == 0.0
     assert "the nearest distance possible is 0.35 m" in feed.task.result.message
-
-
-def test_the_status_says_how_it_goes():
-    feed = approaching()
-    task = feed.task
-    assert task.state == DockingState.APPROACHING
-    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
-    assert task.place == pytest.approx((-x - 0.16, y, yaw), abs=0.05)
-    assert np.hypot(*np.subtract(task.dock_pose[:2], (4.0, 0.0))) < 0.05
-    assert task.wants_images
 
 
 def test_shares_no_random_numbers_with_noise_of_the_same_seed():
