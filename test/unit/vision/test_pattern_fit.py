@@ -17,12 +17,22 @@ from bullet_lab.vision.pattern_model import PatternModel, moves_of
 from bullet_lab.vision.pattern_pixels import without_hidden_side
 
 PATTERN = dictionary_named(TAGS).pattern(0)
+HIDDEN, GREY = (0.6, 2.0, 5.0), (60.0, 160.0, 235.0)
 VIEW = View(2.0, yaw=25.0, pitch=4.0, roll=10.0, shift=(0.1, 0.05))
 
 
 def fit(image, view, off=0.3):
     start = true_corners(view) + off * np.array([[1, -1], [0, 1], [-1, 0], [1, 1]])
     return fit_pattern(Picture(image.astype(np.float32)), start, PATTERN)
+
+
+def detected(image):
+    return MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+
+
+def off_by(found, view):
+    """The largest error of a corner's u or v, px."""
+    return np.abs(found.corners - true_corners(view)).max()
 
 
 @pytest.mark.parametrize("spread", [(0.3, 0.3, 0.0), (1.5, 0.4, 0.3), (2.5, 1.0, 1.5)])
@@ -51,8 +61,7 @@ def test_derivatives_are_those_of_the_model(spread):
     )
 
 
-@pytest.mark.parametrize("length", [7.0, 12.0])
-@pytest.mark.parametrize("right, down", [(0.8, 0.6), (1.0, 0.0)])
+@pytest.mark.parametrize("right, down, length", [(0.8, 0.6, 12.0), (1.0, 0.0, 7.0)])
 def test_motion_blur_moves_no_corner(length, right, down):
     # What moves along its own edges has less white beside some than beside others, as in the sun.
     view = View(1.6, yaw=25.0, pitch=4.0, roll=10.0)
@@ -61,10 +70,10 @@ def test_motion_blur_moves_no_corner(length, right, down):
     fine = np.linspace(-0.5 * length, 0.5 * length, 200)
     np.add.at(way, tuple(7 + np.rint(part * fine).astype(int) for part in (down, right)), 1.0)
     found = fit(cv2.filter2D(image, -1, way / way.sum()), view, 0.5)
-    assert np.abs(found.corners - true_corners(view)).max() < 0.1
+    assert off_by(found, view) < 0.1
 
 
-@pytest.mark.parametrize("distance, sigma", [(7.0, 0.05), (6.0, 0.007), (2.0, 0.07)])
+@pytest.mark.parametrize("distance, sigma", [(7.0, 0.05), (2.0, 0.07)])
 def test_a_marker_that_faces_the_camera_may_be_between_its_two_poses(distance, sigma):
     """Normalised squares of the tilt of a small marker within their 99 % bounds, in the mean."""
     view, total, count = View(distance), 0.0, 60
@@ -79,7 +88,7 @@ def test_a_marker_that_faces_the_camera_may_be_between_its_two_poses(distance, s
     assert low < total < high
 
 
-@pytest.mark.parametrize("distance, blur", [(2.0, 0.6), (6.0, 0.6), (0.8, 0.8)])
+@pytest.mark.parametrize("distance, blur", [(6.0, 0.6), (0.8, 0.8)])
 def test_the_covariance_is_that_of_the_noise(distance, blur):
     """Sum of the normalised squares of the corners' errors, within its 99 % bounds."""
     view, count = View(distance, yaw=25.0, pitch=4.0, roll=10.0), 30
@@ -95,13 +104,13 @@ def test_the_covariance_is_that_of_the_noise(distance, blur):
     assert low < total < high
 
 
-@pytest.mark.parametrize("shared", [-0.04, 0.0, 0.11])
+@pytest.mark.parametrize("shared", [-0.04, 0.11])
 def test_what_pixels_share_with_their_neighbours_moves_no_corner(shared):
     view = View(6.0, yaw=25.0, pitch=4.0, roll=10.0)
     image = image_of([marker()], view, samples=16).astype(np.float32)
     part = np.float32([shared, 1.0 - 2.0 * shared, shared])
     found = fit(cv2.sepFilter2D(image, -1, part, part), view)
-    assert np.abs(found.corners - true_corners(view)).max() < 0.006
+    assert off_by(found, view) < 0.006
 
 
 def test_a_blur_that_is_no_gaussian_makes_no_large_marker_less_certain():
@@ -114,7 +123,7 @@ def test_a_blur_that_is_no_gaussian_makes_no_large_marker_less_certain():
 def test_over_exposed_white_moves_no_corner():
     image = image_of([marker(black=60.0, white=330.0)], VIEW, samples=8, blur=0.6, noise=2.0)
     found = fit(image, VIEW)
-    assert np.abs(found.corners - true_corners(VIEW)).max() < 0.1
+    assert off_by(found, VIEW) < 0.1
 
 
 @pytest.mark.parametrize("distance", [2.0, 0.8])
@@ -124,7 +133,7 @@ def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
     image = image_of([marker(black=0.0, white=420.0)], view, samples=8).astype(float)
     image += np.random.default_rng(2).normal(0.0, 3.0, image.shape)
     found = fit(np.clip(np.rint(image), 0, 255), view)
-    assert np.abs(found.corners - true_corners(view)).max() < 0.08
+    assert off_by(found, view) < 0.08
     assert found.hidden < 0.2
 
 
@@ -154,7 +163,7 @@ def test_a_shadow_across_a_marker_moves_no_corner(distance, sun, blur, shade):
     image = cv2.GaussianBlur(image.astype(np.float32), (0, 0), blur)
     image += np.random.default_rng(4).normal(0.0, 2.0, image.shape).astype(np.float32)
     found = fit(np.clip(np.rint(image), 0, 255), view)
-    assert np.abs(found.corners - true_corners(view)).max() < 0.25
+    assert off_by(found, view) < 0.25
 
 
 def test_a_hidden_corner_is_left_out_and_less_certain():
@@ -163,7 +172,7 @@ def test_a_hidden_corner_is_left_out_and_less_certain():
     u, v = true_corners(VIEW)[1].astype(int)
     cv2.circle(image, (int(u), int(v)), 9, 120, -1)
     hidden = fit(image, VIEW)
-    assert np.abs(hidden.corners - true_corners(VIEW)).max() < 0.3
+    assert off_by(hidden, VIEW) < 0.3
     assert hidden.hidden > free.hidden + 0.02
     assert np.diag(hidden.covariance)[2:4].sum() > 1.3 * np.diag(free.covariance)[2:4].sum()
 
@@ -186,7 +195,11 @@ def test_what_hides_a_corner_in_the_dark_moves_none(hidden):
 
 @pytest.mark.parametrize(
     "distance, hidden, grey",
-    [*product([0.8], [0.6, 2.0, 5.0], [60.0, 160.0, 235.0]), (4.5, 0.6, 160.0), (4.5, 0.6, 235.0)],
+    [
+        (0.8, 2.0, 60.0),
+        (4.5, 0.6, 235.0),
+        *(pytest.param(0.8, *case, marks=pytest.mark.long) for case in product(HIDDEN, GREY)),
+    ],
 )
 def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
     """Its edge was taken for the marker's: so many px off, with a deviation of a tenth of a px."""
@@ -195,9 +208,9 @@ def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
         left = 0.1 - hidden * view.distance / CAMERA.fx
         wall = Layer(np.array([[grey]]), 2.0, (left + 1.0, 0.0))
         image = image_of([marker(quiet=2), wall], view, samples=16, blur=0.6, noise=2.0)
-        (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+        (found,) = detected(image)
+        assert off_by(found, view) < 0.35
         off = found.corners - true_corners(view)
-        assert np.abs(off).max() < 0.35
         assert off.ravel() @ np.linalg.solve(found.covariance, off.ravel()) < 8 * 5.0
 
 
@@ -205,7 +218,7 @@ def test_edges_that_are_nowhere_lead_corners_nowhere():
     view = View(0.8, yaw=20.0)
     start = true_corners(view)
     chance = np.random.default_rng(5)
-    for cover in range(0, 130, 10):
+    for cover in range(0, 130, 20):
         image = image_of([marker()], view, samples=4).astype(float)
         image[:, 320 - cover : 320 + cover] = 120.0
         image += chance.normal(0.0, chance.uniform(1.0, 80.0), image.shape)
@@ -240,7 +253,7 @@ def test_no_marker_is_none():
 
 def test_detections_have_a_covariance_and_poses_follow_it():
     image = image_of([marker()], VIEW, samples=8, blur=0.6, noise=4.0)
-    (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+    (found,) = detected(image)
     certain = estimate_pose(found.corners, 0.2, CAMERA, 0.0, found.covariance).best
     doubtful = estimate_pose(found.corners, 0.2, CAMERA, 0.0, 9.0 * found.covariance).best
     np.testing.assert_allclose(doubtful.covariance, 9.0 * certain.covariance, rtol=0.05)
