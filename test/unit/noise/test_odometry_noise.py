@@ -99,8 +99,7 @@ def test_rules_are_made_by_name():
 
 def test_first_pose_is_unchanged():
     step = NoisyPath(ReportRule(0.1), 1).update(1.0, 2.0, 3.0)
-    assert step.pose == (1.0, 2.0, 3.0)
-    assert step.motion_error == (0.0, 0.0, 0.0)
+    assert (step.pose, step.motion_error) == ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
     assert not step.covariance.any()
     assert not step.motion_covariance.any()
     assert not step.covariance.flags.writeable

@@ -1,32 +1,14 @@
 """The parameter std is checked where it comes in, and nowhere else on its way to a draw."""
 
-import sys
 from types import SimpleNamespace
 
 import pytest
 
-from bullet_lab.core import parameters
-from bullet_lab.core.parameters import ParameterError, read_parameters
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.studies import squares
-from bullet_lab.studies.study import UnfinishedError
 
 # No default, and no other parameter's value.
 STD = 0.2731
-
-
-@pytest.fixture
-def checks():
-    """The checks of a number that is `STD`."""
-    found = []
-
-    def count(frame, event, _):
-        is_check = event == "call" and frame.f_code is parameters._float.__code__
-        if is_check and str(frame.f_locals["value"]) == str(STD):
-            found.append(frame.f_locals["value"])
-
-    sys.setprofile(count)
-    yield found
-    sys.setprofile(None)
 
 
 @pytest.fixture
@@ -39,29 +21,6 @@ def noisy_odom(monkeypatch):
         monkeypatch.setattr(noisy_odom, name, lambda *args, **more: None)
     monkeypatch.setattr(noisy_odom.rospy, "Service", lambda *args: None)
     return noisy_odom
-
-
-@pytest.mark.parametrize("as_published", ["true", "false"])
-def test_in_a_start_of_noisy_odom(noisy_odom, checks, as_published):
-    given = {"~std": STD, "~as_published": as_published, "~robots": 2}
-    read = read_parameters(noisy_odom.NoisyOdomParameters, given.get)
-    every = noisy_odom.robots_of(read).items()
-    robots = [noisy_odom.NoisyOdometry(own, name) for name, own in every]
-    assert [robot.std for robot in robots] == [STD, STD]
-    assert len(checks) == 1
-
-
-@pytest.mark.parametrize("as_published", ["true", "false"])
-def test_in_the_squares_in_one_process(monkeypatch, capfd, tmp_path, checks, as_published):
-    def drive(*args):
-        raise UnfinishedError("the noise is there")
-
-    monkeypatch.setattr(squares, "drive_square", drive)
-    words = ["--std", str(STD), "--as-published", as_published]
-    with pytest.raises(SystemExit):
-        squares.main([str(tmp_path / "out"), *words])
-    assert "the noise is there" in capfd.readouterr().err
-    assert checks == [str(STD)]
 
 
 def test_settings_made_in_python_are_checked(tmp_path):

@@ -30,6 +30,8 @@ def test_scans_are_placed_by_the_pose_of_their_moment(recording):
 
 def test_a_scan_before_all_odometry_is_left_out(tmp_path):
     found = SensorsReport(tmp_path, 1)
+    figures = found.summary(True, {})
+    assert figures["median_push_N"] is figures["nearest_scan_m"] is None
     found.series["scan"].add(0, (1.0,))
     assert found.scan_points().shape == (0, 2)
     found.series["odom"].add(50 * MS, (0.0, 0.0, 0.0))
@@ -46,13 +48,6 @@ def test_summary(recording):
     assert figures["greatest_turn_rate_radps"] == pytest.approx(0.3)
     assert (figures["touched"], figures["first_touch_s"]) == (["box", "crate"], 0.1)
     assert figures["median_push_N"] == pytest.approx(5.0)
-
-
-def test_nothing_measured(tmp_path):
-    found = SensorsReport(tmp_path, 1)
-    figures = found.summary(True, {})
-    assert figures["median_push_N"] is figures["nearest_scan_m"] is None
-    found.figures({})
 
 
 def test_the_picture_has_a_panel_for_each_sensor(recording):

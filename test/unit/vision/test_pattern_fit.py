@@ -120,12 +120,6 @@ def test_a_blur_that_is_no_gaussian_makes_no_large_marker_less_certain():
     assert np.trace(covariance) < 8 * 0.0105**2
 
 
-def test_over_exposed_white_moves_no_corner():
-    image = image_of([marker(black=60.0, white=330.0)], VIEW, samples=8, blur=0.6, noise=2.0)
-    found = fit(image, VIEW)
-    assert off_by(found, VIEW) < 0.1
-
-
 @pytest.mark.parametrize("distance", [2.0, 0.8])
 def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
     """Noise puts half of the cut-off pixels below 255, where they count as white."""
