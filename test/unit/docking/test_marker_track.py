@@ -197,14 +197,6 @@ def test_what_the_database_rules_out_is_no_marker():
     assert track.real < 0.02
 
 
-def test_moves_with_the_odometry():
-    track, pose = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
-    before = track.estimate().mean
-    step = (-0.4, 0.0, 0.6)
-    track.move(moved(Odometry(1.0, step)))
-    assert track.estimate().mean == pytest.approx(se2.between(step, before), abs=1e-3)
-
-
 def test_noise_of_the_odometry_widens_it():
     track, _ = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
     before = track.estimate().deviations

@@ -17,13 +17,12 @@ from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import (
     exact_moments,
-    first_order_moments,
     quadratic_covariances,
     quadratic_shares,
 )
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.studies.noise_study.regions import BOUNDS, MEANT, METHODS, level_rule, theory
+from bullet_lab.studies.noise_study.regions import BOUNDS, METHODS, level_rule
 from bullet_lab.studies.noise_study.statistics import study_case
 from bullet_lab.studies.noise_study.study import StudySettings
 
@@ -112,21 +111,6 @@ def test_the_quadratic_share_is_that_of_the_worst_direction():
     assert quadratic_shares(quadratic, np.diag([4.0, 4.0, 0.0])) == pytest.approx(0.5)
 
 
-def test_moments_on_the_way_are_those_of_the_path_so_far():
-    poses = square()
-    rule = level_rule("probabilistic", 0.3)
-    whole, part = (exact_moments(noisy_steps(p, rule)) for p in (poses, poses[:31]))
-    np.testing.assert_allclose(whole.mean[:31], part.mean, atol=1e-14)
-    np.testing.assert_allclose(whole.covariance[:31], part.covariance, atol=1e-14)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_little_noise_is_first_order(model):
-    steps = noisy_steps(square(), level_rule(model, 1e-6))
-    exact, first = exact_moments(steps).covariance, first_order_moments(steps).covariance
-    np.testing.assert_allclose(exact, first, rtol=0.0, atol=1e-9 * first.max())
-
-
 def case_of(name, model, std, paths=PATHS):
     poses = PATHS_BY_NAME[name]
     trajectory = Trajectory(0.2 * np.arange(len(poses)), poses)
@@ -151,21 +135,6 @@ def test_the_study_says_where_the_error_is_not_gaussian(name):
     assert not case.theory.gaussian_enough()
     assert case.coverage["first_order"] < 0.935
     assert case.theory.shift() > 0.3
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_nees_of_the_published_covariance_is_chi_square_where_noise_is_small(model):
-    published = case_of("square", model, 0.01).regions.found["published"][-1]
-    tail = 0.5 * FAMILY / (2 * len(MODELS))
-    total = published.nees * PATHS
-    assert stats.chi2.ppf(tail, 3 * PATHS) < total < stats.chi2.isf(tail, 3 * PATHS)
-    error = stats.norm.isf(tail) * math.sqrt(0.95 * 0.05 / PATHS)
-    assert abs(published.coverage[MEANT] - 0.95) < error
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_noise_without_measure_is_not_gaussian(model):
-    assert not theory(noisy_steps(square(), level_rule(model, 10.0))).gaussian_enough()
 
 
 def test_nees_tells_that_noise_is_too_large_for_first_order():

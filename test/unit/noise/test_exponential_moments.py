@@ -30,13 +30,6 @@ def test_sample_moments_are_the_exact_ones(model, std):
         assert_moments(found, exact.mean[k], exact.covariance[k], quantile)
 
 
-def test_a_pose_does_not_depend_on_which_others_are_asked_for():
-    steps = noisy_steps(wandering(60), model_named("rate_invariant").at_level(0.2))
-    some, one = exponential_moments(steps, [10, 30, 60]), exponential_moments(steps, [30])
-    np.testing.assert_allclose(some.covariance[1], one.covariance[0], rtol=1e-12)
-    np.testing.assert_allclose(some.mean[1], one.mean[0], rtol=1e-12)
-
-
 def test_no_noise_is_no_error():
     steps = noisy_steps(wandering(60), model_named("report").at_level(0.0))
     found = exponential_moments(steps, [60])

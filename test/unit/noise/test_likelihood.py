@@ -8,7 +8,7 @@ from noise_paths import wandering
 from scipy import stats
 
 from bullet_lab.core import se2
-from bullet_lab.noise.goodness import drawn_pairs, whitened
+from bullet_lab.noise.goodness import whitened
 from bullet_lab.noise.likelihood import Problem, StepPairs, part_errors
 from bullet_lab.noise.odometry_noise import (
     NoisyPath,
@@ -63,17 +63,3 @@ def test_the_likelihood_is_that_of_the_three_gaussians():
     problem = Problem(pairs, rule.name)
     coordinates = problem.coordinates(np.array([astuple(rule)]))
     assert problem.logarithm(coordinates, np.arange(1)) == pytest.approx(expected, rel=1e-12)
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_what_is_drawn_is_whitened_to_standard_normal_numbers(rule):
-    steps = se2.steps(wandering())
-    errors = SystematicErrors(0.02, -0.03)
-    pairs = drawn_pairs(
-        steps, rule, np.random.default_rng(8), 40, errors.steps(steps), truth_std_m=1e-4
-    )
-    found = whitened(pairs, rule, errors.steps(steps))
-    values = found[np.isfinite(found)]
-    # Two-sided at 99.9 %.
-    assert stats.kstest(values, "norm").pvalue > 1e-3
-    assert abs(np.mean(values**2) - 1.0) < 3.3 * np.sqrt(2.0 / values.size)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from noise_paths import drive, line
+from noise_paths import drive
 from scipy import stats
 
 from bullet_lab.noise.odometry_noise import (
@@ -38,33 +38,12 @@ def test_spread_of_the_report_rule_is_std_times_distance():
     assert stats.kstest(np.array(errors) / 0.2, "norm").pvalue > 2 * TAIL
 
 
-def covariances(rule, counts):
-    return [last_step(rule, 30, corner(count)).covariance for count in counts]
-
-
 def test_rate_invariant_covariance_does_not_depend_on_the_subdivision():
     k = 1e-6  # so small that the noisy path is the perfect one
-    coarse, fine = covariances(RateInvariantRule(k), (20, 400))
+    coarse, fine = (last_step(RateInvariantRule(k), 30, corner(n)).covariance for n in (20, 400))
     assert coarse[2, 2] == pytest.approx(fine[2, 2], rel=1e-9)
     assert fine[2, 2] == pytest.approx(k**2 * (2.0 + math.pi / 2 + 2.0), rel=1e-9)
     np.testing.assert_allclose(coarse, fine, rtol=2e-3)
-
-
-def test_report_covariance_does_depend_on_the_subdivision():
-    coarse, fine = covariances(ReportRule(1e-6), (20, 400))
-    assert coarse[2, 2] == pytest.approx(20 * fine[2, 2], rel=1e-6)
-
-
-def test_straight_line_covariance_has_its_closed_form():
-    k, length = 1e-6, 7.0
-    q = k**2
-    covariance = last_step(RateInvariantRule(k), 31, line(length, 100)).covariance
-    expected = [
-        [q * length, 0.0, 0.0],
-        [0.0, q * length**3 / 3, q * length**2 / 2],
-        [0.0, q * length**2 / 2, q * length],
-    ]
-    np.testing.assert_allclose(covariance, expected, rtol=1e-3, atol=1e-3 * q)
 
 
 @pytest.mark.parametrize(

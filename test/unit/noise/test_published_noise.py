@@ -39,11 +39,6 @@ def test_published_algorithm_step_by_step():
         assert noise.update(*now) == pytest.approx((x, y, yaw))
 
 
-def test_published_noise_of_zero_std_is_the_perfect_path():
-    poses = drive((0, 0, 0), (50, (0.1, 0.0, 0.3)))
-    np.testing.assert_allclose(run(PublishedNoise(0.0, 1).update, poses), poses, atol=1e-12)
-
-
 def test_published_noise_reads_yaw_as_a_quaternion_has_it():
     poses = drive((0, 0, 0), (50, (0.1, 0.0, 0.3)))
     more_turns = poses + [0.0, 0.0, 4 * math.pi]
