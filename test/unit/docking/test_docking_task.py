@@ -9,7 +9,7 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.docking.database import DockTolerance, DockUncertainty
-from bullet_lab.docking.task import DockingTask
+from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
     DockingError,
     DockingSettings,
@@ -260,3 +260,49 @@ def test_shares_no_random_numbers_with_noise_of_the_same_seed():
     first, again, other = (task._belief._rng.random() for task in tasks)
     assert first == again != other
     assert first != np.random.default_rng(1).random()
+
+
+DOCKED = (3.44, 0.0, 0.0)
+DOCK = standin.make_dock(PLAIN)
+
+
+def test_backs_out_by_a_distance():
+    feed = Feed(UndockingTask(0.8, DOCK, DOCK.pose, None), DOCKED)
+    feed.run(30.0)
+    assert feed.task.result.success
+    assert feed.task.remaining == 0.0
+    assert feed.pose == pytest.approx((2.64, 0.0, 0.0), abs=0.01)
+
+
+def test_backs_out_until_it_stands_before_the_dock():
+    task = UndockingTask(0.0, DOCK, DOCK.pose, standin.MOUNT)
+    feed = Feed(task, (3.44, 0.02, math.radians(3.0)))
+    feed.run(60.0)
+    assert task.result.success
+    assert feed.pose[0] == pytest.approx(1.0, abs=0.03)
+    # Straight back it would be 0.13 m off by now; the marker told it where the axis is.
+    assert abs(feed.pose[1]) < 0.03
+
+
+def test_without_a_camera_it_goes_straight():
+    task = UndockingTask(0.0, DOCK, DOCK.pose, None)
+    feed = Feed(task, DOCKED)
+    feed.images = False
+    feed.run(60.0)
+    assert task.result.success
+    assert feed.pose[0] == pytest.approx(1.0, abs=0.2)
+
+
+def test_stops_when_blocked():
+    feed = Feed(UndockingTask(1.0, DOCK, DOCK.pose, None), DOCKED)
+    feed.blocked = True
+    feed.run(20.0)
+    assert feed.task.result.error == DockingError.BLOCKED
+
+
+def test_odometry_that_stops_is_noticed():
+    feed = Feed(UndockingTask(1.0, DOCK, DOCK.pose, None), DOCKED)
+    feed.run(1.0)
+    feed.odometry = False
+    feed.run(5.0)
+    assert feed.task.result.error == DockingError.ODOMETRY_LOST

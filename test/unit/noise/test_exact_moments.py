@@ -10,18 +10,20 @@ import math
 
 import numpy as np
 import pytest
-from noise_paths import assert_moments, line, square
+from noise_paths import assert_moments, line, square, wandering
 from scipy import stats
 
+from bullet_lab.core import se2
 from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import (
     exact_moments,
+    exponential_moments,
     quadratic_covariances,
     quadratic_shares,
 )
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
-from bullet_lab.noise.odometry_noise import MODELS
+from bullet_lab.noise.odometry_noise import MODELS, model_named
 from bullet_lab.studies.noise_study.regions import BOUNDS, METHODS, level_rule
 from bullet_lab.studies.noise_study.statistics import study_case
 from bullet_lab.studies.noise_study.study import StudySettings
@@ -35,11 +37,12 @@ MOMENTS_QUANTILE = stats.norm.isf(0.5 * FAMILY / (9 * len(MODELS) * (len(LEVELS)
 PATHS_BY_NAME = {"square": square(), "line": line(4.0, 40)}
 
 
-def final_errors(steps, generator, paths=PATHS):
+def drawn_errors(steps, generator, at=-1):
+    """Return the errors of x, y and heading of `PATHS` paths at one or more poses."""
     errors = []
-    for block in noisy_blocks(steps, generator, paths):
-        off = block.position[:, -1] - steps.position[-1]
-        errors.append(np.column_stack([off.real, off.imag, block.heading_error[:, -1]]))
+    for block in noisy_blocks(steps, generator, PATHS):
+        off = block.position[:, at] - steps.position[at]
+        errors.append(np.stack([off.real, off.imag, block.heading_error[:, at]], axis=-1))
     return np.concatenate(errors)
 
 
@@ -49,7 +52,7 @@ def final_errors(steps, generator, paths=PATHS):
 def test_sample_moments_are_the_exact_ones(name, model, std):
     steps = noisy_steps(PATHS_BY_NAME[name], level_rule(model, std))
     exact = exact_moments(steps)
-    errors = final_errors(steps, study_generator(50, model, std, 1.0))
+    errors = drawn_errors(steps, study_generator(50, model, std, 1.0))
     assert_moments(errors, exact.mean[-1], exact.covariance[-1], MOMENTS_QUANTILE)
 
 
@@ -148,7 +151,7 @@ def test_nees_tells_that_noise_is_too_large_for_first_order():
 def test_a_mean_of_blocks_is_the_mean_of_all():
     case = case_of("square", "rate_invariant", 0.2)
     steps = noisy_steps(PATHS_BY_NAME["square"], level_rule("rate_invariant", 0.2))
-    errors = final_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
+    errors = drawn_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
     np.testing.assert_allclose(case.mean, errors.mean(axis=0), rtol=1e-9)
     np.testing.assert_allclose(case.covariance, np.cov(errors.T), rtol=1e-9)
     distances = np.hypot(errors[:, 0], errors[:, 1])
@@ -168,3 +171,25 @@ def test_an_ellipse_holds_95_percent_of_a_gaussian():
     points = ellipse_points(covariance)
     lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance[:2, :2]), points)
     np.testing.assert_allclose(lengths, stats.chi2.ppf(0.95, 2))
+
+
+STDS = (0.05, 1.0)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("std", STDS)
+def test_sample_moments_are_the_exponential_ones(model, std):
+    steps, at = noisy_steps(wandering(60), model_named(model).at_level(std)), [25, 60]
+    exact = exponential_moments(steps, at)
+    coordinates = se2.logarithm(drawn_errors(steps, np.random.default_rng(71), at))
+    # Mean 3, covariance 6 entries, at two poses, for each model and level.
+    quantile = stats.norm.isf(0.5 * FAMILY / (9 * 2 * len(MODELS) * len(STDS)))
+    for k, found in enumerate(np.moveaxis(coordinates, 1, 0)):
+        assert_moments(found, exact.mean[k], exact.covariance[k], quantile)
+
+
+def test_no_noise_is_no_error_in_exponential_coordinates():
+    steps = noisy_steps(wandering(60), model_named("report").at_level(0.0))
+    found = exponential_moments(steps, [60])
+    assert not found.mean.any()
+    assert not found.covariance.any()

@@ -1,6 +1,7 @@
 """A noise model is one class: everything else goes through those that are registered."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
+from bullet_lab.studies import squares
 
 
 @dataclass(frozen=True)
@@ -85,3 +87,35 @@ def test_a_parameter_of_several_models_is_declared_once(slip):
     names = [name for name, _, _ in noise_fields()]
     assert names == ["std", "alpha1", "alpha2", "alpha3", "alpha4", "slip"]
     assert set(declarations(ReportRule)) == {"std"}
+
+
+@pytest.fixture
+def noisy_odom(monkeypatch):
+    """The node's module, without a connection to a master."""
+    pytest.importorskip("rospy")
+    from bullet_lab.ros.nodes import noisy_odom
+
+    for name in ("publisher", "Publisher", "subscriber"):
+        monkeypatch.setattr(noisy_odom, name, lambda *args, **more: None)
+    monkeypatch.setattr(noisy_odom.rospy, "Service", lambda *args: None)
+    return noisy_odom
+
+
+def test_settings_made_in_python_are_checked(tmp_path):
+    with pytest.raises(ParameterError, match="std"):
+        squares.run_squares(tmp_path, squares.SquaresSettings(std=-1.0))
+
+
+def test_a_request_to_the_node_is_checked(noisy_odom):
+    node = noisy_odom.NoisyOdometry(noisy_odom.NoisyOdomParameters(seed=1))
+    for model, std, alphas, said in (
+        ("report", -1.0, [], "std is -1.0: it must be"),
+        ("probabilistic", 0.1, [0, 0, -1, 0], "alpha3 is -1: it must be"),
+        ("nix", 0.1, [], "unknown noise model 'nix'"),
+    ):
+        refused = node.set_noise(SimpleNamespace(model=model, std=std, alphas=alphas))
+        assert not refused.success
+        assert said in refused.status_message
+    assert node.std == noisy_odom.NoisyOdomParameters.std
+    assert node.set_noise(SimpleNamespace(model="report", std=0.3, alphas=[])).success
+    assert node.std == 0.3
