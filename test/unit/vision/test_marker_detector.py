@@ -36,6 +36,11 @@ def detect(image, camera=None, **settings):
     return MarkerDetector(DetectorSettings(**settings)).detect(image, camera)
 
 
+def picture(view, *layers, **light):
+    """The image of some layers, or of a marker."""
+    return image_of(layers or [marker()], view, samples=4, **light)
+
+
 def ids_of(detections):
     return sorted(found.id for found in detections.markers)
 
@@ -92,7 +97,7 @@ def test_a_lens_does_not_bend_what_is_found():
 @pytest.mark.parametrize("name", DICTIONARY_NAMES)
 def test_markers_of_every_dictionary(name):
     number = 7
-    image = image_of([marker(number, tags=name)], View(1.0, yaw=15.0), samples=4)
+    image = picture(View(1.0, yaw=15.0), marker(number, tags=name))
     assert ids_of(detect(image, dictionary=name)) == [number]
 
 
@@ -100,14 +105,14 @@ def test_markers_of_every_dictionary(name):
 def test_range_without_gaps(yaw, farthest):
     for distance in np.linspace(0.45, farthest, 8):
         view = View(distance, yaw=yaw, pitch=1.0, roll=2.0)
-        image = image_of([marker()], view, samples=4, noise=2.0)
+        image = picture(view, noise=2.0)
         assert ids_of(detect(image)) == [0], distance
 
 
 def test_several_markers_largest_first():
     layers = [marker(5, centre=(-0.3, 0.0)), marker(5, size=0.25, centre=(-0.3, 0.3))]
     layers += [marker(9, size=0.3, centre=(0.2, 0.0))]
-    found = detect(image_of(layers, View(1.5), samples=4)).markers
+    found = detect(picture(View(1.5), *layers)).markers
     assert [m.id for m in found] == [9, 5, 5]
 
 
@@ -129,24 +134,16 @@ def test_of_two_outlines_of_one_marker_the_likelier_stays():
 def test_a_marker_in_a_cell_of_another_and_the_other(outer, inner, distance):
     layers, size, centre = nested(outer, inner)
     view = View(distance, yaw=12.0)
-    large, small = detect(image_of(layers, view, samples=6)).markers
+    large, small = detect(picture(view, *layers)).markers
     assert (large.id, small.id) == (outer, inner)
     assert corner_error(large.corners, true_corners(view, size)) < 0.2
     assert corner_error(small.corners, true_corners(view, 0.1, centre=centre)) < 0.2
 
 
-@pytest.mark.parametrize(
-    "distance, blur",
-    [
-        (1.5, 1.0),
-        pytest.param(1.8, 0.8, marks=pytest.mark.long),
-        pytest.param(2.2, 0.5, marks=pytest.mark.long),
-    ],
-)
-def test_a_marker_in_a_cell_in_the_dark(distance, blur):
+def test_a_marker_in_a_cell_in_the_dark():
     layers, size, centre = nested(0, 0, 0.08, black=2.0, white=28.0)
-    view = View(distance, yaw=10.0)
-    for seed in range(3):
+    for seed, (distance, blur) in enumerate([(1.5, 1.0), (1.8, 0.8), (2.2, 0.5)]):
+        view = View(distance, yaw=10.0)
         image = image_of(layers, view, background=15.0, blur=blur, noise=5.0, seed=seed)
         large, small = detect(image).markers
         assert corner_error(large.corners, true_corners(view, size)) < 1.5
@@ -166,7 +163,7 @@ def test_nothing_is_found_in_cells_that_hold_something_else(distance):
 def test_a_marker_with_something_dark_before_a_corner(distance, corner):
     """It is a part of the outline; from near by that was as many px off as it was large."""
     view = View(distance, yaw=2.0, pitch=1.0)
-    image = image_of([marker(black=2.0, white=17.0)], view, samples=4, background=9.0, noise=1.5)
+    image = picture(view, marker(black=2.0, white=17.0), background=9.0, noise=1.5)
     corners = true_corners(view)
     half = 0.125 * np.hypot(*(corners[1] - corners[0]))
     low, high = np.rint((corners[corner] - half, corners[corner] + half)).astype(int)
@@ -196,7 +193,7 @@ def test_only_ids_that_were_asked_for():
 
 def test_a_marker_at_the_edge_of_the_image_is_dropped():
     for shift, count in (((0.53, 0.0), 1), ((0.536, 0.0), 0)):
-        detections = detect(image_of([marker()], View(1.0, shift=shift), samples=4))
+        detections = detect(picture(View(1.0, shift=shift)))
         assert len(detections.markers) == count, shift
         assert detections.report.cropped == [0] * (1 - count)
 
@@ -250,7 +247,7 @@ def test_light(black, white, background, noise):
 
 
 def test_light_that_changes_across_the_marker():
-    image = image_of([marker()], View(0.5), samples=4).astype(float)
+    image = picture(View(0.5)).astype(float)
     light = np.interp(np.arange(image.shape[1]), (260, 400), (0.15, 1.0))
     for brightness in (light, light[::-1]):
         lit = np.rint(image * brightness).astype(np.uint8)
@@ -258,7 +255,7 @@ def test_light_that_changes_across_the_marker():
 
 
 def test_the_second_pass_is_made_only_where_nothing_was_found():
-    bright = image_of([marker()], View(2.0), samples=4)
+    bright = picture(View(2.0))
     assert not detect(bright).report.second_pass
     # The contrast is less than the first pass needs, in an image of full range.
     faint = image_of([marker(black=100.0, white=106.0)], View(1.0), background=103.0, samples=4)
@@ -329,15 +326,15 @@ def test_the_reason_why_nothing_is_found():
     squares = np.full((480, 640), 200, np.uint8)
     squares[100:200, 100:200] = 30
     assert "1 dark quadrilaterals" in why_nothing(detect(squares).report, name)
-    other = image_of([marker(5)], View(1.0), samples=4)
+    other = picture(View(1.0), marker(5))
     assert "marker 5 seen" in why_nothing(detect(other, ids=(0,)).report, name)
-    cropped = image_of([marker(5)], View(1.0, shift=(0.5365, 0.0)), samples=4)
+    cropped = picture(View(1.0, shift=(0.5365, 0.0)), marker(5))
     assert "marker 5 cut off" in why_nothing(detect(cropped).report, name)
 
 
 def test_white_markers_on_black_are_an_option():
     layers = [marker(3, black=220.0, white=20.0)]
-    negative = image_of(layers, View(1.5, yaw=10.0), samples=4)
+    negative = picture(View(1.5, yaw=10.0), *layers)
     assert ids_of(detect(negative)) == []
     (found,) = detect(negative, inverted=True).markers
     assert found.id == 3
@@ -373,7 +370,7 @@ def test_settings_that_are_not_allowed(wrong):
 
 @pytest.mark.parametrize("sigma", [0.0, 4.0])
 def test_noise_is_measured(sigma):
-    image = image_of([marker()], View(1.0), samples=4, noise=sigma)
+    image = picture(View(1.0), noise=sigma)
     assert noise_level(image) == pytest.approx(sigma, rel=0.1, abs=0.05)
 
 
