@@ -208,23 +208,18 @@ def test_noise_of_the_odometry_widens_it():
 def test_an_odd_image_is_passed_over_and_a_new_place_believed_in_the_end():
     track, pose = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 20)
     before = track.estimate().mean
-    rng = np.random.default_rng(3)
-    odd = look(se2.compose(pose, (0.0, 0.03, 0.1)), rng)
-    track.see(shown_at(odd), VIEW)
+    rng, odd = np.random.default_rng(3), se2.compose(pose, (0.0, 0.03, 0.1))
+    track.see(shown_at(look(odd, rng)), VIEW)
     assert track.estimate().mean == pytest.approx(before)
     for _ in range(30):
-        track.see(shown_at(look(se2.compose(pose, (0.0, 0.03, 0.1)), rng)), VIEW)
+        track.see(shown_at(look(odd, rng)), VIEW)
     assert abs(track.estimate().mean[2] - before[2] + 0.1) < 0.05
 
 
 def test_a_small_marker_takes_over_the_yaw_of_a_larger_one():
-    small = standin.Print(size=0.075)
-    rng = np.random.default_rng(5)
+    first = shown_at(look((2.5, 0.0, 0.0), np.random.default_rng(5), standin.Print(size=0.075)))
     believed = GaussianPose(np.array([1.5, 0.0, 0.0]), WIDE)
-    pose = np.array([2.5, 0.0, 0.0])
-    marker = replace(QUIET.marker, size=0.075)
-    first = shown_at(look(pose, rng, small))
-    track = MarkerTrack(first, VIEW, marker, believed)
+    track = MarkerTrack(first, VIEW, replace(QUIET.marker, size=0.075), believed)
     yaw = track.estimate().mean[2]
     track.adopt_yaw(yaw, 0.015**2)
     assert track.estimate().mean[2] == pytest.approx(yaw)

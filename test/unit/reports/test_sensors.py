@@ -63,10 +63,14 @@ BEACONS = {"a": (3.0, 4.0), "b": (-1.0, 0.0)}
 
 def recorded(folder):
     recording = BeaconsReport(folder, BEACONS)
-    recording.take("odom", Reading(100, (0.0, 0.0, 0.5)))
-    recording.take("a/range", Reading(100, (5.25,)))
-    recording.take("b/range", Reading(100, (1.0,)))
+    measure(recording, 100, (0.0, 0.0, 0.5), 5.25, 1.0)
     return recording
+
+
+def measure(recording, stamp, pose, *distances):
+    recording.take("odom", Reading(stamp, pose))
+    for beacon, distance in zip(BEACONS, distances):
+        recording.take(f"{beacon}/range", Reading(stamp, (distance,)))
 
 
 def rows(folder):
@@ -88,9 +92,7 @@ def test_a_row_is_there_once_all_of_it_is(tmp_path):
 def test_the_end_sorts_and_trims(tmp_path):
     recording = recorded(tmp_path)
     for stamp in (50, 200):
-        recording.take("odom", Reading(stamp, (1.0, 0.0, 0.0)))
-        recording.take("a/range", Reading(stamp, (1.0,)))
-        recording.take("b/range", Reading(stamp, (2.0,)))
+        measure(recording, stamp, (1.0, 0.0, 0.0), 1.0, 2.0)
     recording.finish(until=150)
     assert [float(row[0]) for row in rows(tmp_path)[1:]] == [5e-8, 1e-7]
 
@@ -113,9 +115,7 @@ def test_distances_are_finite(tmp_path, bad):
 
 def test_figure_has_a_curve_over_the_truth_for_each_beacon(tmp_path):
     recording = recorded(tmp_path)
-    recording.take("odom", Reading(200, (1.0, 0.0, 0.5)))
-    recording.take("a/range", Reading(200, (4.0,)))
-    recording.take("b/range", Reading(200, (2.0,)))
+    measure(recording, 200, (1.0, 0.0, 0.5), 4.0, 2.0)
     below = recording.figures({})["distances.png"].axes[1]
     drawn = [line.get_ydata() for line in below.lines if len(line.get_ydata())]
     np.testing.assert_allclose(drawn[0], [5.0, math.hypot(2.0, 4.0)])
