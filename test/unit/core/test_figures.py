@@ -48,13 +48,6 @@ def test_the_same_figure_is_the_same_file(tmp_path):
     assert saved(noise_figure(pairs[0], pairs), tmp_path / "b.png") == first
 
 
-def test_a_heading_that_passes_half_a_turn_is_drawn_without_a_jump():
-    figure = noise_figure(trajectory(400), None)
-    heading = figure.axes[3].lines[0].get_ydata()
-    assert np.abs(np.diff(heading)).max() < 1.0
-    assert heading[-1] > 180.0
-
-
 def test_a_figure_that_cannot_be_written(tmp_path):
     with pytest.raises(FileError, match="^cannot write "):
         save(noise_figure(None, None), tmp_path / "nix" / "a.png")

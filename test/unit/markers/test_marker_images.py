@@ -61,13 +61,6 @@ def test_every_dictionary_has_markers_that_are_found_again(name):
         assert ids == [identifier]
 
 
-def test_a_marker_is_black_all_around():
-    cells = marker_cells("DICT_APRILTAG_36H10", 0)
-    assert cells.shape == (8, 8)
-    assert not np.concatenate([cells[0], cells[-1], cells[:, 0], cells[:, -1]]).any()
-    assert 0 < cells.sum() < 36
-
-
 @pytest.mark.parametrize(
     "make, said",
     [
@@ -129,11 +122,6 @@ def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
     monkeypatch.setattr("bullet_lab.markers.faces.TRIES_PER_DOT", 3)
     with pytest.raises(MarkerError, match="no room for 200 dots"):
         scatter_dots(0.1, 0.1, (0.0, 0.0, 0.0, 0.0), np.random.default_rng(1))
-
-
-def test_dots_follow_from_the_seed():
-    assert np.array_equal(dots_face(Print(), 4).image, dots_face(Print(), 4).image)
-    assert not np.array_equal(dots_face(Print(), 4).image, dots_face(Print(), 5).image)
 
 
 def test_dots_leave_the_marker_and_its_quiet_zone_alone():
