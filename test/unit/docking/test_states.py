@@ -69,7 +69,7 @@ def test_dockings_end_by_names_of_the_table(monkeypatch):
     for state in TRANSITIONS:
         for method in {"step", "follow"} & set(vars(state)):
             monkeypatch.setattr(state, method, recorded(getattr(state, method), seen))
-    assert standin.run(standin.Stand((1.2, 1.5, 2.0), (0.2, -0.1, 0.1))).result.success
+    assert standin.run(standin.Stand((1.2, 1.5, 2.0), (0.2, -0.1, 0.1))).task.result.success
     assert {name for state, name in seen if name not in TRANSITIONS[state]} == set()
     assert {state for state, _ in seen} >= {LookForMarker, states.Measure, states.Confirm}
 
