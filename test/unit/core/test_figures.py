@@ -37,6 +37,7 @@ def test_both_paths_their_ends_and_their_error(count):
     assert sorted(paths) == sorted([count + 5, count, 1, 1, 1])
     assert coordinates == [[count, count + 5]] * 3
     assert error == [count]
+    assert figure.axes[0].get_aspect() == 1.0
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert labels == ["Noisy odom", "Perfect odom", "start", "ends"]
     assert figure.axes[-1].lines[0].get_ydata() == pytest.approx([0.3] * count)

@@ -97,31 +97,35 @@ def test_folders_are_made(tmp_path):
 STEP = 50_000_000
 
 
-def test_each_pose_is_in_the_file_at_once(tmp_path):
-    series = PathSeries(tmp_path / "new" / "a.tum")
+def test_poses_are_in_the_file_at_once_and_those_after_the_end_are_left_out(tmp_path):
+    path = tmp_path / "new" / "a.tum"
+    series = PathSeries(path)
     for number in (1, 2, 3):
         series.add(STEP * number, (0.1 * number, 0.01 * number, 0.5))
-    found = read_tum(tmp_path / "new" / "a.tum")
+    found = read_tum(path)
     assert found.stamps.tolist() == [0.05, 0.1, 0.15]
     assert found.poses[2, 1] == 0.01 * 3
     assert series.path().poses[:, :2].tolist() == found.poses[:, :2].tolist()
-
-
-def test_what_came_after_the_end_is_left_out(tmp_path):
-    series = PathSeries(tmp_path / "a.tum")
-    for number in range(1, 11):
-        series.add(STEP * number, (0.0, 0.0, 0.0))
-    assert series.last == 10 * STEP
-    series.finish(4 * STEP)
-    assert len(read_tum(tmp_path / "a.tum")) == len(series) == len(series.path()) == 4
+    assert series.last == 3 * STEP
+    series.finish(2 * STEP)
+    assert len(read_tum(path)) == len(series) == len(series.path()) == 2
     series.finish(0)
     assert series.path() is None
 
 
-@pytest.mark.parametrize("kind", [PathSeries, lambda path: Series(path, "abc")])
+def test_rows_are_in_the_file_at_once_and_may_be_infinite(tmp_path):
+    series = Series(tmp_path / "a.csv", ("x", "y"))
+    assert series.last is None
+    assert series.table()[1].shape == (0, 2)
+    series.add(STEP, (1, math.inf))
+    assert (tmp_path / "a.csv").read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
+    stamps, rows = series.table()
+    assert (stamps.tolist(), rows.tolist()) == ([0.05], [[1.0, math.inf]])
+
+
 @pytest.mark.parametrize("stamp", [0, STEP])
-def test_time_does_not_go_back(tmp_path, kind, stamp):
-    series = kind(tmp_path / "a")
+def test_time_does_not_go_back(tmp_path, stamp):
+    series = PathSeries(tmp_path / "a")
     series.add(STEP, (0.0, 0.0, 0.0))
     with pytest.raises(SeriesError, match=r"^time goes back from 0\.050000000 s to "):
         series.add(stamp, (0.0, 0.0, 0.0))
@@ -135,20 +139,6 @@ def test_poses_are_finite(tmp_path, bad):
         series.add(STEP, (0.0, bad, 0.0))
     assert series.last is None
     assert (tmp_path / "a").read_text() == ""
-
-
-def test_rows_are_in_the_file_at_once_and_cut_at_the_end(tmp_path):
-    path = tmp_path / "new" / "a.csv"
-    series = Series(path, ("x", "y"))
-    assert series.last is None
-    assert series.table()[1].shape == (0, 2)
-    series.add(STEP, (1, math.inf))
-    series.add(2 * STEP, (0.1, -2.0))
-    assert len(path.read_text().splitlines()) == 3
-    series.finish(STEP)
-    assert path.read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
-    stamps, rows = series.table()
-    assert (stamps.tolist(), rows.tolist()) == ([0.05], [[1.0, math.inf]])
 
 
 def test_rows_in_any_order_are_put_in_order_at_the_end(tmp_path):

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from bullet_lab.core.files import PathSeries
-from bullet_lab.core.trajectory import read_tum
+from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.reports import Reading
@@ -138,11 +137,9 @@ def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
     assert len(sampler._kept) <= 32
 
 
-def test_the_path_has_a_colour_for_each_state(tmp_path):
-    series = PathSeries(tmp_path / "truth.tum")
-    for number in range(1, 41):
-        series.add(STEP * number, (0.1 * number, 0.01 * number, 0.0))
-    truth = series.path()
+def test_the_path_has_a_colour_for_each_state():
+    along = np.arange(0.05, 2.01, 0.05)
+    truth = Trajectory(along, np.column_stack([2.0 * along, 0.2 * along, 0.0 * along]))
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
     walls = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))]
     plan = [(0.0, 0.0), (3.0, 0.0)]
