@@ -122,14 +122,18 @@ def test_errors_by_hand():
     np.testing.assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
     np.testing.assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
     np.testing.assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
-    assert error.ape_rmse_m == pytest.approx(math.sqrt(5.25 / 4))
-    assert error.ape_mean_m == pytest.approx(0.875)
-    assert error.ape_median_m == pytest.approx(0.75)
-    assert error.ape_std_m == pytest.approx(math.sqrt(5.25 / 4 - 0.875**2))
-    assert (error.ape_min_m, error.ape_max_m) == (0.0, pytest.approx(2.0))
-    assert error.heading_rmse_deg == pytest.approx(math.degrees(math.sqrt(0.05 / 4)))
-    assert error.final_error_m == pytest.approx(2.0)
-    assert error.final_heading_error_deg == pytest.approx(math.degrees(-0.2))
+    expected = {
+        "ape_rmse_m": math.sqrt(5.25 / 4),
+        "ape_mean_m": 0.875,
+        "ape_median_m": 0.75,
+        "ape_std_m": math.sqrt(5.25 / 4 - 0.875**2),
+        "ape_min_m": 0.0,
+        "ape_max_m": 2.0,
+        "heading_rmse_deg": math.degrees(math.sqrt(0.05 / 4)),
+        "final_error_m": 2.0,
+        "final_heading_error_deg": math.degrees(-0.2),
+    }
+    assert {name: getattr(error, name) for name in expected} == pytest.approx(expected)
 
 
 def test_heading_errors_are_wrapped():

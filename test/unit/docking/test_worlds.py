@@ -59,7 +59,7 @@ def close(bounds, lower, upper):
     return np.allclose(bounds, (lower, upper), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", DOCKS + LIGHTS)
+@pytest.mark.parametrize("name", DOCKS)
 def test_the_dock_is_a_u_of_three_static_boxes(name):
     station = model("docking_station", world(name))
     assert station.static and not station.joints
@@ -144,7 +144,6 @@ def test_a_made_model_can_be_put_into_a_world(tmp_path, monkeypatch, capsys):
         ("x --id 99999", "not 99999"),
         ("x --id one", "invalid int value"),
         ("x --dots", "add --on dock"),
-        ("x --on panel --around 0.8", "add --on dock"),
         ("x --on dock --around 0.8 --dots", "not both"),
         ("x --on panel --height 0.1", "in the floor"),
         ("'a name'", "no name of a model"),
