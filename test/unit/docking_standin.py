@@ -7,8 +7,8 @@ sight is written anew here, so that an error in `bullet_lab.docking.geometry` sh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Callable, List, Optional, Tuple
+from dataclasses import dataclass
+from typing import List, Optional, Tuple
 
 import numpy as np
 from recorded_paths import make_rule
@@ -19,11 +19,12 @@ from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUnc
 from bullet_lab.docking.task import DockingTask
 from bullet_lab.docking.types import CameraMount, DockingSettings, Observation, Odometry, Sighting
 from bullet_lab.noise.odometry_noise import NoisyPath
-from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 MOUNT = CameraMount(0.16, 0.0, 0.44)
 TICK = 0.05
+# s, of the wheels.
+LAG = 0.04
 DICTIONARY = "DICT_APRILTAG_36h10"
 WALL_SEGMENTS = (  # inner outline of the U, in the dock's frame
     ((-2.0, 0.5), (0.0, 0.5)),
@@ -65,28 +66,9 @@ class Stand:
     model: str = "report"
     std: float = 0.0
     seed: int = 0
-    lag: float = 0.04
     obstacles: Tuple[Tuple[float, float, float, float], ...] = ()
     camera: CameraMount = MOUNT  #: where it really is
-    odometry: SystematicErrors = SystematicErrors()
-    late: float = 0.0  #: s, of the images, at most
-    settings: object = field(default_factory=DockingSettings)  #: of the controller
-
-
-@dataclass
-class Run:
-    """How it went."""
-
-    result: object
-    contact: bool
-    distance_error: float
-    lateral_error: float
-    yaw_error: float
-    seconds: float
-    images: int
-    least_clearance: float
-    truth: List[Tuple[float, float, float, float]]
-    states: List[Tuple[float, str]]
+    settings: DockingSettings = DockingSettings()
 
 
 def make_dock(stand: Stand) -> Dock:
@@ -174,80 +156,76 @@ def see_print(robot, shown: Print, stand: Stand, rng) -> Optional[np.ndarray]:
     return pixels + rng.normal(0.0, stand.pixel_noise, (4, 2))
 
 
-def run(stand: Stand, limit_contact: bool = True, controller: Callable = DockingTask) -> Run:
-    """Dock once; `controller` is fed and made as a DockingTask."""
-    rng = np.random.default_rng((stand.seed, 77))
+class Feed:
+    """Feeds a task with what its robot sees, and moves the robot; things go wrong when asked to.
+
+    Attributes:
+        pose: true, of the robot.
+        now: s since the start.
+        moved: the way (m) and turn (rad) so far, together.
+        truth: (s, x, y, yaw) so far.
+        contact: whether the robot touches a wall, which ends the run.
+        images: whether any come; likewise `odometry`.
+        blocked: whether the wheels turn in vain.
+        late: s, of the images.
+    """
+
+    def __init__(self, task, stand: Stand):
+        self.task, self.stand = task, stand
+        self.pose = np.array(stand.start, dtype=float)
+        self.now = self.moved = self.late = 0.0
+        self.truth: List[Tuple[float, float, float, float]] = []
+        self.images = self.odometry = True
+        self.blocked = self.contact = False
+        self.speeds = np.zeros(2)
+        self._rng = np.random.default_rng((stand.seed, 77))
+        self._noise = NoisyPath(make_rule(stand.model, stand.std), stand.seed)
+        self._boxes = (WALL_BOXES if stand.walls else ()) + stand.obstacles
+        self._next_image, self._waiting = 0.0, []
+
+    def run(self, seconds: float = math.inf, until=None) -> None:
+        """Tick for some time, or until a state; stops with the task."""
+        end = self.now + seconds
+        while self.now < end and self.task.result is None and not self.contact:
+            self.tick()
+            if until is not None and self.task.state == until:
+                return
+        assert until is None, f"never {until}: {self.task.result}"
+
+    def tick(self) -> None:
+        """Give what has come since the tick before, and do what the task commands."""
+        self.truth.append((self.now, *self.pose.tolist()))
+        noisy = self._noise.update(*self.pose.tolist())
+        if self.odometry:
+            covariance = noisy.motion_covariance / TICK**2
+            self.task.add_odometry(Odometry(self.now, noisy.pose, covariance))
+        robot = se2.between(self.stand.dock, self.pose)
+        if self.now >= self._next_image - 1e-9:
+            self._next_image += 1.0 / self.stand.image_rate
+            if self.images and self.task.wants_images:
+                self._waiting.append(Observation(self.now, CAMERA, self._sightings(robot)))
+        while self._waiting and self._waiting[0].stamp <= self.now - self.late + 1e-9:
+            self.task.add_observation(self._waiting.pop(0))
+        self.contact = bool(self._boxes) and body_clearance(robot, self._boxes) <= 0.0
+        command = np.array(self.task.tick(self.now))
+        self.speeds += (1.0 - math.exp(-TICK / LAG)) * (command - self.speeds)
+        if not self.blocked:
+            way, turn = TICK * self.speeds
+            # Along the chord of the arc.
+            self.pose = se2.compose(self.pose, (0.0, 0.0, 0.5 * turn))
+            self.pose = se2.compose(self.pose, (way * np.sinc(0.5 * turn / np.pi), 0.0, 0.5 * turn))
+            self.moved += abs(way) + abs(turn)
+        self.now += TICK
+
+    def _sightings(self, robot) -> Tuple[Sighting, ...]:
+        found = [(s, see_print(robot, s, self.stand, self._rng)) for s in self.stand.prints]
+        return tuple(Sighting(s.id, DICTIONARY, c) for s, c in found if c is not None)
+
+
+def run(stand: Stand) -> Feed:
+    """Dock once."""
     dock = make_dock(stand)
-    task = controller(dock, dock.pose, MOUNT, settings=stand.settings, seed=stand.seed)
-    noise = NoisyPath(make_rule(stand.model, stand.std), stand.seed)
-    told, waiting = SystematicPath(stand.odometry), []
-    pose = np.asarray(stand.start, dtype=float)
-    v = w = t = 0.0
-    boxes = list(WALL_BOXES) if stand.walls else []
-    boxes += list(stand.obstacles)
-    truth, states, images, contact = [], [], 0, False
-    least, next_image, before = math.inf, 0.0, None
-    while task.result is None:
-        noisy = noise.update(*told.update(*pose).pose)
-        odometry = Odometry(t, noisy.pose, noisy.motion_covariance / TICK**2)
-        task.add_odometry(odometry)
-        in_dock = se2.between(stand.dock, pose)
-        truth.append((t, *pose.tolist()))
-        if t >= next_image - 1e-9:
-            next_image += 1.0 / stand.image_rate
-            if task.wants_images:
-                images += 1
-                found = [(s, see_print(in_dock, s, stand, rng)) for s in stand.prints]
-                sightings = tuple(Sighting(s.id, DICTIONARY, c) for s, c in found if c is not None)
-                arrival = t + (rng.uniform(0.0, stand.late) if stand.late else 0.0)
-                waiting.append((arrival, Observation(t, CAMERA, sightings)))
-        while waiting and waiting[0][0] <= t + 1e-9:
-            task.add_observation(waiting.pop(0)[1])
-        if boxes:
-            clear = body_clearance(in_dock, boxes)
-            least = min(least, clear)
-            if clear <= 0.0:
-                contact = True
-                if limit_contact:
-                    break
-        command = task.tick(t)
-        label = task.state.label if isinstance(task, DockingTask) else ""
-        if label != before:
-            before = label
-            states.append((round(t, 2), before))
-        blend = 1.0 - math.exp(-TICK / stand.lag) if stand.lag else 1.0
-        v += blend * (command[0] - v)
-        w += blend * (command[1] - w)
-        pose = se2.compose(pose, _arc(v * TICK, w * TICK))
-        t += TICK
-    in_dock = se2.between(stand.dock, pose)
-    return Run(
-        task.result, contact, -in_dock[0] - 0.56, in_dock[1], in_dock[2], t, images, least,
-        truth, states,
-    )  # fmt: skip
-
-
-def _arc(way: float, turn: float) -> Tuple[float, float, float]:
-    if abs(turn) < 1e-9:
-        return way, 0.0, turn
-    radius = way / turn
-    return radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn
-
-
-def random_stand(seed: int, **changes) -> Stand:
-    """Draw a docking as the campaign does."""
-    rng = np.random.default_rng((seed, 5))
-    while True:
-        before = rng.uniform(0.7, 5.0)
-        reach = before * math.tan(math.radians(60.0))
-        y = rng.uniform(-reach, reach)
-        middle = (-before, y)
-        away = min(
-            math.hypot(max(x0 - middle[0], middle[0] - x1, 0.0), max(y0 - y, y - y1, 0.0))
-            for x0, x1, y0, y1 in WALL_BOXES + tuple(changes.get("obstacles", ()))
-        )
-        if away > 0.29:
-            break
-    start = (4.0 + middle[0], y, rng.uniform(-math.pi, math.pi))
-    error = rng.uniform(-1.0, 1.0, 3) * (0.3, 0.3, math.radians(10.0))
-    return replace(Stand(start, tuple(error.tolist()), seed=seed), **changes)
+    task = DockingTask(dock, dock.pose, MOUNT, settings=stand.settings, seed=stand.seed)
+    feed = Feed(task, stand)
+    feed.run()
+    return feed

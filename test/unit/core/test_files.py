@@ -69,11 +69,6 @@ def test_results_are_readable_as_the_umask_says(tmp_path):
     assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
 
 
-def test_a_missing_folder_is_one_line(tmp_path):
-    with pytest.raises(FileError, match="^cannot write .*: No such file or directory$"):
-        replace_file(tmp_path / "nix" / "a", lambda part: None)
-
-
 def test_json_keeps_the_order(tmp_path):
     write_json(tmp_path / "a.json", {"b": 1, "a": [None, 0.5]})
     text = (tmp_path / "a.json").read_text()
@@ -102,31 +97,35 @@ def test_folders_are_made(tmp_path):
 STEP = 50_000_000
 
 
-def test_each_pose_is_in_the_file_at_once(tmp_path):
-    series = PathSeries(tmp_path / "new" / "a.tum")
+def test_poses_are_in_the_file_at_once_and_those_after_the_end_are_left_out(tmp_path):
+    path = tmp_path / "new" / "a.tum"
+    series = PathSeries(path)
     for number in (1, 2, 3):
         series.add(STEP * number, (0.1 * number, 0.01 * number, 0.5))
-    found = read_tum(tmp_path / "new" / "a.tum")
+    found = read_tum(path)
     assert found.stamps.tolist() == [0.05, 0.1, 0.15]
     assert found.poses[2, 1] == 0.01 * 3
     assert series.path().poses[:, :2].tolist() == found.poses[:, :2].tolist()
-
-
-def test_what_came_after_the_end_is_left_out(tmp_path):
-    series = PathSeries(tmp_path / "a.tum")
-    for number in range(1, 11):
-        series.add(STEP * number, (0.0, 0.0, 0.0))
-    assert series.last == 10 * STEP
-    series.finish(4 * STEP)
-    assert len(read_tum(tmp_path / "a.tum")) == len(series) == len(series.path()) == 4
+    assert series.last == 3 * STEP
+    series.finish(2 * STEP)
+    assert len(read_tum(path)) == len(series) == len(series.path()) == 2
     series.finish(0)
     assert series.path() is None
 
 
-@pytest.mark.parametrize("kind", [PathSeries, lambda path: Series(path, "abc")])
+def test_rows_are_in_the_file_at_once_and_may_be_infinite(tmp_path):
+    series = Series(tmp_path / "a.csv", ("x", "y"))
+    assert series.last is None
+    assert series.table()[1].shape == (0, 2)
+    series.add(STEP, (1, math.inf))
+    assert (tmp_path / "a.csv").read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
+    stamps, rows = series.table()
+    assert (stamps.tolist(), rows.tolist()) == ([0.05], [[1.0, math.inf]])
+
+
 @pytest.mark.parametrize("stamp", [0, STEP])
-def test_time_does_not_go_back(tmp_path, kind, stamp):
-    series = kind(tmp_path / "a")
+def test_time_does_not_go_back(tmp_path, stamp):
+    series = PathSeries(tmp_path / "a")
     series.add(STEP, (0.0, 0.0, 0.0))
     with pytest.raises(SeriesError, match=r"^time goes back from 0\.050000000 s to "):
         series.add(stamp, (0.0, 0.0, 0.0))
@@ -147,9 +146,22 @@ def test_rows_in_any_order_are_put_in_order_at_the_end(tmp_path):
     for stamp, value in ((2 * STEP, 1), (STEP, 2), (2 * STEP, 3)):
         series.add(stamp, [value])
     assert series.last == 2 * STEP
-    assert len((tmp_path / "a").read_text().splitlines()) == 4
     series.finish()
     assert (tmp_path / "a").read_text() == "stamp,x\n0.050000000,2.0\n0.100000000,3.0\n"
+
+
+@pytest.mark.parametrize("values", [(1.0,), (math.nan, 1.0)])
+def test_rows_that_are_refused(tmp_path, values):
+    series = Series(tmp_path / "a.csv", ("x", "y"))
+    with pytest.raises(SeriesError):
+        series.add(STEP, values)
+    assert len(series) == 0
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    (tmp_path / "rows.csv").symlink_to("/dev/full")
+    with pytest.raises(FileError, match="No space left"):
+        Series(tmp_path / "rows.csv", "ab").add(0, (1.0, 2.0))
 
 
 def test_rows_are_joined_by_the_nanosecond_whatever_comes_first():
@@ -221,14 +233,6 @@ def test_a_link_in_the_place_of_the_file_is_replaced(folder, tmp_path):
     folder.write(place, "text")
     assert not place.is_symlink()
     assert all_files(tmp_path) == ["own/a"]
-
-
-def test_a_hard_link_to_another_file_is_replaced(folder, tmp_path):
-    precious = tmp_path / "elsewhere" / "precious"
-    precious.write_text("as it was")
-    os.link(precious, folder.path / "a")
-    write(folder, "a")
-    assert precious.read_text() == "as it was"
 
 
 def test_what_cannot_be_written_leaves_nothing(folder):

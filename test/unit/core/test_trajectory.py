@@ -1,6 +1,5 @@
 """None"""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -15,7 +14,6 @@ from bullet_lab.core.trajectory import (
     read_tum,
     tum_row,
 )
-from bullet_lab.errors import LabError
 
 STAMPS = [0.05, 0.1, 1700000000.123456789]
 POSES = [[0.0, 1 / 3, -1e-17], [1e-5, -2.0, 3.0], [math.pi, 7.0, -0.1]]
@@ -36,9 +34,6 @@ def test_length_is_that_of_the_way():
     np.testing.assert_allclose(trajectory.travelled(), [0.0, 5.0, 5.0, 6.0])
     assert trajectory.length() == 6.0
     assert len(trajectory) == 4
-
-
-def test_one_pose_is_a_trajectory():
     assert Trajectory([1.0], [[1.0, 2.0, 3.0]]).length() == 0.0
 
 
@@ -49,8 +44,6 @@ def test_arrays_are_copied_and_read_only():
     assert not trajectory.poses.any()
     with pytest.raises(ValueError, match="read-only"):
         trajectory.poses[0, 0] = 1.0
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        trajectory.stamps = [0, 2]
 
 
 @pytest.mark.parametrize(
@@ -58,12 +51,10 @@ def test_arrays_are_copied_and_read_only():
     [
         ([], [], "no poses"),
         ([0, 1], [[0, 0, 0]], "shape"),
-        ([0, 1], [[0, 0], [0, 0]], "shape"),
         ([[0], [1]], [[0, 0, 0]] * 2, "shape"),
         ([0, math.nan], [[0, 0, 0]] * 2, "not finite"),
         ([0, 1], [[0, 0, 0], [0, math.inf, 0]], "not finite"),
         ([0, 1, 1], [[0, 0, 0]] * 3, "1.000000000 follows 1.000000000"),
-        ([0, 2, 1], [[0, 0, 0]] * 3, "1.000000000 follows 2.000000000"),
         ([0, 1], [[0, 0, 0], [0, 0]], "numbers"),
         (["zero"], [[0, 0, 0]], "numbers"),
     ],
@@ -71,7 +62,6 @@ def test_arrays_are_copied_and_read_only():
 def test_bad_trajectories_are_refused(stamps, poses, message):
     with pytest.raises(TrajectoryError, match=message):
         Trajectory(stamps, poses)
-    assert issubclass(TrajectoryError, LabError)
 
 
 def test_tum_row_has_eight_columns():
@@ -132,14 +122,18 @@ def test_errors_by_hand():
     np.testing.assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
     np.testing.assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
     np.testing.assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
-    assert error.ape_rmse_m == pytest.approx(math.sqrt(5.25 / 4))
-    assert error.ape_mean_m == pytest.approx(0.875)
-    assert error.ape_median_m == pytest.approx(0.75)
-    assert error.ape_std_m == pytest.approx(math.sqrt(5.25 / 4 - 0.875**2))
-    assert (error.ape_min_m, error.ape_max_m) == (0.0, pytest.approx(2.0))
-    assert error.heading_rmse_deg == pytest.approx(math.degrees(math.sqrt(0.05 / 4)))
-    assert error.final_error_m == pytest.approx(2.0)
-    assert error.final_heading_error_deg == pytest.approx(math.degrees(-0.2))
+    expected = {
+        "ape_rmse_m": math.sqrt(5.25 / 4),
+        "ape_mean_m": 0.875,
+        "ape_median_m": 0.75,
+        "ape_std_m": math.sqrt(5.25 / 4 - 0.875**2),
+        "ape_min_m": 0.0,
+        "ape_max_m": 2.0,
+        "heading_rmse_deg": math.degrees(math.sqrt(0.05 / 4)),
+        "final_error_m": 2.0,
+        "final_heading_error_deg": math.degrees(-0.2),
+    }
+    assert {name: getattr(error, name) for name in expected} == pytest.approx(expected)
 
 
 def test_heading_errors_are_wrapped():

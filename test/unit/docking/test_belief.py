@@ -22,15 +22,16 @@ class Lookout:
         self.belief = DockBelief(dock, dock.pose, standin.MOUNT, STAND.settings, self.rng)
         self.belief.add_odometry(Odometry(0.0, tuple(self.pose)))
 
-    def look(self, *prints, step=(0.0, 0.0, 0.0), change=None):
+    def look(self, *prints, step=(0.0, 0.0, 0.0), changes=(np.copy, np.copy)):
         self.pose = se2.compose(self.pose, step)
         self.stamp += 0.2
         self.belief.add_odometry(Odometry(self.stamp, tuple(self.pose)))
-        seen = []
-        for shown in prints:
-            corners = standin.see_print(se2.between(STAND.dock, self.pose), shown, STAND, self.rng)
-            seen.append(corners if change is None else change(corners))
-        sightings = tuple(Sighting(0, standin.DICTIONARY, corners) for corners in seen)
+        robot = se2.between(STAND.dock, self.pose)
+        seen = [standin.see_print(robot, shown, STAND, self.rng) for shown in prints]
+        sightings = tuple(
+            Sighting(0, standin.DICTIONARY, change(corners))
+            for change, corners in zip(changes, seen)
+        )
         self.belief.observe(Observation(self.stamp, standin.CAMERA, sightings))
 
     @property
@@ -77,12 +78,7 @@ def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
     lookout = Lookout()
     for _ in range(6):
         lookout.look(MARKER)
-    lookout.look(MARKER, MARKER, change=lambda corners: corners)
-    twin = standin.see_print(se2.between(STAND.dock, lookout.pose), MARKER, STAND, lookout.rng)
-    sightings = tuple(
-        Sighting(0, standin.DICTIONARY, corners) for corners in (twin, white_border(twin))
-    )
-    lookout.belief.observe(Observation(lookout.stamp, standin.CAMERA, sightings))
+    lookout.look(MARKER, MARKER, changes=(np.copy, white_border))
     assert len(lookout.tracks) > 1
     for _ in range(3):
         lookout.look(MARKER)
@@ -104,7 +100,7 @@ def test_a_print_that_a_wall_begins_to_hide_stays_the_same_track():
         lookout.look(large)
     assert lookout.tracks[0].sized < 0.5
     for _ in range(8):
-        lookout.look(large, step=(-0.05, 0.0, 0.0), change=cut)
+        lookout.look(large, step=(-0.05, 0.0, 0.0), changes=(cut,))
     assert len(lookout.tracks) == 1
 
 

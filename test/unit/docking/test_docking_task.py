@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.docking.database import DockUncertainty
-from bullet_lab.docking.task import DockingTask
+from bullet_lab.docking.database import DockTolerance, DockUncertainty
+from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
     DockingError,
     DockingSettings,
     DockingState,
-    Observation,
-    Odometry,
-    Sighting,
 )
 
 PLAIN = standin.Stand((1.0, 0.3, 0.4), (0.1, -0.15, 0.1))
@@ -24,16 +21,18 @@ DECOY = standin.Print((-0.7, 1.65, 0.0), 0.5, 0.35)
 DECOY_PANEL = (-0.70, -0.68, 1.43, 1.87)
 
 
-def check_docked(run):
-    assert run.result.success, run.result
-    assert run.result.error == DockingError.NONE
-    assert not run.contact
-    assert abs(run.lateral_error) < 0.006
-    assert abs(run.distance_error) < 0.006
-    assert abs(math.degrees(run.yaw_error)) < 0.6
+def check_docked(feed):
+    result = feed.task.result
+    assert result.success, result
+    assert result.error == DockingError.NONE
+    assert not feed.contact
+    x, y, yaw = se2.between(feed.stand.dock, feed.pose)
+    assert abs(-x - 0.56) < 0.006
+    assert abs(y) < 0.006
+    assert abs(math.degrees(yaw)) < 0.6
     # What it says of itself is so.
-    assert run.result.lateral == pytest.approx(run.lateral_error, abs=0.005)
-    assert run.result.yaw == pytest.approx(run.yaw_error, abs=0.01)
+    assert result.lateral == pytest.approx(y, abs=0.005)
+    assert result.yaw == pytest.approx(yaw, abs=0.01)
 
 
 def long(*values):
@@ -79,83 +78,49 @@ def test_same_numbers_give_the_same_drive():
 
 
 @pytest.mark.parametrize(
-    "prints",
-    [(), long((standin.Print(id=1),)), long((standin.Print(height=0.9),)), long((DECOY,))],
+    "changes",
+    [
+        {"prints": (), "start": (2.5, 0.0, 0.0)},
+        long({"prints": ()}),
+        long({"prints": (standin.Print(id=1),)}),
+        long({"prints": (standin.Print(height=0.9),)}),
+        long({"prints": (DECOY,)}),
+        long({"dropout": 1.0}),  # a covered camera sees nothing, but is there
+    ],
 )
-def test_says_that_the_marker_is_not_there(prints):
-    run = standin.run(replace(PLAIN, prints=prints, obstacles=(DECOY_PANEL,)))
-    assert run.result.error == DockingError.NOT_DETECTED
-    assert not run.result.success
-    assert not run.contact
-    assert math.isnan(run.result.lateral)
-
-
-@pytest.mark.long
-def test_a_covered_camera_sees_nothing_but_is_there():
-    run = standin.run(replace(PLAIN, dropout=1.0))
-    assert run.result.error == DockingError.NOT_DETECTED
+def test_says_that_the_marker_is_not_there(changes):
+    feed = standin.run(replace(PLAIN, obstacles=(DECOY_PANEL,), **changes))
+    assert feed.task.result.error == DockingError.NOT_DETECTED
+    assert not feed.task.result.success
+    assert not feed.contact
+    assert math.isnan(feed.task.result.lateral)
 
 
 def test_without_search_only_what_is_in_sight_counts():
-    stand = replace(PLAIN, start=(1.0, 0.0, 3.0))
-    dock = standin.make_dock(stand)
-    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(search=False))
-    feed = Feed(task, stand.start)
+    feed = fed((1.0, 0.0, 3.0), search=False)
     feed.run(3.0)
-    assert task.result.error == DockingError.NOT_DETECTED
+    assert feed.task.result.error == DockingError.NOT_DETECTED
     assert feed.moved == 0.0
 
 
-class Feed:
-    """Runs a task by hand, with things going wrong when asked to."""
-
-    def __init__(self, task, start=(1.0, 0.0, 0.0), stand=PLAIN):
-        self.task, self.stand = task, stand
-        self.pose = np.array(start, dtype=float)
-        self.now = self.moved = 0.0
-        self.command = (0.0, 0.0)
-        self.images = self.odometry = True
-        self.blocked = False
-        self.late = 0.0
-        self._rng = np.random.default_rng(1)
-        self._queue = []
-
-    def run(self, seconds, until=None):
-        """Tick for some time, or until a state; stops with the task."""
-        end = self.now + seconds
-        while self.now < end and self.task.result is None:
-            self.tick()
-            if until is not None and self.task.state == until:
-                return
-        if until is not None:
-            raise AssertionError(f"never {until}: {self.task.result}")
-
-    def tick(self):
-        if self.odometry:
-            self.task.add_odometry(Odometry(self.now, tuple(self.pose.tolist())))
-        if self.images:
-            seen = standin.see_print(
-                se2.between(self.stand.dock, self.pose), standin.Print(), self.stand, self._rng
-            )
-            sightings = () if seen is None else (Sighting(0, standin.DICTIONARY, seen),)
-            self._queue.append(Observation(self.now, standin.CAMERA, sightings))
-        while self._queue and self._queue[0].stamp <= self.now - self.late + 1e-9:
-            self.task.add_observation(self._queue.pop(0))
-        self.command = v, w = self.task.tick(self.now)
-        if not self.blocked:
-            self.pose = se2.compose(self.pose, (v * 0.05, 0.0, w * 0.05))
-            self.moved += abs(v) * 0.05 + abs(w) * 0.05
-        self.now += 0.05
+def fed(start=(1.0, 0.0, 0.0), dock_changes=(), **settings):
+    """Return a feed of a docking that begins."""
+    dock = replace(standin.make_dock(PLAIN), **dict(dock_changes))
+    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(**settings))
+    return standin.Feed(task, replace(PLAIN, start=start, image_rate=20.0))
 
 
 def approaching():
     """Return a feed that is on its approach."""
-    dock = standin.make_dock(PLAIN)
-    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(time_limit=90.0))
-    feed = Feed(task)
+    feed = fed(time_limit=90.0)
     feed.run(30.0, until=DockingState.APPROACHING)
     feed.run(1.0)
-    assert feed.command[0] > 0.05
+    assert feed.speeds[0] > 0.05
+    assert feed.task.state == DockingState.APPROACHING
+    assert feed.task.wants_images
+    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
+    assert feed.task.place == pytest.approx((-x - 0.16, y, yaw), abs=0.05)
+    assert math.dist(feed.task.dock_pose[:2], PLAIN.dock[:2]) < 0.05
     return feed
 
 
@@ -168,29 +133,27 @@ def check_ended(feed, error):
 
 
 def test_images_may_be_late():
-    dock = standin.make_dock(PLAIN)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT), (1.0, 0.3, 0.4))
+    feed = fed((1.0, 0.3, 0.4))
     feed.late = 0.35
     feed.run(120.0)
-    assert feed.task.result.success, feed.task.result
-    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
-    assert abs(y) < 0.006
-    assert abs(yaw) < math.radians(0.6)
+    check_docked(feed)
 
 
-def test_a_camera_that_stops_is_noticed():
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"images": False}, DockingError.CAMERA_LOST),
+        ({"odometry": False}, DockingError.ODOMETRY_LOST),
+        ({"blocked": True}, DockingError.BLOCKED),
+    ],
+)
+def test_what_stops_is_noticed(changes, error):
     feed = approaching()
-    feed.images = False
+    vars(feed).update(changes)
     start = feed.pose.copy()
-    check_ended(feed, DockingError.CAMERA_LOST)
+    check_ended(feed, error)
     # Unseen, it does not go on for long.
     assert math.dist(start[:2], feed.pose[:2]) < 0.5
-
-
-def test_odometry_that_stops_is_noticed():
-    feed = approaching()
-    feed.odometry = False
-    check_ended(feed, DockingError.ODOMETRY_LOST)
 
 
 @pytest.mark.parametrize("jump", [(0.4, 0.0, 0.0), (0.0, 0.0, 0.8), (math.nan, 0.0, 0.0)])
@@ -201,21 +164,12 @@ def test_odometry_that_jumps_is_noticed(jump):
     check_ended(feed, DockingError.ODOMETRY_LOST)
 
 
-def test_a_blocked_robot_gives_up():
-    feed = approaching()
-    feed.blocked = True
-    check_ended(feed, DockingError.BLOCKED)
-
-
 def test_gives_up_when_its_time_is_over():
-    dock = standin.make_dock(PLAIN)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(time_limit=2.0)))
-    check_ended(feed, DockingError.TIMED_OUT)
+    check_ended(fed(time_limit=2.0), DockingError.TIMED_OUT)
 
 
 def test_no_camera_at_all():
-    dock = standin.make_dock(PLAIN)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT))
+    feed = fed()
     feed.images = False
     check_ended(feed, DockingError.CAMERA_LOST)
     assert feed.moved == 0.0
@@ -224,14 +178,11 @@ def test_no_camera_at_all():
 @pytest.mark.long
 def test_gives_up_after_its_retries():
     # A tolerance that nothing meets.
-    stand = replace(PLAIN, start=(1.5, 0.0, 0.0))
-    dock = standin.make_dock(stand)
-    dock = replace(dock, tolerance=replace(dock.tolerance, lateral=1e-9))
-    task = DockingTask(dock, dock.pose, standin.MOUNT, DockingSettings(max_retries=1))
-    feed = Feed(task, stand.start)
+    tolerance = DockTolerance(0.005, 1e-9, math.radians(0.4))
+    feed = fed((1.5, 0.0, 0.0), {"tolerance": tolerance}, max_retries=1)
     feed.run(120.0)
-    assert task.result.error == DockingError.CONTROL_FAILED
-    assert task.result.retries == 1
+    assert feed.task.result.error == DockingError.CONTROL_FAILED
+    assert feed.task.result.retries == 1
 
 
 def test_a_marker_that_vanishes_is_searched_again():
@@ -240,34 +191,22 @@ def test_a_marker_that_vanishes_is_searched_again():
     feed.run(20.0, until=DockingState.SEARCHING)
     feed.stand = replace(feed.stand, dropout=0.0)
     feed.run(120.0)
-    assert feed.task.result.success, feed.task.result
+    check_docked(feed)
 
 
 def test_a_start_within_the_walls_is_not_valid():
-    sure = DockUncertainty(0.05, 0.02)
-    dock = replace(standin.make_dock(replace(PLAIN, dock_error=(0.0, 0.0, 0.0))), uncertainty=sure)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT), (3.0, 0.6, 0.0))
+    sure = {"uncertainty": DockUncertainty(0.05, 0.02), "pose": PLAIN.dock}
+    feed = fed((3.0, 0.6, 0.0), sure)
     check_ended(feed, DockingError.NOT_VALID)
     assert feed.moved == 0.0
 
 
 def test_a_docked_distance_from_where_the_marker_is_not_seen_is_refused_at_once():
-    dock = replace(standin.make_dock(PLAIN), docked_distance=0.2)
-    feed = Feed(DockingTask(dock, dock.pose, standin.MOUNT))
+    feed = fed(dock_changes={"docked_distance": 0.2})
     check_ended(feed, DockingError.NOT_VALID)
     assert feed.now < 0.2
     assert feed.moved == 0.0
     assert "the nearest distance possible is 0.35 m" in feed.task.result.message
-
-
-def test_the_status_says_how_it_goes():
-    feed = approaching()
-    task = feed.task
-    assert task.state == DockingState.APPROACHING
-    x, y, yaw = se2.between(PLAIN.dock, feed.pose)
-    assert task.place == pytest.approx((-x - 0.16, y, yaw), abs=0.05)
-    assert np.hypot(*np.subtract(task.dock_pose[:2], (4.0, 0.0))) < 0.05
-    assert task.wants_images
 
 
 def test_shares_no_random_numbers_with_noise_of_the_same_seed():
@@ -276,3 +215,52 @@ def test_shares_no_random_numbers_with_noise_of_the_same_seed():
     first, again, other = (task._belief._rng.random() for task in tasks)
     assert first == again != other
     assert first != np.random.default_rng(1).random()
+
+
+DOCKED = (3.44, 0.0, 0.0)
+DOCK = standin.make_dock(PLAIN)
+
+
+def undocking(distance, start=DOCKED, mount=None):
+    task = UndockingTask(distance, DOCK, DOCK.pose, mount)
+    return standin.Feed(task, replace(PLAIN, start=start))
+
+
+def test_backs_out_by_a_distance():
+    feed = undocking(0.8)
+    feed.run(30.0)
+    assert feed.task.result.success
+    assert feed.task.remaining == 0.0
+    assert feed.pose == pytest.approx((2.64, 0.0, 0.0), abs=0.01)
+
+
+def test_backs_out_until_it_stands_before_the_dock():
+    feed = undocking(0.0, (3.44, 0.02, math.radians(3.0)), standin.MOUNT)
+    feed.run(60.0)
+    assert feed.task.result.success
+    assert feed.pose[0] == pytest.approx(1.0, abs=0.03)
+    # Straight back it would be 0.13 m off by now; the marker told it where the axis is.
+    assert abs(feed.pose[1]) < 0.03
+
+
+def test_without_a_camera_it_goes_straight():
+    feed = undocking(0.0)
+    feed.images = False
+    feed.run(60.0)
+    assert feed.task.result.success
+    assert feed.pose[0] == pytest.approx(1.0, abs=0.2)
+
+
+def test_stops_when_blocked():
+    feed = undocking(1.0)
+    feed.blocked = True
+    feed.run(20.0)
+    assert feed.task.result.error == DockingError.BLOCKED
+
+
+def test_odometry_that_stops_is_noticed():
+    feed = undocking(1.0)
+    feed.run(1.0)
+    feed.odometry = False
+    feed.run(5.0)
+    assert feed.task.result.error == DockingError.ODOMETRY_LOST

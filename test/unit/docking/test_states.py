@@ -41,7 +41,7 @@ def test_the_dock_is_reached_from_every_state(state):
     assert Docked in reached(state)
 
 
-def test_what_follows_gets_what_was_found_out():
+def test_what_follows_gets_what_was_found_out(monkeypatch):
     class Ended(State):
         def step(self, docking):
             return Outcome("found", ("here",))
@@ -56,13 +56,12 @@ def test_what_follows_gets_what_was_found_out():
     dock = standin.make_dock(standin.Stand((0.0, 0.0, 0.0)))
     task = DockingTask(dock, dock.pose, standin.MOUNT)
     task._state = Ended()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(TRANSITIONS, Ended, {"found": Following})
-        assert task._ask_states() == (0.1, 0.0)
-        assert task._state.place == "here"
-        patch.setitem(TRANSITIONS, Ended, {"found": lambda place: Ended()})
-        task._state = Ended()
-        assert task._ask_states() == STANDSTILL
+    monkeypatch.setitem(TRANSITIONS, Ended, {"found": Following})
+    assert task._ask_states() == (0.1, 0.0)
+    assert task._state.place == "here"
+    monkeypatch.setitem(TRANSITIONS, Ended, {"found": lambda place: Ended()})
+    task._state = Ended()
+    assert task._ask_states() == STANDSTILL
 
 
 def test_dockings_end_by_names_of_the_table(monkeypatch):
@@ -70,8 +69,7 @@ def test_dockings_end_by_names_of_the_table(monkeypatch):
     for state in TRANSITIONS:
         for method in {"step", "follow"} & set(vars(state)):
             monkeypatch.setattr(state, method, recorded(getattr(state, method), seen))
-    for seed in (100, 103):
-        assert standin.run(standin.random_stand(seed)).result.success
+    assert standin.run(standin.Stand((1.2, 1.5, 2.0), (0.2, -0.1, 0.1))).task.result.success
     assert {name for state, name in seen if name not in TRANSITIONS[state]} == set()
     assert {state for state, _ in seen} >= {LookForMarker, states.Measure, states.Confirm}
 
@@ -146,10 +144,10 @@ def test_a_way_in_that_brings_nothing_new_is_not_tried_again():
 @pytest.mark.parametrize(
     ("beside", "deviation", "before", "way", "said"),
     [
-        (0.0, 0.3, 1, [(0.0, 0.0), (1.0, 0.0)], "unclear"),
-        (0.0, 0.3, 0, [(0.0, 0.0), (1.0, 0.0)], "bad start"),
+        (0.0, 0.3, 1, ["a way"], "unclear"),
+        (0.0, 0.3, 0, ["a way"], "bad start"),
         (0.0, 0.3, 1, None, "bad start"),
-        (0.6, 0.01, 1, [(0.0, 0.0), (1.0, 0.0)], "bad start"),
+        (0.6, 0.01, 1, ["a way"], "bad start"),
     ],
 )
 def test_a_yaw_that_a_way_in_did_not_tell_is_looked_at_from_aside(

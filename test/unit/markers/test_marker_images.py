@@ -61,36 +61,18 @@ def test_every_dictionary_has_markers_that_are_found_again(name):
         assert ids == [identifier]
 
 
-def test_a_marker_is_black_all_around():
-    cells = marker_cells("DICT_APRILTAG_36H10", 0)
-    assert cells.shape == (8, 8)
-    assert not np.concatenate([cells[0], cells[-1], cells[:, 0], cells[:, -1]]).any()
-    assert 0 < cells.sum() < 36
-
-
-def test_cells_and_quiet_zone_are_as_wide_as_asked():
-    image = marker_image(marker_cells("4x4_50", 3), 5, quiet=2)
-    assert image.shape == (50, 50) and image.dtype == np.uint8
-    assert (image[:10] == 255).all() and (image[:, -10:] == 255).all()
-    assert (image[10:15, 10:40] == 0).all()
-
-
 @pytest.mark.parametrize(
     "make, said",
     [
         (lambda: marker_cells("apriltag_99", 0), "no dictionary 'apriltag_99'; there are 4x4_100"),
         (lambda: marker_cells("4x4_50", 50), "4x4_50 has the ids 0 to 49, not 50"),
-        (lambda: marker_cells("4x4_50", -1), "not -1"),
         (lambda: Print(quiet=0), "1 to 20 cells wide, not 0"),
         (lambda: Print(size=0.0), "size is from 0.001"),
-        (lambda: Print(size=float("nan")), "size is from 0.001"),
-        (lambda: Print(identifier=2320), "ids 0 to 2319"),
         (lambda: wall_face(Print(size=0.201)), "multiple of 0.00625 m"),
         (lambda: wall_face(Print(size=0.0125)), "of four or more"),
         (lambda: wall_face(Print(size=0.9)), "does not fit"),
         (lambda: dots_face(Print(), -1), "seed must be an integer >= 0, not -1"),
         (lambda: nested_face(Print(size=0.1), Print(size=0.8)), "cell of 0.1 m"),
-        (lambda: nested_face(Print(size=0.075), Print(size=1.0)), "does not fit"),
         (lambda: paste(np.zeros((4, 4)), np.zeros((2, 2)), 3, 0), "at (3, 0)"),
     ],
 )
@@ -109,12 +91,6 @@ def test_a_wall_has_the_marker_exactly_in_its_middle_and_as_large_as_it_is_said_
     for found in (rows, columns):
         assert [found.min(), found.max()] == pytest.approx(wanted)
     assert face.image[0, 0] == face.image[-1, -1] == WALL_GREY
-
-
-def test_a_plate_is_the_marker_and_its_quiet_zone():
-    face = plate_face(Print(size=0.35, quiet=2))
-    assert face.size == pytest.approx(0.35 * 12 / 8)
-    assert (face.image[:64] == 255).all() and (face.image[64:96, 64:-64] == 0).all()
 
 
 def test_dots_are_as_many_as_in_figure_8_and_keep_apart():
@@ -146,11 +122,6 @@ def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
         scatter_dots(0.1, 0.1, (0.0, 0.0, 0.0, 0.0), np.random.default_rng(1))
 
 
-def test_dots_follow_from_the_seed():
-    assert np.array_equal(dots_face(Print(), 4).image, dots_face(Print(), 4).image)
-    assert not np.array_equal(dots_face(Print(), 4).image, dots_face(Print(), 5).image)
-
-
 def test_dots_leave_the_marker_and_its_quiet_zone_alone():
     face, bare = dots_face(Print(), 1), wall_face(Print())
     assert np.array_equal(face.image[480:800, 480:800], bare.image[480:800, 480:800])
@@ -160,13 +131,13 @@ def test_dots_leave_the_marker_and_its_quiet_zone_alone():
 
 
 def test_the_marker_around_another_one_is_itself_valid():
-    wanted, around = Print(size=0.075), Print(size=0.8)
+    wanted, around = Print(size=0.075), Print(identifier=7, size=0.8)
     face = nested_face(wanted, around)
     middle = face.image[590:690, 590:690]
     assert np.array_equal(middle[2:-2, 2:-2], wanted.image(12)[12:-12, 12:-12])
     face.image[590:690, 590:690] = 255
     ids, corners = detections(seen_from(face, 2.0))
-    assert ids == [0]
+    assert ids == [7]
     assert side(corners[0]) == pytest.approx(0.8 * 502.3 / 2.0, rel=0.01)
 
 
@@ -177,13 +148,10 @@ def test_nearby_the_wanted_marker_is_found_and_from_afar_the_one_around_it(dista
     assert side(corners[0]) == pytest.approx(size * 502.3 / distance, rel=0.03)
 
 
-def test_the_marker_around_may_have_another_id():
-    face = nested_face(Print(size=0.05), Print(identifier=7, size=0.8))
-    assert detections(seen_from(face, 4.0))[0] == [7]
-
-
 def test_a_plate_shows_the_picture_upright_on_the_side_that_looks_along_minus_x(tmp_path):
     face = plate_face(Print(size=0.2))
+    assert face.size == pytest.approx(0.25)
+    assert (face.image[:32] == 255).all() and (face.image[32:64, 32:-32] == 0).all()
     obj, mtl, png = write_plate(face, 0.02, tmp_path / "new", "plate")
     assert np.array_equal(np.asarray(Image.open(png)), face.image)
     assert "map_Kd plate.png" in mtl.read_text() and "mtllib plate.mtl" in obj.read_text()

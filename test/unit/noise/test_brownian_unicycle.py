@@ -29,8 +29,7 @@ def assert_close(found, expected, relative):
     )
 
 
-@pytest.mark.parametrize("k", [0.01, 0.1, 0.3, 1.0])
-@pytest.mark.parametrize("curvature", [0.0, 0.5, -2.0])
+@pytest.mark.parametrize(("k", "curvature"), [(0.01, 0.5), (0.3, 0.0), (1.0, -2.0)])
 def test_exact_moments_of_many_steps_are_those_of_none(k, curvature):
     # The model's heading gains k² per metre and per radian.
     steps = noisy_steps(arc(4.0, curvature, 2000), RateInvariantRule(k))
@@ -39,18 +38,7 @@ def test_exact_moments_of_many_steps_are_those_of_none(k, curvature):
     assert_close((exact.mean[-1], exact.covariance[-1]), expected, 2e-5)
 
 
-def test_the_second_moments_are_the_closed_form_of_a_random_walk_in_the_long_run():
-    # Lost for long, a robot diffuses: E |P|² tends to (4 / q + k²) L.
-    q = 0.25
-    steps = noisy_steps(arc(400.0, 0.0, 20_000), RateInvariantRule(0.5))
-    exact = exact_moments(steps)
-    covariance = exact.covariance[-1]
-    mean = exact.mean[-1, 0] + 400.0
-    size = covariance[0, 0] + covariance[1, 1] + mean**2
-    assert size == pytest.approx((4.0 / q + q) * 400.0 - 8.0 / q**2, rel=1e-4)
-
-
-@pytest.mark.parametrize(("length", "k"), [(4.0, 0.01), (4.0, 0.1), (4.0, 0.3), (40.0, 0.05)])
+@pytest.mark.parametrize(("length", "k"), [(4.0, 0.3), (40.0, 0.05)])
 def test_exponential_moments_of_many_steps_are_those_of_none(length, k):
     steps = noisy_steps(arc(length, 0.0, 600), RateInvariantRule(k))
     found = exponential_moments(steps, [600])
@@ -58,13 +46,7 @@ def test_exponential_moments_of_many_steps_are_those_of_none(length, k):
     assert_close((found.mean[0], found.covariance[0]), expected, 5e-5)
 
 
-def test_little_noise_has_the_same_covariance_in_exponential_coordinates():
-    steps = noisy_steps(arc(4.0, 0.5, 60), RateInvariantRule(1e-3))
-    found, first = exponential_moments(steps, [30, 60]), first_order_moments(steps)
-    scale = np.abs(first.covariance[60]).max()
-    np.testing.assert_allclose(found.covariance, first.covariance[[30, 60]], atol=1e-4 * scale)
-    # A thousandth of it, one way or the other, is 1e-6 rad: below that it is taken for the same.
+def test_the_least_noise_has_the_same_covariance_in_exponential_coordinates():
     steps = noisy_steps(arc(4.0, 0.5, 60), RateInvariantRule(1e-7))
-    np.testing.assert_array_equal(
-        exponential_moments(steps, [60]).covariance[0], first_order_moments(steps).covariance[-1]
-    )
+    found, first = exponential_moments(steps, [60]).covariance[0], first_order_moments(steps)
+    np.testing.assert_array_equal(found, first.covariance[-1])

@@ -1,23 +1,17 @@
 """Calibration: against closed forms, and how often its intervals hold the truth."""
 
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from bullet_lab.core.parameters import number
 from bullet_lab.noise.calibration import SYSTEMATIC, Problem, fit, intervals, profile
 from bullet_lab.noise.goodness import drawn_pairs, goodness
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.odometry_noise import (
-    MODELS,
-    NoiseError,
-    NoiseRule,
     ProbabilisticRule,
     RateInvariantRule,
     ReportRule,
-    register,
 )
 from bullet_lab.noise.systematic import SystematicErrors
 
@@ -131,40 +125,6 @@ def test_without_noise_to_speak_of_systematic_errors_are_exact():
     found = fit(Problem(pairs, "rate_invariant", SYSTEMATIC)).values()
     for name in SYSTEMATIC:
         assert found[name] == pytest.approx(getattr(WRONG, name), abs=2e-5)
-
-
-def test_a_model_that_comes_along_is_calibrated(monkeypatch):
-    for name, model in dict(MODELS).items():
-        monkeypatch.setitem(MODELS, name, model)
-
-    @register
-    @dataclass(frozen=True)
-    class Slip(NoiseRule):
-        name, title, stream = "slip", "Slipping", 17
-        std: float = number(0.1, "per metre", minimum=0.0)
-        slip: float = number(0.01, "m for each message", minimum=0.0, maximum=0.5)
-
-        @classmethod
-        def at_level(cls, std):
-            return cls(std, 0.01 * std)
-
-        def variances(self, rot1, trans, rot2):
-            way = (self.std * trans) ** 2 + self.slip**2
-            return (self.std * rot1) ** 2, way, (self.std * rot2) ** 2
-
-    try:
-        problem = Problem(drawn(Slip(0.1, 0.02), 1), "slip")
-        found = fit(problem)
-        (std, slip) = intervals(problem, found)[0]
-        assert std[0] < 0.1 < std[1] < 0.15
-        assert slip[0] < 0.02 < slip[1] < 0.03
-    finally:
-        del MODELS["slip"]
-
-
-def test_an_unknown_model_is_refused():
-    with pytest.raises(NoiseError, match="unknown noise model 'nix'"):
-        Problem(drawn(ReportRule(0.1), 1), "nix")
 
 
 def judged(rule, model, errors=None, names=(), seed=11):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_published_noise import drive
+from noise_paths import drive
 
 from bullet_lab.core import se2
 from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
@@ -69,7 +69,6 @@ def mended(poses, seed):
 @pytest.mark.parametrize(
     "poses",
     [
-        square(),
         square((1.0, -2.0, 3.1)),
         drive((0, 0, 0), (30, (-0.1, 0.02, 0.3)), REST, (10, (0.0, 0.0, -0.7))),
         drive((0, 0, 10.0), (30, (0.1, 0.0, 0.0))),
@@ -95,13 +94,6 @@ def test_without_defects_going_backwards_still_counts_as_two_half_turns():
     draw1 = draws(poses)[0, :, 1]
     np.testing.assert_allclose(np.sin(STD * math.pi * draw1) * -1.0, error[:, 1], rtol=0.5)
     assert np.abs(mended(poses, 1)[1, 1]) < 1e-12 < np.abs(error[:, 1]).min()
-
-
-@pytest.mark.parametrize("defects", combinations(), ids=str)
-def test_fast_functions_differ_by_rounding_only(defects):
-    poses = drive((0.0, 0.0, 0.3), REST, *[SIDE, CORNER] * 4)
-    fast, exact = noisy(poses, defects), noisy(poses, defects, functions=PYTHON)
-    assert np.abs(se2.between(exact, fast)).max() < 1e-9
 
 
 def test_combinations():
@@ -159,12 +151,10 @@ def test_unbent_keeps_the_direction_whatever_the_heading():
         np.testing.assert_allclose(direction, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["unwrapped", "noise_at_rest"])
-def test_unbent_is_of_no_matter_with_aliasing(name):
+def test_unbent_is_of_no_matter_with_aliasing():
     poses = square()
-    for others in ({}, {name: True}):
-        straight = noisy(poses, Defects(aliasing=True, unbent=True, **others))
-        np.testing.assert_array_equal(noisy(poses, Defects(aliasing=True, **others)), straight)
+    straight = noisy(poses, Defects(aliasing=True, unbent=True))
+    np.testing.assert_array_equal(noisy(poses, only("aliasing")), straight)
 
 
 def test_without_noise_every_combination_gives_the_perfect_path():
@@ -176,13 +166,9 @@ def test_without_noise_every_combination_gives_the_perfect_path():
 
 def test_many_paths_are_each_what_they_are_alone():
     poses = square()
-    apart = np.concatenate([noisy(poses, ALL, seeds=[seed]) for seed in SEEDS], axis=1)
-    np.testing.assert_allclose(noisy(poses, ALL), apart, atol=1e-9)
-    both = np.stack([poses, poses + [1.0, 0.0, 0.2]], axis=1)
-    together = noisy_paths(both, draws(poses, [1, 2]), STD, ALL)
-    np.testing.assert_allclose(
-        together[:, 1:], noisy(poses + [1.0, 0.0, 0.2], ALL, seeds=[2]), atol=1e-9
-    )
+    other = poses + [1.0, 0.0, 0.2]
+    together = noisy_paths(np.stack([poses, other], axis=1), draws(poses, [1, 2]), STD, ALL)
+    np.testing.assert_allclose(together[:, 1:], noisy(other, ALL, seeds=[2]), atol=1e-9)
 
 
 def test_sampled_looks_when_the_live_node_does():

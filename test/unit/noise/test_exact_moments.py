@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 import pytest
+from noise_paths import assert_moments, line, square, wandering
 from scipy import stats
 
 from bullet_lab.core import se2
@@ -17,46 +18,31 @@ from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import (
     exact_moments,
-    first_order_moments,
+    exponential_moments,
     quadratic_covariances,
     quadratic_shares,
 )
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
-from bullet_lab.noise.odometry_noise import MODELS, ProbabilisticRule, RateInvariantRule
-from bullet_lab.studies.noise_study.regions import BOUNDS, MEANT, METHODS, level_rule, theory
+from bullet_lab.noise.odometry_noise import MODELS, model_named
+from bullet_lab.studies.noise_study.regions import BOUNDS, METHODS, level_rule
 from bullet_lab.studies.noise_study.statistics import study_case
 from bullet_lab.studies.noise_study.study import StudySettings
 
 LEVELS = StudySettings().levels
 PATHS = 10_000
 FAMILY = 0.001
-ENTRIES = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
 MOMENTS_QUANTILE = stats.norm.isf(0.5 * FAMILY / (9 * len(MODELS) * (len(LEVELS) - 1) * 2))
 
 
-def square_poses(count=12, side=2.0):
-    moves = np.zeros((count + count // 2, 3))
-    moves[:count, 0] = side / count
-    moves[count:, 2] = -math.pi / 2 / (count // 2)
-    poses = [np.array([0.3, -0.2, 0.4])]
-    for move in np.tile(moves, (4, 1)):
-        poses.append(se2.compose(poses[-1], move))
-    return np.array(poses)
+PATHS_BY_NAME = {"square": square(), "line": line(4.0, 40)}
 
 
-def line_poses(length=4.0, count=40):
-    along = np.linspace(0.0, length, count + 1)
-    return np.column_stack([along, 0.0 * along, 0.0 * along])
-
-
-PATHS_BY_NAME = {"square": square_poses(), "line": line_poses()}
-
-
-def final_errors(steps, generator, paths=PATHS):
+def drawn_errors(steps, generator, at=-1):
+    """Return the errors of x, y and heading of `PATHS` paths at one or more poses."""
     errors = []
-    for block in noisy_blocks(steps, generator, paths):
-        off = block.position[:, -1] - steps.position[-1]
-        errors.append(np.column_stack([off.real, off.imag, block.heading_error[:, -1]]))
+    for block in noisy_blocks(steps, generator, PATHS):
+        off = block.position[:, at] - steps.position[at]
+        errors.append(np.stack([off.real, off.imag, block.heading_error[:, at]], axis=-1))
     return np.concatenate(errors)
 
 
@@ -66,45 +52,8 @@ def final_errors(steps, generator, paths=PATHS):
 def test_sample_moments_are_the_exact_ones(name, model, std):
     steps = noisy_steps(PATHS_BY_NAME[name], level_rule(model, std))
     exact = exact_moments(steps)
-    mean, covariance = exact.mean[-1], exact.covariance[-1]
-    rounding = 1e-12
-    errors = final_errors(steps, study_generator(50, model, std, 1.0))
-
-    mean_error = np.sqrt(np.diag(covariance) / PATHS)
-    assert (np.abs(errors.mean(axis=0) - mean) <= MOMENTS_QUANTILE * mean_error + rounding).all()
-    centred = errors - errors.mean(axis=0)
-    sample = np.cov(errors.T)
-    for i, j in ENTRIES:
-        fourth = np.mean(np.square(centred[:, i] * centred[:, j]))
-        sampling_error = math.sqrt(max(0.0, fourth - sample[i, j] ** 2) / PATHS)
-        difference = abs(sample[i, j] - covariance[i, j])
-        assert difference <= MOMENTS_QUANTILE * sampling_error + rounding, (i, j)
-
-
-def test_rate_invariant_spread_of_a_straight_line_has_its_closed_form():
-    k, length = 0.001, 4.0
-    exact = exact_moments(noisy_steps(line_poses(length, 60), RateInvariantRule(k))).covariance[-1]
-    assert exact[1, 1] == pytest.approx(k**2 * length**3 / 3, rel=3e-4)
-
-
-@pytest.mark.parametrize("std", LEVELS[1:])
-def test_sideways_spread_of_a_straight_line_has_its_closed_form(std):
-    # Heading noise alone, q = std² per metre. So short that the heading variance q L is 0.002: the
-    # closed form is the limit of little.
-    q, count = std**2, 60
-    length = 0.002 / q
-    rule = ProbabilisticRule(0.0, 0.5 * q * count / length, 0.0, 0.0)
-    steps = noisy_steps(line_poses(length, count), rule)
-    closed = q * length**3 / 3
-    exact = exact_moments(steps).covariance[-1]
-    assert exact[1, 1] == pytest.approx(closed, rel=3e-3)
-    assert exact[1, 2] == pytest.approx(q * length**2 / 2, rel=3e-3)
-    assert exact[2, 2] == pytest.approx(q * length)
-    errors = final_errors(steps, np.random.default_rng(51))
-    tail = 0.5 * FAMILY / (len(LEVELS) - 1)
-    ratio = np.sum(np.square(errors[:, 1])) / closed
-    low, high = stats.chi2.ppf(tail, PATHS), stats.chi2.isf(tail, PATHS)
-    assert 0.997 * low < ratio < 1.003 * high
+    errors = drawn_errors(steps, study_generator(50, model, std, 1.0))
+    assert_moments(errors, exact.mean[-1], exact.covariance[-1], MOMENTS_QUANTILE)
 
 
 def direct_moments(steps):
@@ -126,20 +75,18 @@ def direct_moments(steps):
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("std", [0.05, 0.5, 10.0])
 def test_running_sums_are_the_double_sums(model, std):
-    steps = noisy_steps(square_poses(), level_rule(model, std))
+    steps = noisy_steps(square(), level_rule(model, std))
     exact = exact_moments(steps)
     mean, covariance = direct_moments(steps)
     bias = mean - steps.position[-1]
-    scale = np.abs(covariance).max() + 1.0
-    np.testing.assert_allclose(exact.mean[-1, :2], [bias.real, bias.imag], atol=1e-12 * scale)
-    np.testing.assert_allclose(
-        exact.covariance[-1, :2, :2], covariance, rtol=0.0, atol=1e-12 * scale
-    )
+    limit = 1e-12 * (np.abs(covariance).max() + 1.0)
+    np.testing.assert_allclose(exact.mean[-1, :2], [bias.real, bias.imag], atol=limit)
+    np.testing.assert_allclose(exact.covariance[-1, :2, :2], covariance, rtol=0.0, atol=limit)
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_quadratic_part_is_that_of_drawn_noise(model):
-    steps = noisy_steps(square_poses(), level_rule(model, 0.2))
+    steps = noisy_steps(square(), level_rule(model, 0.2))
     draws = np.random.default_rng(53).standard_normal((PATHS, len(steps), 3))
     names = ("variance1", "variance_trans", "variance2")
     noise1, noise_trans, noise2 = (
@@ -148,15 +95,12 @@ def test_the_quadratic_part_is_that_of_drawn_noise(model):
     heading = np.cumsum(noise1 + noise2, axis=1) - noise2
     terms = steps.direction * (1j * noise_trans * heading - 0.5 * steps.trans * heading**2)
     expected = quadratic_covariances(steps)
+    # Four entries, two poses, each model.
+    quantile = stats.norm.isf(0.5 * FAMILY / (8 * len(MODELS)))
     for pose in (20, len(steps)):
         part = terms[:, :pose].sum(axis=1)
-        sample = np.column_stack([part.real, part.imag]) - [part.real.mean(), part.imag.mean()]
-        products = sample[:, :, None] * sample[:, None, :]
-        error = products.std(axis=0) / math.sqrt(PATHS)
-        # Four entries, two poses, each model.
-        quantile = stats.norm.isf(0.5 * FAMILY / (8 * len(MODELS)))
-        found = expected[pose][:2, :2]
-        assert (np.abs(products.mean(axis=0) - found) <= quantile * error + 1e-15).all()
+        sample = np.column_stack([part.real, part.imag])
+        assert_moments(sample, sample.mean(axis=0), expected[pose][:2, :2], quantile)
     assert not expected[:, 2].any()
 
 
@@ -170,39 +114,15 @@ def test_the_quadratic_share_is_that_of_the_worst_direction():
     assert quadratic_shares(quadratic, np.diag([4.0, 4.0, 0.0])) == pytest.approx(0.5)
 
 
-def test_moments_on_the_way_are_those_of_the_path_so_far():
-    poses = square_poses()
-    rule = level_rule("probabilistic", 0.3)
-    whole, part = (exact_moments(noisy_steps(p, rule)) for p in (poses, poses[:31]))
-    np.testing.assert_allclose(whole.mean[:31], part.mean, atol=1e-14)
-    np.testing.assert_allclose(whole.covariance[:31], part.covariance, atol=1e-14)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_little_noise_is_first_order(model):
-    steps = noisy_steps(square_poses(), level_rule(model, 1e-6))
-    exact, first = exact_moments(steps).covariance, first_order_moments(steps).covariance
-    np.testing.assert_allclose(exact, first, rtol=0.0, atol=1e-9 * first.max())
-
-
-def test_the_second_rotation_does_not_bend_its_own_translation():
-    # One step, no more: only rot1 can move its end sideways.
-    steps = noisy_steps([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], level_rule("rate_invariant", 0.1))
-    exact = exact_moments(steps)
-    assert exact.mean[-1, 0] == pytest.approx(math.exp(-0.5 * 0.005) - 1.0)
-    assert exact.covariance[-1, 2, 2] == pytest.approx(0.01)
-    assert exact.covariance[-1, 1, 2] == pytest.approx(0.005 * math.exp(-0.5 * 0.005))
-
-
-def no_noise_case():
-    poses = square_poses()
+def case_of(name, model, std, paths=PATHS):
+    poses = PATHS_BY_NAME[name]
     trajectory = Trajectory(0.2 * np.arange(len(poses)), poses)
-    generator = np.random.default_rng(1)
-    return study_case(trajectory, ("report", 0.0, 5.0), generator, 10, 1.0)
+    generator = study_generator(52, model, std, 5.0)
+    return study_case(trajectory, (model, std, 5.0), generator, paths, 1.0)
 
 
 def test_no_noise_is_no_error():
-    case = no_noise_case()
+    case = case_of("square", "report", 0.0, 10)
     assert np.abs(case.covariance).max() < 1e-24
     assert case.metrics["ape_rmse_m"]["p95"] < 1e-12
     assert {name: set(found) for name, found in case.regions.found.items()} == {
@@ -212,37 +132,12 @@ def test_no_noise_is_no_error():
     assert case.theory.gaussian_enough()
 
 
-def case_of(name, model, std, paths=PATHS):
-    poses = PATHS_BY_NAME[name]
-    trajectory = Trajectory(0.2 * np.arange(len(poses)), poses)
-    return study_case(
-        trajectory, (model, std, 5.0), study_generator(52, model, std, 5.0), paths, 1.0
-    )
-
-
-@pytest.mark.parametrize(
-    "which", [("line", "rate_invariant", 0.3), ("square", "rate_invariant", 0.3)]
-)
-def test_the_study_says_where_the_error_is_not_gaussian(which):
-    case = case_of(*which)
+@pytest.mark.parametrize("name", PATHS_BY_NAME)
+def test_the_study_says_where_the_error_is_not_gaussian(name):
+    case = case_of(name, "rate_invariant", 0.3, 2000)
     assert not case.theory.gaussian_enough()
     assert case.coverage["first_order"] < 0.935
     assert case.theory.shift() > 0.3
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_nees_of_the_published_covariance_is_chi_square_where_noise_is_small(model):
-    published = case_of("square", model, 0.01).regions.found["published"][-1]
-    tail = 0.5 * FAMILY / (2 * len(MODELS))
-    total = published.nees * PATHS
-    assert stats.chi2.ppf(tail, 3 * PATHS) < total < stats.chi2.isf(tail, 3 * PATHS)
-    error = stats.norm.isf(tail) * math.sqrt(0.95 * 0.05 / PATHS)
-    assert abs(published.coverage[MEANT] - 0.95) < error
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_noise_without_measure_is_not_gaussian(model):
-    assert not theory(noisy_steps(square_poses(), level_rule(model, 10.0))).gaussian_enough()
 
 
 def test_nees_tells_that_noise_is_too_large_for_first_order():
@@ -256,20 +151,13 @@ def test_nees_tells_that_noise_is_too_large_for_first_order():
 def test_a_mean_of_blocks_is_the_mean_of_all():
     case = case_of("square", "rate_invariant", 0.2)
     steps = noisy_steps(PATHS_BY_NAME["square"], level_rule("rate_invariant", 0.2))
-    errors = final_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
+    errors = drawn_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
     np.testing.assert_allclose(case.mean, errors.mean(axis=0), rtol=1e-9)
     np.testing.assert_allclose(case.covariance, np.cov(errors.T), rtol=1e-9)
     distances = np.hypot(errors[:, 0], errors[:, 1])
     metric = case.metrics["final_error_m"]
-    assert metric["mean"] == pytest.approx(distances.mean())
-    assert metric["p50"] == pytest.approx(np.median(distances))
-    assert metric["p95"] == pytest.approx(np.quantile(distances, 0.95))
-    for name in ("exact", "first_order"):
-        moments = getattr(case.theory, name)
-        off = errors[:, :2] - moments.mean[-1, :2]
-        inverse = np.linalg.inv(moments.covariance[-1, :2, :2])
-        inside = np.einsum("ni,ij,nj->n", off, inverse, off) <= SQUARE_RADIUS
-        assert case.coverage[name] == pytest.approx(inside.mean(), abs=2e-4)
+    expected = [distances.mean(), np.median(distances), np.quantile(distances, 0.95)]
+    assert [metric[name] for name in ("mean", "p50", "p95")] == pytest.approx(expected)
     assert case.rms_distance[-1] == pytest.approx(math.sqrt(np.mean(distances**2)))
 
 
@@ -283,3 +171,25 @@ def test_an_ellipse_holds_95_percent_of_a_gaussian():
     points = ellipse_points(covariance)
     lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance[:2, :2]), points)
     np.testing.assert_allclose(lengths, stats.chi2.ppf(0.95, 2))
+
+
+STDS = (0.05, 1.0)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("std", STDS)
+def test_sample_moments_are_the_exponential_ones(model, std):
+    steps, at = noisy_steps(wandering(60), model_named(model).at_level(std)), [25, 60]
+    exact = exponential_moments(steps, at)
+    coordinates = se2.logarithm(drawn_errors(steps, np.random.default_rng(71), at))
+    # Mean 3, covariance 6 entries, at two poses, for each model and level.
+    quantile = stats.norm.isf(0.5 * FAMILY / (9 * 2 * len(MODELS) * len(STDS)))
+    for k, found in enumerate(np.moveaxis(coordinates, 1, 0)):
+        assert_moments(found, exact.mean[k], exact.covariance[k], quantile)
+
+
+def test_no_noise_is_no_error_in_exponential_coordinates():
+    steps = noisy_steps(wandering(60), model_named("report").at_level(0.0))
+    found = exponential_moments(steps, [60])
+    assert not found.mean.any()
+    assert not found.covariance.any()

@@ -2,13 +2,12 @@
 
 import itertools
 import math
-import tracemalloc
 
 import numpy as np
 import pytest
+from noise_paths import square, wandering
 from recorded_paths import poses_of
 
-from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
@@ -19,37 +18,14 @@ from bullet_lab.noise.odometry_noise import (
     RateInvariantRule,
     ReportRule,
 )
-from bullet_lab.studies.noise_study import statistics as study_statistics
 from bullet_lab.studies.noise_study.regions import level_rule
-from bullet_lab.studies.noise_study.statistics import study_case
 from bullet_lab.studies.paths import ResamplingError, find_corners, resample
 
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 
 
-def wild_path():
-    """Ahead, back, sideways, turns on the spot and rests, far from the origin, at odd headings."""
-    generator = np.random.default_rng(40)
-    moves = generator.normal(0.0, [0.05, 0.02, 0.1], (120, 3))
-    moves[:20, 1:] = 0.0
-    moves[40:60, :2] = 0.0
-    moves[60:80] = 0.0
-    moves[80:90, 0] = -0.03
-    moves[90:95, :2] = 2e-5
-    poses = [np.array([30.0, -20.0, 3.0])]
-    for move in moves:
-        poses.append(se2.compose(poses[-1], move))
-    return np.array(poses)
-
-
-def square(count=20, side=2.0):
-    moves = np.zeros((count + count // 2, 3))
-    moves[:count, 0] = side / count
-    moves[count:, 2] = math.pi / 2 / (count // 2)
-    poses = [np.zeros(3)]
-    for move in np.tile(moves, (4, 1)):
-        poses.append(se2.compose(poses[-1], move))
-    poses = np.array(poses)
+def square_drive(count=20):
+    poses = square(count, start=(0.0, 0.0, 0.0))
     return Trajectory(0.05 * np.arange(len(poses)), poses)
 
 
@@ -67,7 +43,7 @@ def assert_same_poses(actual, expected):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_the_same_draws_give_the_paths_of_the_loop(rule):
-    poses, path = wild_path(), NoisyPath(rule, 41)
+    poses, path = wandering(), NoisyPath(rule, 41)
     expected = []
     for _ in range(3):
         path.restart()
@@ -77,7 +53,7 @@ def test_the_same_draws_give_the_paths_of_the_loop(rule):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_the_covariance_of_the_loop_is_that_of_the_exact_moments(rule):
-    poses, path = wild_path(), NoisyPath(rule, 42)
+    poses, path = wandering(), NoisyPath(rule, 42)
     expected = exact_moments(noisy_steps(poses, rule)).about_perfect()
     for _ in range(2):
         path.restart()
@@ -87,7 +63,7 @@ def test_the_covariance_of_the_loop_is_that_of_the_exact_moments(rule):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_first_order_is_the_recursion_of_textbooks(rule):
-    steps = noisy_steps(wild_path(), rule)
+    steps = noisy_steps(wandering(), rule)
     moments, covariance = first_order_moments(steps), np.zeros((3, 3))
     rows = zip(*(getattr(steps, name) for name in ("angle", "trans", "variance1")))
     for k, (psi, d, variance1) in enumerate(rows):
@@ -100,26 +76,18 @@ def test_first_order_is_the_recursion_of_textbooks(rule):
     assert not moments.mean.any()
 
 
-@pytest.mark.parametrize("size", [1, 250, 10**6])
+@pytest.mark.parametrize("size", [1, 250])
 def test_the_size_of_the_blocks_does_not_matter(size):
-    poses = wild_path()
+    poses = wandering()
     expected = drawn(poses, RULES[0], 43, 7)
     np.testing.assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
 
 
-def test_more_paths_begin_with_the_same_ones():
-    poses = wild_path()
-    few, many = (drawn(poses, RULES[1], 44, count) for count in (3, 8))
-    np.testing.assert_array_equal(many[:3], few)
-
-
 def test_each_case_has_draws_of_its_own():
-    keys = list(itertools.product(("report", "probabilistic"), (0.1, 0.2), (0.9, 20.0)))
-    draws = {tuple(study_generator(1, *key).standard_normal(4)) for key in keys}
-    draws |= {tuple(study_generator(2, *key).standard_normal(4)) for key in keys}
-    assert len(draws) == 2 * len(keys)
-    again = study_generator(1, *keys[0]).standard_normal(4)
-    np.testing.assert_array_equal(again, study_generator(1, *keys[0]).standard_normal(4))
+    keys = itertools.product((1, 2), ("report", "probabilistic"), (0.1, 0.2), (0.9, 20.0))
+    draws = [study_generator(*key).standard_normal() for key in (*keys, (1, "report", 0.1, 0.9))]
+    assert len(set(draws)) == 16
+    assert draws[-1] == draws[0]
 
 
 def test_the_levels_of_the_probabilistic_model_start_from_the_defaults_of_noisy_odom():
@@ -128,32 +96,15 @@ def test_the_levels_of_the_probabilistic_model_start_from_the_defaults_of_noisy_
     assert actual == pytest.approx((0.01, 0.001, 0.01, 0.001))
 
 
-def test_memory_does_not_grow_with_the_number_of_paths(monkeypatch):
-    monkeypatch.setattr(study_statistics, "QUANTILE_PATHS", 500)
-    trajectory = square(10)
-
-    def peak(paths):
-        tracemalloc.start()
-        study_case(
-            trajectory, ("report", 0.1, 20.0), np.random.default_rng(1), paths, 1.0, keep=5
-        )
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return most
-
-    few = peak(1000)
-    assert peak(10_000) < 1.05 * few
-
-
 def test_a_path_at_its_own_rate_is_itself():
-    trajectory = square()
+    trajectory = square_drive()
     np.testing.assert_array_equal(resample(trajectory, 20.0).stamps, trajectory.stamps)
     np.testing.assert_allclose(resample(trajectory, 20.0).poses, trajectory.poses, atol=1e-14)
 
 
-@pytest.mark.parametrize("rate", [0.9, 5.0, 7.3, 50.0])
+@pytest.mark.parametrize("rate", [0.9, 50.0])
 def test_another_rate_keeps_start_end_and_way(rate):
-    trajectory = square()
+    trajectory = square_drive()
     other = resample(trajectory, rate)
     np.testing.assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
     assert np.diff(other.stamps)[:-1] == pytest.approx(1.0 / rate)
@@ -170,16 +121,10 @@ def test_a_heading_is_interpolated_the_short_way_round():
 
 def test_a_rate_that_is_too_high():
     with pytest.raises(ResamplingError, match="1e\\+09 Hz for .* are too many messages"):
-        resample(square(), 1e9)
+        resample(square_drive(), 1e9)
 
 
 def test_the_corners_of_a_square():
-    trajectory = square(20)
+    trajectory = square_drive(20)
     corners = trajectory.poses[find_corners(trajectory), :2]
     np.testing.assert_allclose(corners, [[2, 0], [2, 2], [0, 2], [0, 0]], atol=1e-12)
-
-
-def test_a_straight_path_has_its_end_as_corner():
-    stamps = np.arange(10.0)
-    trajectory = Trajectory(stamps, np.column_stack([stamps, stamps, stamps * 0.0]))
-    assert find_corners(trajectory).tolist() == [9]

@@ -4,117 +4,20 @@ import math
 
 import numpy as np
 import pytest
+from noise_paths import drive, square
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import wrap
-from bullet_lab.noise.odometry_noise import NoisyPath, RateInvariantRule, ReportRule
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 
 SEEDS = range(50)
-
-
-def mended(seed):
-    path = NoisyPath(ReportRule(0.1), seed)
-    return lambda *pose: path.update(*pose).pose
-
-
-def mended_for_any_rate(seed):
-    path = NoisyPath(RateInvariantRule(0.1), seed)
-    return lambda *pose: path.update(*pose).pose
 
 
 def published(seed):
     return PublishedNoise(0.1, seed).update
 
 
-def drive(start, *legs):
-    """Return the poses of a drive; a leg is a number of equal steps and the step."""
-    poses = [np.array(start, dtype=float)]
-    for count, step in legs:
-        for _ in range(count):
-            poses.append(se2.compose(poses[-1], step))
-    return np.array(poses)
-
-
 def run(update, poses):
     return np.array([update(*pose) for pose in poses.tolist()])
-
-
-def errors_accumulate(make_update):
-    poses = drive((0, 0, 0), (100, (0.1, 0.0, 0.05)))
-    noisy = np.array([run(make_update(seed), poses) for seed in SEEDS])
-    rms = np.sqrt(np.mean(np.sum((noisy - poses)[..., :2] ** 2, axis=-1), axis=0))
-    return rms[-1] > 5.0 * rms[1]
-
-
-def angles_are_wrapped(make_update):
-    # Along the heading where the sign of yaw changes; the heading sways by a milliradian.
-    poses = drive((0, 0, math.pi - 5e-4), *[(1, (0.2, 0.0, s * 1e-3)) for s in [1, -1] * 5])
-    noisy = run(make_update(1), poses)
-    return np.abs(noisy[:, 1] - poses[:, 1]).max() < 0.01
-
-
-def rest_is_quiet(make_update):
-    noisy = run(make_update(1), drive((1.0, 2.0, 1.5), (20, (0.0, 0.0, 0.0))))
-    return len(np.unique(noisy, axis=0)) == 1
-
-
-def rest_after_a_drive_is_quiet(make_update):
-    noisy = run(make_update(1), drive((0, 0, 1.5), (5, (0.1, 0, 0.1)), (20, (0.0, 0.0, 0.0))))
-    return len(np.unique(noisy[5:], axis=0)) == 1
-
-
-def heading_error_bends_the_path(make_update):
-    poses = drive((0, 0, 0), (10, (0.0, 0.0, 0.15)), (20, (0.1, 0.0, 0.0)))
-    noisy = run(make_update(1), poses)
-    dx, dy, _ = noisy[-1] - noisy[10]
-    bend = wrap(math.atan2(dy, dx) - 1.5)
-    heading_error = wrap(noisy[10, 2] - 1.5)
-    return abs(bend) > 0.01 and abs(bend - heading_error) < 1e-6
-
-
-def reversing_stays_reversing(make_update):
-    poses = drive((0, 0, 0), (50, (-0.05, 0.0, 0.0)))
-    steps = se2.steps(run(make_update(1), poses))
-    return bool((steps[:, 0] < 0.0).all()) and np.abs(steps[:, 1:]).max() < 1e-3
-
-
-def spread_is_that_of_any_rate(make_update):
-    spreads = []
-    for count in (4, 80):
-        poses = drive((0, 0, 0), (count, (4.0 / count, 0.0, 1.0 / count)))
-        final = np.array([run(make_update(seed), poses)[-1] for seed in range(400)])
-        spreads.append(np.std(wrap(final[:, 2] - poses[-1, 2])))
-    return 0.8 < spreads[0] / spreads[1] < 1.25
-
-
-@pytest.mark.parametrize(
-    "check",
-    [
-        errors_accumulate,
-        angles_are_wrapped,
-        rest_is_quiet,
-        rest_after_a_drive_is_quiet,
-        heading_error_bends_the_path,
-        reversing_stays_reversing,
-    ],
-)
-def test_defect_is_mended(check):
-    assert check(mended)
-    assert not check(published)
-
-
-def test_defect_of_the_rate_is_mended_by_the_rate_invariant_rule():
-    assert spread_is_that_of_any_rate(mended_for_any_rate)
-    assert not spread_is_that_of_any_rate(published)
-    assert not spread_is_that_of_any_rate(mended)
-
-
-def test_one_output_for_each_message_where_the_published_node_skips():
-    stamps = [k / 20 for k in range(201)]
-    sampler, path = Sampler(PUBLISHED_RATE), NoisyPath(ReportRule(0.1), 1)
-    assert len([path.update(stamp, 0.0, 0.0) for stamp in stamps]) == len(stamps)
-    assert len([stamp for stamp in stamps if sampler.due(stamp)]) == 9
 
 
 def test_published_algorithm_step_by_step():
@@ -136,11 +39,6 @@ def test_published_algorithm_step_by_step():
         assert noise.update(*now) == pytest.approx((x, y, yaw))
 
 
-def test_published_noise_of_zero_std_is_the_perfect_path():
-    poses = drive((0, 0, 0), (50, (0.1, 0.0, 0.3)))
-    np.testing.assert_allclose(run(PublishedNoise(0.0, 1).update, poses), poses, atol=1e-12)
-
-
 def test_published_noise_reads_yaw_as_a_quaternion_has_it():
     poses = drive((0, 0, 0), (50, (0.1, 0.0, 0.3)))
     more_turns = poses + [0.0, 0.0, 4 * math.pi]
@@ -157,10 +55,8 @@ def test_published_noise_restarts():
 
 def square_of_figure_1a():
     """Return the stamps, the poses and the side (0 to 3; -1: a turn) of each, at 20 Hz."""
-    side = (200, (1.902 / 200, 0.0, 0.0))
-    turn = (68, (0.0, 0.0, math.radians(-90.1) / 68))
-    poses = drive((0, 0, 0), *[side, turn] * 4)
-    sides = [0] + [label for number in range(4) for label in [number] * 200 + [-1] * 68]
+    poses = square(136, 1.902, math.radians(-90.1), (0.0, 0.0, 0.0))
+    sides = [0] + [label for number in range(4) for label in [number] * 136 + [-1] * 68]
     return np.arange(len(poses)) / 20, poses, np.array(sides)
 
 

@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from noise_paths import line, wandering
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import ParameterError, check_parameters
 from bullet_lab.core.se2 import wrap
-from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.odometry_noise import NoisyPath, RateInvariantRule
 from bullet_lab.noise.systematic import (
     SystematicErrors,
     SystematicPath,
@@ -21,23 +20,6 @@ from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning
 
 BASE = 0.38
 ALL = SystematicErrors(0.02, -0.03, 0.01, 0.004, BASE)
-
-
-def straight(length=4.0, count=80):
-    poses = np.zeros((count + 1, 3))
-    poses[:, 0] = np.linspace(0.0, length, count + 1)
-    return poses
-
-
-def wandering(count=200):
-    """A path with turns on the spot, backward ways and slips, from an odd place on."""
-    moves = np.random.default_rng(3).normal(0.0, (0.05, 0.01, 0.2), (count, 3))
-    moves[:20, :2] = 0.0
-    moves[20:40, 2] = 0.0
-    poses = [np.array((3.0, -2.0, 2.5))]
-    for move in moves:
-        poses.append(se2.compose(poses[-1], move))
-    return np.array(poses)
 
 
 def reckoned(angles, left, right, base):
@@ -64,29 +46,8 @@ def test_they_are_what_encoder_odometry_makes_of_wrong_wheels(scale, base, diame
     assert np.abs(wrap(difference[:, 2])).max() < 1e-11
 
 
-def test_a_straight_drive_in_closed_form():
-    length = 4.0
-    assert SystematicErrors(scale_error=0.25).path(straight(length))[-1] == pytest.approx(
-        (length / 1.25, 0.0, 0.0)
-    )
-    left, right = 2.0 / 2.01, 2.0 * 1.01 / 2.01
-    heading = length * (1.0 / right - 1.0 / left) / BASE
-    way = 0.5 * length * (1.0 / right + 1.0 / left)
-    end = SystematicErrors(diameter_error=0.01, wheel_base=BASE).path(straight(length))[-1]
-    radius = way / heading
-    arc = (radius * math.sin(heading), radius * (1.0 - math.cos(heading)), heading)
-    assert end == pytest.approx(arc, abs=1e-12)
-    assert heading < 0.0
-
-
-def test_a_wider_base_reports_more_turn():
-    poses = np.zeros((11, 3))
-    poses[:, 2] = np.linspace(0.0, 2.0, 11)
-    assert SystematicErrors(base_error=0.1).path(poses)[-1] == pytest.approx((0.0, 0.0, 2.2))
-
-
 def test_a_gyro_drifts_on_either_way():
-    there = straight(4.0)
+    there = line(4.0, 80)
     poses = np.concatenate((there, there[-2::-1]))
     reported = SystematicErrors(gyro_bias_per_metre=0.01).path(poses)
     assert reported[-1, 2] == pytest.approx(0.08)
@@ -113,15 +74,6 @@ def test_arcs_lead_where_steps_do():
     steps = se2.steps(wandering())
     np.testing.assert_allclose(chords(arcs(steps)), steps, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(arcs([0.0, 0.2, np.pi]), (0.1 * np.pi, 0.0, np.pi), atol=1e-15)
-
-
-def test_noise_comes_on_top_of_them_live_as_by_the_thousand():
-    poses, rule = wandering(), RateInvariantRule(0.05)
-    reported, errors, path = ALL.path(poses), SystematicPath(ALL), NoisyPath(rule, 9)
-    live = np.array([path.update(*errors.update(*pose).pose).pose for pose in poses.tolist()])
-    block = next(noisy_blocks(noisy_steps(reported, rule), np.random.default_rng(9), 1))
-    x, y = reported[0, 0] + block.position[0].real, reported[0, 1] + block.position[0].imag
-    np.testing.assert_allclose(np.column_stack((x, y)), live[:, :2], rtol=0.0, atol=1e-12)
 
 
 def test_a_path_starts_anew():

@@ -27,25 +27,12 @@ def test_figures_are_those_of_the_robot_at_rest():
     assert figures["yaw_error_deg"] == pytest.approx(math.degrees(0.1))
     assert (figures["seconds"], figures["message"]) == (2.0, "there")
     assert figures["driven_m"] == pytest.approx(0.4)
-    assert "at the goal after 2.0 s and 0.40 m: 5.0 cm" in title_of([figures])
-
-
-def test_a_goal_that_is_still_driven_to():
-    figures = goal_figures(GoalRecord((5.0, 0.0, 0.0), 1.0), PATH)
-    assert (figures["reached"], figures["seconds"]) == (False, None)
-    assert title_of([figures]) == "the goal was not reached: not finished"
-    assert goal_figures(GoalRecord((5.0, 0.0, 0.0), 1.0, 2.0), None)["distance_m"] is None
-
-
-def test_titles():
-    done, lost = {"reached": True}, {"reached": False}
-    assert title_of([]) == "no goal was given"
-    assert title_of([done, lost, done]) == "2 of 3 goals reached"
-
-
-def test_speed():
     assert greatest_speed(PATH) == pytest.approx(0.2)
-    assert greatest_speed(Trajectory([0.0], [[0.0, 0.0, 0.0]])) == 0.0
+    assert "at the goal after 2.0 s and 0.40 m: 5.0 cm" in title_of([figures])
+    driving = goal_figures(GoalRecord((5.0, 0.0, 0.0), 1.0), PATH)
+    assert (driving["reached"], driving["seconds"]) == (False, None)
+    assert title_of([driving]) == "the goal was not reached: not finished"
+    assert title_of([figures, driving]) == "1 of 2 goals reached"
 
 
 def test_the_picture_leaves_out_what_is_far(tmp_path):
@@ -53,21 +40,24 @@ def test_the_picture_leaves_out_what_is_far(tmp_path):
     report.figures(report.summary(False, {}))
     drive(report, True)
     report.take("drive_to_goal/current_goal", Reading(2100 * MS, (2.0, 1.0, 1.0)))
-    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("b", "driving")))
+    answer(report, "b", "driving")
     plan = report.figures(report.summary(True, {}))["path.png"].axes[0]
     assert plan.get_xlim()[1] < 5.0
     assert len(plan.patches) == 4
 
 
+def answer(report, *words, **more):
+    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer(*words, **more)))
+
+
 def drive(report, reached):
     """Send what comes of a goal at 0.7 s that is given up or reached at 2 s."""
     report.take("drive_to_goal/current_goal", Reading(700 * MS, (0.3, 0.0, 0.0)))
-    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("a", "driving")))
+    answer(report, "a", "driving")
     for k in range(100):
         report.take("odom", Reading(50 * k * MS, (0.005 * k, 0.0, 0.0)))
         if k == 40:
-            answer = GoalAnswer("a", "the end", reached=reached, over=True)
-            report.take("drive_to_goal/status", Reading(0, (), answer))
+            answer(report, "a", "the end", reached=reached, over=True)
             report.take("drive_to_goal/finished", Reading(2000 * MS))
 
 
@@ -90,13 +80,12 @@ def test_a_goal_is_recorded_until_the_robot_stands(tmp_path, reached, stay):
 
 def test_how_it_ended_may_come_after_all_else(tmp_path):
     report = GoalReport(tmp_path, 0.05, False, list)
-    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("a", "driving")))
+    answer(report, "a", "driving")
     report.take("drive_to_goal/finished", Reading(1000 * MS))
     for k in range(50):
         report.take("odom", Reading(50 * k * MS, (0.0, 0.0, 0.0)))
     assert not report.is_complete()
-    answer = GoalAnswer("a", "there", reached=True, over=True)
-    report.take("drive_to_goal/status", Reading(0, (), answer))
+    answer(report, "a", "there", reached=True, over=True)
     assert not report.is_complete()
     report.take("drive_to_goal/current_goal", Reading(500 * MS, (0.0, 0.0, 0.0)))
     assert report.is_complete()
@@ -106,11 +95,10 @@ def test_how_it_ended_may_come_after_all_else(tmp_path):
 def test_a_goal_that_was_taken_up_but_never_driven_to_is_no_drive(tmp_path):
     report = GoalReport(tmp_path, 0.05, True, list)
     for name, text, rejected in (("a", "pending", False), ("a", "no way", True), ("b", "", False)):
-        answer = GoalAnswer(name, text, rejected)
-        report.take("drive_to_goal/status", Reading(0, (), answer))
+        answer(report, name, text, rejected)
     report.take("drive_to_goal/current_goal", Reading(10**9, (1.0, 0.0, 0.0)))
     report.take("drive_to_goal/finished", Reading(2 * 10**9))
-    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("b", "there", reached=True)))
+    answer(report, "b", "there", reached=True)
     summary = report.summary(True, {})
     assert summary["refused_goals"] == ["no way"]
     assert [goal["reached"] for goal in summary["goals"]] == [True]
@@ -118,7 +106,7 @@ def test_a_goal_that_was_taken_up_but_never_driven_to_is_no_drive(tmp_path):
 
 def test_a_goal_that_is_refused_is_the_end(tmp_path):
     report = GoalReport(tmp_path, 0.05, False, list)
-    report.take("drive_to_goal/status", Reading(0, (), GoalAnswer("a", "refused", rejected=True)))
+    answer(report, "a", "refused", rejected=True)
     assert report.is_complete()
     summary = report.summary(True, {})
     assert (report.line(summary), report.has_failed(summary)) == ("refused", True)

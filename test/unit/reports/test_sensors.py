@@ -1,43 +1,14 @@
+import json
 import math
 
 import numpy as np
 import pytest
 
-from bullet_lab.core.files import Series, SeriesError
+from bullet_lab.core.files import SeriesError
 from bullet_lab.reports import Reading
-from bullet_lab.reports.sensors import SensorsReport
+from bullet_lab.reports.sensors import DISTANCES, BeaconsReport, SensorsReport
 
 MS = 1_000_000
-
-
-def test_rows_are_in_the_file_at_once_and_cut_at_the_end(tmp_path):
-    path = tmp_path / "deep" / "a.csv"
-    series = Series(path, ("x", "y"))
-    series.add(50 * MS, (1, math.inf))
-    assert path.read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
-    series.add(100 * MS, (0.1, -2.0))
-    series.finish(60 * MS)
-    assert path.read_text() == "stamp,x,y\n0.050000000,1.0,inf\n"
-    stamps, rows = series.table()
-    assert stamps.tolist() == [0.05]
-    assert rows.tolist() == [[1.0, math.inf]]
-
-
-def test_an_empty_series(tmp_path):
-    series = Series(tmp_path / "a.csv", ("x", "y"))
-    assert series.last is None
-    assert series.table()[1].shape == (0, 2)
-
-
-@pytest.mark.parametrize(
-    ("stamp", "values"), [(100 * MS, (1.0, 2.0)), (200 * MS, (1.0,)), (200 * MS, (math.nan, 1.0))]
-)
-def test_rows_that_are_refused(tmp_path, stamp, values):
-    series = Series(tmp_path / "a.csv", ("x", "y"))
-    series.add(100 * MS, (0.0, 0.0))
-    with pytest.raises(SeriesError):
-        series.add(stamp, values)
-    assert len((tmp_path / "a.csv").read_text().splitlines()) == 2
 
 
 @pytest.fixture
@@ -61,6 +32,8 @@ def test_scans_are_placed_by_the_pose_of_their_moment(recording):
 
 def test_a_scan_before_all_odometry_is_left_out(tmp_path):
     found = SensorsReport(tmp_path, 1)
+    figures = found.summary(True, {})
+    assert figures["median_push_N"] is figures["nearest_scan_m"] is None
     found.series["scan"].add(0, (1.0,))
     assert found.scan_points().shape == (0, 2)
     found.series["odom"].add(50 * MS, (0.0, 0.0, 0.0))
@@ -79,14 +52,72 @@ def test_summary(recording):
     assert figures["median_push_N"] == pytest.approx(5.0)
 
 
-def test_nothing_measured(tmp_path):
-    found = SensorsReport(tmp_path, 1)
-    figures = found.summary(True, {})
-    assert figures["median_push_N"] is figures["nearest_scan_m"] is None
-    found.figures({})
-
-
 def test_the_picture_has_a_panel_for_each_sensor(recording):
     figure = recording.figures({})["sensors.png"]
     assert len(figure.axes) == 6
     assert all(axes.lines for axes in figure.axes)
+
+
+BEACONS = {"a": (3.0, 4.0), "b": (-1.0, 0.0)}
+
+
+def recorded(folder):
+    recording = BeaconsReport(folder, BEACONS)
+    measure(recording, 100, (0.0, 0.0, 0.5), 5.25, 1.0)
+    return recording
+
+
+def measure(recording, stamp, pose, *distances):
+    recording.take("odom", Reading(stamp, pose))
+    for beacon, distance in zip(BEACONS, distances):
+        recording.take(f"{beacon}/range", Reading(stamp, (distance,)))
+
+
+def rows(folder):
+    return [line.split(",") for line in (folder / DISTANCES).read_text().splitlines()]
+
+
+def test_a_row_is_there_once_all_of_it_is(tmp_path):
+    recording = BeaconsReport(tmp_path, BEACONS)
+    recording.take("a/range", Reading(100, (5.25,)))
+    recording.take("odom", Reading(100, (0.0, 0.0, 0.5)))
+    assert len(rows(tmp_path)) == 1
+    assert recording.newest() is None
+    recording.take("b/range", Reading(100, (1.0,)))
+    assert rows(tmp_path)[0] == ["stamp", "x", "y", "yaw", "a", "b", "true_a", "true_b"]
+    assert [float(v) for v in rows(tmp_path)[1]] == [1e-7, 0.0, 0.0, 0.5, 5.25, 1.0, 5.0, 1.0]
+    assert recording.newest() == 100
+
+
+def test_the_end_sorts_and_trims(tmp_path):
+    recording = recorded(tmp_path)
+    for stamp in (50, 200):
+        measure(recording, stamp, (1.0, 0.0, 0.0), 1.0, 2.0)
+    recording.finish(until=150)
+    assert [float(row[0]) for row in rows(tmp_path)[1:]] == [5e-8, 1e-7]
+
+
+def test_summary_measures_against_the_truth(tmp_path):
+    recording = recorded(tmp_path)
+    summary = recording.summary(True, {})
+    assert summary["closest_m"] == [5.25, 1.0]
+    assert summary["largest_error_m"] == [0.25, 0.0]
+    json.dumps(summary, allow_nan=False)
+    assert BeaconsReport(tmp_path, BEACONS).summary(True, {})["rows"] == 0
+
+
+@pytest.mark.parametrize("bad", [math.inf, math.nan])
+def test_distances_are_finite(tmp_path, bad):
+    recording = BeaconsReport(tmp_path, BEACONS)
+    with pytest.raises(SeriesError, match=f"^a distance of {bad}$"):
+        recording.take("a/range", Reading(100, (bad,)))
+
+
+def test_figure_has_a_curve_over_the_truth_for_each_beacon(tmp_path):
+    recording = recorded(tmp_path)
+    measure(recording, 200, (1.0, 0.0, 0.5), 4.0, 2.0)
+    below = recording.figures({})["distances.png"].axes[1]
+    drawn = [line.get_ydata() for line in below.lines if len(line.get_ydata())]
+    np.testing.assert_allclose(drawn[0], [5.0, math.hypot(2.0, 4.0)])
+    np.testing.assert_allclose(drawn[1], [5.25, 4.0])
+    assert len(drawn) == 4

@@ -34,18 +34,15 @@ def test_edges(square):
     assert canny_edges(square, 5000.0, 5000.0).max() == 0
 
 
-def test_good_features_strongest_first(square):
+def test_good_features_strongest_first_and_apart(square):
     square[300:, 300:] //= 2
     points = good_features(square)
     assert distances(points)[:2].max() < 3.0
     assert (np.diff(points[:, 2]) <= 1e-6).all()
     assert len(good_features(square, count=2)) == 2
     assert good_features(np.full((480, 640), 9, np.uint8)).shape == (0, 3)
-
-
-def test_good_features_keep_their_distance():
-    chance = np.random.default_rng(0)
-    points = good_features(chance.integers(0, 256, (480, 640)).astype(np.uint8), 100, 0.01, 30.0)
+    noise = np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8)
+    points = good_features(noise, 100, 0.01, 30.0)
     apart = np.linalg.norm(points[:, None, :2] - points[None, :, :2], axis=2)
     assert apart[np.triu_indices(len(points), 1)].min() >= 30.0
 
@@ -66,17 +63,16 @@ def test_harris_corners(square):
 def test_points_are_blue_discs_and_areas_blue():
     image = np.zeros((100, 100, 3), np.uint8)
     drawing.draw_points(image, np.array([[50.2, 40.0, 1.0]]))
-    row, column = np.nonzero((image == BLUE).all(axis=2))
-    assert (column.min(), column.max(), row.min(), row.max()) == (47, 53, 37, 43)
+    drawn = np.argwhere((image == BLUE).all(axis=2))
+    assert (drawn.min(axis=0).tolist(), drawn.max(axis=0).tolist()) == ([37, 47], [43, 53])
     area = np.zeros((100, 100), bool)
     area[90, 10] = True
     drawing.draw_area(image, area)
     assert (image[90, 10] == BLUE).all()
 
 
-@pytest.mark.parametrize("distance", [0.8, 4.0])
-def test_a_drawn_marker_has_outline_first_corner_axes_and_label(distance):
-    view = View(distance, yaw=20.0)
+def test_a_drawn_marker_has_outline_first_corner_axes_and_label():
+    view = View(0.8, yaw=20.0)
     corners = true_corners(view)
     image = np.zeros((480, 640, 3), np.uint8)
     drawing.draw_axes(image, estimate_pose(corners, 0.2, CAMERA).best, 0.2, CAMERA)
@@ -87,7 +83,7 @@ def test_a_drawn_marker_has_outline_first_corner_axes_and_label(distance):
     near = image[int(middle[1]), int(middle[0]) - 2 : int(middle[0]) + 4].astype(int)
     assert (near[:, 1] > near[:, 0] + 30).any()
     top = int(corners[:, 1].min())
-    assert image[max(0, top - 30) : top - 4].max() > 240
+    assert image[top - 30 : top - 4].max() > 240
 
 
 def test_text_stays_in_the_image():

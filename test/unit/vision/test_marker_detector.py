@@ -36,25 +36,29 @@ def detect(image, camera=None, **settings):
     return MarkerDetector(DetectorSettings(**settings)).detect(image, camera)
 
 
+def picture(view, *layers, **light):
+    """The image of some layers, or of a marker."""
+    return image_of(layers or [marker()], view, samples=4, **light)
+
+
 def ids_of(detections):
     return sorted(found.id for found in detections.markers)
 
 
-def nested(outer, inner, inner_size=0.1):
+def nested(outer, inner, inner_size=0.1, **light):
     """A marker as one white cell of a larger one; the layers, the larger size and the centre."""
     pattern = dictionary_named(TAGS).pattern(outer)
     row, column = np.argwhere(pattern == 1)[8]
     cell = inner_size * 10 / 8
     centre = ((column + 0.5 - 4.0) * cell, (4.0 - row - 0.5) * cell)
-    layers = [marker(outer, size=8 * cell), marker(inner, size=inner_size, centre=centre)]
-    return layers, 8 * cell, centre
+    large = marker(outer, size=8 * cell, **light)
+    return [large, marker(inner, size=inner_size, centre=centre, **light)], 8 * cell, centre
 
 
 # Accuracy
 
 
-@pytest.mark.parametrize("yaw", [0.0, 25.0, 50.0])
-@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("distance, yaw", [(0.5, 50.0), (1.0, 0.0), (4.0, 25.0)])
 def test_corners_are_exact_and_unbiased(distance, yaw):
     errors = []
     for number in range(3):
@@ -93,28 +97,23 @@ def test_a_lens_does_not_bend_what_is_found():
 @pytest.mark.parametrize("name", DICTIONARY_NAMES)
 def test_markers_of_every_dictionary(name):
     number = 7
-    image = image_of([marker(number, tags=name)], View(1.0, yaw=15.0), samples=4)
+    image = picture(View(1.0, yaw=15.0), marker(number, tags=name))
     assert ids_of(detect(image, dictionary=name)) == [number]
 
 
 @pytest.mark.parametrize("yaw, farthest", [(0.0, 6.0), (30.0, 5.5), (60.0, 3.5)])
 def test_range_without_gaps(yaw, farthest):
-    distances = np.linspace(0.45, farthest, 12)
-    for distance in distances:
+    for distance in np.linspace(0.45, farthest, 8):
         view = View(distance, yaw=yaw, pitch=1.0, roll=2.0)
-        image = image_of([marker()], view, samples=4, noise=2.0)
+        image = picture(view, noise=2.0)
         assert ids_of(detect(image)) == [0], distance
 
 
 def test_several_markers_largest_first():
-    layers = [marker(5, centre=(-0.3, 0.0)), marker(9, size=0.3, centre=(0.2, 0.0))]
-    found = detect(image_of(layers, View(1.5), samples=4)).markers
-    assert [m.id for m in found] == [9, 5]
-
-
-def test_one_id_twice_is_reported_twice():
-    layers = [marker(4, centre=(-0.3, 0.0)), marker(4, size=0.3, centre=(0.2, 0.1))]
-    assert ids_of(detect(image_of(layers, View(1.5), samples=4))) == [4, 4]
+    layers = [marker(5, centre=(-0.3, 0.0)), marker(5, size=0.25, centre=(-0.3, 0.3))]
+    layers += [marker(9, size=0.3, centre=(0.2, 0.0))]
+    found = detect(picture(View(1.5), *layers)).markers
+    assert [m.id for m in found] == [9, 5, 5]
 
 
 def test_of_two_outlines_of_one_marker_the_likelier_stays():
@@ -131,42 +130,27 @@ def test_of_two_outlines_of_one_marker_the_likelier_stays():
     assert found == [marker_itself, inner, other_id, beside]
 
 
-@pytest.mark.parametrize("outer, inner", [(0, 0), (17, 0), (0, 17)])
-@pytest.mark.parametrize("distance", [1.3, 2.0, 3.0])
+@pytest.mark.parametrize("outer, inner, distance", [(0, 0, 1.3), (17, 0, 2.0), (0, 17, 3.0)])
 def test_a_marker_in_a_cell_of_another_and_the_other(outer, inner, distance):
     layers, size, centre = nested(outer, inner)
     view = View(distance, yaw=12.0)
-    large, small = detect(image_of(layers, view, samples=6)).markers
+    large, small = detect(picture(view, *layers)).markers
     assert (large.id, small.id) == (outer, inner)
     assert corner_error(large.corners, true_corners(view, size)) < 0.2
     assert corner_error(small.corners, true_corners(view, 0.1, centre=centre)) < 0.2
 
 
-@pytest.mark.parametrize(
-    "distance, blur",
-    [
-        (1.5, 1.0),
-        pytest.param(1.8, 0.8, marks=pytest.mark.long),
-        pytest.param(2.2, 0.5, marks=pytest.mark.long),
-    ],
-)
-def test_a_marker_in_a_cell_in_the_dark(distance, blur):
-    pattern = dictionary_named(TAGS).pattern(0)
-    row, column = np.argwhere(pattern == 1)[8]
-    centre = ((column + 0.5 - 4.0) * 0.1, (4.0 - row - 0.5) * 0.1)
-    layers = [
-        marker(0, size=0.8, black=2.0, white=28.0),
-        marker(0, size=0.075, centre=centre, black=2.0, white=28.0),
-    ]
-    view = View(distance, yaw=10.0)
-    for seed in range(5):
+def test_a_marker_in_a_cell_in_the_dark():
+    layers, size, centre = nested(0, 0, 0.08, black=2.0, white=28.0)
+    for seed, (distance, blur) in enumerate([(1.5, 1.0), (1.8, 0.8), (2.2, 0.5)]):
+        view = View(distance, yaw=10.0)
         image = image_of(layers, view, background=15.0, blur=blur, noise=5.0, seed=seed)
         large, small = detect(image).markers
-        assert corner_error(large.corners, true_corners(view, 0.8)) < 1.5
-        assert corner_error(small.corners, true_corners(view, 0.075, centre=centre)) < 1.5
+        assert corner_error(large.corners, true_corners(view, size)) < 1.5
+        assert corner_error(small.corners, true_corners(view, 0.08, centre=centre)) < 1.5
 
 
-@pytest.mark.parametrize("distance", [1.5, 2.0, 2.8])
+@pytest.mark.parametrize("distance", [1.5, 2.8])
 def test_nothing_is_found_in_cells_that_hold_something_else(distance):
     layers, _, centre = nested(0, 0)
     other = Layer(np.kron([[20.0, 220.0], [220.0, 20.0]], np.ones((4, 4))), 0.1, centre)
@@ -175,30 +159,28 @@ def test_nothing_is_found_in_cells_that_hold_something_else(distance):
         assert ids_of(detect(image)) == [0]
 
 
-@pytest.mark.parametrize("corner", range(4))
-@pytest.mark.parametrize("distance", [0.4, 0.6, 1.5])
+@pytest.mark.parametrize("distance, corner", [(0.4, 0), (0.6, 1), (0.6, 3), (1.5, 2)])
 def test_a_marker_with_something_dark_before_a_corner(distance, corner):
     """It is a part of the outline; from near by that was as many px off as it was large."""
     view = View(distance, yaw=2.0, pitch=1.0)
-    image = image_of([marker(black=2.0, white=17.0)], view, samples=4, background=9.0, noise=1.5)
+    image = picture(view, marker(black=2.0, white=17.0), background=9.0, noise=1.5)
     corners = true_corners(view)
     half = 0.125 * np.hypot(*(corners[1] - corners[0]))
     low, high = np.rint((corners[corner] - half, corners[corner] + half)).astype(int)
     image[low[1] : high[1], low[0] : high[0]] = 2
-    (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+    (found,) = detect(image).markers
     others = np.arange(4) != corner
     assert np.abs(found.corners - corners)[others].max() < 1.0
 
 
-@pytest.mark.parametrize("corner", range(4))
-@pytest.mark.parametrize("distance", [0.6, 1.0, 1.5])
+@pytest.mark.parametrize("distance, corner", [(0.6, 0), (0.6, 2), (1.0, 1), (1.5, 3)])
 def test_a_marker_with_a_corner_behind_what_is_as_grey_as_the_ground(distance, corner):
     """The marker's black runs into the ground there, and no threshold shows four corners."""
     view = View(distance, yaw=-3.0, roll=1.5)
     cover = Layer(np.full((1, 1), 10.0), 0.05, tuple(corner_points(0.2)[corner, :2]))
     layers = [marker(black=3.0, white=24.0), cover]
     image = image_of(layers, view, background=10.0, blur=0.8, noise=2.7, seed=corner)
-    (found,) = MarkerDetector(DetectorSettings(TAGS)).detect(image).markers
+    (found,) = detect(image).markers
     others = np.arange(4) != corner
     assert np.abs(found.corners - true_corners(view))[others].max() < 0.5
 
@@ -206,13 +188,12 @@ def test_a_marker_with_a_corner_behind_what_is_as_grey_as_the_ground(distance, c
 def test_only_ids_that_were_asked_for():
     image = image_of([marker(5), marker(6, centre=(0.3, 0.0))], View(1.5), samples=4)
     detections = detect(image, ids=(6, 8))
-    assert ids_of(detections) == [6]
-    assert detections.report.other_ids == [5]
+    assert (ids_of(detections), detections.report.other_ids) == ([6], [5])
 
 
 def test_a_marker_at_the_edge_of_the_image_is_dropped():
     for shift, count in (((0.53, 0.0), 1), ((0.536, 0.0), 0)):
-        detections = detect(image_of([marker()], View(1.0, shift=shift), samples=4))
+        detections = detect(picture(View(1.0, shift=shift)))
         assert len(detections.markers) == count, shift
         assert detections.report.cropped == [0] * (1 - count)
 
@@ -257,7 +238,7 @@ def test_misread_cells_of_the_border_are_counted(monkeypatch):
     ids=["dark", "bright", "back-lit", "noisy", "faint"],
 )
 def test_light(black, white, background, noise):
-    for distance in (0.6, 1.5, 2.5):
+    for distance in (0.6, 2.5):
         view = View(distance, yaw=10.0, pitch=3.0)
         layers = [marker(black=black, white=white)]
         image = image_of(layers, view, background=background, noise=noise, samples=4)
@@ -266,7 +247,7 @@ def test_light(black, white, background, noise):
 
 
 def test_light_that_changes_across_the_marker():
-    image = image_of([marker()], View(0.5), samples=4).astype(float)
+    image = picture(View(0.5)).astype(float)
     light = np.interp(np.arange(image.shape[1]), (260, 400), (0.15, 1.0))
     for brightness in (light, light[::-1]):
         lit = np.rint(image * brightness).astype(np.uint8)
@@ -274,7 +255,7 @@ def test_light_that_changes_across_the_marker():
 
 
 def test_the_second_pass_is_made_only_where_nothing_was_found():
-    bright = image_of([marker()], View(2.0), samples=4)
+    bright = picture(View(2.0))
     assert not detect(bright).report.second_pass
     # The contrast is less than the first pass needs, in an image of full range.
     faint = image_of([marker(black=100.0, white=106.0)], View(1.0), background=103.0, samples=4)
@@ -312,7 +293,7 @@ def test_what_has_no_height_is_no_quadrilateral():
 
 def test_no_marker_in_dots():
     chance = np.random.default_rng(8)
-    for _ in range(15):
+    for _ in range(6):
         assert detect(dots(chance, chance.uniform(0.0, 6.0))).markers == []
 
 
@@ -328,60 +309,45 @@ def test_a_square_among_more_dots_than_16_bits_can_number():
     assert off.sum(axis=1).min() < 0.1
 
 
-@pytest.mark.parametrize("edge", [16, 31, 48, 200])
+@pytest.mark.parametrize("edge", [16, 48])
 def test_a_dark_square_in_a_small_image(edge):
     image = np.full((edge, edge + 1), 220, np.uint8)
     image[2:-2, 2:-2] = 20
     assert detect(image, min_side=5.0).report.quads == 1
 
 
-def test_with_a_lens_too_there_may_be_nothing_to_see():
-    report = detect(np.full((480, 640), 127, np.uint8), BENT).report
-    assert (report.quads, report.undecoded) == (0, 0)
-
-
 def test_the_reason_why_nothing_is_found():
     name = "DICT_APRILTAG_36h10"
     empty = np.full((480, 640), 5, np.uint8)
     assert "flat" in why_nothing(detect(empty).report, name)
+    assert "flat" in why_nothing(detect(empty, BENT).report, name)
     empty[:20, :20] = 60
     assert "dark (mean" in why_nothing(detect(empty).report, name)
     squares = np.full((480, 640), 200, np.uint8)
     squares[100:200, 100:200] = 30
     assert "1 dark quadrilaterals" in why_nothing(detect(squares).report, name)
-    other = image_of([marker(5)], View(1.0), samples=4)
+    other = picture(View(1.0), marker(5))
     assert "marker 5 seen" in why_nothing(detect(other, ids=(0,)).report, name)
-    cropped = image_of([marker(5)], View(1.0, shift=(0.5365, 0.0)), samples=4)
+    cropped = picture(View(1.0, shift=(0.5365, 0.0)), marker(5))
     assert "marker 5 cut off" in why_nothing(detect(cropped).report, name)
 
 
 def test_white_markers_on_black_are_an_option():
     layers = [marker(3, black=220.0, white=20.0)]
-    negative = image_of(layers, View(1.5, yaw=10.0), samples=4)
+    negative = picture(View(1.5, yaw=10.0), *layers)
     assert ids_of(detect(negative)) == []
     (found,) = detect(negative, inverted=True).markers
     assert found.id == 3
     assert corner_error(found.corners, true_corners(View(1.5, yaw=10.0))) < 0.05
-    positive = image_of([marker(3)], View(1.5), samples=4)
-    assert ids_of(detect(positive, inverted=True)) == [3]
 
 
 # What is refused, and the rest
 
 
 def test_images_that_are_none():
-    for image in (
-        np.zeros((480, 640)),
-        np.zeros((4, 4), np.uint8),
-        np.zeros((48, 64, 2), np.uint8),
-    ):
+    for shape, kind in (((480, 640), float), ((4, 4), np.uint8), ((48, 64, 2), np.uint8)):
         with pytest.raises(VisionError):
-            detect(image)
-
-
-def test_colour_images_are_converted_to_grey():
-    image = image_of([marker()], View(1.0), samples=4)
-    assert ids_of(detect(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))) == [0]
+            detect(np.zeros(shape, kind))
 
 
 @pytest.mark.parametrize(
@@ -402,9 +368,9 @@ def test_settings_that_are_not_allowed(wrong):
         DetectorSettings(**wrong)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 1.0, 4.0, 10.0])
+@pytest.mark.parametrize("sigma", [0.0, 4.0])
 def test_noise_is_measured(sigma):
-    image = image_of([marker()], View(1.0), samples=4, noise=sigma)
+    image = picture(View(1.0), noise=sigma)
     assert noise_level(image) == pytest.approx(sigma, rel=0.1, abs=0.05)
 
 

@@ -67,7 +67,7 @@ def test_ambiguity_is_seen_where_noise_would_hide_the_difference():
     corners = {d: true_corners(View(d, yaw=20.0)) for d in (1.0, 6.0)}
     assert not estimate_pose(corners[1.0], SIZE, CAMERA, 0.1).ambiguous
     assert estimate_pose(corners[6.0], SIZE, CAMERA, 0.1).ambiguous
-    assert not estimate_pose(corners[6.0], SIZE, CAMERA, 0.001).ambiguous
+    assert not estimate_pose(corners[6.0], SIZE, CAMERA, 0.05).ambiguous
 
 
 def test_ambiguity_is_seen_where_neither_pose_fits_well():
@@ -79,9 +79,9 @@ def test_ambiguity_is_seen_where_neither_pose_fits_well():
     assert estimate.ambiguous
 
 
-@pytest.mark.parametrize("view", [View(0.6), View(1.0, yaw=30.0), VIEWS[3]], ids=range(3))
-def test_covariance_is_that_of_many_noisy_corners(view):
-    sigma, count = 0.05, 500
+@pytest.mark.parametrize("view, sigma", [(View(0.6), 0.05), (VIEWS[3], 0.1)], ids=range(2))
+def test_covariance_is_that_of_many_noisy_corners(view, sigma):
+    count = 300
     chance = np.random.default_rng(3)
     corners = true_corners(view)
     expected = estimate_pose(corners, SIZE, CAMERA, sigma).nearest_to(view.rotation).covariance
@@ -97,12 +97,6 @@ def test_covariance_is_that_of_many_noisy_corners(view):
     np.testing.assert_allclose(
         white @ sample @ white.T, np.eye(6), atol=5.0 * math.sqrt(2.0 / count)
     )
-
-
-def test_covariance_grows_with_the_square_of_sigma():
-    corners = true_corners(View(1.0, yaw=30.0))
-    one, two = (estimate_pose(corners, SIZE, CAMERA, s).best.covariance for s in (0.1, 0.2))
-    np.testing.assert_allclose(two, 4.0 * one, rtol=1e-9)
 
 
 def test_choice_by_a_former_pose_and_by_what_is_upright():
@@ -170,7 +164,9 @@ def flipped(marker_seen):
 def test_an_ambiguous_marker_keeps_the_pose_that_it_had():
     memory = PoseMemory()
     near = observed(View(1.0, yaw=20.0), sigma=0.01)
-    memory.choose([near], 1.0)
+    # A clear image decides whatever was before.
+    memory.choose([observed(View(1.0, yaw=-20.0), sigma=0.01)], 0.9)
+    assert memory.choose([near], 1.0)[0] is near.pose.best
     far = observed(View(1.1, yaw=20.0), sigma=5.0)
     assert far.pose.ambiguous
     (kept,) = memory.choose([flipped(far)], 1.1)
@@ -193,10 +189,3 @@ def test_markers_hang_upright_where_nothing_else_is_known():
     assert lying.pose.ambiguous
     assert PoseMemory().choose([lying], 1.0)[0] is lying.pose.alternative
     assert PoseMemory(upright=False).choose([lying], 1.0)[0] is lying.pose.best
-
-
-def test_a_clear_image_decides_whatever_was_before():
-    memory = PoseMemory()
-    memory.choose([observed(View(1.0, yaw=-30.0), sigma=0.01)], 1.0)
-    now = observed(View(1.0, yaw=30.0), sigma=0.01)
-    assert memory.choose([now], 1.03)[0] is now.pose.best
