@@ -98,7 +98,7 @@ class StandIn:
 
     def __init__(self):
         self.lock = threading.Lock()
-        self.paused, self.number, self.models = False, 0, {}
+        self.paused, self.stands, self.number, self.models = False, False, 0, {}
         self.clock = rospy.Publisher("/clock", Clock, queue_size=100)
         for name, kind, answer in (
             ("pause_physics", Empty, lambda _: self.pause(True)),
@@ -115,6 +115,7 @@ class StandIn:
         rospy.set_param("/contract_standin_time", not broken("parameter"))
         with self.lock:
             self.paused = paused
+            self.stands = paused and not broken("silent")
         return EmptyResponse()
 
     def physics(self, _):
@@ -149,7 +150,7 @@ class StandIn:
         while not rospy.is_shutdown():
             time.sleep(STEP / SPEED)
             with self.lock:
-                if self.paused and rospy.get_param("/broken", "") != "silent":
+                if self.stands:
                     continue
                 self.number += 1
                 self.clock.publish(Clock(rospy.Time.from_sec(self.number * STEP)))

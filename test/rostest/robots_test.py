@@ -11,10 +11,11 @@ import rostest
 import tf2_ros
 import yaml
 from actionlib import SimpleActionClient
+from bridge_testing import Sender, call, spawn, twist
 from bullet_lab.msg import DockAction, DockGoal, TouchedModels
 from bullet_lab.srv import SetNoise
-from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
-from lab_testing import PACKAGE, Node, Topic, publisher, wait_for
+from geometry_msgs.msg import Point, Pose, Quaternion
+from lab_testing import PACKAGE, Node, Topic, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan, Range
@@ -45,10 +46,10 @@ class RobotsTest(unittest.TestCase):
         return topic
 
     def drive(self, robot, speed):
-        commands = publisher(f"{robot}/cmd_vel", Twist)
-        self.addCleanup(commands.unregister)
-        commands.publish(Twist(linear=Vector3(speed, 0.0, 0.0)))
-        self.addCleanup(commands.publish, Twist())
+        commands = Sender(f"{robot}/cmd_vel")
+        self.addCleanup(commands.close)
+        self.addCleanup(commands.send, twist())
+        commands.send(twist(speed))
 
     def test_topics_are_in_the_namespace_and_frames_have_the_prefix(self):
         for name, kind, frame in TOPICS:
@@ -124,30 +125,23 @@ class RobotsTest(unittest.TestCase):
             self.assertTrue(summary["finished"])
             # Not in lock step: on a busy machine it drives on for a while.
             self.assertGreater(summary["path_length_m"], 0.08)
-        call = rospy.ServiceProxy("/left/noisy_odom_node/set_noise", SetNoise)
-        self.assertTrue(call("report", 0.2, []).success)
+        answer = call("/left/noisy_odom_node/set_noise", SetNoise, "report", 0.2, [])
+        self.assertTrue(answer.success)
 
     def test_docking_finds_the_frames_with_the_prefix(self):
         client = SimpleActionClient("right/dock", DockAction)
-        self.assertTrue(client.wait_for_server(rospy.Duration(30)))
-        for _ in range(10):
-            client.send_goal(DockGoal(dock_id="dock", search=False))
-            self.assertTrue(client.wait_for_result(rospy.Duration(60)))
-            said = client.get_result().message
-            # Time runs three times as fast as the wall clock, whatever the machine has to do.
-            if "no image" not in said:
-                break
+        wait_for(lambda: client.wait_for_server(rospy.Duration(1)), "the action")
+        client.send_goal(DockGoal(dock_id="dock", search=False))
+        self.assertTrue(client.wait_for_result(rospy.Duration(60)))
         # The camera was found in the robot's frame, the dock's place in that of the odometry.
-        self.assertEqual("the marker is not in sight", said)
+        self.assertEqual("the marker is not in sight", client.get_result().message)
 
     def test_robots_that_share_a_frame_are_warned_about(self):
         log = self.topic("/rosout", Log)
-        spawn = rospy.ServiceProxy("/gazebo/spawn_urdf_model", srv.SpawnModel)
-        delete = rospy.ServiceProxy("/gazebo/delete_model", srv.DeleteModel)
         for number, name in enumerate(("one", "two")):
-            self.addCleanup(delete, name)
+            self.addCleanup(call, "/gazebo/delete_model", srv.DeleteModel, name)
             pose = Pose(Point(0.0, 5.0 + number, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-            self.assertTrue(spawn(name, BLOCK, name, pose, "").success)
+            self.assertTrue(spawn(name, BLOCK, pose, name).success)
         said = "the frame 'odom' belongs to 'one' and 'two': give each robot a tf_prefix"
         wait_for(lambda: any(said in message.msg for message in log.messages), said)
 
