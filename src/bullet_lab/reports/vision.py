@@ -113,11 +113,16 @@ class VisionReport(Report):
 
 def marker_figures(marker: Any) -> dict[str, Any]:
     """Return the entry of a bullet_lab/MarkerDetection in summary.json."""
-    place = marker.pose.pose.position
-    return {
+    figures = {
         "id": marker.id,
         "dictionary": marker.dictionary,
         "corners_px": [list(marker.corners[k : k + 2]) for k in range(0, 8, 2)],
+    }
+    if not marker.size:
+        return figures
+    place = marker.pose.pose.position
+    return {
+        **figures,
         "position_m": [place.x, place.y, place.z],
         "reprojection_error_px": marker.reprojection_error,
         "ambiguous": marker.ambiguous,
