@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Callable
 
 from bullet_lab.core.parameters import ParameterError
+from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import (
     Job,
@@ -29,7 +30,6 @@ from bullet_lab.simulation.world.resources import package_share
 PROGRAM = "bullet_lab"
 STATUS_FAILED = 1
 STATUS_BAD_VALUE = 2
-STATUS_INTERRUPTED = 130
 _HELP = ("-h", "--help")
 
 
@@ -79,10 +79,7 @@ def read_command(
 
 
 def print_end(job: str, how: str, started: float, out: OutputFolder) -> None:
-    """Print how a job has ended, after how many seconds since `started`, and what it has written.
-
-    The start is that of `time.monotonic`.
-    """
+    """Print how a job has ended that started at a `time.monotonic`, and what it has written."""
     print(f"{job}: {how} after {time.monotonic() - started:.1f} s")
     for path in out.written():
         print(f"  {shown(path)}")

@@ -174,14 +174,11 @@ class Job(NamedTuple):
     def without_ros(self) -> Job:
         """Return the job with only the arguments that its program has."""
         names = set(_ARGUMENT.findall(self.command))
-        arguments = {
-            name: argument._replace(
-                targets=tuple(one for one in argument.targets if one.main == self.program)
-            )
-            for name, argument in self.arguments.items()
-            if name in names
-        }
-        return self._replace(arguments=arguments)
+        kept = {}
+        for name in [one for one in self.arguments if one in names]:
+            targets = [one for one in self.arguments[name].targets if one.main == self.program]
+            kept[name] = self.arguments[name]._replace(targets=tuple(targets))
+        return self._replace(arguments=kept)
 
     def resolve(self, text: str, values: Mapping[str, str]) -> str:
         """Return a text of the launch file as roslaunch resolves it, but for `$(eval …)`.

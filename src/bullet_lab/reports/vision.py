@@ -72,7 +72,8 @@ class VisionReport(Report):
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         figure = new_figure(14.0, 8.6)
-        figure.suptitle(f"The detectors on one image ({self._stamp_s():.3f} s)")
+        name = self.about.get("picture", f"{self._stamp_s():.3f} s")
+        figure.suptitle(f"The detectors on one image ({name})")
         rows = -(-len(self._pictures) // _COLUMNS)
         grid = figure.subplots(rows, _COLUMNS, squeeze=False)
         lines = [textwrap.fill(self.found[name], _LINE_LENGTH) for name in self._pictures]

@@ -1,7 +1,7 @@
 """The detectors of figure 7 on a picture from a file, with the defaults of their nodes.
 
 Example:
-    python3 -m bullet_lab.studies.detectors results/mine --picture photo.jpg
+    bullet_lab detectors picture:=photo.jpg
 """
 
 from __future__ import annotations
@@ -9,18 +9,16 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence
 
 import cv2
 import numpy as np
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import write_json
 from bullet_lab.core.parameters import choice, text
-from bullet_lab.reports import Reading
+from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.vision import DETECTIONS, FEATURES, PICTURES, VisionReport
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.studies.study import SUMMARY, Settings, Tell, run_from
+from bullet_lab.studies.study import Settings, Tell, run_from
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_area, draw_marker, draw_points, draw_text
 from bullet_lab.vision.features import canny_edges, good_features, harris_corners
@@ -28,8 +26,6 @@ from bullet_lab.vision.images import VisionError, grey
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector, why_nothing
 
 WALL = "package://bullet_lab/models/docking_station/meshes/back_wall.png"
-TEXT_PLACE = (8, 16)
-"""px; as of the node aruco."""
 
 
 @dataclass(frozen=True)
@@ -54,32 +50,19 @@ class FoundMarker:
     size: float = 0.0
 
 
-def run_detectors(folder: Path, settings: PictureSettings) -> Dict[str, Any]:
-    """Run all detectors; write their pictures, side_by_side.png and summary.json; return that.
+def run_detectors(folder: Path, settings: PictureSettings) -> VisionReport:
+    """Run all detectors; write their pictures, side_by_side.png and summary.json.
 
     Raises:
         LabError: the picture cannot be read, or the folder cannot be written to.
     """
-    report, summary = _run_detectors(folder, settings)
-    return summary
-
-
-def _run_detectors(
-    folder: Path, settings: PictureSettings
-) -> Tuple[VisionReport, Dict[str, Any]]:
     path = ResourceFinder.anywhere().find(settings.picture)
     report = VisionReport(folder)
     report.about = {"job": "detectors", "picture": path.name, "tags": settings.tags}
     for topic, detail in _answers(read_picture(path), settings.tags).items():
         report.take(topic, Reading(0, (), detail))
-    report.finish()
-    summary = {**report.about, **report.summary(True, {})}
-    del summary["stamp_s"]
-    for name, figure in report.figures(summary).items():
-        figure.suptitle(f"The detectors on {path.name}")
-        save(figure, folder / name)
-    write_json(folder / SUMMARY, summary)
-    return report, summary
+    save_all(report, True)
+    return report
 
 
 def read_picture(path: Path) -> np.ndarray:
@@ -103,28 +86,18 @@ def _answers(picture: np.ndarray, tags: str) -> Dict[str, Any]:
     for marker in found.markers:
         draw_marker(drawn["aruco"], marker, f"id {marker.id}")
     if not found.markers:
-        draw_text(drawn["aruco"], why_nothing(found.report, tags), TEXT_PLACE)
+        draw_text(drawn["aruco"], why_nothing(found.report, tags), (8, 16))
     name = dictionary_named(tags).name
     return {
         **{topic: drawn[detector] for detector, topic in PICTURES.items()},
-        **{
-            f"{detector}/points": points[:, :2].tolist()
-            for detector, points in zip(FEATURES, (good, corners))
-        },
-        DETECTIONS: [
-            FoundMarker(marker.id, name, marker.corners.ravel().tolist())
-            for marker in found.markers
-        ],
+        **{f"{one}/points": xy[:, :2].tolist() for one, xy in zip(FEATURES, (good, corners))},
+        DETECTIONS: [FoundMarker(m.id, name, m.corners.ravel().tolist()) for m in found.markers],
     }
 
 
 def _run(folder: Path, settings: PictureSettings, _tell: Tell) -> List[str]:
-    report, _ = _run_detectors(folder, settings)
-    return [f"{name}: {line}" for name, line in report.found.items()]
+    found = run_detectors(folder, settings).found
+    return [f"{name}: {line}" for name, line in found.items()]
 
 
 main = functools.partial(run_from, "detectors", __doc__, (PictureSettings,), _run)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,32 +1,30 @@
 """The squares without ROS: world, robot, driver, noise and files in one process.
 
 Example:
-    python3 -m bullet_lab.studies.squares results/plain --std 0.1 --seed 1
+    bullet_lab squares std:=0.1 seed:=1
 """
 
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, make_dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
+from typing import Any, Callable, Iterator, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import write_json
 from bullet_lab.core.parameters import boolean, check_parameters, choice, integer
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
-from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_fields, rule_of
+from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_parameters, rule_of
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
-from bullet_lab.reports import Reading
+from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.studies.study import MOST_SEED, SUMMARY, Tell, run_from
+from bullet_lab.studies.study import MOST_SEED, Tell, run_from
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -104,11 +102,8 @@ def _planar(pose: Pose) -> PlanarPose:
     return x, y, yaw_from_quaternion(*pose.quaternion)
 
 
-_NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), frozen=True)
-
-
 @dataclass(frozen=True)
-class SquaresSettings(_NoiseParameters, SystematicErrors):
+class SquaresSettings(noise_parameters(), SystematicErrors):
     """Settings of a run, with the names of the job's arguments."""
 
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
@@ -117,22 +112,21 @@ class SquaresSettings(_NoiseParameters, SystematicErrors):
     as_published: bool = boolean(False, "apply the report's noise with all its defects")
 
 
-def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
-    """Drive the square; write paths.csv, paths.png, TUM files and summary.json; return that.
+def run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
+    """Drive the square; write paths.csv, paths.png, TUM files and summary.json.
 
     The same settings give the same files, byte for byte: those of the job with ROS, whose
-    summary.json also has the times of its run.
+    summary.json also has the times of its run. Returns the entries after the settings.
 
     Raises:
         LabError: a setting is invalid, or the folder cannot be written to.
     """
     check_parameters(settings)
-    report, summary = _run_squares(folder, settings)
-    return summary
+    return _run_squares(folder, settings)
 
 
-def _run_squares(folder: Path, settings: SquaresSettings) -> Tuple[SquaresReport, Dict[str, Any]]:
-    """Run with settings that have been checked; return the report and summary.json."""
+def _run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
+    """Run with settings that have been checked."""
     noisy = _noise(settings)
     report = SquaresReport(folder)
     report.about = {"job": "squares", **asdict(settings)}
@@ -145,25 +139,21 @@ def _run_squares(folder: Path, settings: SquaresSettings) -> Tuple[SquaresReport
             noisy_pose = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
             reading = Reading(stamp, noisy_pose, np.diag(own) + covariance)
             report.take(SquaresReport.NOISY, reading)
-    report.finish()
-    summary = {**report.about, **report.summary(True, {"sim_time_s": report.seconds()})}
-    for name, figure in report.figures(summary).items():
-        save(figure, folder / name)
-    write_json(folder / SUMMARY, summary)
-    return report, summary
+    return save_all(report, True, {"sim_time_s": report.seconds()})
 
 
-NoisyPose = Tuple[PlanarPose, np.ndarray]
-"""A pose, and the covariance that noise adds to its x and y (m²), shape (2, 2)."""
+def _noise(
+    settings: SquaresSettings,
+) -> Callable[[int, Sequence[float]], Iterator[Tuple[PlanarPose, np.ndarray]]]:
+    """Return a function that yields the noisy poses (0 or 1) for a perfect one, as noisy_odom.
 
-
-def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], Iterator[NoisyPose]]:
-    """Return a function that yields the noisy poses (0 or 1) for a perfect one, as noisy_odom."""
+    With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
+    """
     errors = SystematicPath(SystematicErrors.of(settings))
     path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 
-    def noisy(step: int, pose: Sequence[float]) -> Iterator[NoisyPose]:
+    def noisy(step: int, pose: Sequence[float]) -> Iterator[Tuple[PlanarPose, np.ndarray]]:
         reported = errors.update(*pose).pose
         if not settings.as_published:
             moved = path.update(*reported)
@@ -176,12 +166,7 @@ def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], Iterat
 
 
 def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> List[str]:
-    report, summary = _run_squares(folder, settings)
-    return [report.line(summary)]
+    return [SquaresReport.line(_run_squares(folder, settings))]
 
 
 main = functools.partial(run_from, "squares", __doc__, (SquaresSettings,), _run)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from bullet_lab.noise.odometry_noise import (
     NoiseRule,
     NoisyPath,
     ReportRule,
-    noise_fields,
+    noise_parameters,
     register,
     rule_of,
 )
@@ -141,7 +141,7 @@ FIRST_DRAWS = [-1.4242748557497682, -0.1858446316504101, 1.5277539732476193]
 
 
 def test_a_parameter_of_several_models_is_declared_once():
-    names = [name for name, _, _ in noise_fields()]
+    names = [entry.name for entry in fields(noise_parameters())]
     assert names == ["std", "alpha1", "alpha2", "alpha3", "alpha4"]
     assert set(declarations(ReportRule)) == {"std"}
 

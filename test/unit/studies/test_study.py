@@ -13,6 +13,7 @@ from bullet_lab.core.parameters import boolean, check_parameters, integer, numbe
 from bullet_lab.studies.study import progress, run_from, write_table
 from bullet_lab.studies.workers import TaskLostError, WorkersError
 
+PACKAGE = Path(__file__).parents[3]
 ENDING = """
 import os, signal, sys
 from bullet_lab.errors import LabError
@@ -169,9 +170,9 @@ def test_a_table_leaves_empty_what_is_not_known(tmp_path):
     "name", ["noise_study", "published_noise", "detection_range", "dock_campaign"]
 )
 def test_each_study_is_a_program(name, tmp_path):
-    module = f"bullet_lab.studies.{name}.study"
+    program = PACKAGE / "scripts" / f"{name}.py"
     done = subprocess.run(
-        [sys.executable, "-m", module, tmp_path / "out", "--seed", "-1"],
+        [sys.executable, program, tmp_path / "out", "--seed", "-1"],
         stderr=subprocess.PIPE,
         text=True,
     )
