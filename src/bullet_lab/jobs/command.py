@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Callable
 
 from bullet_lab.core.parameters import ParameterError
-from bullet_lab.entry import STATUS_INTERRUPTED
+from bullet_lab.entry import STATUS_INTERRUPTED, end_at_once_when_interrupted
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import (
     Job,
@@ -35,6 +35,8 @@ _HELP = ("-h", "--help")
 
 def main() -> None:
     """Run the command line, and exit: 0 done, 1 failed, 2 wrong command line, 130 stopped."""
+    # Until a study has handlers of its own.
+    end_at_once_when_interrupted()
     sys.exit(status_of(PROGRAM, _dispatch, sys.argv[1:]))
 
 
