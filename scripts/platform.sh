@@ -30,7 +30,7 @@ NEED_TF2=(
   --ignore=test/unit/ros/gazebo/test_client.py
   --ignore=test/unit/ros/nodes/test_bad_parameters.py
   --ignore=test/unit/ros/nodes/test_dock_node.py
-  --deselect=test/unit/ros/launcher/test_jobs.py::test_every_shipped_job_has_the_common_arguments_and_sound_defaults
+  --deselect=test/unit/jobs/test_declaration.py::test_every_shipped_job_has_the_common_arguments_and_sound_defaults
 )
 
 get_uv() {

@@ -60,6 +60,11 @@ def run(target: str) -> None:
     main()
 
 
+def command() -> None:
+    """Run the command of an installation by pip; see `bullet_lab.jobs.command`."""
+    run("bullet_lab.jobs.command")
+
+
 def give_memory_back() -> None:
     """Make the C library return freed memory to the system instead of keeping it.
 

@@ -10,7 +10,7 @@ from typing import Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-from bullet_lab.ros.launcher.jobs import find_jobs
+from bullet_lab.jobs.declaration import find_jobs
 
 PACKAGE = Path(__file__).resolve().parents[2]
 JOBS = find_jobs(PACKAGE)

@@ -25,7 +25,7 @@ import bullet_lab.ros.nodes
 from bullet_lab.core.parameters import declarations, read_parameters
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.docking.database import parse_docks
-from bullet_lab.ros.launcher.jobs import find_jobs, read_assignments, read_job
+from bullet_lab.jobs.declaration import find_jobs, read_assignments, read_job
 from bullet_lab.simulation.rendering.drawables import read_pixels
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Model, Texture

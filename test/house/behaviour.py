@@ -21,7 +21,7 @@ from typing import Any, Iterator
 import yaml
 
 from bullet_lab.core.parameters import declarations
-from bullet_lab.ros.launcher.jobs import find_jobs, parameter_kinds
+from bullet_lab.jobs.declaration import find_jobs, parameter_kinds
 from bullet_lab.simulation.plugins import known_plugins
 
 PACKAGE = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bullet_lab.ros.launcher.jobs import find_jobs
+from bullet_lab.jobs.declaration import find_jobs
 
 PACKAGE = Path(__file__).resolve().parents[2]
 JOBS = sorted(find_jobs(PACKAGE))

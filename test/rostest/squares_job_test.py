@@ -38,7 +38,7 @@ class SquaresJobTest(unittest.TestCase):
     def assert_same_files(self, out, **settings):
         plain = Path(tempfile.mkdtemp(dir=FOLDER.name))
         figures = run_squares(plain, SquaresSettings(std=STD, seed=SEED, **settings))
-        for name in ("odom.tum", "noisy_odom.tum", "paths.csv"):
+        for name in ("odom.tum", "noisy_odom.tum", "paths.csv", "paths.png"):
             # Not assertEqual, which would print them.
             same = (plain / name).read_bytes() == (out / name).read_bytes()
             self.assertTrue(same, f"{name} differs from that of the plain run")

@@ -101,7 +101,7 @@ def test_the_report_leaves_its_files(tmp_path):
 
 def test_the_job_is_declared_by_its_launch_file(tmp_path):
     pytest.importorskip("roslaunch")
-    from bullet_lab.ros.launcher.jobs import read_job
+    from bullet_lab.jobs.declaration import read_job
 
     text = (ROOT / "CONTRIBUTING.md").read_text()
     (code,) = re.findall(r"`launch/shake.launch`\n\n```xml\n(.*?)```", text, flags=re.DOTALL)

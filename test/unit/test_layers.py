@@ -23,6 +23,7 @@ ROOMS = (
     "view",
     "reports",
     "studies",
+    "jobs",
     "ros.messages",
     "ros.node",
     "ros.bridge",

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import abc
 import math
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Dict, List, Mapping, Sequence, Tuple, Type
+from dataclasses import dataclass, field, fields, make_dataclass
+from typing import Any, ClassVar, Dict, Mapping, Sequence, Tuple, Type
 
 import numpy as np
 
@@ -246,13 +246,14 @@ def model_named(name: str) -> Type[NoiseRule]:
         raise NoiseError(f"unknown noise model {name!r}; choose from {', '.join(MODELS)}") from None
 
 
-def noise_fields() -> List[Tuple[str, type, Any]]:
-    """Return the parameters of all models, each once, for `dataclasses.make_dataclass`."""
+def noise_parameters() -> Any:
+    """Return a frozen dataclass with the parameters of all models, each once: a base class."""
     found: Dict[str, Any] = {}
     for model in MODELS.values():
         for own in fields(model):
             found.setdefault(own.name, field(default=own.default, metadata=own.metadata))
-    return [(name, float, copy) for name, copy in found.items()]
+    own_fields = [(name, float, copy) for name, copy in found.items()]
+    return make_dataclass("NoiseParameters", own_fields, frozen=True)
 
 
 def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:

@@ -14,8 +14,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK
-from bullet_lab.core.files import NANOSECONDS, PathSeries, Series, make_folder
+from bullet_lab.core.figures import BLACK, save
+from bullet_lab.core.files import NANOSECONDS, PathSeries, Series, make_folder, write_json
 
 
 class Reading(NamedTuple):
@@ -130,6 +130,36 @@ class DriveReport(Report):
 
     def take(self, topic: str, reading: Reading) -> bool:
         return reading.stamp >= self.BEGINNING and super().take(topic, reading)
+
+
+def save_results(
+    report: Report,
+    summary: Mapping[str, Any],
+    figures: Mapping[str, Figure],
+    summary_first: bool = False,
+) -> None:
+    """Write the figures and summary.json; raises FileError."""
+    if summary_first:
+        save_summary(report, summary)
+    for name, figure in figures.items():
+        save(figure, report.folder / name)
+    if not summary_first:
+        save_summary(report, summary)
+
+
+def save_summary(report: Report, summary: Mapping[str, Any]) -> None:
+    """Write summary.json; raises FileError."""
+    write_json(report.folder / "summary.json", {**report.about, **summary})
+
+
+def save_all(
+    report: Report, finished: bool, run: Mapping[str, Any] | None = None
+) -> Mapping[str, Any]:
+    """Write all files of a report that is not run by a recorder, and return the summary."""
+    report.finish()
+    summary = report.summary(finished, run or {})
+    save_results(report, summary, report.figures(summary))
+    return summary
 
 
 def draw_path(

@@ -238,7 +238,8 @@ class SquaresReport(Report):
         ellipses = self._ellipses(pairs[1]) if has_covariances else []
         return {"paths.png": noise_figure(self.perfect(), pairs, title, ellipses)}
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    @staticmethod
+    def line(summary: Mapping[str, Any]) -> str:
         sides = " ".join(f"{side:.3f}" for side in summary["side_lengths_m"])
         turns = " ".join(f"{turn:.2f}" for turn in summary["turns_deg"])
         parts = [f"sides {sides} m"] if sides else ["no sides"]

@@ -72,7 +72,8 @@ class VisionReport(Report):
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         figure = new_figure(14.0, 8.6)
-        figure.suptitle(f"The detectors on one image ({self._stamp_s():.3f} s)")
+        name = self.about.get("picture", f"{self._stamp_s():.3f} s")
+        figure.suptitle(f"The detectors on one image ({name})")
         rows = -(-len(self._pictures) // _COLUMNS)
         grid = figure.subplots(rows, _COLUMNS, squeeze=False)
         lines = [textwrap.fill(self.found[name], _LINE_LENGTH) for name in self._pictures]
@@ -113,11 +114,16 @@ class VisionReport(Report):
 
 def marker_figures(marker: Any) -> dict[str, Any]:
     """Return the entry of a bullet_lab/MarkerDetection in summary.json."""
-    place = marker.pose.pose.position
-    return {
+    figures = {
         "id": marker.id,
         "dictionary": marker.dictionary,
         "corners_px": [list(marker.corners[k : k + 2]) for k in range(0, 8, 2)],
+    }
+    if not marker.size:
+        return figures
+    place = marker.pose.pose.position
+    return {
+        **figures,
         "position_m": [place.x, place.y, place.z],
         "reprojection_error_px": marker.reprojection_error,
         "ambiguous": marker.ambiguous,

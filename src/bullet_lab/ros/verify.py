@@ -36,7 +36,7 @@ from PIL import Image
 from bullet_lab.core.files import write_json
 from bullet_lab.core.parameters import boolean, choice, integer, name_list
 from bullet_lab.errors import LabError
-from bullet_lab.ros.launcher.jobs import Job, choose_job, find_jobs, read_assignments
+from bullet_lab.jobs.declaration import Job, choose_job, find_jobs, read_assignments
 from bullet_lab.ros.launcher.output import tied
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.studies.study import (

@@ -1,7 +1,7 @@
 """The squares without ROS: world, robot, driver, noise and files in one process.
 
 Example:
-    python3 -m bullet_lab.studies.squares results/plain --std 0.1 --seed 1
+    bullet_lab squares std:=0.1 seed:=1
 """
 
 from __future__ import annotations
@@ -9,23 +9,22 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Iterator, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import write_json
-from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number
+from bullet_lab.core.parameters import boolean, check_parameters, choice, integer
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
-from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, rule_of
+from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_parameters, rule_of
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
-from bullet_lab.reports.squares import SquaresReport, noise_figure, squares_summary
+from bullet_lab.reports import Reading, save_all
+from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.studies.study import MOST_SEED, SUMMARY, Tell, run_from
+from bullet_lab.studies.study import MOST_SEED, Tell, run_from
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -43,6 +42,7 @@ class SquareDrive:
         steps: ms, shape (n,).
         poses: x (m), y (m), yaw (rad), shape (n, 3).
         sides: from 0, each with the turn after it; `NO_SIDE` before the first; (n,).
+        variances: of x and y as the odometry states them (m²), shape (n, 2).
         corners: start of each side, and end of the last one (m), shape (sides + 1, 2).
         seconds: simulated time at the end, s.
     """
@@ -50,6 +50,7 @@ class SquareDrive:
     steps: np.ndarray
     poses: np.ndarray
     sides: np.ndarray
+    variances: np.ndarray
     corners: np.ndarray
     seconds: float
 
@@ -66,11 +67,12 @@ def drive_square(square: Square, mode: str = OPEN_LOOP, rest: float = 0.5) -> Sq
         LabError: the mode is unknown, or the simulation's files are missing.
     """
     driver = SquareDriver(square, mode)
-    rows: List[Tuple[int, PlanarPose, int]] = []
+    rows: List[Tuple[int, PlanarPose, int, Sequence[float]]] = []
     corners: List[Tuple[float, float]] = []
 
     def record(sample: OdometrySample) -> None:
-        rows.append((sample.step, _planar(sample.pose), NO_SIDE + len(corners)))
+        side = NO_SIDE + len(corners)
+        rows.append((sample.step, _planar(sample.pose), side, sample.pose_variances[:2]))
 
     with Simulation.of(WORLD) as simulation:
         robot = simulation.spawn(ROBOT)
@@ -101,20 +103,20 @@ def _planar(pose: Pose) -> PlanarPose:
 
 
 @dataclass(frozen=True)
-class SquaresSettings(SystematicErrors):
+class SquaresSettings(noise_parameters(), SystematicErrors):
     """Settings of a run, with the names of the job's arguments."""
 
-    std: float = number(0.1, "parameter of the noise", 0.0, maximum=LARGEST_PARAMETER)
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
     model: str = choice("report", "rule of the noise", MODELS)
     mode: str = choice(OPEN_LOOP, "condition that ends a side", MODES)
     as_published: bool = boolean(False, "apply the report's noise with all its defects")
 
 
-def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
-    """Drive the square; write paths.csv, paths.png, TUM files and summary.json; return that.
+def run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
+    """Drive the square; write paths.csv, paths.png, TUM files and summary.json.
 
-    The same settings give the same files, byte for byte.
+    The same settings give the same files, byte for byte: those of the job with ROS, whose
+    summary.json also has the times of its run. Returns the entries after the settings.
 
     Raises:
         LabError: a setting is invalid, or the folder cannot be written to.
@@ -123,53 +125,48 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
     return _run_squares(folder, settings)
 
 
-def _run_squares(folder: Path, settings: SquaresSettings) -> Dict[str, Any]:
+def _run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
     """Run with settings that have been checked."""
     noisy = _noise(settings)
-    recording = SquaresReport(folder)
+    report = SquaresReport(folder)
+    report.about = {"job": "squares", **asdict(settings)}
     drive = drive_square(Square(), settings.mode)
-    for step, pose in zip(drive.steps.tolist(), drive.poses.tolist()):
-        recording.add(SquaresReport.PERFECT, step * NANOSECONDS_PER_STEP, pose)
-        for x, y, yaw in noisy(step, pose):
+    for step, pose, own in zip(drive.steps.tolist(), drive.poses.tolist(), drive.variances):
+        stamp = step * NANOSECONDS_PER_STEP
+        report.take(SquaresReport.PERFECT, Reading(stamp, pose))
+        for (x, y, yaw), covariance in noisy(step, pose):
             # As read from the quaternion of a message.
             noisy_pose = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
-            recording.add(SquaresReport.NOISY, step * NANOSECONDS_PER_STEP, noisy_pose)
-    recording.finish()
-    perfect, pairs = recording.perfect(), recording.pairs()
-    summary = {
-        "job": "squares",
-        **asdict(settings),
-        "finished": True,
-        **squares_summary(perfect, pairs),
-        "sim_time_s": drive.seconds,
-    }
-    write_json(folder / SUMMARY, summary)
-    save(noise_figure(perfect, pairs), folder / "paths.png")
-    return summary
+            reading = Reading(stamp, noisy_pose, np.diag(own) + covariance)
+            report.take(SquaresReport.NOISY, reading)
+    return save_all(report, True, {"sim_time_s": report.seconds()})
 
 
-def _noise(settings: SquaresSettings) -> Callable[[int, Sequence[float]], List[PlanarPose]]:
-    """Return a function that returns the noisy poses (0 or 1) for a perfect one, as noisy_odom."""
+def _noise(
+    settings: SquaresSettings,
+) -> Callable[[int, Sequence[float]], Iterator[Tuple[PlanarPose, np.ndarray]]]:
+    """Return a function that yields the noisy poses (0 or 1) for a perfect one, as noisy_odom.
+
+    With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
+    """
     errors = SystematicPath(SystematicErrors.of(settings))
-    if not settings.as_published:
-        path = NoisyPath(rule_of(settings.model, {"std": settings.std}), settings.seed)
-        return lambda step, pose: [path.update(*errors.update(*pose).pose).pose]
+    path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 
-    def noisy(step: int, pose: Sequence[float]) -> List[PlanarPose]:
+    def noisy(step: int, pose: Sequence[float]) -> Iterator[Tuple[PlanarPose, np.ndarray]]:
         reported = errors.update(*pose).pose
-        due = sampler.due(step * SECONDS_PER_STEP)
-        return [published.update(*reported)] if due else []
+        if not settings.as_published:
+            moved = path.update(*reported)
+            yield moved.pose, moved.covariance[:2, :2]
+        elif sampler.due(step * SECONDS_PER_STEP):
+            # The report's noise leaves covariances alone.
+            yield published.update(*reported), np.zeros((2, 2))
 
     return noisy
 
 
-def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> None:
-    _run_squares(folder, settings)
+def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> List[str]:
+    return [SquaresReport.line(_run_squares(folder, settings))]
 
 
 main = functools.partial(run_from, "squares", __doc__, (SquaresSettings,), _run)
-
-
-if __name__ == "__main__":
-    main()

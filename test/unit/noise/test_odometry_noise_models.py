@@ -1,6 +1,6 @@
 """A noise model is one class: everything else goes through those that are registered."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +16,7 @@ from bullet_lab.noise.odometry_noise import (
     NoiseError,
     NoiseRule,
     ReportRule,
-    noise_fields,
+    noise_parameters,
     register,
     rule_of,
 )
@@ -84,7 +84,7 @@ def test_a_model_that_comes_along_changes_no_study():
 
 
 def test_a_parameter_of_several_models_is_declared_once(slip):
-    names = [name for name, _, _ in noise_fields()]
+    names = [entry.name for entry in fields(noise_parameters())]
     assert names == ["std", "alpha1", "alpha2", "alpha3", "alpha4", "slip"]
     assert set(declarations(ReportRule)) == {"std"}
 

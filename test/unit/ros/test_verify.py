@@ -8,8 +8,8 @@ import pytest
 import yaml
 from PIL import Image
 
+from bullet_lab.jobs.declaration import find_jobs
 from bullet_lab.ros import verify
-from bullet_lab.ros.launcher.jobs import find_jobs
 from bullet_lab.ros.verify import (
     LEFT_OUT,
     NAME,

@@ -12,32 +12,21 @@ from pathlib import Path
 
 import rospkg
 
-from bullet_lab.core.parameters import ParameterError
 from bullet_lab.entry import end_at_once_when_interrupted
 from bullet_lab.errors import LabError
-from bullet_lab.ros.launcher.jobs import (
-    FILE,
-    Job,
-    UsageError,
-    choose_job,
-    find_jobs,
-    help_on,
-    list_of_jobs,
-    read_assignments,
+from bullet_lab.jobs.command import (
+    STATUS_BAD_VALUE,
+    STATUS_FAILED,
+    print_end,
+    read_command,
+    status_of,
 )
-from bullet_lab.ros.launcher.output import (
-    OutputFolder,
-    VirtualScreen,
-    shown,
-    temporary_folder,
-    words_to,
-)
+from bullet_lab.jobs.declaration import FILE, Job, find_jobs
+from bullet_lab.jobs.folder import OutputFolder, shown
+from bullet_lab.ros.launcher.output import VirtualScreen, temporary_folder, words_to
 from bullet_lab.simulation.world.resources import ros_package_folder
 from bullet_lab.simulation.world.xml import parse_text, read_text
 
-_HELP = ("-h", "--help")
-STATUS_FAILED = 1
-STATUS_BAD_VALUE = 2
 _POLL_PERIOD = 0.05
 
 
@@ -70,12 +59,7 @@ def main() -> None:
     end_at_once_when_interrupted()
     # ROS would read them as its own.
     words, sys.argv[1:] = sys.argv[1:], []
-    try:
-        status = _dispatch(words)
-    except LabError as error:
-        print(f"run.sh: {error}", file=sys.stderr)
-        wrong = isinstance(error, (UsageError, ParameterError))
-        status = STATUS_BAD_VALUE if wrong else STATUS_FAILED
+    status = status_of("run.sh", _dispatch, words)
     # Python removes its handlers before it has ended: a signal after that would kill it.
     for number in StopSignals.NUMBERS:
         signal.signal(number, signal.SIG_IGN)
@@ -84,24 +68,20 @@ def main() -> None:
 
 def _dispatch(words: list[str]) -> int:
     package = Path(rospkg.RosPack().get_path("bullet_lab"))
-    jobs = find_jobs(package)
-    if not words or words[0] in _HELP:
-        print(list_of_jobs(jobs))
+    found = read_command("scripts/run.sh", find_jobs(package), words, _defaults)
+    if found is None:
         return 0
-    job = choose_job(jobs, words[0])
-    if any(word in _HELP for word in words[1:]):
-        from bullet_lab.ros.launcher.supervision import resolved_defaults
-
-        # Relative to this folder, in which a run writes its results.
-        print(help_on(job, {**resolved_defaults(job.path), "out": f"results/{job.name}"}))
-        return 0
-    values = read_assignments(job, words[1:])
-    out = Path.cwd() / values.get("out", f"results/{job.name}")
-    values["out"] = os.path.normpath(out)
+    job, values = found
     for name, value in values.items():
         if job.arguments[name].bracket == FILE and value:
             make_package_known(Path(value))
     return _run(job, values, package, StopSignals())
+
+
+def _defaults(job: Job) -> dict[str, str]:
+    from bullet_lab.ros.launcher.supervision import resolved_defaults
+
+    return resolved_defaults(job.path)
 
 
 def make_package_known(file: Path) -> None:
@@ -149,9 +129,7 @@ def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) 
             print(f"{job.name}: {verdict.reason}, see {shown(out.log)}", file=sys.stderr)
         stopped = signals.received and verdict.status == 128 + signals.received
         how = "stopped" if stopped else "failed" if verdict.status else "done"
-        print(f"{job.name}: {how} after {time.monotonic() - started:.1f} s")
-        for path in out.written():
-            print(f"  {shown(path)}")
+        print_end(job.name, how, started, out)
     return verdict.status
 
 

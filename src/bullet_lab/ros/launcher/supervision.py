@@ -23,7 +23,7 @@ from roslaunch.core import Master
 
 from bullet_lab.entry import JOB
 from bullet_lab.errors import LabError
-from bullet_lab.ros.launcher.jobs import Job
+from bullet_lab.jobs.declaration import Job
 from bullet_lab.ros.launcher.output import tied
 from bullet_lab.ros.node.node import MASTER_ERRORS
 

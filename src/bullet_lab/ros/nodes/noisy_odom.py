@@ -12,9 +12,9 @@ With ~robots, one node serves that many robots, each in its namespace: robot1 an
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, make_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from io import BytesIO
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
 import rospy
@@ -33,7 +33,7 @@ from bullet_lab.noise.odometry_noise import (
     ReportRule,
     derived_seed,
     named_alphas,
-    noise_fields,
+    noise_parameters,
     rule_of,
 )
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
@@ -50,11 +50,8 @@ PLANAR_AXES = (0, 1, 5)
 QUEUE_SIZE = 100
 
 
-_NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), frozen=True)
-
-
 @dataclass(frozen=True)
-class NoisyOdomParameters(_NoiseParameters, SystematicErrors):
+class NoisyOdomParameters(noise_parameters(), SystematicErrors):
     """Private parameters of noisy_odom, with those of the noise models and systematic errors.
 
     The noise is added to the odometry with the systematic errors.

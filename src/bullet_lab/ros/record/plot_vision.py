@@ -23,11 +23,12 @@ import rospy
 from message_filters import SimpleFilter, TimeSynchronizer
 
 from bullet_lab.core.parameters import number, text
+from bullet_lab.reports import save_all
 from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import subscriber
-from bullet_lab.ros.record.recorder import POLL_SECONDS, RecordParameters, reader_of, save_all
+from bullet_lab.ros.record.recorder import POLL_SECONDS, RecordParameters, reader_of
 
 # Wall seconds to wait for results of one image, once each detector has sent a result.
 _PATIENCE = 5.0

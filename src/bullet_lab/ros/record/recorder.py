@@ -22,14 +22,13 @@ from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import Image, Imu, LaserScan, Range
 from std_msgs.msg import Time
 
-from bullet_lab.core.figures import save
-from bullet_lab.core.files import FileError, write_json
+from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import mapping, number, text
 from bullet_lab.core.se2 import yaw_from_quaternion
 from bullet_lab.docking.types import DockingState
 from bullet_lab.errors import LabError
 from bullet_lab.msg import DockActionFeedback, ImagePoints, MarkerDetectionArray, TouchedModels
-from bullet_lab.reports import Reading, Report
+from bullet_lab.reports import Reading, Report, save_results
 from bullet_lab.reports.goal import GoalAnswer
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.images import pixels_of
@@ -274,34 +273,6 @@ class Recorder:
         }
         summary = self._report.summary(finished, run)
         return summary, self._report.figures(summary)
-
-
-def save_results(
-    report: Report,
-    summary: Mapping[str, Any],
-    figures: Mapping[str, Figure],
-    summary_first: bool = False,
-) -> None:
-    """Write the figures and summary.json; raises FileError."""
-    if summary_first:
-        save_summary(report, summary)
-    for name, figure in figures.items():
-        save(figure, report.folder / name)
-    if not summary_first:
-        save_summary(report, summary)
-
-
-def save_summary(report: Report, summary: Mapping[str, Any]) -> None:
-    """Write summary.json; raises FileError."""
-    write_json(report.folder / "summary.json", {**report.about, **summary})
-
-
-def save_all(report: Report, finished: bool) -> Mapping[str, Any]:
-    """Write all files of a report that is not run by a recorder, and return the summary."""
-    report.finish()
-    summary = report.summary(finished, {})
-    save_results(report, summary, report.figures(summary))
-    return summary
 
 
 def reader_of(kind: str) -> tuple[type, Callable[[Any], Reading]]:

@@ -30,7 +30,7 @@ from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
-from bullet_lab.reports import Reading
+from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.robot import ODOMETRY, TRUTH, Leg, RobotReport
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
@@ -41,7 +41,7 @@ from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
 from bullet_lab.ros.node.node import NodeError, holds_within, node
 from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
 from bullet_lab.ros.node.publishers import publisher, subscriber
-from bullet_lab.ros.record.recorder import RecordParameters, save_all
+from bullet_lab.ros.record.recorder import RecordParameters
 from bullet_lab.ros.record.robot_parts import (
     SETTLED,
     Launched,

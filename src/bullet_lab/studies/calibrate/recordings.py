@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import asdict, dataclass, field, make_dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
@@ -21,7 +21,7 @@ from bullet_lab.noise.odometry_noise import (
     MODELS,
     NoiseRule,
     NoisyPath,
-    noise_fields,
+    noise_parameters,
     rule_of,
 )
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
@@ -187,16 +187,13 @@ def _pairs(files: Sequence[Path]) -> Iterator[Tuple[Path, Path]]:
                 yield by_stem[stem], by_stem[partner]
 
 
-_NoiseParameters: Any = make_dataclass("_NoiseParameters", noise_fields(), frozen=True)
-
-
 def _error(name: str, value: float) -> Any:
     """Declare a parameter of `SystematicErrors` with another default."""
     return field(default=value, metadata=SystematicErrors.__dataclass_fields__[name].metadata)
 
 
 @dataclass(frozen=True)
-class DriveSettings(_NoiseParameters, SystematicErrors):
+class DriveSettings(noise_parameters(), SystematicErrors):
     """The made-up drive, and the errors of its odometry."""
 
     scale_error: float = _error("scale_error", 0.01)

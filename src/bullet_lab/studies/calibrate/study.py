@@ -1,8 +1,8 @@
 """Calibration of noise models and systematic errors by paths with truth, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.calibrate.study results/mine --data results/squares
-    python3 -m bullet_lab.studies.calibrate.study results/coverage --coverage 1000
+    bullet_lab calibrate data:=results/squares
+    bullet_lab calibrate coverage:=1000
 """
 
 from __future__ import annotations
@@ -195,7 +195,3 @@ def _run(
 
 SETTINGS = (CalibrateSettings, DataSettings, StepSettings, DriveSettings)
 main = functools.partial(run_from, "calibrate", __doc__, SETTINGS, _run)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,8 @@
 """Detection range of the marker: its limits and errors, by distance, bearing and light.
 
 Example:
-    python3 -m bullet_lab.studies.detection_range.study results/detection_range
-    python3 -m bullet_lab.studies.detection_range.study results/panel --worlds marker_panel
+    bullet_lab detection_range
+    bullet_lab detection_range worlds:=marker_panel
 """
 
 from __future__ import annotations
@@ -276,7 +276,3 @@ def _run(folder: Path, settings: RangeSettings, work: WorkerSettings, tell: Tell
 main = functools.partial(
     run_from, "detection_range", __doc__, (RangeSettings, WorkerSettings), _run
 )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,9 +1,9 @@
 """Hundreds of dockings from random starts, on all cores, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.dock_campaign.study results/dock_campaign -n 200 --seed 1
-    python3 -m bullet_lab.studies.dock_campaign.study results/far --scheduler tcp://host:8786
-    python3 -m bullet_lab.studies.dock_campaign.study results/stress --stress each
+    bullet_lab dock_campaign n:=200 seed:=1
+    bullet_lab dock_campaign scheduler:=tcp://host:8786
+    bullet_lab dock_campaign stress:=each
 """
 
 from __future__ import annotations
@@ -217,7 +217,3 @@ SETTINGS = (DockCampaignSettings, ClusterSettings, ComparisonSettings)
 main = functools.partial(
     run_from, "dock_campaign", __doc__, SETTINGS, _run, short=[("-n", "dockings")]
 )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,8 @@
 """Statistics of thousands of noisy versions of a path, at several levels of noise, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.noise_study.study results/noise_study --paths 10000
-    python3 -m bullet_lab.studies.noise_study.study results/mine --path odom.tum --levels 0.05 0.1
+    bullet_lab noise_study paths:=10000
+    bullet_lab noise_study path:=odom.tum levels:="0.05 0.1"
 """
 
 from __future__ import annotations
@@ -281,7 +281,3 @@ def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tel
 
 
 main = functools.partial(run_from, "noise_study", __doc__, (StudySettings, PathSettings), _run)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
 """Which of the report's defects make its figure 1b? All 32 combinations, over many seeds.
 
 Example:
-    python3 -m bullet_lab.studies.published_noise.study results/published --std 0.1 --seeds 1000
+    bullet_lab published_noise std:=0.1 seeds:=1000
 """
 
 from __future__ import annotations
@@ -247,7 +247,3 @@ def _run(folder: Path, settings: PublishedNoiseSettings, tell: Tell) -> None:
 
 
 main = functools.partial(run_from, "published_noise", __doc__, (PublishedNoiseSettings,), _run)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,9 +1,9 @@
 """UMBmark: errors of a robot's wheels from squares that it drives by odometry, without ROS.
 
 Example:
-    python3 -m bullet_lab.studies.umbmark.study results/umbmark --diameter-error 0.002
-    python3 -m bullet_lab.studies.umbmark.study results/mine --path recordings --wheel-base 0.4
-    python3 -m bullet_lab.studies.umbmark.study results/campaign --robots 20
+    bullet_lab umbmark diameter_error:=0.002
+    bullet_lab umbmark path:=recordings wheel_base:=0.4
+    bullet_lab umbmark robots:=20
 """
 
 from __future__ import annotations
@@ -445,7 +445,3 @@ def _effective(errors: systematic.SystematicErrors) -> str:
 
 SETTINGS = (BenchmarkSettings, FileSettings, RandomRobotSettings, WorkerSettings)
 main = functools.partial(run_from, "umbmark", __doc__, SETTINGS, _run)
-
-
-if __name__ == "__main__":
-    main()

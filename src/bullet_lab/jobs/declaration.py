@@ -1,7 +1,7 @@
 """Jobs: each is declared by its launch file, and by the nodes whose parameters that sets.
 
-This is the one declaration of a job. The launcher, its help, `verify` and `scripts/faults.sh` read
-it here; roslaunch reads the same file::
+This is the one declaration of a job. The launcher, the command without ROS, the help, `verify` and
+`scripts/faults.sh` read it here; roslaunch reads the same file::
 
     <!-- This sentence is shown in the list of jobs. -->
     <arg name="x" default="2.5" doc="Goal in m [number]"/>
@@ -20,6 +20,9 @@ sentence. For other arguments, the bracket at the end of ``doc`` gives the allow
     [number > 0 <= 1]    a finite number, with or without bounds: > >= <=
 
 The constant ``smallest`` holds the arguments of the smallest useful run.
+
+A node that runs a program in `bullet_lab.studies` is all that the job needs without ROS. If the job
+needs more nodes with ROS, that one has ``if="false"``.
 """
 
 from __future__ import annotations
@@ -30,9 +33,10 @@ import importlib
 import os
 import re
 import runpy
+import shlex
 from dataclasses import MISSING, is_dataclass
 from pathlib import Path
-from typing import Any, Iterable, Iterator, NamedTuple, get_type_hints
+from typing import Any, Iterable, Iterator, Mapping, NamedTuple, get_type_hints
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core import parameters
@@ -42,6 +46,7 @@ from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import parse_text, read_text
 
 _PACKAGE = "bullet_lab"
+_WITHOUT_ROS = f"{_PACKAGE}.studies."
 FILE = "file"
 SMALLEST = "smallest"
 _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
@@ -50,6 +55,7 @@ _BOUNDS = {">=": "minimum", "<=": "maximum", ">": "above"}
 _WORDS = re.compile(r"true|false|[\w.-]+(\|[\w.-]+)+")
 _ARGUMENT = re.compile(r"\$\(arg (\w+)\)")
 _OPTION = re.compile(r"--?([\w-]+)[= ]'?\$\(arg (\w+)\)")
+_SUBSTITUTION = re.compile(r"\$\((arg|find|optenv) (\w+) ?([^()]*)\)")
 
 
 class UsageError(LabError):
@@ -144,13 +150,58 @@ class Argument(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A launch file: its arguments by their names, and those of its smallest useful run."""
+    """A launch file.
+
+    Attributes:
+        name: of the job.
+        path: of the launch file.
+        summary: its first sentence.
+        arguments: by their names.
+        smallest: the arguments of the smallest useful run.
+        program: the program that runs the job without ROS, "module" or "module:function"; empty
+            if the job needs ROS.
+        command: the arguments of that program, not resolved.
+    """
 
     name: str
     path: Path
     summary: str
     arguments: dict[str, Argument]
     smallest: str
+    program: str = ""
+    command: str = ""
+
+    def without_ros(self) -> Job:
+        """Return the job with only the arguments that its program has."""
+        names = set(_ARGUMENT.findall(self.command))
+        kept = {}
+        for name in [one for one in self.arguments if one in names]:
+            targets = [one for one in self.arguments[name].targets if one.main == self.program]
+            kept[name] = self.arguments[name]._replace(targets=tuple(targets))
+        return self._replace(arguments=kept)
+
+    def resolve(self, text: str, values: Mapping[str, str]) -> str:
+        """Return a text of the launch file as roslaunch resolves it, but for `$(eval …)`.
+
+        Args:
+            text: of the launch file.
+            values: of arguments by name; the others have their defaults.
+        """
+
+        def replacement(found: re.Match) -> str:
+            kind, name, default = found.groups()
+            if kind == "arg":
+                known = self.arguments[name].default or ""
+                return values[name] if name in values else self.resolve(known, values)
+            package = str(self.path.parent.parent)
+            return package if kind == "find" else os.environ.get(name, default)
+
+        return _SUBSTITUTION.sub(replacement, text)
+
+    def words(self, values: Mapping[str, str]) -> list[str]:
+        """Return the command line of the program."""
+        # Resolved word by word: a value may have spaces and quotes.
+        return [self.resolve(word, values) for word in shlex.split(self.command)]
 
 
 def find_jobs(package: Path) -> dict[str, Job]:
@@ -165,6 +216,8 @@ def read_job(path: Path, package: Path) -> Job:
     targets: dict[str, list[Target]] = {}
     for argument, target in _targets(root, package, (path,)):
         targets.setdefault(argument, []).append(target)
+    own = ((_main_of(node, package), node.get("args", "")) for node in root.iter("node"))
+    alone = next((one for one in own if one[0].startswith(_WITHOUT_ROS)), ())
     arguments = {}
     smallest = ""
     for element in root.findall("arg"):
@@ -175,7 +228,7 @@ def read_job(path: Path, package: Path) -> Job:
             arguments[name] = _argument(name, element, handed, path)
         elif name == SMALLEST:
             smallest = element.get("value", "")
-    return Job(path.stem, path, _first_sentence(text), arguments, smallest)
+    return Job(path.stem, path, _first_sentence(text), arguments, smallest, *alone)
 
 
 def _parsed(path: Path) -> tuple[str, Element]:
@@ -242,8 +295,8 @@ def _targets(root: Element, package: Path, files: tuple[Path, ...]) -> Iterator[
     `files` are this file and those that include it: one that includes itself adds nothing.
     """
     for node in root.iter("node"):
-        main = _main_of(node.get("type", ""), package)
-        if node.get("pkg") == _PACKAGE and main:
+        main = _main_of(node, package)
+        if main:
             for param in node.iter("param"):
                 yield _argument_of(param), Target(main, param.get("name", ""))
             for option, argument in _OPTION.findall(node.get("args", "")):
@@ -264,8 +317,9 @@ def _argument_of(element: Element) -> str:
     return whole[1] if whole else ""
 
 
-def _main_of(executable: str, package: Path) -> str:
-    """Return what an executable of the package runs; empty for other executables."""
+def _main_of(node: Element, package: Path) -> str:
+    """Return what a node of the package runs; empty for other nodes."""
+    executable = node.get("type", "") if node.get("pkg") == _PACKAGE else ""
     # In the sources, and where it is installed.
     for folder in (package / "scripts", package.parent.parent / "lib" / _PACKAGE):
         path = folder / os.path.basename(executable)
@@ -313,12 +367,12 @@ def _hint(name: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def list_of_jobs(jobs: dict[str, Job]) -> str:
-    """Return the list of jobs that is printed if no job is named."""
+def list_of_jobs(jobs: dict[str, Job], program: str = "scripts/run.sh") -> str:
+    """Return the list of jobs that a program prints if no job is named."""
     width = max((len(name) for name in jobs), default=0)
     usage = (
-        "usage: scripts/run.sh <job> [name:=value ...]\n"
-        "       scripts/run.sh <job> --help lists the arguments of a job\n\njobs:"
+        f"usage: {program} <job> [name:=value ...]\n"
+        f"       {program} <job> --help lists the arguments of a job\n\njobs:"
     )
     return "\n".join([usage, *(f"  {job.name:{width}}  {job.summary}" for job in jobs.values())])
 

@@ -8,7 +8,7 @@ import yaml
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.errors import LabError
-from bullet_lab.ros.launcher.jobs import (
+from bullet_lab.jobs.declaration import (
     Target,
     UsageError,
     choose_job,
@@ -19,7 +19,7 @@ from bullet_lab.ros.launcher.jobs import (
     read_job,
 )
 
-PACKAGE = Path(__file__).parents[4]
+PACKAGE = Path(__file__).parents[3]
 
 TEXT = """<?xml version="1.0"?>
 <!-- Does one
@@ -272,7 +272,7 @@ def test_every_shipped_job_has_the_common_arguments_and_sound_defaults():
 @pytest.mark.long
 def test_listing_jobs_imports_no_node():
     code = (
-        "import sys; from pathlib import Path; from bullet_lab.ros.launcher.jobs import find_jobs; "
+        "import sys; from pathlib import Path; from bullet_lab.jobs.declaration import find_jobs; "
         f"find_jobs(Path({str(PACKAGE)!r})); sys.exit('rospy' in sys.modules)"
     )
     path = [entry for entry in sys.path if entry]

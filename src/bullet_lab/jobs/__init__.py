@@ -1,0 +1,1 @@
+"""The jobs: their declarations, their results, and the command that runs them without ROS."""

@@ -1,0 +1,118 @@
+"""The command `bullet_lab` of an installation by pip: it runs jobs without ROS.
+
+The launcher of scripts/run.sh shares the command line and the last lines with it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Callable
+
+from bullet_lab.core.parameters import ParameterError
+from bullet_lab.entry import STATUS_INTERRUPTED, end_at_once_when_interrupted
+from bullet_lab.errors import LabError
+from bullet_lab.jobs.declaration import (
+    Job,
+    UsageError,
+    choose_job,
+    find_jobs,
+    help_on,
+    list_of_jobs,
+    read_assignments,
+)
+from bullet_lab.jobs.folder import OutputFolder, shown
+from bullet_lab.simulation.world.resources import package_share
+
+PROGRAM = "bullet_lab"
+STATUS_FAILED = 1
+STATUS_BAD_VALUE = 2
+_HELP = ("-h", "--help")
+
+
+def main() -> None:
+    """Run the command line, and exit: 0 done, 1 failed, 2 wrong command line, 130 stopped."""
+    # Until a study has handlers of its own.
+    end_at_once_when_interrupted()
+    sys.exit(status_of(PROGRAM, _dispatch, sys.argv[1:]))
+
+
+def status_of(program: str, dispatch: Callable[[list[str]], int], words: list[str]) -> int:
+    """Return the exit status of a command line; an error of the user is printed as one line."""
+    try:
+        return dispatch(words)
+    except LabError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        wrong = isinstance(error, (UsageError, ParameterError))
+        return STATUS_BAD_VALUE if wrong else STATUS_FAILED
+
+
+def read_command(
+    program: str,
+    jobs: dict[str, Job],
+    words: list[str],
+    defaults: Callable[[Job], dict[str, str]],
+) -> tuple[Job, dict[str, str]] | None:
+    """Return the job and its checked arguments, or print the list of jobs or the help of a job.
+
+    Args:
+        program: its name for the user.
+        jobs: all that it runs, by name.
+        words: of the command line.
+        defaults: returns the resolved defaults of a job's arguments.
+
+    Raises:
+        LabError: the command line is wrong.
+    """
+    if not words or words[0] in _HELP:
+        print(list_of_jobs(jobs, program))
+        return None
+    job = choose_job(jobs, words[0])
+    if any(word in _HELP for word in words[1:]):
+        # Relative to this folder, in which a run writes its results.
+        print(help_on(job, {**defaults(job), "out": f"results/{job.name}"}))
+        return None
+    values = read_assignments(job, words[1:])
+    out = Path.cwd() / values.get("out", f"results/{job.name}")
+    return job, {**values, "out": os.path.normpath(out)}
+
+
+def print_end(job: str, how: str, started: float, out: OutputFolder) -> None:
+    """Print how a job has ended that started at a `time.monotonic`, and what it has written."""
+    print(f"{job}: {how} after {time.monotonic() - started:.1f} s")
+    for path in out.written():
+        print(f"  {shown(path)}")
+
+
+def _dispatch(words: list[str]) -> int:
+    every = find_jobs(package_share())
+    jobs = {name: job.without_ros() for name, job in every.items() if job.program}
+    if words and words[0] in every.keys() - jobs.keys():
+        raise UsageError(f"{words[0]} needs ROS: clone bullet_lab, run scripts/run.sh {words[0]}")
+    found = read_command(PROGRAM, jobs, words, _defaults)
+    return 0 if found is None else _run(*found)
+
+
+def _defaults(job: Job) -> dict[str, str]:
+    return {name: job.resolve(one.default or "", {}) for name, one in job.arguments.items()}
+
+
+def _run(job: Job, values: dict[str, str]) -> int:
+    """Run a job in this process, print its results, and return the exit status."""
+    started = time.monotonic()
+    module, _, function = job.program.partition(":")
+    study = getattr(importlib.import_module(module), function or "main")
+    with OutputFolder(Path(values["out"])) as out:
+        try:
+            study(words=job.words(values))
+            status = 0
+        except SystemExit as end:
+            status = end.code
+        # A study that refuses a value prints why: that line shall stand alone.
+        if status != STATUS_BAD_VALUE:
+            ends = {0: "done", STATUS_INTERRUPTED: "stopped"}
+            print_end(job.name, ends.get(status, "failed"), started, out)
+    return status
