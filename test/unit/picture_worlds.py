@@ -7,6 +7,7 @@ from PIL import Image
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Link, Mesh, Model, Visual, World
 
@@ -49,3 +50,9 @@ def simulation_of(*models, **light):
     """A simulation with these models, by default in even light that leaves all as it is."""
     world = {"ambient": WHITE_LIGHT, "background": (0.0, 0.0, 1.0, 1.0), **light}
     return Simulation(World("pictures", tuple(models), **world))
+
+
+def picture_of(*models, eye, **light):
+    """What a camera at a pose sees of these models."""
+    with simulation_of(*models, **light) as simulation:
+        return simulation.renderer().picture(eye, Shot(CAMERA))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
+from picture_worlds import CAMERA, picture_of, plate, simulation_of, thing, write_plate
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.renderer import Shot
@@ -27,8 +27,7 @@ DOWN = Pose.from_rpy((0.0, 0.0, 5.0), (0.0, math.pi / 2, 0.0))
 
 
 def take(*models, pose=DOWN, **light):
-    with simulation_of(*models, **{**LIGHT, **light}) as simulation:
-        return simulation.renderer().picture(pose, Shot(CAMERA))[..., 0].astype(int)
+    return picture_of(*models, eye=pose, **{**LIGHT, **light})[..., 0].astype(int)
 
 
 def at(picture, x, y):
@@ -128,8 +127,7 @@ def test_shadows_do_not_depend_on_what_was_in_view_before():
         return simulation.renderer().picture(pose, Shot(CAMERA)).tobytes()
 
     def fresh(*models, pose):
-        with simulation_of(*models, **LIGHT) as simulation:
-            return look(simulation, pose)
+        return picture_of(*models, eye=pose, **LIGHT).tobytes()
 
     with simulation_of(FLOOR, post, robot, **LIGHT) as simulation:
         # What moves is seen beside only, where its shadow is.
