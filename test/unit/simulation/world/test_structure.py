@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from alike import assert_alike
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
@@ -324,12 +325,7 @@ def test_what_is_nested_and_held_is_saved(load, chair, tmp_path):
     with Simulation(read_world_file(tmp_path / "b.world")) as again:
         after = again.models["room"].state()
         assert [p.mount.plugin.scope for p in again.models["room"].plugins] == ["two::"]
-        assert after.links.keys() == before.links.keys()
-        for name, state in before.links.items():
-            assert after.links[name].pose.position == pytest.approx(state.pose.position, abs=1e-6)
-            assert after.links[name].angular == pytest.approx(state.angular, abs=1e-6)
-        for name, (position, speed) in before.joints.items():
-            assert after.joints[name] == pytest.approx((position, speed), abs=1e-6)
+        assert_alike(before, after)
         assert abs(before.joints["k"][1]) > 1.0
         frames = again.models["room"].model.frames
         assert set(frames) == set(world.models[0].frames)
