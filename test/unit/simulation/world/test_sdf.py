@@ -4,7 +4,7 @@ import pytest
 from conftest import PACKAGE, complains
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere
+from bullet_lab.simulation.world.description import Mesh, Plane
 from bullet_lab.simulation.world.sdf import DEFAULT_COLOUR, read_spawned, read_world_file
 
 BEACON = "package://bullet_lab/meshes/beacon.dae"
@@ -97,10 +97,7 @@ def test_the_beacons_stand_where_the_report_has_them(package):
 @pytest.mark.parametrize(
     ("text", "geometry"),
     [
-        ("<box><size>1 2 3</size></box>", Box((1, 2, 3))),
-        ("<cylinder><radius>1</radius><length>2</length></cylinder>", Cylinder(1, 2)),
         (f"<mesh><uri>{BEACON}</uri><scale>1 2 3</scale></mesh>", BEACON_MESH),
-        ("<sphere><radius>0.5</radius></sphere>", Sphere(0.5)),
         ("<plane><normal>0 0 2</normal><size>3 4</size></plane>", Plane((0, 0, 1), (3, 4))),
         ("<plane/>", Plane((0, 0, 1), (1, 1))),
     ],
