@@ -101,12 +101,6 @@ def hits(space, x, y):
 # Random trees
 
 
-def some_name(chance, number):
-    letters = "abcxyz_-./: éäß漢字🤖\"'<&>"
-    length = chance.choice((1, 3, 30, 300, 9_000))
-    return f"{number}" + "".join(chance.choice(letters) for _ in range(length))
-
-
 def some_pose(chance, reach):
     position = tuple(chance.uniform(-reach, reach) for _ in range(3))
     return Pose.from_rpy(position, tuple(chance.uniform(-1.5, 1.5) for _ in range(3)))
@@ -158,12 +152,12 @@ def some_tree(chance, cube, count=0):
         if helpers(shapes) > spare:
             shapes = shapes[:1]
         spare -= helpers(shapes)
-        name = some_name(chance, number)
+        name = f"l{number}"
         links.append(Link(name, Pose(), some_inertia(chance), (), shapes))
         if number:
             joints.append(
                 Joint(
-                    some_name(chance, number),
+                    f"j{number}",
                     chance.choice(KINDS),
                     chance.choice(links[:-1]).name,
                     name,

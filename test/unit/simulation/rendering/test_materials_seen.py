@@ -1,16 +1,11 @@
 """Pictures of things with materials: where textures lie on shapes, and what colours do in light."""
 
-import weakref
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from picture_worlds import CAMERA, picture_of, simulation_of, thing
+from picture_worlds import picture_of, thing
 from PIL import Image
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.markers.faces import marker_cells, marker_image
-from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.world.description import (
     Box,
     Cylinder,
@@ -24,8 +19,6 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.sdf import read_spawned
-from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 
 # By quarters: upper left, upper right, lower left, lower right.
 COLOURS = np.array([(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)])
@@ -154,86 +147,6 @@ def test_a_picture_that_blends_shows_what_is_behind_it(tmp_path):
         visual = Visual(Box((0.1, 1.0, 1.0)), material=Material(texture=texture))
         found = in_light(visual, wall)
         assert found == pytest.approx(wanted, abs=0.01)
-
-
-# A marker as courses have it: a thin box, or a plane, with a picture by a script.
-
-TAG = """<sdf version="1.6"><model name="tag"><static>true</static><link name="l">
-  <visual name="v"><pose>{}</pose><geometry>{}</geometry><material><script>
-    <uri>model://tag/materials/scripts</uri><uri>model://tag/materials/textures</uri>
-    <name>Tag/Seven</name></script></material></visual></link></model></sdf>"""
-TAG_SCRIPT = """material Tag/Seven
-{
-  technique
-  {
-    pass
-    {
-      texture_unit
-      {
-        // A relative path would not be found: OGRE knows files by their names.
-        texture seven.png
-        filtering anisotropic
-        max_anisotropy 16
-        scale 1 1
-      }
-    }
-  }
-}
-"""
-
-
-@pytest.fixture
-def tags(tmp_path):
-    """The folder of models with a tag."""
-    for folder in ("scripts", "textures"):
-        (tmp_path / "tag" / "materials" / folder).mkdir(parents=True)
-    materials = tmp_path / "tag" / "materials"
-    (materials / "scripts" / "tag.material").write_text(TAG_SCRIPT)
-    cells = marker_cells("apriltag_36h11", 7)
-    image = Image.fromarray(marker_image(cells, 50, quiet=1))
-    image.convert("P").save(materials / "textures" / "seven.png")
-    return tmp_path
-
-
-@pytest.mark.parametrize(
-    ("pose", "shape"),
-    [
-        ("0 0 0 0 0 1.57", "<box><size>0.5 0.01 0.5</size></box>"),
-        ("0 0 0 0 -1.57 0", "<plane><normal>0 0 1</normal><size>0.5 0.5</size></plane>"),
-    ],
-)
-def test_a_marker_by_a_script_is_detected(tags, monkeypatch, pose, shape):
-    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tags))
-    model = read_spawned(TAG.format(pose, shape), "tag.sdf")
-    picture = picture_of(model, eye=Pose((-1.5, 0.05, 0.02)))
-    detector = MarkerDetector(DetectorSettings(dictionary="apriltag_36h11"))
-    (found,) = detector.detect(picture).markers
-    assert found.id == 7
-    # Its first corner is its upper left one, but where a plane's y, which is up, goes to the left.
-    first, _, third, _ = np.asarray(found.corners)
-    assert (third - first > 40).all() == ("<normal>0 0 1" not in shape)
-
-
-def test_pictures_are_shared_and_given_back(quarters):
-    material = Material(texture=Texture(quarters))
-    visuals = [Visual(Box((0.1, 0.2, 0.2 + 0.01 * n)), material=material) for n in range(3)]
-    models = [replace(with_visual(one), name=f"m{n}") for n, one in enumerate(visuals)]
-    with simulation_of(*models) as simulation:
-        renderer = simulation.renderer()
-        renderer.picture(EYE, Shot(CAMERA))
-        scene = renderer._scene
-        made = list(scene._drawables.values())
-        assert len(made) == 3
-        (loaded,) = {loaded for drawable in made for loaded in drawable.textures}
-        given_back = weakref.ref(loaded)
-        for model in models:
-            simulation.remove(model.name)
-        renderer.picture(EYE, Shot(CAMERA))
-        # The last drawables are kept, and their pictures with them.
-        assert given_back() is not None
-        scene._last.clear()
-        del made, loaded
-        assert given_back() is None
 
 
 # Meshes

@@ -120,20 +120,6 @@ def test_axes_are_in_the_joint_or_the_model(version, said, extra, expected):
     assert found.joints[0].axis == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_joint_turns_about_its_own_place():
-    found = model(
-        link("a", inside=BODY)
-        + link("b", "2 0 0 0 0 0")
-        + joint("revolute", "a", "b", "<pose>-1 0 0 0 0 0</pose>" + axis("0 0 1"))
-        + joint("fixed", "world", "a", name="k")
-    )
-    with Simulation(World("w", gravity=(0, 0, 0))) as world:
-        instance = world.add(found)
-        instance.configure({"j": TURN})
-        near(instance.frame("b").pose(), 1, 1, 0, 0, 0, TURN)
-        assert world.contacts("m") == set()
-
-
 def test_what_is_joined_to_the_world_hangs_there():
     door = link("door", "0.6 0 1 0 0 0")
     hinge = joint("revolute", "world", "door", "<pose>-0.5 0 0 0 0 0</pose>" + axis("0 1 0"))

@@ -128,26 +128,6 @@ def said(text):
     return ElementReader(parse_text(f"<a><x>{text}</x></a>", "a"), "a")
 
 
-def test_checked_numbers():
-    assert said("0 3 4").direction("x", "") == pytest.approx((0, 0.6, 0.8))
-    assert said("1 2").sizes("x", 2) == (1, 2)
-    assert said("1 -1 2").scale("x") == (1, -1, 2)
-    assert said("").scale("x") == (1, 1, 1)
-    assert said("0").coefficient("x", 1.0) == 0.0
-    assert said("").coefficient("x", 1.0) == 1.0
-    assert said("2").positive("x", 1.0) == 2.0
-    for call in (
-        lambda: said("0 0 0").direction("x", ""),
-        lambda: said("1 0").sizes("x", 2),
-        lambda: said("1 -1").sizes("x", 2),
-        lambda: said("1 0 1").scale("x"),
-        lambda: said("-0.1").coefficient("x", 1.0),
-        lambda: said("0").positive("x", 1.0),
-    ):
-        with pytest.raises(XmlError, match="^a: <x>: "):
-            call()
-
-
 def test_child_text_and_boolean():
     element = parse_text("<a><b> x </b><c/></a>", "here")
     assert [child_text(element, tag, "no") for tag in "bcd"] == ["x", "no", "no"]
