@@ -321,13 +321,6 @@ class TestMotion:
         gained = push(space, body, 0.5, 0.2).velocity
         assert gained == pytest.approx((0.5 - 0.4) * 0.2 / inertia, rel=1e-6)
 
-    def test_no_more_than_the_limit_of_effort(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, limits={"effort": 0.2}))
-        for effort, exerted in ((9.0, 0.2), (-9.0, -0.2), (0.1, 0.1)):
-            body.set_joint("j", 0.0)
-            state = push(space, body, effort, 0.1)
-            assert state.velocity == pytest.approx(exerted * 0.1 / inertia, rel=1e-6)
-
     def test_no_effort_beyond_the_limit_of_velocity(self, space, kind, inertia):
         body = body_of(space, jointed(kind, limits={"velocity": 0.3}))
         step = 2.0 * 0.001 / inertia
@@ -338,12 +331,6 @@ class TestMotion:
         body.set_joint("j", 0.0, 1.0)
         slower = push(space, body, -2.0, 0.01).velocity
         assert slower == pytest.approx(1.0 - 10 * step, rel=1e-6)
-
-    def test_limits_of_effort_and_velocity_are_not_a_motors(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, limits={"velocity": 0.3, "effort": 0.1}))
-        body.drive_joint("j", 5.0, 1e4)
-        space.run_for(0.05)
-        assert body.joint_state("j").velocity == pytest.approx(5.0, rel=1e-6)
 
     @pytest.mark.parametrize(
         ("limits", "lowest", "highest"),
@@ -366,8 +353,8 @@ class TestMotion:
             else:
                 assert position == pytest.approx(end, abs=2e-3)
 
-    def test_what_turns_fast_is_not_held_back(self, space, kind, inertia):
-        body = body_of(space, jointed(kind))
+    def test_neither_limits_nor_the_engine_hold_a_motor_back(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, limits={"velocity": 0.3, "effort": 0.1}))
         body.drive_joint("j", 150.0, 1e4)
         space.run_for(0.1)
         assert body.joint_state("j").velocity == pytest.approx(150.0, rel=1e-6)
@@ -389,12 +376,13 @@ def test_a_random_joint_moves_as_it_is_described(space, seed):
                     friction=friction, limits={"effort": most})  # fmt: skip
     links = (model.links[0], replace(model.links[1], inertia=child))
     effort, velocity, position = chance.uniform(2.0, 4.0), 0.0, 0.0
-    found = push(space, body_of(space, replace(model, links=links, joints=(joint,))), effort, 0.2)
+    body, sign = body_of(space, replace(model, links=links, joints=(joint,))), (-1.0) ** seed
+    found = push(space, body, sign * effort, 0.2)
     for _ in range(200):
         velocity += 0.001 / inertia * (min(effort, most) - damping * velocity - friction)
         position += 0.001 * velocity
-    assert found.velocity == pytest.approx(velocity, rel=1e-6)
-    assert found.position == pytest.approx(position, rel=1e-6)
+    assert found.velocity == pytest.approx(sign * velocity, rel=1e-6)
+    assert found.position == pytest.approx(sign * position, rel=1e-6)
 
 
 def test_a_strong_damper_between_light_links_does_not_swing_up(space):
@@ -506,30 +494,21 @@ def test_more_links_than_the_engine_holds_are_refused_by_name(hall, cube):
         hall.add(lump(shapes, name="centipede"))
     assert list(hall.models) == ["floor", "good"]
     assert pybullet.getNumBodies(hall.client) == 2
-    chain = [Link(f"l{n}", Pose(), UNIT) for n in range(130)]
-    joints = [Joint(f"j{n}", "revolute", f"l{n - 1}", f"l{n}") for n in range(1, 130)]
-    with pytest.raises(PhysicsError, match="model 'chain': .* need 129 links"):
-        hall.add(Model("chain", tuple(chain), tuple(joints)))
-    hall.add(Model("chain", tuple(chain[:128]), tuple(joints[:127])))
-    hall.run_for(0.01)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("static", [False, True])
 def test_a_mesh_of_any_size(space, tmp_path, static):
-    """A ball of 150,000 corners: hollow and in pieces, or convex and with fewer corners."""
-    rows, columns = 300, 500
-    polar = np.repeat(np.linspace(0.01, np.pi - 0.01, rows), columns)
-    around = np.tile(2.0 * np.pi * np.arange(columns) / columns, rows)
-    corners = np.stack((np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar),
-                        np.cos(polar)), axis=1)  # fmt: skip
-    a = np.arange((rows - 1) * columns - 1)
-    c = a + columns
-    faces = np.concatenate((np.stack((a, a + 1, c), axis=1), np.stack((a + 1, c + 1, c), axis=1)))
-    write_stl(tmp_path / "ball.stl", corners[faces])
-    space.add(thing(Mesh(tmp_path / "ball.stl", ""), static=static))
-    for x, y in np.random.default_rng(7).uniform(-0.5, 0.5, (100, 2)).tolist():
-        assert hits(space, x, y) == pytest.approx(np.sqrt(1.0 - x * x - y * y), abs=4e-3)
+    """A bent strip of 160,000 corners: in pieces, or convex and with fewer corners."""
+    x = np.linspace(-5.0, 5.0, 80_000)
+    left = np.stack((x, np.ones_like(x), -0.02 * x**2), axis=1)
+    right = left * (1.0, -1.0, 1.0)
+    there = np.stack((left[:-1], right[:-1], left[1:]), axis=1)
+    back = np.stack((right[:-1], right[1:], left[1:]), axis=1)
+    write_stl(tmp_path / "strip.stl", np.concatenate((there, back)))
+    space.add(thing(Mesh(tmp_path / "strip.stl", ""), static=static))
+    for x, y in np.random.default_rng(7).uniform((-4.9, -0.9), (4.9, 0.9), (100, 2)).tolist():
+        assert hits(space, x, y) == pytest.approx(-0.02 * x**2, abs=2e-3)
 
 
 # Links of one body
