@@ -1,8 +1,9 @@
 import pytest
 from conftest import PACKAGE, complains
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.description import Mesh, Plane
+from bullet_lab.simulation.world.description import Attenuation, Cone, Light, Mesh, Plane
 from bullet_lab.simulation.world.sdf import DEFAULT_COLOUR, read_spawned, read_world_file
 
 BEACON = "package://bullet_lab/meshes/beacon.dae"
@@ -174,17 +175,60 @@ def test_plugins_of_the_model_and_of_links_sensors():
 def test_lights_scene_and_gravity(read_world):
     world = read_world(
         "<gravity>0 0 -1.6</gravity>"
-        "<scene><ambient>0 0 0.5</ambient><background>1 0 0 1</background></scene>"
-        '<light name="lamp" type="point"><pose>1 2 3 0 0 0</pose><diffuse>1 1 0 1</diffuse></light>'
+        "<scene><ambient>0 0 0.5</ambient><background>1 0 0 1</background>"
+        "<shadows>false</shadows></scene>"
+        '<light name="lamp" type="point"><diffuse>1 1 0 1</diffuse></light>'
     )
     assert world.name == "w"
     assert world.gravity == (0, 0, -1.6)
     assert world.ambient == (0, 0, 0.5, 1)
     assert world.background == (1, 0, 0, 1)
-    (lamp,) = world.lights
-    assert (lamp.name, lamp.kind, lamp.pose.position) == ("lamp", "point", (1, 2, 3))
-    assert lamp.diffuse == (1, 1, 0, 1)
-    assert lamp.direction == (0, 0, -1)
+    assert not world.shadows
+    assert world.lights == (Light("lamp", "point", Pose(), (1, 1, 0, 1)),)
+
+
+def light(inside, kind="spot"):
+    return sdf(f'<light name="lamp" type="{kind}"><pose>1 2 3 0 0 0</pose>{inside}</light>')
+
+
+def test_a_light_may_be_spawned():
+    lamp = read_spawned(light("", "point"), "s")
+    assert lamp == Light("lamp", "point", Pose((1, 2, 3)))
+    fading = "<range>7</range><constant>0.5</constant><linear>0.1</linear>"
+    fading += "<quadratic>0.01</quadratic>"
+    cone = "<inner_angle>0.3</inner_angle><outer_angle>0.9</outer_angle><falloff>2</falloff>"
+    spot = read_spawned(light(f"<attenuation>{fading}</attenuation><spot>{cone}</spot>"), "s")
+    assert spot.attenuation == Attenuation(7.0, 0.5, 0.1, 0.01)
+    assert spot.cone == Cone(0.3, 0.9, 2.0)
+    # A model stands before it.
+    both = light("").replace("</sdf>", '<model name="m"><link name="l"/></model></sdf>')
+    assert read_spawned(both, "s").name == "m"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "<attenuation><range>-1</range></attenuation>",
+        "<attenuation><linear>none</linear></attenuation>",
+        "<spot><inner_angle>1</inner_angle><outer_angle>0.5</outer_angle></spot>",
+        "<spot><outer_angle>9</outer_angle></spot>",
+        "<spot><falloff>-1</falloff></spot>",
+    ],
+)
+def test_impossible_lights_are_named(wrong):
+    with complains("light 'lamp'"):
+        read_spawned(light(wrong), "s")
+
+
+@pytest.mark.parametrize(
+    ("world", "pose", "height"),
+    [(True, "", 0.0), (True, "<pose>0 0 2 0 0 0</pose>", 2.0), (False, "", 0.5)],
+)
+def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, pose, height):
+    (tmp_path / "thing.sdf").write_text(model("<pose>0 0 0.5 0 0 0</pose>" + link()))
+    inside = include(f"<uri>thing.sdf</uri>{pose}")
+    text = sdf(f'<world name="default">{inside}</world>' if world else inside)
+    assert read_spawned(text, "here", tmp_path).pose.position == (0.0, 0.0, height)
 
 
 def test_an_include_may_rename_move_and_hold_a_model(read_world, save_model):

@@ -114,27 +114,17 @@ SDF = """<sdf version="1.6"><model name="m">
     <axis><xyz>0 0 1</xyz></axis></joint>
 </model></sdf>"""
 
-URDF = """<robot name="r"><link name="a"><inertial><mass value="1"/>
-  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
-  <collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link></robot>"""
-
-# What is replaced by what, and what the message says of it.
-BROKEN = [
-    (SDF, "</model>", "", "not well-formed XML"),
-    (SDF, "<mass>1<", "<mass>nan<", "link 'a'.*<mass>: 'nan' is not a finite number"),
-    (SDF, "0.2 0.3 0.4", "0.2 0.3 1e30", "<size>: 1e\\+30 is not within ±1e\\+18"),
-    (SDF, "0.2 0.3 0.4", "0.2 0.3 1e9", "size of a shape: 1e\\+09 is not within ±1e\\+06"),
-    (SDF, "0 0 1 0 0 0", "0 0 1e12 0 0 0", "link 'b': pose: 1e\\+12 is not within ±1e\\+06"),
-    (URDF, 'value="1"', 'value="0"', "link 'a' moves and has no mass"),
-    (URDF, '<link name="a">', '<link name="">', "without a name"),
-]
-
-
-@pytest.mark.parametrize(("text", "old", "new", "said"), BROKEN)
-def test_what_is_broken_is_named_with_what_and_where(world, text, old, new, said):
-    assert old in text
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("0.2 0.3 0.4", "0.2 0.3 1e30", "<size>: 1e\\+30 is not within ±1e\\+18"),
+        ("0.2 0.3 0.4", "0.2 0.3 1e9", "size of a shape: 1e\\+09 is not within ±1e\\+06"),
+        ("0 0 1 0 0 0", "0 0 1e12 0 0 0", "link 'b': pose: 1e\\+12 is not within ±1e\\+06"),
+    ],
+)
+def test_what_exceeds_all_bounds_is_named_and_the_world_goes_on(world, old, new, said):
     with complains(said):
-        world.add(read_spawned(text.replace(old, new), "model_xml of 'm'"))
+        world.add(read_spawned(SDF.replace(old, new), "model_xml of 'm'"))
     world.run_for(0.01)
 
 
