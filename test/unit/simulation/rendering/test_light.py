@@ -20,7 +20,8 @@ def take(exposure=1.0, **light):
 
 
 def sun(brightness):
-    return Light("sun", "directional", Pose(), (brightness,) * 3 + (1.0,), (1.0, 0.0, 0.0))
+    colour = (brightness,) * 3 + (1.0,)
+    return Light("sun", "directional", Pose(), colour, (1.0, 0.0, 0.0), casts_shadows=True)
 
 
 @pytest.mark.parametrize("ambient", [1.0, 0.02])

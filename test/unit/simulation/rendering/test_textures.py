@@ -111,6 +111,7 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
     [
         ("map_Kd nix.png", "nix.png"),
         ("map_Kd ../secret.png", "leaves its folder"),
+        ("map_Kd http://example.org/a.png", "only package://"),
         ("map_Kd link.png", "leaves its folder"),
     ],
 )

@@ -107,6 +107,7 @@ def test_the_user_may_name_any_file(files, monkeypatch):
 
 def test_the_lab_finds_itself_and_gazebo_model_path_comes_first(package, tmp_path, monkeypatch):
     assert ros_package_folder("bullet_lab") == package
+    assert ros_package_folder("no_such_package") is None
     assert ResourceFinder().find("model://sun") == package / "models/sun"
     (tmp_path / "sun").mkdir()
     monkeypatch.setenv("GAZEBO_MODEL_PATH", f":{tmp_path}")
