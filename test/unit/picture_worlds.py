@@ -15,6 +15,20 @@ WHITE_LIGHT = (1.0, 1.0, 1.0, 1.0)
 FOCAL = 320 / math.tan(math.radians(65) / 2)
 CAMERA = PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5)
 
+# Of the quarters of a picture: upper left, upper right, lower left, lower right.
+COLOURS = np.array([(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)])
+
+
+def quarters():
+    """A picture whose quarters have four colours."""
+    return COLOURS[np.kron([[0, 1], [2, 3]], np.ones((32, 32), int))].astype(np.uint8)
+
+
+def around_the_middle(picture, offset=30):
+    """The colours at the corners of a square around the middle, as in `COLOURS`."""
+    rows, columns = (np.array([m - offset, m + offset]) for m in (240, 320))
+    return picture[np.ix_(rows, columns)].reshape(4, 3).astype(int)
+
 
 def checkers(columns, rows, pixels=16, dark=20, bright=235):
     """A checkerboard, dark at the top left."""

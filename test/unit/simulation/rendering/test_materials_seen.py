@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from picture_worlds import picture_of, thing
+from picture_worlds import COLOURS, around_the_middle, picture_of, quarters, thing
 from PIL import Image
 
 from bullet_lab.core.pose import Pose
@@ -20,18 +20,15 @@ from bullet_lab.simulation.world.description import (
     Visual,
 )
 
-# By quarters: upper left, upper right, lower left, lower right.
-COLOURS = np.array([(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)])
 EYE = Pose((-3.0, 0.0, 0.0))
 UPRIGHT, DOWN = [0, 1, 2, 3], [3, 2, 1, 0]
 
 
 @pytest.fixture
-def quarters(tmp_path):
+def four(tmp_path):
     """The file of a picture whose quarters have four colours."""
-    pixels = COLOURS[np.kron([[0, 1], [2, 3]], np.ones((32, 32), int))].astype(np.uint8)
     path = tmp_path / "quarters.png"
-    Image.fromarray(pixels).save(path)
+    Image.fromarray(quarters()).save(path)
     return path
 
 
@@ -47,10 +44,9 @@ def seen(geometry, texture, eye=EYE, **material):
 
 def quarters_seen(picture, offset=30):
     """Which of the colours are around the middle, in their order."""
-    places = [(240 + v * offset, 320 + u * offset) for v in (-1, 1) for u in (-1, 1)]
-    gaps = [np.abs(COLOURS - picture[place].astype(int)).sum(axis=1) for place in places]
-    assert np.min(gaps, axis=1) == pytest.approx(np.zeros(4), abs=12)
-    return np.argmin(gaps, axis=1).tolist()
+    gaps = np.abs(COLOURS - around_the_middle(picture, offset)[:, None]).sum(axis=2)
+    assert gaps.min(axis=1).max() <= 12
+    return gaps.argmin(axis=1).tolist()
 
 
 BOX = Box((1.0, 0.8, 0.6))
@@ -79,8 +75,8 @@ QUARTER = np.pi / 2
         (Sphere(0.7), (0, 0, -3), (-QUARTER, -QUARTER, 0), 30, UPRIGHT),
     ],
 )
-def test_where_a_picture_lies_on_a_shape(quarters, geometry, place, rpy, offset, wanted):
-    picture = seen(geometry, Texture(quarters), Pose.from_rpy(place, rpy))
+def test_where_a_picture_lies_on_a_shape(four, geometry, place, rpy, offset, wanted):
+    picture = seen(geometry, Texture(four), Pose.from_rpy(place, rpy))
     assert quarters_seen(picture, offset) == wanted
 
 
@@ -95,8 +91,8 @@ def test_where_a_picture_lies_on_a_shape(quarters, geometry, place, rpy, offset,
         ({"rotation": np.pi}, 30, DOWN),
     ],
 )
-def test_scale_tiles_and_scroll_shifts(quarters, settings, offset, wanted):
-    picture = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, **settings))
+def test_scale_tiles_and_scroll_shifts(four, settings, offset, wanted):
+    picture = seen(Box((1.0, 1.0, 1.0)), Texture(four, **settings))
     assert quarters_seen(picture, offset) == wanted
 
 
@@ -209,19 +205,19 @@ def collada_seen(
 
 
 @pytest.mark.parametrize("named", ["../quarters.png", "quarters.png", "C:\\own\\quarters.png"])
-def test_collada_with_a_picture_and_with_a_colour(tmp_path, quarters, named):
+def test_collada_with_a_picture_and_with_a_colour(tmp_path, four, named):
     (tmp_path / "model.config").write_text("<model/>")
     if named != "../quarters.png":
         # Where Gazebo's models have them.
         textures = tmp_path / "materials" / "textures"
         textures.mkdir(parents=True)
-        quarters.rename(textures / "quarters.png")
+        four.rename(textures / "quarters.png")
     left, right = collada_seen(tmp_path, named)
     assert left == pytest.approx(COLOURS * 0.9, abs=3)
     assert right == pytest.approx((0.8 * 0.5, 0.4 * 0.5, 0.2), abs=0.01)
 
 
-def test_a_visuals_material_covers_that_of_its_mesh(tmp_path, quarters):
+def test_a_visuals_material_covers_that_of_its_mesh(tmp_path, four):
     (tmp_path / "model.config").write_text("<model/>")
     green = (0.0, 1.0, 0.0, 1.0)
     left, right = collada_seen(tmp_path, "../quarters.png", colour=green)
@@ -255,7 +251,7 @@ def test_a_mesh_whose_material_is_broken_is_drawn_without(tmp_path, old, new):
     assert right == pytest.approx((0.4, 0.2, 0.2), abs=0.01)
 
 
-def test_normals_tell_the_outside_of_a_mirrored_mesh(tmp_path, quarters):
+def test_normals_tell_the_outside_of_a_mirrored_mesh(tmp_path, four):
     (tmp_path / "model.config").write_text("<model/>")
     mirrored = COLLADA.replace("<node>", "<node><scale>1 -1 1</scale>")
     left, _ = collada_seen(tmp_path, "../quarters.png", text=mirrored, flip=True)
@@ -275,10 +271,10 @@ def test_colours_and_normals_of_an_obj(tmp_path):
     assert in_light(visual, light=down) == pytest.approx((0.35, 0.4, 0.5), abs=0.01)
 
 
-def test_a_picture_by_a_script_on_a_mesh(tmp_path, quarters):
+def test_a_picture_by_a_script_on_a_mesh(tmp_path, four):
     (tmp_path / "m.obj").write_text(
         "v 0 .5 -.5\nv 0 -.5 -.5\nv 0 -.5 .5\nv 0 .5 .5\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
         "f 1/1 2/2 3/3 4/4\n"
     )
     mesh = Mesh(tmp_path / "m.obj", "m.obj")
-    assert quarters_seen(seen(mesh, Texture(quarters), covers=True)) == UPRIGHT
+    assert quarters_seen(seen(mesh, Texture(four), covers=True)) == UPRIGHT

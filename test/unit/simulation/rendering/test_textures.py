@@ -5,7 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from picture_worlds import CAMERA, picture_of, plate, thing, write_plate
+from picture_worlds import (
+    CAMERA,
+    COLOURS,
+    around_the_middle,
+    picture_of,
+    plate,
+    quarters,
+    thing,
+    write_plate,
+)
 from PIL import Image
 
 from bullet_lab.core.pose import Pose
@@ -13,9 +22,6 @@ from bullet_lab.simulation.rendering.drawables import read_pixels, surfaces_of
 from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))
-COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30), (30, 200, 200)]
-
-
 def flat(colour):
     return np.full((32, 32, 3), colour, np.uint8)
 
@@ -32,18 +38,6 @@ def test_one_file_name_with_two_contents(tmp_path):
         assert picture[240, 320] == pytest.approx(colour, abs=2)
 
 
-def quarters():
-    pixels = np.zeros((64, 64, 3), np.uint8)
-    for n, part in enumerate((np.s_[:32, :32], np.s_[:32, 32:], np.s_[32:, :32], np.s_[32:, 32:])):
-        pixels[part] = COLOURS[n]
-    return pixels
-
-
-def seen_quarters(picture):
-    places = ((200, 280), (200, 360), (280, 280), (280, 360))
-    return np.array([picture[v, u] for v, u in places], int)
-
-
 def test_faces_that_show_a_single_point_have_its_colour(tmp_path):
     path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
     corners = ((-0.6, -0.2), (-1.0, -0.2), (-1.0, 0.2), (-0.6, 0.2))
@@ -51,9 +45,9 @@ def test_faces_that_show_a_single_point_have_its_colour(tmp_path):
     path.write_text(f"{path.read_text()}vt 0.75 0.75\n{more}f -4/5 -3/5 -2/5 -1/5\n")
     (tmp_path / "quarters.mtl").write_text("newmtl face\nKd .5 1 .5\nmap_Kd quarters.png\n")
     picture = picture_of(thing("m", Mesh(path, path.name), Pose((3.0, 0, 0.5))), eye=AHEAD)
-    wanted = np.array(COLOURS[:4]) * (0.5, 1, 0.5)
+    wanted = COLOURS * (0.5, 1, 0.5)
     assert picture[240, 320 + round(0.8 * CAMERA.fx / 3)] == pytest.approx(wanted[1], abs=2)
-    assert seen_quarters(picture) == pytest.approx(wanted, abs=3)
+    assert around_the_middle(picture) == pytest.approx(wanted, abs=3)
 
 
 @pytest.mark.parametrize("side", [3, 10, 63])
@@ -73,7 +67,7 @@ def test_a_mirrored_mesh_shows_its_picture_mirrored(tmp_path):
     path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
     mesh = Mesh(path, path.name, (1.0, -1.0, 1.0))
     picture = picture_of(thing("m", mesh, Pose((3, 0, 0.5))), eye=AHEAD)
-    assert seen_quarters(picture) == pytest.approx(np.array(COLOURS)[[1, 0, 3, 2]], abs=3)
+    assert around_the_middle(picture) == pytest.approx(COLOURS[[1, 0, 3, 2]], abs=3)
 
 
 def test_a_far_picture_is_its_mean_not_single_texels(tmp_path):

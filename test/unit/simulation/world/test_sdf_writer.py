@@ -166,9 +166,8 @@ def test_meshes_are_named_so_that_they_are_found(tmp_path, package):
         .read_text()
         .replace("package://bullet_lab/meshes/beacon.dae", "own mesh.dae")
     )
-    world = (package / "worlds" / "empty.world").read_text()
-    include = "<include><uri>own.sdf</uri></include></world>"
-    (tmp_path / "w.world").write_text(world.replace("</world>", include))
+    include = "<include><uri>own.sdf</uri></include>"
+    (tmp_path / "w.world").write_text(f"<sdf><world name='w'>{include}</world></sdf>")
     inside = tmp_path / "inside"
     inside.mkdir()
     with Simulation(read_world_file(tmp_path / "w.world")) as simulation:

@@ -55,7 +55,6 @@ def test_the_block_robot(block_model):
     assert link.visuals[0].colour == (0.0, 1.0, 0.0, 1.0)
     _, move, states = block_model.plugins
     assert (move.name, move.filename) == ("planar_move", "libgazebo_ros_planar_move.so")
-    assert move.tags["robotBaseFrame"] == "base_footprint"
     assert states.tags == {"updateRate": "20.0"}
 
 
