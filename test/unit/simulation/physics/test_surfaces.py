@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rovers import LYING, G, Rover, Y, even_inertia, wheels
+from rovers import LYING, G, Y, even_inertia, wheels
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
@@ -28,21 +28,13 @@ from bullet_lab.simulation.world.description import (
 )
 
 
-def on_floor(friction, *models, gravity=(0.0, 0.0, -G)):
-    """A simulation of models on a plane."""
-    ground = Link("l", collisions=(Collision(Plane(), friction=friction),))
-    return Simulation(World("w", (Model("floor", (ground,), static=True), *models), (), gravity))
-
-
-def sled(*shapes, pose=Pose((0.0, 0.0, 0.1))):  # noqa: B008
-    link = Link("l", inertia=even_inertia(2.0, 0.01), collisions=shapes)
-    return Model("sled", (link,), pose=pose)
-
-
 def slowing(floor, *shapes, heading=0.0, towards=0.0):
     """What friction takes, as a part of g, from a sled that slides in a direction (rad)."""
-    model = sled(*shapes, pose=Pose.from_rpy((0.0, 0.0, 0.1), (0.0, 0.0, heading)))
-    with on_floor(floor, model) as simulation:
+    ground = Link("l", collisions=(Collision(Plane(), friction=floor),))
+    link = Link("l", inertia=even_inertia(2.0, 0.01), collisions=shapes)
+    pose = Pose.from_rpy((0.0, 0.0, 0.1), (0.0, 0.0, heading))
+    models = Model("floor", (ground,), static=True), Model("sled", (link,), pose=pose)
+    with Simulation(World("w", models, gravity=(0.0, 0.0, -G))) as simulation:
         simulation.run_for(0.2)
         body = simulation.models["sled"].bodies["l"]
         along = math.cos(towards), math.sin(towards)
@@ -76,38 +68,6 @@ def test_a_direction_of_friction_is_that_of_the_shape(quarters):
     assert slowing(1.0, turned, heading=heading, towards=there) == pytest.approx(0.1, abs=0.01)
 
 
-def cart(**wheel):
-    """Four wheels on axles along y that nothing drives."""
-    return Rover(width=0.4, wheel=wheel).model()
-
-
-@pytest.mark.parametrize(
-    ("direction", "one", "other", "rolled"),
-    # In the shape's axes, of which z is the axle's: the first stays, the others turn with it.
-    [
-        ((0.0, 0.0, 1.0), 0.2, 0.9, 0.0),
-        ((1.0, 0.0, 0.0), 0.9, 0.2, 0.04),
-        ((0.0, 1.0, 0.0), 0.9, 0.2, 0.1),
-        ((0.0, 1.0, 0.0), 0.9, 0.2, 0.157),
-    ],
-)
-def test_wheels_slide_sideways_with_the_friction_along_their_axle(direction, one, other, rolled):
-    """On a slope across them."""
-    slope = 0.5
-    model = cart(friction=one, cross_friction=other, direction=direction)
-    with on_floor(1.0, model) as simulation:
-        body = simulation.models["rover"].bodies["base"]
-        simulation.run_for(0.1)
-        body.set_velocity((0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
-        for name in body.joint_names:
-            body.set_joint(name, rolled / 0.1, 5.0)
-        simulation.set_gravity((0.0, slope * G, -G))
-        simulation.run_for(0.2)
-        (vx, vy, _), _ = body.velocity()
-        assert vy == pytest.approx((slope - 0.2) * G * 0.2, rel=0.05)
-        assert vx == pytest.approx(0.5, abs=0.02)
-
-
 # Treads
 
 
@@ -131,17 +91,6 @@ def test_a_lone_wheel_gets_a_tread_and_a_rim():
 )
 def test_what_is_no_lone_wheel_stays_as_it_is(shapes, axle):
     assert on_treads(shapes, axle) == list(shapes)
-
-
-def test_wheels_touch_the_floor_in_their_middle():
-    ground = Collision(Box((9.0, 9.0, 0.2)), Pose((0.0, 0.0, -0.1)))
-    floor = Model("floor", (Link("l", collisions=(ground,)),), static=True)
-    with Simulation(World("w", (floor,))) as simulation:
-        body = simulation.add(cart(friction=0.5)).bodies["base"]
-        simulation.run_for(0.3)
-        sides = [round(abs(point[6][1]), 3) for point in body.near_points()]
-        assert sides == pytest.approx(4 * [0.2], abs=0.5 * TREAD)
-        assert body.pose().position[2] == pytest.approx(0.0, abs=3e-4)
 
 
 # Which law of friction
