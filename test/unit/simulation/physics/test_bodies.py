@@ -687,20 +687,6 @@ def test_a_cylinder_is_round(space):
         assert hits(space, x, y) == pytest.approx(0.5)
 
 
-def test_a_static_copy_does_not_change_one_that_moves(hall, frame):
-    """Shapes are shared; what is set for the one must not come over the other."""
-    shapes = (frame, Box((0.4, 0.4, 0.4)))
-    path = []
-    for static_first in (False, True):
-        if static_first:
-            hall.add(thing(*shapes, name="rock", static=True, pose=Pose((40.0, 0.0, 0.0))))
-        instance = hall.add(thing(*shapes, pose=Pose((0.0, 0.0, 0.3))))
-        hall.run_for(0.5)
-        path.append(instance.pose())
-        hall.remove("thing")
-    assert path[0].position == pytest.approx(path[1].position, abs=1e-9)
-
-
 def test_a_mesh_file_that_has_changed_is_read_again(space, cube):
     space.add(thing(cube, static=True))
     space.remove("thing")

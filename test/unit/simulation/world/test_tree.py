@@ -106,15 +106,6 @@ def test_nothing_is_lumped_without_fixed_joints():
     assert lump_fixed_joints(model) == model
 
 
-def test_the_block_robot_becomes_one_body(block_model):
-    (link,) = block_model.links
-    assert link.inertia.mass == pytest.approx(4.51)
-    # Block and can on a common axis, 5 cm apart.
-    steiner = 4.5 * 0.01 / 4.51 * 0.05**2
-    assert link.inertia.matrix[0, 0] == pytest.approx(4.6875e-3 + 8.33e-6 + steiner)
-    assert link.inertia.centre == pytest.approx((0, 0, 0.025 + 0.01 / 4.51 * 0.05))
-
-
 def box(mass, x, y, z, centre=(0.0, 0.0, 0.0)):
     squares = (y * y + z * z, x * x + z * z, x * x + y * y)
     return Inertia(mass, centre, mass / 12.0 * np.diag(squares))
