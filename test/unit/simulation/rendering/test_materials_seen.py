@@ -1,11 +1,14 @@
 """Pictures of things with materials: where textures lie on shapes, and what colours do in light."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from picture_worlds import COLOURS, around_the_middle, picture_of, quarters, thing
 from PIL import Image
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.rendering import drawables
 from bullet_lab.simulation.world.description import (
     Box,
     Cylinder,
@@ -102,6 +105,16 @@ def test_sharp_pictures_have_square_pixels(tmp_path):
         picture = seen(Box((1.0, 1.0, 1.0)), Texture(tmp_path / "tiny.png", sharp=sharp))
         inner = picture[190:230, 270:310]
         assert (np.ptp(inner) == 0) == sharp
+
+
+def test_a_picture_on_several_things_is_loaded_once(four, monkeypatch):
+    loaded, blank = [], np.zeros((4, 4, 4), np.uint8)
+    monkeypatch.setattr(drawables, "read_pixels", lambda one: loaded.append(one) or blank)
+    thin = Visual(Box((0.1, 0.2, 0.3)), material=Material(texture=Texture(four)))
+    picture_of(*(replace(with_visual(thin), name=name) for name in "ab"), eye=EYE)
+    other = replace(thin, geometry=Sphere(0.2))
+    picture_of(with_visual(thin), replace(with_visual(other), name="other"), eye=EYE)
+    assert len(loaded) == 2
 
 
 COLOUR, DIM = (0.5, 0.0, 1.0, 1.0), (0.4, 0.4, 0.4, 1.0)

@@ -45,10 +45,6 @@ def test_named_materials_paint_the_link(name, colour):
     assert model.links[0].visuals[0].colour == colour
 
 
-def test_without_a_material_the_urdfs_colour_stays():
-    assert tagged("<mu1>1</mu1>").links[0].visuals[0].colour == (0.1, 0.2, 0.3, 1.0)
-
-
 def test_the_table_of_colours():
     assert len(GAZEBO_MATERIALS) >= 60
     for colour, look, _, plain in GAZEBO_MATERIALS.values():
