@@ -34,13 +34,14 @@ from bullet_lab.simulation.world.urdf import read_urdf_file
 
 UNIT = Inertia(2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
 G = 9.8
-KINDS = ("fixed", "revolute", "continuous", "prismatic")
 PYBULLET_KINDS = {
     "fixed": pybullet.JOINT_FIXED,
     "revolute": pybullet.JOINT_REVOLUTE,
     "continuous": pybullet.JOINT_REVOLUTE,
     "prismatic": pybullet.JOINT_PRISMATIC,
 }
+
+KINDS = tuple(PYBULLET_KINDS)
 
 
 @pytest.fixture

@@ -22,13 +22,10 @@ from bullet_lab.simulation.rendering.drawables import read_pixels, surfaces_of
 from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))
+
+
 def flat(colour):
     return np.full((32, 32, 3), colour, np.uint8)
-
-
-def column(number):
-    """Where what is 4 m ahead and at y = 2 - number is in the picture."""
-    return round(319.5 - CAMERA.fx * (2.0 - number) / 4.0)
 
 
 def test_one_file_name_with_two_contents(tmp_path):
@@ -96,8 +93,9 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
     model = thing("m", Mesh(tmp_path / "m.obj", "m.obj"), Pose((4, 0, 0.5)), (0.5, 0.4, 0.3, 1))
     picture = picture_of(model, eye=AHEAD)
     # The model's own colour is for what brings none.
-    wanted = np.array([np.array(COLOURS[0]) / 2, COLOURS[1], (127.5, 102, 76.5)])
-    assert picture[240, [column(n) for n in (1, 2, 3)]] == pytest.approx(wanted, abs=3)
+    wanted = np.array([COLOURS[0] / 2, COLOURS[1], (127.5, 102, 76.5)])
+    columns = [round(319.5 - CAMERA.fx * y / 4.0) for y in (1.0, 0.0, -1.0)]
+    assert picture[240, columns] == pytest.approx(wanted, abs=3)
 
 
 @pytest.mark.parametrize(

@@ -37,8 +37,6 @@ def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
     ("part", "xml"),
     [
         ("model", "<allow_auto_disable>1</allow_auto_disable><enable_wind>0</enable_wind>"),
-        ("model", "<self_collide>0</self_collide>"),
-        ("link", "<kinematic>false</kinematic>"),
         ("link", "<sensor name='s' type='ray'><visualize>true</visualize></sensor>"),
         ("visual", "<cast_shadows>1</cast_shadows><transparency>0.5</transparency><meta/>"),
         ("collision", "<max_contacts>10</max_contacts><laser_retro>0</laser_retro>"),

@@ -114,6 +114,7 @@ SDF = """<sdf version="1.6"><model name="m">
     <axis><xyz>0 0 1</xyz></axis></joint>
 </model></sdf>"""
 
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
