@@ -39,6 +39,7 @@ def test_a_box_is_where_model_and_shape_put_it():
 @pytest.mark.parametrize(
     ("point", "distance"),
     [
+        ((0.0, 0.0), 0.0),
         ((1.5, 0.0), 0.5),
         ((0.3, -0.9), 0.4),
         ((1.3, 0.9), 0.5),

@@ -244,7 +244,6 @@ def test_what_one_model_declares_the_next_ones_know(shop, tmp_path):
         ("media/materials/scripts", "media/materials/textures"),
         ("Media/materials/scripts", "Media/materials/textures"),
         (".", "."),
-        (".", "media/materials/textures"),
     ],
 )
 def test_gazebos_media_folders(scripts, textures, shop, tmp_path, monkeypatch):
