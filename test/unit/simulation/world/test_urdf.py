@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from conftest import complains
 
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import WHITE, Box, Cylinder, Mesh, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 
@@ -194,11 +193,6 @@ def test_bad_urdf_is_one_line_that_names_file_and_place(tmp_path, text, message)
     path.write_text(text)
     with complains(f"^{path}: (.*: )?{message}"):
         read_urdf_file(path)
-
-
-def test_a_missing_file(tmp_path):
-    with pytest.raises(LabError, match="nix.urdf: No such file or directory$"):
-        read_urdf_file(tmp_path / "nix.urdf")
 
 
 def test_meshes_beside_the_file_are_found_and_links_out_of_its_folder_are_not(tmp_path):
