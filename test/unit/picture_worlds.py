@@ -7,12 +7,27 @@ from PIL import Image
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Link, Mesh, Model, Visual, World
 
 WHITE_LIGHT = (1.0, 1.0, 1.0, 1.0)
 FOCAL = 320 / math.tan(math.radians(65) / 2)
 CAMERA = PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5)
+
+# Of the quarters of a picture: upper left, upper right, lower left, lower right.
+COLOURS = np.array([(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)])
+
+
+def quarters():
+    """A picture whose quarters have four colours."""
+    return COLOURS[np.kron([[0, 1], [2, 3]], np.ones((32, 32), int))].astype(np.uint8)
+
+
+def around_the_middle(picture, offset=30):
+    """The colours at the corners of a square around the middle, as in `COLOURS`."""
+    rows, columns = (np.array([m - offset, m + offset]) for m in (240, 320))
+    return picture[np.ix_(rows, columns)].reshape(4, 3).astype(int)
 
 
 def checkers(columns, rows, pixels=16, dark=20, bright=235):
@@ -49,3 +64,9 @@ def simulation_of(*models, **light):
     """A simulation with these models, by default in even light that leaves all as it is."""
     world = {"ambient": WHITE_LIGHT, "background": (0.0, 0.0, 1.0, 1.0), **light}
     return Simulation(World("pictures", tuple(models), **world))
+
+
+def picture_of(*models, eye, **light):
+    """What a camera at a pose sees of these models."""
+    with simulation_of(*models, **light) as simulation:
+        return simulation.renderer().picture(eye, Shot(CAMERA))

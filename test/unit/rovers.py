@@ -24,6 +24,7 @@ from bullet_lab.simulation.world.description import (
 G = 9.8
 Y = (0.0, 1.0, 0.0)
 LYING = Pose.from_rpy((0.0, 0.0, 0.0), (0.5 * math.pi, 0.0, 0.0))
+ROUND = Collision(Cylinder(0.1, 0.05), LYING)
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,21 @@ class Rover:
         return Model("rover", tuple(links), tuple(joints))
 
 
+def even_inertia(mass, moment):
+    """An inertia with the same moment about each axis through the origin."""
+    return Inertia(mass, (0.0, 0.0, 0.0), moment * np.eye(3))
+
+
+def wheels(*places, shape=ROUND, axis=Y, kind="continuous", parent="base", **joint):
+    """Links with a shape at places, and their joints to a parent."""
+    links = [Link(f"{parent}_w{n}", Pose(p), collisions=(shape,)) for n, p in enumerate(places)]
+    joints = [
+        Joint(f"{parent}_j{n}", kind, parent, link.name, link.pose, axis, **joint)
+        for n, link in enumerate(links)
+    ]
+    return links, joints
+
+
 def ramp(slope=0.0, towards=0.0, friction=1.0):
     """A floor that rises by an angle in a direction (rad), and the pose of its upper side."""
     turn = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, -slope, 0.0))
@@ -83,6 +99,7 @@ class Drive:
         self.wheels = [Wheel(self.body, name, rover.torque) for name in self.body.joint_names]
 
     def __enter__(self):
+        self.go(0.0, 0.0, 0.2)
         return self
 
     def __exit__(self, *_):
@@ -103,7 +120,6 @@ class Drive:
 
     def steady_twist(self, left, right):
         """Return it after a while, as a mean over the turns of the engine's leftovers."""
-        self.go(0.0, 0.0, 0.2)
         self.go(left, right, 0.5)
         twists = []
         for _ in range(20):

@@ -115,8 +115,13 @@ def wheel_mesh(path, radius, width, sides=64):
             [(0, 0, high), (ax, ay, high), (bx, by, high)],
             [(0, 0, low), (bx, by, low), (ax, ay, low)],
         ]
+    write_stl(path, triangles)
+
+
+def write_stl(path, triangles):
+    """Write triangles (n, 3, 3) as a binary file."""
     records = np.zeros(len(triangles), [("normal", "<3f4"), ("corners", "<9f4"), ("rest", "<u2")])
-    records["corners"] = np.array(triangles, np.float32).reshape(-1, 9)
+    records["corners"] = np.reshape(triangles, (-1, 9))
     path.write_bytes(80 * b" " + struct.pack("<I", len(triangles)) + records.tobytes())
 
 

@@ -1,16 +1,14 @@
 """What the engine holds is what the description says: masses, frames, joints and every shape."""
 
-import os
 import random
-import struct
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from contact_forces import pressures
 from heap import bytes_kept
+from rovers import even_inertia, wheels
+from wheeled_robots import write_stl
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import PhysicsError, pybullet
@@ -36,14 +34,14 @@ from bullet_lab.simulation.world.urdf import read_urdf_file
 
 UNIT = Inertia(2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
 G = 9.8
-ENDS = ("name", "parent", "child")
-KINDS = ("fixed", "revolute", "continuous", "prismatic")
 PYBULLET_KINDS = {
     "fixed": pybullet.JOINT_FIXED,
     "revolute": pybullet.JOINT_REVOLUTE,
     "continuous": pybullet.JOINT_REVOLUTE,
     "prismatic": pybullet.JOINT_PRISMATIC,
 }
+
+KINDS = tuple(PYBULLET_KINDS)
 
 
 @pytest.fixture
@@ -54,45 +52,45 @@ def space():
 
 @pytest.fixture
 def hall():
-    floor = Model("floor", (Link("l", collisions=(Collision(Plane(), name="ground"),)),),
-                  static=True)  # fmt: skip
+    floor = lump((Collision(Plane(), name="ground"),), name="floor", static=True)
     with Simulation(World("hall", (floor,), gravity=(0.0, 0.0, -G))) as simulation:
         yield simulation
 
 
-@pytest.fixture
-def frame(tmp_path):
-    """A square frame with a hole, as a mesh file."""
-    corners = [(x, y, z) for z in (0, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    corners += [(0.5 * x, 0.5 * y, z) for x, y, z in corners]
-    faces = []
-    for level in (0, 4):
-        for side in range(4):
-            a, b = level + side, level + (side + 1) % 4
-            faces += [(a, b, b + 8), (a, b + 8, a + 8)]
-    return mesh_file(tmp_path / "frame.stl", corners, faces)
+# With sides of 1 m, about the origin.
+CUBE = """v -.5 -.5 -.5\nv .5 -.5 -.5\nv -.5 .5 -.5\nv .5 .5 -.5
+v -.5 -.5 .5\nv .5 -.5 .5\nv -.5 .5 .5\nv .5 .5 .5
+f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6
+"""
+# Two square frames with holes, one 1 m above the other.
+FRAME = """v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1
+v -.5 -.5 0\nv .5 -.5 0\nv .5 .5 0\nv -.5 .5 0\nv -.5 -.5 1\nv .5 -.5 1\nv .5 .5 1\nv -.5 .5 1
+f 1 2 10 9\nf 2 3 11 10\nf 3 4 12 11\nf 4 1 9 12
+f 5 6 14 13\nf 6 7 15 14\nf 7 8 16 15\nf 8 5 13 16
+"""
 
 
 @pytest.fixture
 def cube(tmp_path):
-    """A cube with sides of 1 m about the origin, as a mesh file."""
-    corners = [(x, y, z) for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
-    quads = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
-    faces = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
-    return mesh_file(tmp_path / "cube.stl", corners, faces)
+    (tmp_path / "cube.obj").write_text(CUBE)
+    return Mesh(tmp_path / "cube.obj", "cube.obj")
 
 
-def mesh_file(path, corners, faces):
-    triangles = np.asarray(corners, np.float32)[np.asarray(faces)]
-    records = np.zeros(len(triangles), [("normal", "<3f4"), ("corners", "<9f4"), ("rest", "<u2")])
-    records["corners"] = triangles.reshape(-1, 9)
-    path.write_bytes(80 * b" " + struct.pack("<I", len(triangles)) + records.tobytes())
-    return Mesh(path, path.name)
+@pytest.fixture
+def frame(tmp_path):
+    (tmp_path / "frame.obj").write_text(FRAME)
+    return Mesh(tmp_path / "frame.obj", "frame.obj")
 
 
-def thing(*geometries, inertia=UNIT, name="thing", **parts):
-    shapes = tuple(Collision(g, Pose((0.0, 0.0, 3.0 * i))) for i, g in enumerate(geometries))
-    return Model(name, (Link("l", Pose(), inertia, (), shapes),), **parts)
+def lump(shapes, inertia=UNIT, name="thing", **parts):
+    """A model of one link."""
+    return Model(name, (Link("l", inertia=inertia, collisions=shapes),), **parts)
+
+
+def thing(*geometries, **parts):
+    """The same of shapes above each other."""
+    shapes = (Collision(g, Pose((0.0, 0.0, 3.0 * i))) for i, g in enumerate(geometries))
+    return lump(tuple(shapes), **parts)
 
 
 def hits(space, x, y):
@@ -101,18 +99,7 @@ def hits(space, x, y):
     return None if first[0] < 0 else first[3][2]
 
 
-def resident_megabytes():
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
-
-
 # Random trees
-
-
-def some_name(chance, number):
-    letters = "abcxyz_-./: éäß漢字🤖\"'<&>"
-    length = chance.choice((1, 3, 30, 300, 9_000))
-    return f"{number}" + "".join(chance.choice(letters) for _ in range(length))
 
 
 def some_pose(chance, reach):
@@ -166,12 +153,12 @@ def some_tree(chance, cube, count=0):
         if helpers(shapes) > spare:
             shapes = shapes[:1]
         spare -= helpers(shapes)
-        name = some_name(chance, number)
+        name = f"l{number}"
         links.append(Link(name, Pose(), some_inertia(chance), (), shapes))
         if number:
             joints.append(
                 Joint(
-                    some_name(chance, number),
+                    f"j{number}",
                     chance.choice(KINDS),
                     chance.choice(links[:-1]).name,
                     name,
@@ -213,7 +200,7 @@ def same_pose(found, wanted):
     assert sign * np.array(found.quaternion) == pytest.approx(wanted.quaternion, abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_random_trees_are_held_as_they_are_described(space, cube, seed):
     chance = random.Random(seed)
     model = some_tree(chance, cube)
@@ -249,8 +236,7 @@ def half_height(geometry):
     return 0.5 * (geometry.size[2] if isinstance(geometry, Box) else geometry.scale[2])
 
 
-@pytest.mark.parametrize("static", [False, True])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(("seed", "static"), [(0, True), (1, False), (2, True), (3, False)])
 def test_every_shape_of_random_trees_acts(space, cube, seed, static):
     model = replace(some_tree(random.Random(seed), cube), static=static)
     instance = space.add(model)
@@ -269,62 +255,13 @@ def test_every_shape_of_random_trees_acts(space, cube, seed, static):
             assert found[3] == pytest.approx(surface, abs=1e-3)
 
 
-def snake(cube, count):
-    """Links with shapes of all kinds on joints of all kinds, above a floor."""
-    chance = random.Random(4)
-    tiny = replace(cube, scale=(0.1, 0.1, 0.1))
-    small = (Box((0.1, 0.1, 0.1)), Cylinder(0.05, 0.1), Sphere(0.05), tiny)
-    links = [
-        Link(f"l{n}", Pose(), Inertia(0.3, (0.0, 0.01, 0.0), 0.001 * np.eye(3)), (),
-             (Collision(small[n % 4]), Collision(small[n // 4 % 4], Pose((0.0, 0.1, 0.0)))))
-        for n in range(count)
-    ]  # fmt: skip
-    joints = [
-        Joint(f"j{n}", KINDS[n % 4], f"l{n - 1}", f"l{n}", Pose((0.15, 0.0, 0.0)),
-              some_axis(chance), {"lower": -0.1, "upper": 0.1}, 0.01, 0.002)
-        for n in range(1, count)
-    ]  # fmt: skip
-    return Model("snake", tuple(links), tuple(joints), pose=Pose((0.0, 0.0, 0.05)))
-
-
-def test_names_change_nothing_to_the_byte(cube):
-    """Variants of one robot, whose names differ in length."""
-    model = snake(cube, 9)
-
-    def named(name, length):
-        return f"{name[0]}{length * 'n'}{name[1:]}"
-
-    def moved(length):
-        links = tuple(replace(link, name=named(link.name, length)) for link in model.links)
-        joints = tuple(
-            replace(joint, **{end: named(getattr(joint, end), length) for end in ENDS})
-            for joint in model.joints
-        )
-        floor = Model("floor", (Link("l", collisions=(Collision(Plane()),)),), static=True)
-        with Simulation(World("hall", (floor,), gravity=(0.0, 0.0, -G))) as simulation:
-            instance = simulation.add(Model("robot", links, joints, pose=model.pose))
-            (body,) = instance.bodies.values()
-            for number, name in enumerate(body.joint_names):
-                body.drive_joint(name, 0.5 + 0.1 * number, 0.3)
-            simulation.run_for(0.03)
-            touched = len(body.near_points())
-            state = instance.state()
-        numbers = [(*f.pose.position, *f.linear, *f.angular) for f in state.links.values()]
-        places = np.array([*np.ravel(numbers), *np.ravel(list(state.joints.values()))])
-        assert touched > 10
-        assert np.abs(places).min() > 0.0
-        return places.tobytes()
-
-    assert len({moved(length) for length in range(0, 9_000, 500)}) == 1
-
-
 # Joints, shown by their motion
 
 
 def jointed(kind="revolute", child=UNIT, **properties):
     """A link on a joint along z, whose inertia is 0.2 kg m² and 2 kg, on a heavy one."""
-    heavy = Inertia(1e9, (0.0, 0.0, 0.0), 1e9 * np.eye(3))
-    links = (Link("base", inertia=heavy), Link("part", inertia=replace(child, centre=(0, 0, 0.1))))
+    part = Link("part", inertia=replace(child, centre=(0, 0, 0.1)))
+    links = (Link("base", inertia=even_inertia(1e9, 1e9)), part)
     joint = Joint("j", kind, "base", "part", Pose((0.0, 0.0, 2.0)), (0.0, 0.0, 1.0), **properties)
     return Model("machine", links, (joint,))
 
@@ -343,17 +280,6 @@ def push(space, body, effort, seconds):
 
 @pytest.mark.parametrize(("kind", "inertia"), [("revolute", 0.2), ("prismatic", 2.0)])
 class TestMotion:
-    def test_an_effort(self, space, kind, inertia):
-        state = push(space, body_of(space, jointed(kind)), 0.5, 0.4)
-        assert state.velocity == pytest.approx(0.5 * 0.4 / inertia, rel=1e-6)
-
-    def test_damping(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, damping=0.3))
-        body.set_joint("j", 0.0, 2.0)
-        space.run_for(0.7)
-        wanted = 2.0 * np.exp(-0.3 * 0.7 / inertia)
-        assert body.joint_state("j").velocity == pytest.approx(wanted, rel=2e-3)
-
     def test_damping_of_any_strength_stops_and_never_swings_up(self, space, kind, inertia):
         body = body_of(space, jointed(kind, damping=1e6))
         body.set_joint("j", 0.0, 2.0)
@@ -396,13 +322,6 @@ class TestMotion:
         gained = push(space, body, 0.5, 0.2).velocity
         assert gained == pytest.approx((0.5 - 0.4) * 0.2 / inertia, rel=1e-6)
 
-    def test_no_more_than_the_limit_of_effort(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, limits={"effort": 0.2}))
-        for effort, exerted in ((9.0, 0.2), (-9.0, -0.2), (0.1, 0.1)):
-            body.set_joint("j", 0.0)
-            state = push(space, body, effort, 0.1)
-            assert state.velocity == pytest.approx(exerted * 0.1 / inertia, rel=1e-6)
-
     def test_no_effort_beyond_the_limit_of_velocity(self, space, kind, inertia):
         body = body_of(space, jointed(kind, limits={"velocity": 0.3}))
         step = 2.0 * 0.001 / inertia
@@ -413,12 +332,6 @@ class TestMotion:
         body.set_joint("j", 0.0, 1.0)
         slower = push(space, body, -2.0, 0.01).velocity
         assert slower == pytest.approx(1.0 - 10 * step, rel=1e-6)
-
-    def test_limits_of_effort_and_velocity_are_not_a_motors(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, limits={"velocity": 0.3, "effort": 0.1}))
-        body.drive_joint("j", 5.0, 1e4)
-        space.run_for(0.05)
-        assert body.joint_state("j").velocity == pytest.approx(5.0, rel=1e-6)
 
     @pytest.mark.parametrize(
         ("limits", "lowest", "highest"),
@@ -435,23 +348,20 @@ class TestMotion:
         body = body_of(space, jointed(kind, limits=limits))
         for effort, end in ((1.0, highest), (-1.0, lowest)):
             body.set_joint("j", 0.1)
-            position = push(space, body, effort, 2.0).position
+            position = push(space, body, 5.0 * effort, 0.9).position
             if end is None:
                 assert abs(position) > 0.5
             else:
                 assert position == pytest.approx(end, abs=2e-3)
 
-    def test_what_turns_fast_is_not_held_back(self, space, kind, inertia):
-        body = body_of(space, jointed(kind))
+    def test_neither_limits_nor_the_engine_hold_a_motor_back(self, space, kind, inertia):
+        body = body_of(space, jointed(kind, limits={"velocity": 0.3, "effort": 0.1}))
         body.drive_joint("j", 150.0, 1e4)
         space.run_for(0.1)
         assert body.joint_state("j").velocity == pytest.approx(150.0, rel=1e-6)
-        body.set_joint("j", 0.0, 300.0)
-        space.run_for(0.1)
-        assert body.joint_state("j").position == pytest.approx(0.0 + 150.0 * 0.1, rel=2.0)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_a_random_joint_moves_as_it_is_described(space, seed):
     """Effort, inertia about an axis anywhere, damping, friction and limit of effort in one."""
     chance = random.Random(seed)
@@ -467,27 +377,13 @@ def test_a_random_joint_moves_as_it_is_described(space, seed):
                     friction=friction, limits={"effort": most})  # fmt: skip
     links = (model.links[0], replace(model.links[1], inertia=child))
     effort, velocity, position = chance.uniform(2.0, 4.0), 0.0, 0.0
-    found = push(space, body_of(space, replace(model, links=links, joints=(joint,))), effort, 0.2)
+    body, sign = body_of(space, replace(model, links=links, joints=(joint,))), (-1.0) ** seed
+    found = push(space, body, sign * effort, 0.2)
     for _ in range(200):
         velocity += 0.001 / inertia * (min(effort, most) - damping * velocity - friction)
         position += 0.001 * velocity
-    assert found.velocity == pytest.approx(velocity, rel=1e-6)
-    assert found.position == pytest.approx(position, rel=1e-6)
-
-
-def test_no_joint_of_a_long_chain_passes_its_ends(space, cube):
-    model = snake(cube, 20)
-    body = body_of(space, model)
-    limited = [joint.name for joint in model.joints if joint.kind in ("revolute", "prismatic")]
-    for name in limited:
-        body.drive_joint(name, 1.0, 0.2)
-    farthest = []
-    for _ in range(100):
-        space.run_for(0.01)
-        farthest.append([abs(body.joint_state(name).position) for name in limited])
-    reached = np.max(farthest, axis=0)
-    assert np.max(reached) < 0.101
-    assert np.median(reached) > 0.099
+    assert found.velocity == pytest.approx(sign * velocity, rel=1e-6)
+    assert found.position == pytest.approx(sign * position, rel=1e-6)
 
 
 def test_a_strong_damper_between_light_links_does_not_swing_up(space):
@@ -507,24 +403,6 @@ def test_a_continuous_joint_has_no_ends(space):
     assert push(space, body, 1.0, 1.0).position > 2.0
 
 
-def test_an_axis_is_given_in_the_frame_of_the_link_below(space):
-    """A part whose principal axes are turned against its frame, on a joint that is turned, too."""
-    turn = Pose.from_rpy((0.0, 0.0, 0.0), (0.4, -0.7, 1.1))
-    matrix = turn.rotation_matrix() @ np.diag([0.2, 0.3, 0.4]) @ turn.rotation_matrix().T
-    model = jointed("revolute", child=Inertia(2.0, (0, 0, 0), matrix))
-    (joint,) = model.joints
-    axis = (0.36, 0.48, 0.8)
-    joint = replace(joint, axis=axis, pose=Pose.from_rpy((0.0, 0.0, 2.0), (0.3, 0.2, -0.5)))
-    link = replace(model.links[1], inertia=Inertia(2.0, (0.0, 0.0, 0.0), matrix))
-    body = body_of(space, replace(model, links=(model.links[0], link), joints=(joint,)))
-    body.set_joint("j", 0.0, 2.0)
-    state = pybullet.getLinkState(body.unique_id, 0, 1, 1, space.client)
-    assert state[7] == pytest.approx(tuple(2.0 * a for a in joint.pose.rotate(axis)))
-    body.set_joint("j", 0.0)
-    gained = push(space, body, 1.0, 0.01).velocity
-    assert gained == pytest.approx(0.01 / (np.array(axis) @ matrix @ axis), rel=1e-3)
-
-
 # Any number of shapes
 
 
@@ -537,29 +415,11 @@ def row(count, cube, every=0):
     )
 
 
-@pytest.mark.parametrize("static", [False, True])
-@pytest.mark.parametrize(("count", "every"), [(16, 0), (17, 0), (40, 0), (40, 3), (100, 1)])
-def test_any_number_of_shapes_acts(space, cube, count, every, static):
-    shapes = row(count, cube, every)
-    space.add(Model("comb", (Link("l", Pose(), UNIT, (), shapes),), static=static))
-    for number in range(count):
-        assert hits(space, 2.0 * number, 0.1) == pytest.approx(0.5, abs=2e-4)
-        assert hits(space, 2.0 * number + 1.0, 0.1) is None
-
-
-@pytest.mark.parametrize("every", [0, 3])
-def test_every_shape_carries_and_is_named(hall, cube, every):
+def test_every_shape_carries_and_is_named(hall, cube):
     """A ball lies on each shape of a thing that never moves; they are touched by their names."""
-    bench = Model("bench", (Link("l", collisions=row(40, cube, every)),), pose=Pose((0, 0, 2.0)),
-                  static=True)  # fmt: skip
-    hall.add(bench)
-    inertia = Inertia(1.0, (0.0, 0.0, 0.0), 0.004 * np.eye(3))
-    balls = [
-        hall.add(
-            thing(Sphere(0.1), inertia=inertia, name=f"ball{n}", pose=Pose((2.0 * n, 0.0, 2.6)))
-        )
-        for n in range(40)
-    ]
+    hall.add(lump(row(40, cube, 3), name="bench", static=True, pose=Pose((0.0, 0.0, 2.0))))
+    ball = thing(Sphere(0.1), inertia=even_inertia(1.0, 0.004))
+    balls = [hall.add(ball, f"ball{n}", Pose((2.0 * n, 0.0, 2.6))) for n in range(40)]
     hall.run_for(0.3)
     for number, ball in enumerate(balls):
         # No skin of Bullet's around a mesh, on whatever part of the body.
@@ -572,7 +432,7 @@ def test_every_shape_carries_and_is_named(hall, cube, every):
 
 
 def test_what_never_moves_does_not_touch_what_never_moves(hall, cube):
-    hall.add(Model("bench", (Link("l", collisions=row(40, cube, 2)),), static=True))
+    hall.add(lump(row(40, cube, 2), name="bench", static=True))
     hall.run_for(0.01)
     assert pybullet.getContactPoints(physicsClientId=hall.client) == ()
 
@@ -585,109 +445,44 @@ def feet(shape, **properties):
     return (*small, Collision(shape, name="foot", **properties))
 
 
-@pytest.mark.parametrize("meshed", [False, True])
-def test_a_helper_stands_and_slides_as_its_shape_alone(hall, cube, meshed):
-    """On a floor with friction 1: bodies that stand on the seventeenth of their shapes.
+WIDE = even_inertia(2.0, 0.2)
 
-    Its friction counts, not that of the others of its link.
+
+@pytest.mark.parametrize(
+    ("meshed", "friction", "others"), [(False, 0.2, 1.0), (True, 0.5, 0.05), (True, 0.2, 0.2)]
+)
+def test_a_helper_stands_and_slides_as_its_shape_alone(hall, cube, meshed, friction, others):
+    """A body that stands on the seventeenth of its shapes, on a floor with friction 1.
+
+    The friction of that shape counts, not that of the others of its link.
     """
     foot = replace(cube, scale=(1.0, 1.0, 0.2)) if meshed else Box((1.0, 1.0, 0.2))
-    inertia = Inertia(2.0, (0.0, 0.0, 0.0), 0.2 * np.eye(3))
-    for number, (friction, others) in enumerate(((0.2, 1.0), (0.5, 0.05), (0.2, 0.2))):
-        *above, plain_foot = feet(foot, friction=friction)
-        shapes = (*(replace(shape, friction=others) for shape in above), plain_foot)
-        bodies = [
-            hall.add(
-                Model(f"m{number}{name}", (Link("l", Pose(), inertia, (), own),)),
-                pose=Pose((0.0, 20.0 * number + y, 0.1)),
-            ).bodies["l"]
-            for name, own, y in (("helped", shapes, 0.0), ("plain", (plain_foot,), 5.0))
-        ]
-        helped, plain = bodies
-        hall.run_for(0.5)
-        assert pressures(hall, f"m{number}helped")["floor"] == pytest.approx(2 * G, rel=0.02)
-        (touching,) = {point[3] for point in helped.near_points()}
-        assert helped.link_at(touching).shapes == shapes[-1:]
-        for body in bodies:
-            # Bullet's skin of 1 mm around meshes is nearly taken off.
-            assert body.pose().position[2] == pytest.approx(0.1, abs=1.5e-4)
-            body.set_velocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        hall.run_for(0.2)
-        slower = 2.0 - friction * G * 0.2
-        assert helped.velocity()[0][0] == pytest.approx(slower, abs=0.02)
-        assert helped.velocity()[0] == pytest.approx(plain.velocity()[0], abs=1e-6)
-        for body in bodies:
-            body.remove_sliding_friction()
-        # What touches already keeps its friction for a while.
-        hall.run_for(0.2)
-        for body in bodies:
-            body.set_velocity((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        hall.run_for(0.2)
-        assert helped.velocity()[0][0] == pytest.approx(1.0, abs=1e-6)
+    *above, last = feet(foot, friction=friction)
+    shapes = (*(replace(shape, friction=others) for shape in above), last)
+    body = body_of(hall, lump(shapes, WIDE, pose=Pose((0.0, 0.0, 0.1))))
+    hall.run_for(0.5)
+    assert pressures(hall, "thing")["floor"] == pytest.approx(2 * G, rel=0.02)
+    (touching,) = {point[3] for point in body.near_points()}
+    assert body.link_at(touching).shapes == (last,)
+    # Bullet's skin of 1 mm around meshes is nearly taken off.
+    assert body.pose().position[2] == pytest.approx(0.1, abs=1.5e-4)
+    body.set_velocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    hall.run_for(0.2)
+    assert body.velocity()[0][0] == pytest.approx(2.0 - friction * G * 0.2, abs=0.02)
+    body.remove_sliding_friction()
+    # What touches already keeps its friction for a while.
+    hall.run_for(0.2)
+    body.set_velocity((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    hall.run_for(0.2)
+    assert body.velocity()[0][0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_helper_is_as_soft_as_its_link(hall):
     shapes = feet(Sphere(0.2), stiffness=4000.0, damping=100.0)
-    inertia = Inertia(2.0, (0.0, 0.0, 0.0), 0.2 * np.eye(3))
-    model = Model("m", (Link("l", Pose(), inertia, (), shapes),), pose=Pose((0.0, 0.0, 0.2)))
-    instance = hall.add(model)
+    instance = hall.add(lump(shapes, WIDE, pose=Pose((0.0, 0.0, 0.2))))
     hall.run_for(1.0)
     sag = 0.2 - instance.pose().position[2]
     assert sag == pytest.approx(2.0 * G / 4000.0, rel=0.05)
-
-
-def crowded(model, names):
-    """The model with sixteen tiny boxes before the shapes of some links: those become helpers."""
-
-    def link_of(link):
-        if link.name not in names:
-            return link
-        tiny = replace(link.collisions[0], geometry=Box((0.001, 0.001, 0.001)))
-        return replace(link, collisions=16 * (tiny,) + link.collisions)
-
-    return replace(model, links=tuple(map(link_of, model.links)))
-
-
-def test_wheels_on_helpers_roll_and_stand_as_wheels(package):
-    model = read_urdf_file(package / "urdf" / "camera_robot.urdf")
-    wheels = [joint.child for joint in model.joints if "wheel" in joint.child]
-    assert len(wheels) == 2
-
-    def driven(robot_model):
-        with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
-            robot = simulation.add(robot_model)
-            robot.command("cmd_vel", PlanarCommand(vx=0.3, wz=0.2))
-            simulation.run_for(2.0)
-            moved = robot.pose()
-            robot.command("cmd_vel", PlanarCommand())
-            simulation.run_for(1.0)
-            # Down a slope of 1 in 100, as it were: without sticking, it creeps.
-            simulation.set_gravity((0.098, 0.0, -9.8))
-            simulation.run_for(0.5)
-            before = robot.pose().position
-            simulation.run_for(5.0)
-            return moved, np.subtract(robot.pose().position, before)
-
-    (plain, plain_crept), (helped, helped_crept) = driven(model), driven(crowded(model, wheels))
-    assert helped.position == pytest.approx(plain.position, abs=1e-3)
-    assert helped.yaw == pytest.approx(plain.yaw, abs=1e-3)
-    assert np.abs(plain_crept).max() < 1e-6
-    assert np.abs(helped_crept).max() < 1e-6
-
-
-def test_a_can_on_a_helper_is_pushed_as_a_can(package, block_model):
-    """planar_move takes the sliding friction away, from helpers too."""
-
-    def driven(model):
-        with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
-            robot = simulation.add(model)
-            robot.command("cmd_vel", PlanarCommand(vx=0.2))
-            simulation.run_for(2.0)
-            return robot.pose().position
-
-    root = block_model.root_links()[0]
-    helped = driven(crowded(block_model, [root.name]))
-    assert helped == pytest.approx(driven(block_model), abs=1e-4)
 
 
 # The engine's limits
@@ -695,66 +490,35 @@ def test_a_can_on_a_helper_is_pushed_as_a_can(package, block_model):
 
 def test_more_links_than_the_engine_holds_are_refused_by_name(hall, cube):
     shapes = row(MOST_LINKS + 2, cube, 1)
-    good = Model("good", (Link("l", Pose(), UNIT, (), shapes[:-1]),), pose=Pose((0, 9, 0.5)))
-    hall.add(good)
+    hall.add(lump(shapes[:-1], name="good", pose=Pose((0, 9, 0.5))))
     with pytest.raises(PhysicsError, match="^model 'centipede': .* 128 links .* allows 127$"):
-        hall.add(Model("centipede", (Link("l", Pose(), UNIT, (), shapes),)))
+        hall.add(lump(shapes, name="centipede"))
     assert list(hall.models) == ["floor", "good"]
     assert pybullet.getNumBodies(hall.client) == 2
-    chain = [Link(f"l{n}", Pose(), UNIT) for n in range(130)]
-    joints = [Joint(f"j{n}", "revolute", f"l{n - 1}", f"l{n}") for n in range(1, 130)]
-    with pytest.raises(PhysicsError, match="model 'chain': .* need 129 links"):
-        hall.add(Model("chain", tuple(chain), tuple(joints)))
-    hall.add(Model("chain", tuple(chain[:128]), tuple(joints[:127])))
-    hall.run_for(0.01)
 
 
 @pytest.mark.long
-def test_a_hollow_mesh_of_any_size(space, tmp_path):
-    """A terrain of 180,000 triangles, whose corners the engine takes in five pieces."""
-    side = 300
-    x, y = np.meshgrid(np.linspace(-15.0, 15.0, side + 1), np.linspace(-15.0, 15.0, side + 1))
-    corners = np.column_stack((x.ravel(), y.ravel(), np.sin(x.ravel()) + 0.1 * y.ravel()))
-    first = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).ravel()
-    right, below = first + 1, first + side + 1
-    faces = np.concatenate(
-        (np.column_stack((first, right, below)), np.column_stack((right, below + 1, below)))
-    )
-    terrain = mesh_file(tmp_path / "terrain.stl", corners, faces)
-    space.add(thing(terrain, static=True))
-    for x, y in np.random.default_rng(6).uniform(-14.9, 14.9, (300, 2)).tolist():
-        assert hits(space, x, y) == pytest.approx(np.sin(x) + 0.1 * y, abs=2e-3)
-
-
-@pytest.mark.long
-def test_a_convex_mesh_of_any_size(space, tmp_path):
-    """A ball of 150,000 corners."""
-    rows, columns = 300, 500
-    polar = np.repeat(np.linspace(0.01, np.pi - 0.01, rows), columns)
-    around = np.tile(2.0 * np.pi * np.arange(columns) / columns, rows)
-    corners = np.column_stack(
-        (np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar))
-    )
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    faces = np.concatenate(
-        (
-            np.column_stack((first, first + 1, first + columns)),
-            np.column_stack((first + 1, first + columns + 1, first + columns)),
-        )
-    )
-    space.add(thing(mesh_file(tmp_path / "ball.stl", corners, faces)))
-    for x, y in np.random.default_rng(7).uniform(-0.5, 0.5, (100, 2)).tolist():
-        assert hits(space, x, y) == pytest.approx(np.sqrt(1.0 - x * x - y * y), abs=4e-3)
+@pytest.mark.parametrize("static", [False, True])
+def test_a_mesh_of_any_size(space, tmp_path, static):
+    """A bent strip of 160,000 corners: in pieces, or convex and with fewer corners."""
+    x = np.linspace(-5.0, 5.0, 80_000)
+    left = np.stack((x, np.ones_like(x), -0.02 * x**2), axis=1)
+    right = left * (1.0, -1.0, 1.0)
+    there = np.stack((left[:-1], right[:-1], left[1:]), axis=1)
+    back = np.stack((right[:-1], right[1:], left[1:]), axis=1)
+    write_stl(tmp_path / "strip.stl", np.concatenate((there, back)))
+    space.add(thing(Mesh(tmp_path / "strip.stl", ""), static=static))
+    for x, y in np.random.default_rng(7).uniform((-4.9, -0.9), (4.9, 0.9), (100, 2)).tolist():
+        assert hits(space, x, y) == pytest.approx(-0.02 * x**2, abs=2e-3)
 
 
 # Links of one body
 
 
-def spinner(shapes, joints=(), **flags):
+def spinner(shapes, touchy=()):
     """Links with these shapes in one place, each on a joint to the one before it."""
-    inertia = Inertia(1.0, (0.0, 0.0, 0.0), 0.1 * np.eye(3))
     links = tuple(
-        Link(f"l{n}", Pose(), inertia, (), own, n in flags.get("touchy", ()))
+        Link(f"l{n}", Pose(), even_inertia(1.0, 0.1), (), own, n in touchy)
         for n, own in enumerate(shapes)
     )
     joints = tuple(
@@ -788,8 +552,10 @@ def test_helpers_touch_other_links_of_their_body_that_want_it(space):
     model = spinner(shapes, touchy=(2,))
     apart = positions(space, model)
     assert apart[0] + apart[1] > 1e-3
-    space.remove("spinner")
-    assert positions(space, spinner(shapes)) == [0.0, 0.0]
+    # It is not enough that a third link wants it.
+    for touchy in ((), (1,)):
+        space.remove("spinner")
+        assert positions(space, spinner(shapes, touchy)) == [0.0, 0.0]
 
 
 def test_what_touched_is_not_remembered_of_another_body(space):
@@ -818,9 +584,8 @@ def test_beacons_one_after_another_leave_no_memory_behind(package):
         assert bytes_kept(come_and_go, 300) < 100.0
 
 
-def test_what_was_static_and_is_away_is_nowhere_and_comes_back(hall):
-    block = thing(Box((2.0, 2.0, 2.0)), static=True)
-    hall.add(block)
+def test_what_was_static_and_is_away_is_nowhere(hall):
+    hall.add(thing(Box((2.0, 2.0, 2.0)), static=True))
     ball = hall.add(thing(Sphere(0.1), name="ball"), pose=Pose((0.0, 0.0, 1.09)))
     hall.run_for(0.1)
     assert hall.contacts("ball") == {"thing"}
@@ -829,12 +594,6 @@ def test_what_was_static_and_is_away_is_nowhere_and_comes_back(hall):
     assert hits(hall, 0.5, 0.5) == pytest.approx(0.0)
     hall.run_for(1.0)
     assert ball.pose().position[2] == pytest.approx(0.1, abs=1e-3)
-    hall.add(block, "again", Pose((5.0, 0.0, 0.0)))
-    assert hits(hall, 0.5, 0.5) == pytest.approx(0.0)
-    assert hits(hall, 5.5, 0.5) == pytest.approx(1.0)
-    ball.place(Pose((5.0, 0.0, 1.09)))
-    hall.run_for(0.1)
-    assert hall.contacts("ball") == {"again"}
 
 
 def test_a_wall_without_end_that_is_away_is_nowhere(space):
@@ -902,29 +661,10 @@ def test_what_was_soft_comes_back_for_no_hard_one(space):
     shape = Collision(Box((2.0, 2.0, 0.2)))
     stiffnesses = []
     for one in (replace(shape, stiffness=1e4, damping=1e2), shape):
-        model = Model("plate", (Link("l", collisions=(one,)),), static=True)
-        (body,) = space.add(model).bodies.values()
+        (body,) = space.add(lump((one,), name="plate", static=True)).bodies.values()
         stiffnesses.append(pybullet.getDynamicsInfo(body.unique_id, -1, space.client)[9])
         space.remove("plate")
     assert stiffnesses == [1e4, -1.0]
-
-
-@pytest.mark.long
-def test_robots_with_joints_one_after_another_leave_little_memory_behind(cube):
-    chance = random.Random(2)
-    model = some_tree(chance, cube, 12)
-
-    def come_and_go(count):
-        for _ in range(count):
-            space.add(model)
-            space.remove("tree")
-
-    with Simulation(World("space")) as space:
-        come_and_go(20)
-        before = resident_megabytes()
-        come_and_go(100)
-        # Made anew each time, its 214 shapes leave 0.8 MB.
-        assert (resident_megabytes() - before) / 100 < 0.3
 
 
 def test_what_is_static_keeps_its_hollows_and_what_moves_is_convex(space, frame):
@@ -934,16 +674,6 @@ def test_what_is_static_keeps_its_hollows_and_what_moves_is_convex(space, frame)
     space.remove("thing")
     space.add(thing(frame))
     assert hits(space, 0.0, 0.0) == pytest.approx(1.0, abs=2e-4)
-
-
-def test_shapes_of_one_body_are_where_they_belong(space, frame):
-    geometries = (frame, Box((1.0, 1.0, 0.5)), Cylinder(0.5, 1.0), Sphere(0.4))
-    model = thing(*geometries, static=True)
-    space.add(replace(model, pose=Pose((5.0, 0.0, 1.0))))
-    assert hits(space, 5.0, 0.0) == pytest.approx(1.0 + 9.0 + 0.4)
-    assert hits(space, 5.45, 0.0) == pytest.approx(1.0 + 6.0 + 0.5)
-    assert hits(space, 5.45, 0.45) == pytest.approx(1.0 + 3.0 + 0.25)
-    assert hits(space, 5.9, 0.9) == pytest.approx(1.0 + 1.0)
 
 
 def test_a_floor_beside_a_mesh(space, frame):
@@ -958,58 +688,19 @@ def test_a_cylinder_is_round(space):
         assert hits(space, x, y) == pytest.approx(0.5)
 
 
-def test_copies_move_on_their_own(space, frame):
-    first = space.add(thing(frame), "first")
-    second = space.add(thing(frame), "second", Pose((9.0, 0.0, 0.0)))
-    second.move(Pose((9.0, 0.0, 0.0)), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    space.run_for(1.0)
-    assert first.pose().position == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-    assert second.pose().position == pytest.approx((10.0, 0.0, 0.0), abs=1e-6)
-
-
-def test_a_static_copy_does_not_change_one_that_moves(hall, frame):
-    """Shapes are shared; what is set for the one must not come over the other."""
-    shapes = (frame, Box((0.4, 0.4, 0.4)))
-    path = []
-    for static_first in (False, True):
-        if static_first:
-            hall.add(thing(*shapes, name="rock", static=True, pose=Pose((40.0, 0.0, 0.0))))
-        instance = hall.add(thing(*shapes, pose=Pose((0.0, 0.0, 0.3))))
-        hall.run_for(0.5)
-        path.append(instance.pose())
-        hall.remove("thing")
-    assert path[0].position == pytest.approx(path[1].position, abs=1e-9)
-
-
-def test_a_mesh_file_that_has_changed_is_read_again(space, tmp_path, cube):
+def test_a_mesh_file_that_has_changed_is_read_again(space, cube):
     space.add(thing(cube, static=True))
     space.remove("thing")
-    corners = [(0.0, 0.0, 7.0), (1.0, 0.0, 7.0), (0.0, 1.0, 7.0)]
-    mesh_file(cube.path, corners, [(0, 1, 2)])
+    cube.path.write_text("v 0 0 7\nv 1 0 7\nv 0 1 7\nf 1 2 3\n")
     space.add(thing(cube, static=True))
     assert hits(space, 0.2, 0.2) == pytest.approx(7.0)
-
-
-def test_nothing_is_written_to_the_temporary_folder(space, frame, tmp_path, monkeypatch):
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    monkeypatch.setenv("TMPDIR", str(folder))
-    before = os.stat(folder).st_mtime_ns
-    with Simulation(World("w")) as simulation:
-        simulation.add(thing(frame, Box((1.0, 1.0, 1.0)), static=True))
-        simulation.add(thing(frame, name="other"))
-        simulation.run_for(0.01)
-        # A file that comes and goes changes the time of its folder.
-        assert os.stat(folder).st_mtime_ns == before
-    assert os.stat(folder).st_mtime_ns == before
 
 
 def test_nothing_is_printed(space, frame, cube, capfd):
     space.add(thing(frame, Box((1.0, 1.0, 1.0)), static=True))
     space.add(jointed())
     with pytest.raises(PhysicsError):
-        space.add(Model("many", (Link("l", Pose(), UNIT, (), row(150, cube, 1)),)))
+        space.add(lump(row(150, cube, 1), name="many"))
     with pytest.raises(PhysicsError):
         space.add(thing(Sphere(0.0), name="flat"))
     space.run_for(0.01)
@@ -1018,24 +709,24 @@ def test_nothing_is_printed(space, frame, cube, capfd):
 
 def test_a_cart_on_ball_joints_rolls_every_way(hall):
     """Three balls with friction below a plate: they roll, where held ones would brake."""
-    ball = Collision(Sphere(0.03), friction=0.8)
-    inertia = Inertia(0.05, (0.0, 0.0, 0.0), 2e-5 * np.eye(3))
     places = [(0.1, 0.0, 0.03), (-0.1, 0.1, 0.03), (-0.1, -0.1, 0.03)]
-    balls = [Link(f"b{n}", Pose(p), inertia, (), (ball,)) for n, p in enumerate(places)]
-    joints = [Joint(f"j{n}", "ball", "plate", f"b{n}", Pose(p)) for n, p in enumerate(places)]
+    links, joints = wheels(
+        *places, shape=Collision(Sphere(0.03), friction=0.8), kind="ball", parent="plate"
+    )
+    balls = [replace(link, inertia=even_inertia(0.05, 2e-5)) for link in links]
     plate = Link("plate", Pose(), replace(UNIT, centre=(0.0, 0.0, 0.06)))
     cart = hall.add(Model("cart", (plate, *balls), tuple(joints)))
     body = cart.bodies["plate"]
     assert body.joint_names == ()
-    for velocity in ((0.5, 0.0, 0.0), (-0.3, 0.3, 0.0)):
-        hall.run_for(0.2)
-        cart.move(Pose(), velocity, (0.0, 0.0, 0.0))
-        hall.run_for(0.5)
-        # Speeding the balls up takes a part: 3 · 2e-5 / 0.03² of 2.15 kg.
-        assert body.velocity()[0] == pytest.approx(0.97 * np.array(velocity), abs=0.03)
+    velocity = (-0.3, 0.3, 0.0)
+    hall.run_for(0.2)
+    cart.move(Pose(), velocity, (0.0, 0.0, 0.0))
+    hall.run_for(0.5)
+    # Speeding the balls up takes a part: 3 · 2e-5 / 0.03² of 2.15 kg.
+    assert body.velocity()[0] == pytest.approx(0.97 * np.array(velocity), abs=0.03)
     cart.place(Pose())
     hall.run_for(0.2)
     assert np.abs(body.velocity()[0]).max() < 1e-3
-    restored = cart.state()
-    assert restored.joints == {}
-    cart.restore(restored)
+    state = cart.state()
+    assert state.joints == {}
+    cart.restore(state)

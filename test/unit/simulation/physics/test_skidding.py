@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rovers import LYING, Rover, Y
+from rovers import LYING, ROUND, Rover, Y, wheels
 from wheeled_robots import Robot, wheel_mesh
 
 from bullet_lab.core.pose import Pose
@@ -29,18 +29,7 @@ from bullet_lab.simulation.world.description import (
 from bullet_lab.simulation.world.tree import place_links
 
 Z = (0.0, 0.0, 1.0)
-ROUND = Collision(Cylinder(0.1, 0.05), LYING)
 CORNERS = [(x, y, 0.1) for x in (0.2, -0.2) for y in (0.25, -0.25)]
-
-
-def wheels(*places, shape=ROUND, axis=Y, kind="continuous", parent="base", **joint):
-    """Links on joints of a parent."""
-    links = [Link(f"{parent}_w{n}", collisions=(shape,)) for n in range(len(places))]
-    joints = [
-        Joint(f"{parent}_j{n}", kind, parent, link.name, Pose(place), axis, **joint)
-        for n, (link, place) in enumerate(zip(links, places))
-    ]
-    return links, joints
 
 
 def skidding(*groups):

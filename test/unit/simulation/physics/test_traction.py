@@ -39,7 +39,7 @@ def expected(drive, left, right, **more):
 
 
 @pytest.mark.parametrize(
-    ("ratio", "heading"), [(0.3, 0.0), (0.8, 0.3), (0.8, math.pi / 4), (1.5, 0.0), (1.5, 1.9)]
+    ("ratio", "heading"), [(0.3, 0.0), (1.5, math.pi / 4)]
 )
 def test_on_the_spot_at_the_rate_of_the_closed_form(ratio, heading):
     """With wheels at (±a, ±b) it is b²/(a² + b²) of what it would be if none slipped."""
@@ -50,36 +50,37 @@ def test_on_the_spot_at_the_rate_of_the_closed_form(ratio, heading):
     assert math.hypot(vx, vy) < 5e-4
 
 
-CASES = {
-    "mass ahead": (Rover(centre=(0.05, 0.0, 0.1)), -0.2, 0.2),
-    "mass aside": (Rover(centre=(0.0, -0.09, 0.1)), -0.2, 0.2),
-    "mass at a corner": (Rover(centre=(-0.06, 0.08, 0.1), length=0.5), 0.2, -0.2),
-    "on a wide arc": (Rover(), 0.15, 0.2),
-    "about one side": (Rover(), 0.0, 0.2),
-    "on an arc, mass behind": (Rover(centre=(-0.05, 0.02, 0.1)), 0.05, 0.2),
-    "slippery": (Rover(wheel={"friction": 0.3}), -0.2, 0.2),
-    "six wheels": (Rover(rows=3), -0.2, 0.2),
-    "six wheels, mass aside": (Rover(rows=3, centre=(0.05, 0.05, 0.1)), -0.2, 0.2),
-    "a track of five": (Rover(rows=5, length=0.6, radius=0.05), -0.2, 0.2),
-    "light wheels": (Rover(wheel_mass=0.01, centre=(0.03, 0.0, 0.1)), -0.2, 0.2),
-    "heavy wheels": (Rover(wheel_mass=5.0), -0.2, 0.2),
-    "stiff": (Rover(wheel={"stiffness": 1e7, "damping": 1.0}, centre=(0.05, 0.0, 0.1)), -0.2, 0.2),
-    "soft": (Rover(wheel={"stiffness": 1e4, "damping": 1e2}), -0.2, 0.2),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_as_the_quasi_static_law_says(name):
-    rover, left, right = CASES[name]
-    with Drive(rover, 1.0) as drive:
+@pytest.mark.parametrize(
+    "seed", [*range(8), *(pytest.param(n, marks=pytest.mark.long) for n in range(8, 25))]
+)
+def test_rovers_of_all_kinds_turn_as_the_quasi_static_law_says(seed):
+    """Slow, so that nothing but friction counts."""
+    random = np.random.default_rng(seed)
+    length, x, y = random.uniform((0.1, -0.2, -0.1), (0.8, 0.2, 0.1))
+    stiffness = 10.0 ** random.uniform(4.0, 7.0)
+    rover = Rover(
+        length=length,
+        rows=int(random.integers(2, 6)),
+        radius=random.uniform(0.05, 0.1),
+        centre=(x * length, y, 0.1),
+        wheel_mass=10.0 ** random.uniform(-2.0, 0.5),
+        wheel={
+            "friction": random.uniform(0.3, 1.0),
+            "stiffness": stiffness,
+            "damping": 1e-2 * stiffness,
+        },
+    )
+    left, right = random.uniform(-0.2, 0.2, 2)
+    with Drive(rover, random.uniform(-math.pi, math.pi)) as drive:
         twist = drive.steady_twist(left, right)
-        assert twist == pytest.approx(expected(drive, left, right), rel=0.01, abs=2e-3)
+        law = expected(drive, left, right)
+    assert twist == pytest.approx(law, abs=0.01 * max(abs(left), abs(right)))
+    assert twist[2] == pytest.approx(law[2], rel=0.02)
 
 
 def test_what_is_fast_is_also_kept_on_its_arc():
     rover = Rover(centre=(0.0625, 0.0375, 0.1))
     with Drive(rover, 0.5) as drive:
-        drive.go(0.0, 0.0, 0.2)
         drive.go(-0.5, 0.5, 0.8)
         twist, loads = drive.twist(), drive.loads()
     # By the twist at the centre of mass of all, whose acceleration is ω × v.
@@ -92,40 +93,8 @@ def test_what_is_fast_is_also_kept_on_its_arc():
     assert twist == pytest.approx(law + law[2] * np.array((y, -x, 0.0)), rel=0.01, abs=2e-3)
 
 
-@pytest.mark.long
-def test_rovers_of_all_kinds_turn_as_the_law_says():
-    """Drawn at random; slow, so that nothing but friction counts."""
-    random = np.random.default_rng(7)
-    errors, rates = [], []
-    for _ in range(25):
-        length, aside = random.uniform(0.1, 0.8), random.uniform(-0.2, 0.2, 2)
-        rover = Rover(
-            length=length,
-            rows=int(random.integers(2, 4)),
-            centre=(aside[0] * length, aside[1] * 0.5, 0.1),
-            wheel={"friction": random.uniform(0.3, 1.0)},
-        )
-        left, right = random.uniform(-0.1, 0.1, 2)
-        with Drive(rover, random.uniform(-math.pi, math.pi)) as drive:
-            twist, law = drive.steady_twist(left, right), expected(drive, left, right)
-        errors.append(np.abs(twist - law).max() / max(abs(left), abs(right)))
-        rates.append(abs(twist[2] / law[2] - 1.0))
-    assert max(errors) < 0.02
-    assert np.median(errors) < 0.002
-    assert np.median(rates) < 0.002
-
-
-def test_its_heading_makes_no_difference():
-    rover, left, right = CASES["mass at a corner"]
-    twists = []
-    for heading in (0.0, 0.6, math.pi / 4):
-        with Drive(rover, heading) as drive:
-            twists.append(drive.steady_twist(left, right))
-    assert twists == pytest.approx(np.broadcast_to(twists[0], (3, 3)), abs=1e-5)
-
-
 @pytest.mark.parametrize(
-    ("one", "other", "rolled"), [(1.0, 0.4, 0.0), (0.4, 1.0, 0.7), (0.8, 0, 2)]
+    ("one", "other", "rolled"), [(0.4, 1.0, 0.7), (0.8, 0, 2)]
 )
 def test_with_other_friction_along_than_across(one, other, rolled):
     """The second direction of a wheel whose first turns with it is along its axle."""
@@ -142,7 +111,6 @@ def test_with_other_friction_along_than_across(one, other, rolled):
 def test_the_smaller_coefficient_of_the_two_counts():
     """Seen by how fast it comes to its speed."""
     with Drive(Rover(wheel={"friction": 0.5}), friction=0.2) as drive:
-        drive.go(0.0, 0.0, 0.2)
         drive.go(2.0, 2.0, 0.3)
         assert drive.twist()[0] == pytest.approx(0.2 * G * 0.3, rel=0.03)
 
@@ -150,7 +118,7 @@ def test_the_smaller_coefficient_of_the_two_counts():
 # Slopes
 
 
-@pytest.mark.parametrize(("heading", "towards"), [(0.0, 0.0), (0.9, 0.8), (math.pi / 2, 0.3)])
+@pytest.mark.parametrize(("heading", "towards"), [(0.9, 0.8), (math.pi / 2, 0.3)])
 def test_on_a_slope_it_stands_and_drives_straight(heading, towards):
     with Drive(Rover(), heading, 0.2, towards) as drive:
         drive.go(0.0, 0.0, 0.5)
@@ -167,7 +135,6 @@ def test_on_a_slope_it_stands_and_drives_straight(heading, towards):
 def test_the_twist_on_a_slope_is_that_of_the_law_with_gravity():
     slope, rover = 0.25, Rover(centre=(0.0, 0.0, 0.0))
     with Drive(rover, 0.6, slope, 0.4) as drive:
-        drive.go(0.0, 0.0, 0.2)
         drive.go(-0.2, 0.2, 0.4)
         heading = (drive.tilt.inverse() * drive.robot.pose()).yaw
         weight = (rover.mass + 4 * rover.wheel_mass) * G * math.sin(slope)
@@ -178,7 +145,6 @@ def test_the_twist_on_a_slope_is_that_of_the_law_with_gravity():
 
 def test_on_too_steep_a_slope_it_slides_as_a_block_does():
     with Drive(Rover(wheel={"friction": 0.3}), 0.7, 0.5) as drive:
-        drive.go(0.0, 0.0, 0.2)
         before = drive.body.velocity()[0]
         drive.go(0.0, 0.0, 0.2)
         gained = np.subtract(drive.body.velocity()[0], before)
@@ -223,7 +189,6 @@ def test_what_it_stands_on_gets_the_opposite_of_its_friction(mass):
 
 def test_little_torque_accelerates_as_newton_says():
     with Drive(Rover(torque=0.1)) as drive:
-        drive.go(0.0, 0.0, 0.2)
         drive.go(2.0, 2.0, 0.5)
         mass = 10.0 + 4 * 0.5 * 0.5
         assert drive.twist()[0] == pytest.approx(4 * 0.1 / 0.1 / mass * 0.5, rel=0.02)
@@ -241,6 +206,7 @@ def test_a_reset_gives_the_same_again():
             drive.simulation.reset_simulation()
             for wheel in drive.wheels:
                 wheel.stop()
+            drive.go(0.0, 0.0, 0.2)
         assert poses[0] == poses[1]
 
 

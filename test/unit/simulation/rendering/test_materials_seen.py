@@ -1,15 +1,14 @@
 """Pictures of things with materials: where textures lie on shapes, and what colours do in light."""
 
-import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from picture_worlds import CAMERA, simulation_of, thing
+from picture_worlds import COLOURS, around_the_middle, picture_of, quarters, thing
 from PIL import Image
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.markers.faces import marker_cells, marker_image
-from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.rendering import drawables
 from bullet_lab.simulation.world.description import (
     Box,
     Cylinder,
@@ -23,98 +22,81 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.sdf import read_spawned
-from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 
-# By quarters: upper left, upper right, lower left, lower right.
-COLOURS = np.array([(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)])
+EYE = Pose((-3.0, 0.0, 0.0))
 UPRIGHT, DOWN = [0, 1, 2, 3], [3, 2, 1, 0]
 
 
 @pytest.fixture
-def quarters(tmp_path):
+def four(tmp_path):
     """The file of a picture whose quarters have four colours."""
-    pixels = COLOURS[np.kron([[0, 1], [2, 3]], np.ones((32, 32), int))].astype(np.uint8)
     path = tmp_path / "quarters.png"
-    Image.fromarray(pixels).save(path)
+    Image.fromarray(quarters()).save(path)
     return path
 
 
-def seen(geometry, texture, eye=None, pose=None, **material):
+def with_visual(visual):
+    return Model("m", (Link("l", visuals=(visual,)),), static=True)
+
+
+def seen(geometry, texture, eye=EYE, **material):
     """The picture of a thing with a texture."""
     visual = Visual(geometry, material=Material(texture=texture, **material))
-    model = Model("m", (Link("l", visuals=(visual,)),), pose=pose or Pose(), static=True)
-    with simulation_of(model) as simulation:
-        return simulation.renderer().picture(eye or Pose((-3.0, 0, 0)), Shot(CAMERA))
+    return picture_of(with_visual(visual), eye=eye)
 
 
 def quarters_seen(picture, offset=30):
     """Which of the colours are around the middle, in their order."""
-    places = [(240 + v * offset, 320 + u * offset) for v in (-1, 1) for u in (-1, 1)]
-    gaps = [np.abs(COLOURS - picture[place].astype(int)).sum(axis=1) for place in places]
-    assert np.min(gaps, axis=1) == pytest.approx(np.zeros(4), abs=12)
-    return np.argmin(gaps, axis=1).tolist()
+    gaps = np.abs(COLOURS - around_the_middle(picture, offset)[:, None]).sum(axis=2)
+    assert gaps.min(axis=1).max() <= 12
+    return gaps.argmin(axis=1).tolist()
 
 
-# From where the sides of a box are seen: place and roll, pitch, yaw of the eye.
-SIDES = {
-    "-x": ((-3, 0, 0), (0, 0, 0)),
-    "+x": ((3, 0, 0), (0, 0, np.pi)),
-    "-y": ((0, -3, 0), (0, 0, np.pi / 2)),
-    "+y": ((0, 3, 0), (0, 0, -np.pi / 2)),
-    # With x upwards, and with -x.
-    "+z": ((0, 0, 3), (0, np.pi / 2, 0)),
-    "-z": ((0, 0, -3), (0, -np.pi / 2, 0)),
-}
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_a_picture_is_upright_on_all_sides_of_a_box(quarters, side):
-    picture = seen(Box((1.0, 0.8, 0.6)), Texture(quarters), Pose.from_rpy(*SIDES[side]))
-    assert quarters_seen(picture) == UPRIGHT
+BOX = Box((1.0, 0.8, 0.6))
+QUARTER = np.pi / 2
 
 
 @pytest.mark.parametrize(
-    ("normal", "eye"),
+    # The place and roll, pitch, yaw of the eye, and how far from the middle it looks, in pixels.
+    ("geometry", "place", "rpy", "offset", "wanted"),
     [
+        (BOX, (-3, 0, 0), (0, 0, 0), 30, UPRIGHT),
+        (BOX, (3, 0, 0), (0, 0, np.pi), 30, UPRIGHT),
+        (BOX, (0, -3, 0), (0, 0, QUARTER), 30, UPRIGHT),
+        (BOX, (0, 3, 0), (0, 0, -QUARTER), 30, UPRIGHT),
+        # With x upwards, and with -x.
+        (BOX, (0, 0, 3), (0, QUARTER, 0), 30, UPRIGHT),
+        (BOX, (0, 0, -3), (0, -QUARTER, 0), 30, UPRIGHT),
         # Seen from above with y upwards, and from ahead with z upwards.
-        ((0, 0, 1), ((0, 0, 3), (0, np.pi / 2, np.pi / 2))),
-        ((1, 0, 0), ((3, 0, 0), (0, 0, np.pi))),
+        (Plane((0, 0, 1), (1.0, 0.8)), (0, 0, 3), (0, QUARTER, QUARTER), 30, UPRIGHT),
+        (Plane((1, 0, 0), (1.0, 0.8)), (3, 0, 0), (0, 0, np.pi), 30, UPRIGHT),
+        # A cylinder's seam is at y: half of the picture is on the other side. The picture's ends
+        # meet at the seam, upside down: its right is at the left.
+        (Cylinder(0.5, 1.0), (0, -3, 0), (0, 0, QUARTER), 30, DOWN),
+        (Cylinder(0.5, 1.0), (0, 3, 0), (0, 0, -QUARTER), 8, [2, 3, 0, 1]),
+        # A ball's poles are on y; from -z, with y upwards.
+        (Sphere(0.7), (0, 0, -3), (-QUARTER, -QUARTER, 0), 30, UPRIGHT),
     ],
 )
-def test_a_picture_on_a_plane(quarters, normal, eye):
-    picture = seen(Plane(normal, (1.0, 0.8)), Texture(quarters), Pose.from_rpy(*eye))
-    assert quarters_seen(picture) == UPRIGHT
+def test_where_a_picture_lies_on_a_shape(four, geometry, place, rpy, offset, wanted):
+    picture = seen(geometry, Texture(four), Pose.from_rpy(place, rpy))
+    assert quarters_seen(picture, offset) == wanted
 
 
-def test_a_picture_around_a_cylinder_and_a_ball(quarters):
-    # Their seams are at y and z: half of the picture is on the other side.
-    around = Pose.from_rpy((0, -3, 0), (0, 0, np.pi / 2))
-    assert quarters_seen(seen(Cylinder(0.5, 1.0), Texture(quarters), around)) == DOWN
-    # A ball's poles are on y; from -z, with y upwards.
-    below = Pose.from_rpy((0, 0, -3), (-np.pi / 2, -np.pi / 2, 0))
-    assert quarters_seen(seen(Sphere(0.7), Texture(quarters), below)) == UPRIGHT
-
-
-def test_the_seam_of_a_cylinder_shows_no_whole_picture_in_one_strip(quarters):
-    eye = Pose.from_rpy((0, 3, 0), (0, 0, -np.pi / 2))
-    picture = seen(Cylinder(0.5, 1.0), Texture(quarters), eye)
-    # The picture's ends meet there, upside down: its right is at the left.
-    assert quarters_seen(picture, 8) == [2, 3, 0, 1]
-
-
-def test_scale_tiles_and_scroll_shifts(quarters):
-    # Half as large, about the middle: a whole picture between the quarters of its sides.
-    eye = Pose((-3.0, 0, 0))
-    small = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, (0.5, 0.5)), eye)
-    assert quarters_seen(small, 25) == UPRIGHT
-    assert quarters_seen(small, 75) == DOWN
-    clamped = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, (0.5, 0.5), repeats=False), eye)
-    assert quarters_seen(clamped, 75) == UPRIGHT
-    shifted = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, scroll=(0.5, 0.0)), eye)
-    assert quarters_seen(shifted) == [1, 0, 3, 2]
-    turned = seen(Box((1.0, 1.0, 1.0)), Texture(quarters, rotation=np.pi), eye)
-    assert quarters_seen(turned) == DOWN
+@pytest.mark.parametrize(
+    ("settings", "offset", "wanted"),
+    [
+        # Half as large, about the middle: a whole picture between the quarters of its sides.
+        ({"scale": (0.5, 0.5)}, 25, UPRIGHT),
+        ({"scale": (0.5, 0.5)}, 75, DOWN),
+        ({"scale": (0.5, 0.5), "repeats": False}, 75, UPRIGHT),
+        ({"scroll": (0.5, 0.0)}, 30, [1, 0, 3, 2]),
+        ({"rotation": np.pi}, 30, DOWN),
+    ],
+)
+def test_scale_tiles_and_scroll_shifts(four, settings, offset, wanted):
+    picture = seen(Box((1.0, 1.0, 1.0)), Texture(four, **settings))
+    assert quarters_seen(picture, offset) == wanted
 
 
 def test_sharp_pictures_have_square_pixels(tmp_path):
@@ -125,16 +107,24 @@ def test_sharp_pictures_have_square_pixels(tmp_path):
         assert (np.ptp(inner) == 0) == sharp
 
 
+def test_a_picture_on_several_things_is_loaded_once(four, monkeypatch):
+    loaded, blank = [], np.zeros((4, 4, 4), np.uint8)
+    monkeypatch.setattr(drawables, "read_pixels", lambda one: loaded.append(one) or blank)
+    thin = Visual(Box((0.1, 0.2, 0.3)), material=Material(texture=Texture(four)))
+    picture_of(*(replace(with_visual(thin), name=name) for name in "ab"), eye=EYE)
+    other = replace(thin, geometry=Sphere(0.2))
+    picture_of(with_visual(thin), replace(with_visual(other), name="other"), eye=EYE)
+    assert len(loaded) == 2
+
+
 COLOUR, DIM = (0.5, 0.0, 1.0, 1.0), (0.4, 0.4, 0.4, 1.0)
 AHEAD = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (1.0, 0.0, 0.0))
 
 
-def in_light(visual, *behind, ambient=DIM):
-    """The colour in the picture of a plate across the view, in dim light and some from the eye."""
-    model = Model("m", (Link("l", visuals=(visual,)),), static=True)
-    world = {"ambient": ambient, "lights": (AHEAD,), "background": (0.0, 0.0, 0.0, 1.0)}
-    with simulation_of(model, *behind, **world) as simulation:
-        return simulation.renderer().picture(Pose((-3.0, 0, 0)), Shot(CAMERA))[240, 320] / 255
+def in_light(visual, *behind, light=AHEAD):
+    """The colour in the picture of a plate across the view, in dim light and another."""
+    model = with_visual(visual)
+    return picture_of(model, *behind, eye=EYE, ambient=DIM, lights=(light,))[240, 320] / 255
 
 
 @pytest.mark.parametrize(
@@ -166,92 +156,6 @@ def test_a_picture_that_blends_shows_what_is_behind_it(tmp_path):
         visual = Visual(Box((0.1, 1.0, 1.0)), material=Material(texture=texture))
         found = in_light(visual, wall)
         assert found == pytest.approx(wanted, abs=0.01)
-
-
-# A marker as courses have it: a thin box, or a plane, with a picture by a script.
-
-TAG = """<sdf version="1.6"><model name="tag"><static>true</static><link name="l">
-  <visual name="v"><pose>{}</pose><geometry>{}</geometry><material><script>
-    <uri>model://tag/materials/scripts</uri><uri>model://tag/materials/textures</uri>
-    <name>Tag/Seven</name></script></material></visual></link></model></sdf>"""
-TAG_SCRIPT = """material Tag/Seven
-{
-  technique
-  {
-    pass
-    {
-      texture_unit
-      {
-        // A relative path would not be found: OGRE knows files by their names.
-        texture seven.png
-        filtering anisotropic
-        max_anisotropy 16
-        scale 1 1
-      }
-    }
-  }
-}
-"""
-
-
-@pytest.fixture
-def tags(tmp_path):
-    """The folder of models with a tag."""
-    for folder in ("scripts", "textures"):
-        (tmp_path / "tag" / "materials" / folder).mkdir(parents=True)
-    materials = tmp_path / "tag" / "materials"
-    (materials / "scripts" / "tag.material").write_text(TAG_SCRIPT)
-    cells = marker_cells("apriltag_36h11", 7)
-    image = Image.fromarray(marker_image(cells, 50, quiet=1))
-    image.convert("P").save(materials / "textures" / "seven.png")
-    return tmp_path
-
-
-@pytest.mark.parametrize(
-    ("pose", "shape"),
-    [
-        ("0 0 0 0 0 0", "<box><size>0.01 0.5 0.5</size></box>"),
-        ("0 0 0 0 0 1.57", "<box><size>0.5 0.01 0.5</size></box>"),
-        ("0 0 0 0 -1.57 0", "<box><size>0.5 0.5 0.01</size></box>"),
-        ("0 0 0 0 -1.57 0", "<plane><normal>0 0 1</normal><size>0.5 0.5</size></plane>"),
-        ("0 0 0 0 0 3.1416", "<plane><normal>1 0 0</normal><size>0.5 0.5</size></plane>"),
-    ],
-)
-def test_a_marker_by_a_script_is_detected(tags, monkeypatch, pose, shape):
-    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tags))
-    model = read_spawned(TAG.format(pose, shape), "tag.sdf")
-    with simulation_of(model) as simulation:
-        picture = simulation.renderer().picture(Pose((-1.5, 0.05, 0.02)), Shot(CAMERA))
-    detector = MarkerDetector(DetectorSettings(dictionary="apriltag_36h11"))
-    (found,) = detector.detect(picture).markers
-    assert found.id == 7
-    # Its first corner is its upper left one, but where a plane's y, which is up, goes to the left.
-    first, _, third, _ = np.asarray(found.corners)
-    assert (third - first > 40).all() == ("<normal>0 0 1" not in shape)
-
-
-def test_pictures_are_shared_and_given_back(quarters):
-    material = Material(texture=Texture(quarters))
-    shapes = (Box((0.1, 0.2, 0.2 + 0.01 * n)) for n in range(3))
-    visuals = (Visual(shape, material=material) for shape in shapes)
-    links = (Link("l", visuals=(visual,)) for visual in visuals)
-    models = [Model(f"m{n}", (link,), static=True) for n, link in enumerate(links)]
-    with simulation_of(*models) as simulation:
-        renderer = simulation.renderer()
-        renderer.picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
-        scene = renderer._scene
-        made = list(scene._drawables.values())
-        assert len(made) == 3
-        (loaded,) = {loaded for drawable in made for loaded in drawable.textures}
-        given_back = weakref.ref(loaded)
-        for model in models:
-            simulation.remove(model.name)
-        renderer.picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
-        # The last drawables are kept, and their pictures with them.
-        assert given_back() is not None
-        scene._last.clear()
-        del made, loaded
-        assert given_back() is None
 
 
 # Meshes
@@ -306,9 +210,7 @@ def collada_seen(
     path.parent.mkdir(exist_ok=True)
     path.write_text(text.format(picture=picture))
     visual = Visual(Mesh(path, path.name), colour=colour, material=material or Material())
-    model = Model("m", (Link("l", visuals=(visual,)),), static=True)
-    with simulation_of(model, ambient=DIM, lights=(AHEAD,)) as simulation:
-        picture = simulation.renderer().picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
+    picture = picture_of(with_visual(visual), eye=EYE, ambient=DIM, lights=(AHEAD,))
     # A metre is 167 pixels; the left half has the picture.
     columns = (370, 440) if flip else (200, 270)
     spots = [(v, u) for v in (200, 280) for u in columns]
@@ -316,19 +218,19 @@ def collada_seen(
 
 
 @pytest.mark.parametrize("named", ["../quarters.png", "quarters.png", "C:\\own\\quarters.png"])
-def test_collada_with_a_picture_and_with_a_colour(tmp_path, quarters, named):
+def test_collada_with_a_picture_and_with_a_colour(tmp_path, four, named):
     (tmp_path / "model.config").write_text("<model/>")
     if named != "../quarters.png":
         # Where Gazebo's models have them.
         textures = tmp_path / "materials" / "textures"
         textures.mkdir(parents=True)
-        quarters.rename(textures / "quarters.png")
+        four.rename(textures / "quarters.png")
     left, right = collada_seen(tmp_path, named)
     assert left == pytest.approx(COLOURS * 0.9, abs=3)
     assert right == pytest.approx((0.8 * 0.5, 0.4 * 0.5, 0.2), abs=0.01)
 
 
-def test_a_visuals_material_covers_that_of_its_mesh(tmp_path, quarters):
+def test_a_visuals_material_covers_that_of_its_mesh(tmp_path, four):
     (tmp_path / "model.config").write_text("<model/>")
     green = (0.0, 1.0, 0.0, 1.0)
     left, right = collada_seen(tmp_path, "../quarters.png", colour=green)
@@ -362,7 +264,7 @@ def test_a_mesh_whose_material_is_broken_is_drawn_without(tmp_path, old, new):
     assert right == pytest.approx((0.4, 0.2, 0.2), abs=0.01)
 
 
-def test_normals_tell_the_outside_of_a_mirrored_mesh(tmp_path, quarters):
+def test_normals_tell_the_outside_of_a_mirrored_mesh(tmp_path, four):
     (tmp_path / "model.config").write_text("<model/>")
     mirrored = COLLADA.replace("<node>", "<node><scale>1 -1 1</scale>")
     left, _ = collada_seen(tmp_path, "../quarters.png", text=mirrored, flip=True)
@@ -379,16 +281,13 @@ def test_colours_and_normals_of_an_obj(tmp_path):
     visual = Visual(Mesh(tmp_path / "m.obj", "m.obj"))
     assert in_light(visual) == pytest.approx((0.1, 0.4, 0.0), abs=0.01)
     down = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (0.0, 0.0, -1.0))
-    model = Model("m", (Link("l", visuals=(visual,)),), static=True)
-    with simulation_of(model, ambient=DIM, lights=(down,)) as simulation:
-        picture = simulation.renderer().picture(Pose((-3.0, 0, 0)), Shot(CAMERA))
-    assert picture[240, 320] / 255 == pytest.approx((0.35, 0.4, 0.5), abs=0.01)
+    assert in_light(visual, light=down) == pytest.approx((0.35, 0.4, 0.5), abs=0.01)
 
 
-def test_a_picture_by_a_script_on_a_mesh(tmp_path, quarters):
+def test_a_picture_by_a_script_on_a_mesh(tmp_path, four):
     (tmp_path / "m.obj").write_text(
         "v 0 .5 -.5\nv 0 -.5 -.5\nv 0 -.5 .5\nv 0 .5 .5\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
         "f 1/1 2/2 3/3 4/4\n"
     )
     mesh = Mesh(tmp_path / "m.obj", "m.obj")
-    assert quarters_seen(seen(mesh, Texture(quarters), covers=True)) == UPRIGHT
+    assert quarters_seen(seen(mesh, Texture(four), covers=True)) == UPRIGHT

@@ -1,104 +1,58 @@
-import logging
+import os
 import re
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from picture_worlds import CAMERA, plate, simulation_of, thing, write_plate
+from picture_worlds import (
+    CAMERA,
+    COLOURS,
+    around_the_middle,
+    picture_of,
+    plate,
+    quarters,
+    thing,
+    write_plate,
+)
 from PIL import Image
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.drawables import read_pixels, surfaces_of
-from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.world.description import Mesh
 
 AHEAD = Pose((0.0, 0.0, 0.5))
-COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30), (30, 200, 200)]
 
 
 def flat(colour):
     return np.full((32, 32, 3), colour, np.uint8)
 
 
-def place(number):
-    return Pose((4.0, 2.0 - number, 0.5))
-
-
-def column(number):
-    """Where the plate at `place(number)` is in the picture."""
-    return round(319.5 - CAMERA.fx * (2.0 - number) / 4.0)
-
-
-def colours_in(picture):
-    return np.array([picture[240, column(n)] for n in range(5)], int)
-
-
-def test_each_plate_keeps_its_picture(tmp_path):
-    """Also after many others were loaded: PyBullet tells textures apart by their addresses."""
-    for turn in range(3):
-        order = np.roll(np.arange(5), turn)
-        plates = [
-            plate(write_plate(tmp_path, f"p{turn}{n}", flat(COLOURS[n]), 0.8, 0.8), place(spot))
-            for spot, n in enumerate(order)
-        ]
-        with simulation_of(*plates) as simulation:
-            picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
-        assert colours_in(picture) == pytest.approx(np.array(COLOURS)[order], abs=2)
-
-
 def test_one_file_name_with_two_contents(tmp_path):
     for colour in COLOURS[:2]:
         path = write_plate(tmp_path, "same", flat(colour), 0.8, 0.8)
-        with simulation_of(plate(path, place(2))) as simulation:
-            picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+        picture = picture_of(plate(path, Pose((4.0, 0.0, 0.5))), eye=AHEAD)
         assert picture[240, 320] == pytest.approx(colour, abs=2)
-
-
-def quarters():
-    pixels = np.zeros((64, 64, 3), np.uint8)
-    for n, part in enumerate((np.s_[:32, :32], np.s_[:32, 32:], np.s_[32:, :32], np.s_[32:, 32:])):
-        pixels[part] = COLOURS[n]
-    return pixels
-
-
-def seen_quarters(picture):
-    places = ((200, 280), (200, 360), (280, 280), (280, 360))
-    return np.array([picture[v, u] for v, u in places], int)
-
-
-def test_a_picture_is_the_right_way_round(tmp_path):
-    path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
-    with simulation_of(plate(path, Pose((3.0, 0, 0.5)))) as simulation:
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
-    assert seen_quarters(picture) == pytest.approx(np.array(COLOURS[:4]), abs=3)
 
 
 def test_faces_that_show_a_single_point_have_its_colour(tmp_path):
     path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
-    text = path.read_text() + "vt 0.75 0.75\n"
-    for y in (-0.8, 0.8):
-        corners = ((y + 0.2, -0.2), (y - 0.2, -0.2), (y - 0.2, 0.2), (y + 0.2, 0.2))
-        text += "".join(f"v 0 {a} {b}\n" for a, b in corners) + "f -4/5 -3/5 -2/5 -1/5\n"
-    path.write_text(text)
+    corners = ((-0.6, -0.2), (-1.0, -0.2), (-1.0, 0.2), (-0.6, 0.2))
+    more = "".join(f"v 0 {a} {b}\n" for a, b in corners)
+    path.write_text(f"{path.read_text()}vt 0.75 0.75\n{more}f -4/5 -3/5 -2/5 -1/5\n")
     (tmp_path / "quarters.mtl").write_text("newmtl face\nKd .5 1 .5\nmap_Kd quarters.png\n")
-    model = thing("m", Mesh(path, path.name), Pose((3.0, 0, 0.5)))
-    with simulation_of(model) as simulation:
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
-    for u in (320 - round(0.8 * CAMERA.fx / 3), 320 + round(0.8 * CAMERA.fx / 3)):
-        assert picture[240, u] == pytest.approx(np.array(COLOURS[1]) * (0.5, 1, 0.5), abs=2)
-    wanted = np.array(COLOURS[:4]) * (0.5, 1, 0.5)
-    assert seen_quarters(picture) == pytest.approx(wanted, abs=3)
+    picture = picture_of(thing("m", Mesh(path, path.name), Pose((3.0, 0, 0.5))), eye=AHEAD)
+    wanted = COLOURS * (0.5, 1, 0.5)
+    assert picture[240, 320 + round(0.8 * CAMERA.fx / 3)] == pytest.approx(wanted[1], abs=2)
+    assert around_the_middle(picture) == pytest.approx(wanted, abs=3)
 
 
-@pytest.mark.parametrize("side", [2, 3, 5, 10, 63])
+@pytest.mark.parametrize("side", [3, 10, 63])
 def test_pictures_of_any_width(tmp_path, side):
     columns = np.arange(side) % 2 * 200 + 20
     stripes = np.tile(columns.astype(np.uint8), (side, 1))
     path = write_plate(tmp_path, "stripes", stripes, 2.0, 2.0)
-    with simulation_of(plate(path, Pose((2.5, 0, 0.5)))) as simulation:
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    picture = picture_of(plate(path, Pose((2.5, 0, 0.5))), eye=AHEAD)
     left, width = 319.5 - CAMERA.fx / 2.5, 2.0 * CAMERA.fx / 2.5 / side
     middles = np.round(left + width * (np.arange(side) + 0.5)).astype(int)
     for row in (100, 240, 380):
@@ -109,17 +63,15 @@ def test_pictures_of_any_width(tmp_path, side):
 def test_a_mirrored_mesh_shows_its_picture_mirrored(tmp_path):
     path = write_plate(tmp_path, "quarters", quarters(), 1.0, 1.0)
     mesh = Mesh(path, path.name, (1.0, -1.0, 1.0))
-    with simulation_of(thing("m", mesh, Pose((3, 0, 0.5)))) as simulation:
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
-    assert seen_quarters(picture) == pytest.approx(np.array(COLOURS)[[1, 0, 3, 2]], abs=3)
+    picture = picture_of(thing("m", mesh, Pose((3, 0, 0.5))), eye=AHEAD)
+    assert around_the_middle(picture) == pytest.approx(COLOURS[[1, 0, 3, 2]], abs=3)
 
 
 def test_a_far_picture_is_its_mean_not_single_texels(tmp_path):
     lines = np.zeros((512, 512), np.uint8)
     lines[:, ::2] = 200
     path = write_plate(tmp_path, "lines", lines, 2.0, 2.0)
-    with simulation_of(plate(path, Pose((8.0, 0, 0.5)))) as simulation:
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    picture = picture_of(plate(path, Pose((8.0, 0, 0.5))), eye=AHEAD)
     inner = picture[200:280, 280:360, 0].astype(float)
     assert inner.mean() == pytest.approx(100, abs=6)
     assert inner.std() < 8
@@ -139,11 +91,11 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
         text += "f -4/1 -3/2 -2/3 -1/3\n" if material != "c" else "f -4 -3 -2 -1\n"
     (tmp_path / "m.obj").write_text(text)
     model = thing("m", Mesh(tmp_path / "m.obj", "m.obj"), Pose((4, 0, 0.5)), (0.5, 0.4, 0.3, 1))
-    with simulation_of(model) as simulation:
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    picture = picture_of(model, eye=AHEAD)
     # The model's own colour is for what brings none.
-    wanted = np.array([np.array(COLOURS[0]) / 2, COLOURS[1], (127.5, 102, 76.5)])
-    assert colours_in(picture)[1:4] == pytest.approx(wanted, abs=3)
+    wanted = np.array([COLOURS[0] / 2, COLOURS[1], (127.5, 102, 76.5)])
+    columns = [round(319.5 - CAMERA.fx * y / 4.0) for y in (1.0, 0.0, -1.0)]
+    assert picture[240, columns] == pytest.approx(wanted, abs=3)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +104,6 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
         ("map_Kd nix.png", "nix.png"),
         ("map_Kd ../secret.png", "leaves its folder"),
         ("map_Kd http://example.org/a.png", "only package://"),
-        ("map_Kd /etc/hostname", "outside the folders"),
         ("map_Kd link.png", "leaves its folder"),
     ],
 )
@@ -164,61 +115,40 @@ def test_a_picture_that_is_not_there_is_one_line(tmp_path, statement, message, c
     (folder / "link.png").symlink_to(tmp_path / "secret.png")
     (folder / "p.mtl").write_text(f"newmtl face\n{statement}\n")
     models = [replace(plate(path, Pose((3.0, y, 0.5))), name=f"m{y}") for y in (0.0, 5.0)]
-    with simulation_of(*models) as simulation, caplog.at_level(logging.WARNING):
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    picture = picture_of(*models, eye=AHEAD)
     (line,) = caplog.messages
     assert line.startswith(f"{folder / 'p.mtl'}: ")
     assert message in line
     assert (picture[240, 320] == 255).all()
 
 
-def test_pictures_beside_the_meshes_of_a_gazebo_model(tmp_path):
-    (tmp_path / "meshes").mkdir()
-    (tmp_path / "model.config").write_text("<model/>")
-    path = write_plate(tmp_path / "meshes", "p", flat(COLOURS[1]), 1.0, 1.0)
-    (tmp_path / "textures").mkdir()
-    shutil.move(tmp_path / "meshes" / "p.png", tmp_path / "textures" / "q.png")
-    (tmp_path / "meshes" / "p.mtl").write_text("newmtl face\nmap_Kd ../textures/q.png\n")
+@pytest.mark.parametrize(
+    ("model", "picture"),
+    [
+        (".", "textures/q.png"),
+        # In the package that the model lies in.
+        ("models/shelf", "photos/q.png"),
+    ],
+)
+def test_pictures_beside_the_meshes_of_a_model_and_in_its_package(tmp_path, model, picture):
+    meshes = tmp_path / model / "meshes"
+    meshes.mkdir(parents=True)
+    (tmp_path / "package.xml").write_text("<package/>")
+    (tmp_path / model / "model.config").write_text("<model/>")
+    path = write_plate(meshes, "p", flat(COLOURS[1]), 1.0, 1.0)
+    (tmp_path / picture).parent.mkdir()
+    shutil.move(meshes / "p.png", tmp_path / picture)
+    named = os.path.relpath(tmp_path / picture, meshes)
+    (meshes / "p.mtl").write_text(f"newmtl face\nmap_Kd {named}\n")
     (surface,) = surfaces_of(Mesh(path, ""))
     assert surface.corners.shape == (2, 3, 3)
-    _, material = surface.look
-    assert (read_pixels(material.texture) == COLOURS[1]).all()
-
-
-def test_pictures_of_the_package_that_a_model_lies_in(tmp_path):
-    model = tmp_path / "models" / "shelf"
-    (model / "meshes").mkdir(parents=True)
-    (tmp_path / "package.xml").write_text("<package/>")
-    (model / "model.config").write_text("<model/>")
-    path = write_plate(model / "meshes", "p", flat(COLOURS[1]), 1.0, 1.0)
-    (tmp_path / "photos").mkdir()
-    shutil.move(model / "meshes" / "p.png", tmp_path / "photos" / "q.png")
-    (model / "meshes" / "p.mtl").write_text("newmtl face\nmap_Kd ../../../photos/q.png\n")
-    (surface,) = surfaces_of(Mesh(path, ""))
     assert (read_pixels(surface.look[1].texture) == COLOURS[1]).all()
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("p.obj", b"mtllib p.mtl\nv 0 0 0\nvt 0 0\nf 1/1 2/1 3/1\n", "not a readable mesh"),
-        ("p.obj", b"mtllib p.mtl\nv 0 0 x\n", "not a readable mesh"),
-        ("p.obj", b"mtllib p.mtl\nvt 0 0\nv 0 nan 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "finite"),
-    ],
-)
-def test_broken_files_are_one_line(tmp_path, name, content, message):
-    path = write_plate(tmp_path, "p", flat(COLOURS[0]), 1.0, 1.0)
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(LabError, match=message) as caught:
-        surfaces_of(Mesh(path, ""))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
         ("p.png", b"no image", "not a readable image"),
-        ("p.png", b"", "not a readable image"),
         ("p.obj", None, "no texture coordinates"),
     ],
 )
@@ -229,8 +159,7 @@ def test_a_picture_that_cannot_be_shown_is_named_and_left_out(
     if content is None:
         content = re.sub(rb"/\d", b"", path.read_bytes())
     (tmp_path / name).write_bytes(content)
-    with simulation_of(plate(path, Pose((3.0, 0, 0.5)))) as simulation:
-        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA))
+    picture = picture_of(plate(path, Pose((3.0, 0, 0.5))), eye=AHEAD)
     assert message in "".join(caplog.messages)
     assert (picture[240, 320] == 255).all()
 

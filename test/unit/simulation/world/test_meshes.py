@@ -1,19 +1,13 @@
 import struct
-import sys
 
 import numpy as np
 import pytest
 
-from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.physics import pybullet
-from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.world import meshes, shapes
-from bullet_lab.simulation.world.description import Mesh, Model
+from bullet_lab.simulation.world.description import Mesh
 from bullet_lab.simulation.world.mesh_parts import mesh_parts
-from bullet_lab.simulation.world.meshes import MeshError
 from bullet_lab.simulation.world.shapes import load_triangles
-from bullet_lab.simulation.world.urdf import read_urdf_file
 
 MATRIX = "0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1"
 STL = (
@@ -32,35 +26,25 @@ def beacon_text(package):
 def load(tmp_path):
     def load(name, content, scale=(1.0, 1.0, 1.0)):
         path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        if content is not None:
+            path.write_bytes(content if isinstance(content, bytes) else content.encode())
         return load_triangles(Mesh(path, name, scale))
 
     return load
 
 
 def binary_stl(corners, count=1):
-    numbers = [0, 0, 1] + [value for corner in corners for value in corner]
-    return 80 * b" " + struct.pack("<I", count) + struct.pack("<12fH", *numbers, 0)
+    numbers = np.array([(0, 0, 1), *corners], "<f4").tobytes() + b"\0\0"
+    return 80 * b" " + struct.pack("<I", count) + numbers
 
 
 def extent(triangles):
     return np.array([triangles.vertices.min(axis=0), triangles.vertices.max(axis=0)])
 
 
-def enclosed_volume(triangles):
-    a, b, c = (triangles.vertices[triangles.faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
-
-
 def test_the_beacon_stands_on_the_ground(package):
     beacon = load_triangles(Mesh(package / "meshes" / "beacon.dae", ""))
     assert extent(beacon) == pytest.approx(np.array([[-0.25, -0.25, 0], [0.25, 0.25, 2]]))
-    radii = np.hypot(beacon.vertices[:, 0], beacon.vertices[:, 1])
-    assert radii == pytest.approx(np.full(len(radii), 0.25), abs=1e-6)
-    # A closed prism with 48 sides, normals outward.
-    sides = 48
-    area = 0.5 * sides * 0.25**2 * np.sin(2 * np.pi / sides)
-    assert enclosed_volume(beacon) == pytest.approx(2.0 * area, rel=1e-5)
 
 
 def test_the_transform_and_the_scale_size_the_beacon(load, beacon_text):
@@ -69,11 +53,8 @@ def test_the_transform_and_the_scale_size_the_beacon(load, beacon_text):
         np.array([[-0.5, -0.5, 0], [0.5, 0.5, 1.5]])
     )
     assert extent(load("b.dae", changed, (2.0, 1.0, 1.0)))[1] == pytest.approx((1, 0.5, 1.5))
-
-
-def test_the_unit_of_a_collada_file_counts(load, beacon_text):
-    inches = beacon_text.replace('meter="1"', 'meter="0.0254"')
-    assert extent(load("b.dae", inches))[1] == pytest.approx((0.00635, 0.00635, 0.0508))
+    inches = changed.replace('meter="1"', 'meter="0.0254"')
+    assert extent(load("b.dae", inches))[1] == pytest.approx((0.0127, 0.0127, 0.0381))
 
 
 # Beside the beacon, a smaller one in a node within a node, and that again, elsewhere.
@@ -152,7 +133,6 @@ def test_an_stl_file_has_no_parts(tmp_path, caplog):
     ("name", "content"),
     [
         ("a.stl", STL.format("2")),
-        ("b.stl", binary_stl(CORNERS)),
         ("c.STL", binary_stl(CORNERS)),
         ("d.obj", "v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n"),
     ],
@@ -167,57 +147,28 @@ def test_indices_of_an_obj_that_count_back(load):
     text = "v 9 9 9\nv 0 0 0\nv 2 0 0\nv 0 1 0\nvn 0 0 1\nf -3//-1 -2//-1 -1//-1\nv 5 5 5\n"
     triangles = load("d.obj", text)
     assert triangles.vertices[triangles.faces].tolist() == [CORNERS]
-    with pytest.raises(MeshError, match="not a readable mesh: index -4 of 3"):
-        load("e.obj", "v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 -4\n")
-
-
-@pytest.fixture(scope="module")
-def opened_files():
-    """The names of all files that this process opens from now on."""
-    names = []
-    listening = [True]
-
-    def hook(event, arguments):
-        if listening[0] and event == "open":
-            names.append(str(arguments[0]))
-
-    # Python has no way to take such a hook out again.
-    sys.addaudithook(hook)
-    yield names
-    listening[0] = False
-
-
-def test_a_mesh_reaches_no_other_file(load, tmp_path, opened_files):
-    (tmp_path / "m.mtl").write_text("newmtl red\nmap_Kd secret.png\n")
-    obj = "mtllib m.mtl\nv 0 0 0\nv 2 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
-    opened_files.clear()
-    load("d.obj", obj)
-    own = [name for name in opened_files if name.startswith(str(tmp_path))]
-    assert set(own) == {str(tmp_path / "d.obj")}
 
 
 BAD = {
     "e.dae": ("", "not well-formed XML"),
     "e.stl": ("", "no triangles"),
-    "e.obj": ("", "no triangles"),
-    "g.stl": ("garbage", "no triangles"),
     "g.obj": ("garbage", "no triangles"),
     "t.stl": (binary_stl(CORNERS)[:100], "neither a whole binary mesh nor text"),
     "count.stl": (binary_stl(CORNERS, count=9), "mesh"),
-    "half.stl": (STL.format("2")[:60], "no triangles"),
-    "nan.stl": (STL.format("nan"), "finite"),
     "one_of_two.stl": (STL.format("2").replace("endsolid\n", STL.format("nan")[8:]), "finite"),
     "binary_nan.stl": (binary_stl([[0, 0, np.nan], [1, 0, 0], [0, 1, 0]]), "finite"),
     "one_of_two.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 4\n", "finite"),
-    "inf.obj": ("v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
     "word.obj": ("v 0 0 x\nf 1 1 1\n", "not a readable mesh"),
+    "flat.obj": ("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "a corner needs three coordinates"),
     "index.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 99\n", "not a readable mesh|unknown corner"),
+    "back.obj": ("v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 -4\n", "index -4 of 3"),
     "points.obj": ("v 0 0 0\nv 1 1 1\n", "not a readable mesh"),
-    "binary.obj": (bytes(range(256)), "no triangles"),
     "a.ply": ("ply", "unknown kind of mesh; use .dae, .stl, .obj"),
     "latin.dae": ("<ü/>".encode("latin-1"), "not UTF-8 text"),
     "plain.dae": ("<COLLADA/>", "there is no scene"),
-    "zip.dae": (b"PK\x05\x06" + 18 * b"\0", "not well-formed XML"),
+    "huge.stl": (binary_stl(11 * CORNERS), "larger than 400 bytes$"),
+    "nix.stl": (None, "No such file or directory$"),
+    "nix.dae": (None, "No such file or directory$"),
 }
 
 
@@ -229,8 +180,9 @@ def test_names_in_other_encodings_do_not_matter(load):
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_mesh_is_one_line_that_names_the_file(load, tmp_path, name):
+def test_a_bad_mesh_is_one_line_that_names_the_file(load, tmp_path, monkeypatch, name):
     content, message = BAD[name]
+    monkeypatch.setattr(meshes, "MAXIMUM_BYTES", 400)
     with pytest.raises(LabError, match=message) as caught:
         load(name, content)
     assert str(caught.value).startswith(f"{tmp_path / name}: ")
@@ -240,10 +192,8 @@ def test_a_bad_mesh_is_one_line_that_names_the_file(load, tmp_path, name):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("<?xml", "", "not well-formed XML"),
         ("<COLLADA ", '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><COLLADA ',
          "document types and entities are refused"),
-        (MATRIX, "0.25 0 0", "not a readable mesh"),
         (MATRIX, MATRIX.replace("0.25", "wide"), "not a readable mesh"),
         (MATRIX, MATRIX.replace("0.25", "nan"), "finite"),
         ("0.991445 0.130526 -1", "nan 0.130526 -1", "a number is not finite"),
@@ -263,28 +213,12 @@ def test_a_broken_collada_file_is_one_line(load, beacon_text, tmp_path, old, new
     assert "\n" not in str(caught.value)
 
 
-def test_truncated_collada_files(load, beacon_text):
-    for share in (0.1, 0.5, 0.9, 0.999):
-        with pytest.raises(LabError, match="not well-formed XML"):
-            load("b.dae", beacon_text[: int(share * len(beacon_text))])
-
-
 def test_an_alien_encoding_hides_nothing_from_the_check(load, beacon_text):
     # In UTF-7 this is a document type that reads a file; nothing decodes it.
     hidden = "+ADwAIQ-DOCTYPE x +AFsAPAAh-ENTITY a SYSTEM 'file:///etc/passwd'+AD4AXQA+-"
     body = beacon_text.split("?>", 1)[1]
     with pytest.raises(LabError, match="not well-formed XML"):
         load("b.dae", f'<?xml version="1.0" encoding="utf-7"?>{hidden}{body}')
-
-
-def test_missing_and_huge_files(tmp_path, monkeypatch):
-    for name in ("nix.stl", "nix.dae", "nix.obj"):
-        with pytest.raises(LabError, match=f"{name}: No such file or directory$"):
-            load_triangles(Mesh(tmp_path / name, name))
-    monkeypatch.setattr(meshes, "MAXIMUM_BYTES", 100)
-    (tmp_path / "huge.stl").write_bytes(binary_stl(CORNERS))
-    with pytest.raises(MeshError, match="huge.stl: larger than 100 bytes$"):
-        load_triangles(Mesh(tmp_path / "huge.stl", ""))
 
 
 def stored(vertices, folder):
@@ -327,42 +261,3 @@ def test_triangles_in_pieces(tmp_path, monkeypatch):
     pieces = shapes.triangle_corners(mesh)
     assert [len(piece) for piece in pieces] == [6, 6]
     assert np.array_equal(np.concatenate(pieces), points)
-
-
-@pytest.fixture
-def beacon_file(package, tmp_path, beacon_text):
-    """Write urdf/beacon.urdf with its mesh resized into a folder of its own."""
-
-    def write(matrix):
-        (tmp_path / "beacon.dae").write_text(beacon_text.replace(MATRIX, matrix))
-        text = (package / "urdf" / "beacon.urdf").read_text()
-        path = tmp_path / "beacon.urdf"
-        path.write_text(text.replace("package://bullet_lab/meshes/", ""))
-        return path
-
-    return write
-
-
-@pytest.mark.parametrize(
-    ("matrix", "radius", "height"),
-    [(MATRIX, 0.25, 2.0), ("0.5 0 0 0 0 0.5 0 0 0 0 0.75 0.75 0 0 0 1", 0.5, 1.5)],
-)
-@pytest.mark.parametrize("static", [True, False])
-def test_the_transform_decides_where_a_robot_stops(
-    world, robot, beacon_file, matrix, radius, height, static
-):
-    beacon = read_urdf_file(beacon_file(matrix))
-    model = Model("beacon", beacon.links, pose=Pose((1.0, 0.0, 0.0)), static=static)
-    (body,) = world.add(model).bodies.values()
-    low, high = pybullet.getAABB(body.unique_id, -1, world.client)
-    assert np.subtract(high, low) == pytest.approx((2 * radius, 2 * radius, height), abs=0.05)
-    if static:
-        assert high == pytest.approx((1 + radius, radius, height), abs=1e-3)
-        robot.command("cmd_vel", PlanarCommand(vx=0.5))
-        world.run_for(3.0)
-        assert robot.pose().position[0] == pytest.approx(1 - radius - 0.05, abs=2e-3)
-
-
-def test_corners_in_a_plane_are_no_mesh(load):
-    with pytest.raises(MeshError, match="a corner needs three coordinates"):
-        load("flat.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")

@@ -47,24 +47,18 @@ def test_what_may_be_found(finder, files):
     [
         ("", "no file is named"),
         ("package://nix/a", "no ROS package 'nix'"),
-        ("package://pkg/nix.stl", "no such file"),
         ("package://pkg/../secret/s.stl", "leaves its folder"),
         ("package://pkg/%2e%2e/secret/s.stl", "leaves its folder"),
         ("package://pkg/meshes/link.stl", "leaves its folder"),
-        ("package://pkg//etc/passwd", "no such file"),
         ("package://../secret/s.stl", "no ROS package"),
         ("package://pkg/%00", "null (byte|character)|no such file"),
         ("package://pkg/" + 300 * "a", "File name too long"),
-        ("../meshes/m x.stl", "leaves its folder"),
         ("../../secret/s.stl", "leaves its folder"),
         ("/etc/passwd", "outside the folders"),
-        ("//etc/passwd", "outside the folders"),
         ("file:///etc/passwd", "outside the folders"),
         ("FILE:///etc/passwd", "outside the folders"),
         ("file://elsewhere/etc/passwd", "no such file"),
         ("http://127.0.0.1:1/m.stl", "only package://"),
-        ("https://127.0.0.1:1/m.stl", "only package://"),
-        ("ftp://127.0.0.1:1/m.stl", "only package://"),
         ("data:,x", "only package://"),
         ("http://[", "Invalid IPv6"),
         ("model://nix", "in none of the model folders"),
@@ -72,7 +66,6 @@ def test_what_may_be_found(finder, files):
         ("model://car/../../secret/s.stl", "leaves its folder"),
         # Whether a file outside exists is not told.
         ("model://../secret/nix.stl", "leaves its folder"),
-        ("model:///etc/passwd", "in none of the model folders"),
         ("model://way_out/s.stl", "leaves its folder"),
     ],
 )
@@ -114,6 +107,7 @@ def test_the_user_may_name_any_file(files, monkeypatch):
 
 def test_the_lab_finds_itself_and_gazebo_model_path_comes_first(package, tmp_path, monkeypatch):
     assert ros_package_folder("bullet_lab") == package
+    assert ros_package_folder("no_such_package") is None
     assert ResourceFinder().find("model://sun") == package / "models/sun"
     (tmp_path / "sun").mkdir()
     monkeypatch.setenv("GAZEBO_MODEL_PATH", f":{tmp_path}")

