@@ -1,24 +1,14 @@
-import contextlib
 import csv
-import importlib.util
-import logging
-import re
 import signal
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shared import BLOCK_ROBOT, EMPTY_WORLD, PACKAGE
 
 from bullet_lab.drive import Square, open_loop_side
-from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf_file
-
-PACKAGE = Path(__file__).resolve().parents[2]
-BLOCK_ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
-EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
 
 
 @pytest.fixture(autouse=True)
@@ -27,35 +17,6 @@ def _answered_signals():
     # background; processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-def module_of(path):
-    """Import a file below test/ that is no part of the package, such as "soak/slope.py"."""
-    file = PACKAGE / "test" / path
-    spec = importlib.util.spec_from_file_location(f"test_{file.stem}", file)
-    module = importlib.util.module_from_spec(spec)
-    # Where its dataclasses look for it.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@contextlib.contextmanager
-def complains(said):
-    """Check that an error is raised or a warning given that says something, in one line."""
-    messages = []
-    handler = logging.Handler()
-    handler.emit = lambda record: messages.append(record.getMessage())
-    logger = logging.getLogger("bullet_lab")
-    logger.addHandler(handler)
-    try:
-        yield
-    except LabError as error:
-        messages.append(str(error))
-    finally:
-        logger.removeHandler(handler)
-    assert [line for line in messages if re.search(said, line)], messages
-    assert not [line for line in messages if "\n" in line]
 
 
 @pytest.fixture(scope="session")

@@ -23,8 +23,6 @@ from bullet_lab.noise.odometry_noise import NoisyPath
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 MOUNT = CameraMount(0.16, 0.0, 0.44)
 TICK = 0.05
-# s, of the wheels.
-LAG = 0.04
 DICTIONARY = "DICT_APRILTAG_36h10"
 WALL_SEGMENTS = (  # inner outline of the U, in the dock's frame
     ((-2.0, 0.5), (0.0, 0.5)),
@@ -68,7 +66,8 @@ class Stand:
     seed: int = 0
     obstacles: Tuple[Tuple[float, float, float, float], ...] = ()
     camera: CameraMount = MOUNT  #: where it really is
-    settings: DockingSettings = DockingSettings()
+    settings: object = DockingSettings()  #: of the controller
+    lag: float = 0.04  #: s, of the wheels
 
 
 def make_dock(stand: Stand) -> Dock:
@@ -182,6 +181,8 @@ class Feed:
         self._noise = NoisyPath(make_rule(stand.model, stand.std), stand.seed)
         self._boxes = (WALL_BOXES if stand.walls else ()) + stand.obstacles
         self._next_image, self._waiting = 0.0, []
+        # Of a difference in speed, after a tick.
+        self._left = math.exp(-TICK / stand.lag) if stand.lag else 0.0
 
     def run(self, seconds: float = math.inf, until=None) -> None:
         """Tick for some time, or until a state; stops with the task."""
@@ -208,7 +209,7 @@ class Feed:
             self.task.add_observation(self._waiting.pop(0))
         self.contact = bool(self._boxes) and body_clearance(robot, self._boxes) <= 0.0
         command = np.array(self.task.tick(self.now))
-        self.speeds += (1.0 - math.exp(-TICK / LAG)) * (command - self.speeds)
+        self.speeds += (1.0 - self._left) * (command - self.speeds)
         if not self.blocked:
             way, turn = TICK * self.speeds
             # Along the chord of the arc.

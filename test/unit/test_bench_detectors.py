@@ -1,6 +1,6 @@
 """What scripts/bench.sh detectors compares with."""
 
-from conftest import module_of
+from shared import module_of
 
 contestants = module_of("bench/detectors/contestants.py")
 

@@ -1,7 +1,7 @@
 """The bounds in scripts/bench.sh detectors know that crops of one photograph belong together."""
 
 import pytest
-from conftest import module_of
+from shared import module_of
 
 rate_of = module_of("bench/detectors/rates.py").rate_of
 

@@ -11,6 +11,7 @@ CONFIGURATIONS = sorted((PACKAGE / "rviz").glob("*.rviz"))
 WITHOUT = {
     "calibrate",
     "detection_range",
+    "detectors",
     "dock_campaign",
     "noise_study",
     "published_noise",

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import psutil
 import pytest
-from conftest import module_of
+from shared import module_of
 
 slope = module_of("soak/slope.py").slope
 memory_of = module_of("soak/lab.py").memory_of

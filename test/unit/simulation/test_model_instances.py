@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import BLOCK_ROBOT
+from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import (

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BLOCK_ROBOT, EMPTY_WORLD, complains
+from shared import BLOCK_ROBOT, EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import ScheduleError

@@ -1,7 +1,7 @@
 """What of a model acts is told, and what does not."""
 
 import pytest
-from conftest import BLOCK_ROBOT
+from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import bounds, survey

@@ -24,6 +24,7 @@ from bullet_lab.studies.study import (
 )
 from bullet_lab.studies.workers import TaskLostError, WorkersError
 
+PACKAGE = Path(__file__).parents[3]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 STUDIES = (
     *("calibrate", "detection_range", "dock_campaign"),
@@ -193,10 +194,10 @@ def test_ctrl_c_while_python_ends_changes_no_status():
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_each_study_is_a_program(name, monkeypatch, capsys):
-    study = importlib.import_module(f"bullet_lab.studies.{name}.study")
-    monkeypatch.setattr("sys.argv", ["study.py", "out", "--seed", "-1"])
+    program = PACKAGE / "scripts" / f"{name}.py"
+    monkeypatch.setattr("sys.argv", [str(program), "out", "--seed", "-1"])
     with pytest.raises(SystemExit) as end:
-        runpy.run_path(study.__file__, run_name="__main__")
+        runpy.run_path(str(program), run_name="__main__")
     assert end.value.code == 2
     said = "--seed is '-1': it must be a whole number from 0 to 9223372036854775807"
     assert_one_line(name, said, capsys.readouterr())

@@ -4,9 +4,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from conftest import complains
 from picture_worlds import checkers, plate, simulation_of, thing, write_plate
 from sensor_worlds import record
+from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import Camera, CameraSettings

@@ -5,9 +5,9 @@ import re
 
 import numpy as np
 import pytest
-from conftest import complains
 from picture_worlds import simulation_of, thing
 from sensor_worlds import record
+from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import DepthCamera

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import complains
 from sensor_worlds import box, record
+from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import find_link

@@ -3,9 +3,9 @@ import re
 
 import numpy as np
 import pytest
-from conftest import EMPTY_WORLD, complains
 from noise_checks import check_normal
 from sensor_worlds import carrier, empty, held, record, sensor
+from shared import EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.motion_sensors import Accelerometer

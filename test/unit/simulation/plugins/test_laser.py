@@ -4,10 +4,10 @@ import re
 
 import numpy as np
 import pytest
-from conftest import PACKAGE, complains
 from noise_checks import check_normal
 from scipy import stats
 from sensor_worlds import box, carrier, empty, record, sensor, thing
+from shared import PACKAGE, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.attached_frame import RAYS_AT_A_TIME, AttachedFrame

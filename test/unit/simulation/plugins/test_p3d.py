@@ -1,9 +1,9 @@
 import math
 
 import pytest
-from conftest import complains
 from noise_checks import check_normal
 from sensor_worlds import carrier, empty, record
+from shared import complains
 
 from bullet_lab.core.pose import Pose
 

@@ -1,9 +1,9 @@
 import math
 
 import pytest
-from conftest import complains
 from noise_checks import check_normal
 from sensor_worlds import box, carrier, empty, record, sensor
+from shared import complains
 
 FAN = (
     "<update_rate>{rate}</update_rate><ray><scan>"

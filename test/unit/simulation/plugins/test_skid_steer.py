@@ -2,8 +2,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import complains
 from sensor_worlds import record
+from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand

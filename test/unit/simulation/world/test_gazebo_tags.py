@@ -1,8 +1,8 @@
 import logging
 
 import pytest
-from conftest import complains
 from sensor_worlds import carrier, empty
+from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand

@@ -1,5 +1,5 @@
 import pytest
-from conftest import PACKAGE, complains
+from shared import PACKAGE, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError

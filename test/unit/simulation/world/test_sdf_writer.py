@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from alike import assert_alike
-from conftest import BLOCK_ROBOT, EMPTY_WORLD
+from shared import BLOCK_ROBOT, EMPTY_WORLD
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand

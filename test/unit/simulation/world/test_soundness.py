@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import complains
+from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import complains
+from shared import complains
 
 from bullet_lab.simulation.world.description import WHITE, Box, Cylinder, Mesh, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file

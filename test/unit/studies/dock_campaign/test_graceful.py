@@ -92,33 +92,36 @@ def docking(start, seen=lambda seconds: True, settings=NAV2):
             super().add_observation(observation if seen(observation.stamp) else hidden)
 
     stand = standin.Stand(start, walls=False, lag=0.0, settings=settings)
-    return standin.run(stand, controller=lambda *dock, settings, seed: Task(*dock, settings))
+    dock = standin.make_dock(stand)
+    feed = standin.Feed(Task(dock, dock.pose, standin.MOUNT, settings), stand)
+    feed.run()
+    return feed
 
 
-def assert_docked(run):
-    assert run.result.success
-    assert math.hypot(run.distance_error, run.lateral_error) < 0.06
+def assert_docked(feed):
+    ahead, beside, _ = se2.between(feed.stand.dock, feed.pose)
+    assert feed.task.result.success
+    assert math.hypot(-ahead - 0.56, beside) < 0.06
+    assert feed.task.result.lateral == pytest.approx(beside, abs=0.005)
 
 
 def test_it_stops_within_its_threshold():
-    run = docking((0.8, 0.1, 0.1))
-    assert_docked(run)
-    assert run.result.lateral == pytest.approx(run.lateral_error, abs=0.005)
+    assert_docked(docking((0.8, 0.1, 0.1)))
 
 
 def test_it_waits_for_the_marker_and_then_says_that_it_is_not_there():
-    run = docking((0.8, 0.1, 0.1), seen=lambda seconds: False)
-    assert run.result.error == DockingError.NOT_DETECTED
+    feed = docking((0.8, 0.1, 0.1), seen=lambda seconds: False)
+    assert feed.task.result.error == DockingError.NOT_DETECTED
 
 
 def test_lost_on_the_way_it_goes_back_and_tries_again():
-    run = docking((1.0, 0.0, 0.0), seen=lambda seconds: not 5.0 < seconds < 9.0)
-    assert_docked(run)
-    assert run.result.retries >= 1
+    feed = docking((1.0, 0.0, 0.0), seen=lambda seconds: not 5.0 < seconds < 9.0)
+    assert_docked(feed)
+    assert feed.task.result.retries >= 1
 
 
 def test_without_retries_it_says_why():
     settings = GracefulSettings(max_retries=0, dock_approach_timeout=2.0)
-    result = docking((1.0, 0.0, 0.0), settings=settings).result
+    result = docking((1.0, 0.0, 0.0), settings=settings).task.result
     assert result.error == DockingError.CONTROL_FAILED
     assert "not reached" in result.message
