@@ -23,7 +23,7 @@ ROSTEST_TIMEOUT=1800
 MUTANTS=564
 FAULTS=200
 # More than there are cores, because rostests mostly wait.
-AT_ONCE=$(($(nproc) + 1))
+AT_ONCE=$(($(nproc) + 2))
 
 usage() {
   sed -n '2,/^set/s/^# \{0,1\}//p' "${BASH_SOURCE[0]}"

@@ -18,10 +18,10 @@ from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Time
 
+from bullet_lab.reports import save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record.plots import PlotParameters, plot
-from bullet_lab.ros.record.recorder import save_all
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PERIOD = 0.05
