@@ -51,6 +51,15 @@ def test_costs_and_ways_are_those_of_a_plain_dijkstra(robot):
         assert made._predecessor(cell) == row * columns + column
 
 
+@pytest.mark.parametrize("robot", [(0.0, 0.0), (9.0, 3.0)])
+def test_the_map_reaches_2_m_beyond_robot_and_docks(robot):
+    made = costmap(robot)
+    around = np.array([robot, (3.8, -0.2), (4.2, 0.2)])
+    np.testing.assert_allclose(made.points[0, 0], around.min(axis=0) - 2.0)
+    beyond = made.points[-1, -1] - (around.max(axis=0) + 2.0)
+    assert ((beyond >= -1e-9) & (beyond < 1.01 * made.cell)).all()
+
+
 def test_on_free_floor_the_way_is_straight():
     made = costmap(boxes=np.empty((0, 4)))
     assert made.path((1.234, 0.5)) == [(0.0, 0.0), (1.234, 0.5)]
