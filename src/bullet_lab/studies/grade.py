@@ -1,4 +1,4 @@
-"""Exercises, what they measure of a student's run, and the mark as JSON, JUnit's XML and picture."""
+"""Exercises, what they measure of a run, and the mark as JSON, JUnit's XML and a picture."""
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ from bullet_lab.simulation.world.xml import read_text
 
 EXERCISES = "config/exercises"
 GRADE = "grade.json"
+AGAIN = "grade it again"
+"""Part of a note on a run whose result is not kept."""
+
 # m; a robot that has driven less did not move.
 MOVED = 0.05
 LEAST_MESSAGES = 10

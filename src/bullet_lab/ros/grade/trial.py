@@ -25,7 +25,7 @@ from bullet_lab.ros.launcher.command import StopSignals
 from bullet_lab.jobs.declaration import read_job
 from bullet_lab.ros.launcher.supervision import Launch, prepare_master
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.studies.grade import Criterion, Exercise, Record, read_exercise
+from bullet_lab.studies.grade import AGAIN, Criterion, Exercise, Record, read_exercise
 
 # Wall seconds for the simulation to start.
 START = 60.0
@@ -39,7 +39,6 @@ MOST_RATE = 500.0
 JUMP = 0.3
 # A run at less than this share of the real-time factor is reported, if it took as many simulated s.
 LEAST_PACE, LEAST_TIME = 0.8, 5.0
-AGAIN = "grade it again"
 COMMANDS = Criterion(topic="cmd_vel", type="geometry_msgs/Twist", measure="rate")
 GROUND = "ground_plane"
 
@@ -99,6 +98,7 @@ class Watcher:
 
 def watch(exercise: Exercise, submission: Submission, watcher: Watcher, goes_on) -> None:
     """Watch a submission until it ends or has to be ended, and complete the record."""
+    has_to_end = any(one.measure == "exit_status" for one in exercise.criteria)
     record, begin, wall = watcher.record, watcher.now, time.monotonic()
     why, ended, seconds, waited = [], None, 0.0, 1.0
     while not why and (ended is None or watcher.now < ended + AFTERWARDS):
@@ -111,7 +111,8 @@ def watch(exercise: Exercise, submission: Submission, watcher: Watcher, goes_on)
         elif watcher.flood(seconds):
             why = [f"it sent more than {MOST_RATE:g} messages a second to {watcher.flood(seconds)}"]
         elif ended is None and seconds > exercise.simulated_limit:
-            why = [f"it still ran after {exercise.simulated_limit:g} simulated seconds"]
+            why = [f"it still ran after {exercise.simulated_limit:g} simulated s"] * has_to_end
+            break
         elif waited > exercise.wall_limit:
             why = [f"it was not done after {exercise.wall_limit:g} s of wall time"]
         elif not goes_on():
