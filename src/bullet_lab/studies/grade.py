@@ -15,8 +15,15 @@ from matplotlib.patches import Circle, Rectangle
 
 from bullet_lab.core.figures import BLUE, GREEN, GREY, VERMILION, new_figure, plan_axes, save
 from bullet_lab.core.files import replace_file, write_json
-from bullet_lab.core.parameters import checked, choice, declarations, integer, number
-from bullet_lab.core.parameters import number_list, text
+from bullet_lab.core.parameters import (
+    checked,
+    choice,
+    declarations,
+    integer,
+    number,
+    number_list,
+    text,
+)
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.xml import read_text
@@ -91,6 +98,8 @@ class Criterion:
 
     def wanted(self) -> str:
         """Return the limits in words."""
+        if self.at_least == self.at_most:
+            return f"{self.at_most:g}"
         limits = [f">= {self.at_least:g}"] * math.isfinite(self.at_least)
         limits += [f"<= {self.at_most:g}"] * math.isfinite(self.at_most)
         return f"{' and '.join(limits)} {MEASURES[self.measure].unit}".strip()
@@ -178,7 +187,10 @@ MEASURES = {
         _errors(lambda errors: np.quantile(abs(errors), 0.95)),
         *("", "topic type field truth places", False),
     ),
-    "topic_mean": Measure(_errors(np.mean), "", "topic type field truth places", False),
+    "topic_mean": Measure(
+        _errors(lambda errors: abs(np.mean(errors))),
+        *("", "topic type field truth places", False),
+    ),
     "topic_std": Measure(_errors(np.std), "", "topic type field truth places", False),
 }
 """The measures by their names in exercises, with the keys of their arguments."""

@@ -22,7 +22,15 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.grade.submission import SubmissionError, adopt_orphans, command_of, end_children
 from bullet_lab.ros.launcher.output import environment_without_ros, temporary_folder, tied
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.studies.grade import AGAIN, GRADE, Record, find_exercise, grade, read_exercise, write_grade
+from bullet_lab.studies.grade import (
+    AGAIN,
+    GRADE,
+    Record,
+    find_exercise,
+    grade,
+    read_exercise,
+    write_grade,
+)
 from bullet_lab.studies.study import SUMMARY, Tell, progress, run_from, write_table
 from bullet_lab.studies.workers import TaskLostError, WorkerSettings, workers
 
@@ -89,8 +97,8 @@ class Grader:
 
 def _trial(file: Path, seed: int, folder: Path, out: Path, longest: float) -> Record:
     """Run a submission once, for some wall seconds at most, and return what was seen."""
-    others = adopt_orphans()
     with temporary_folder() as scratch:
+        others = adopt_orphans()
         record, log, work = (Path(scratch) / name for name in ("record.json", "log", "work"))
         words = map(str, (file, seed, folder, work, out / "output.txt", record))
         with log.open("wb") as output:

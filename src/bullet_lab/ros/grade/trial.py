@@ -34,7 +34,7 @@ CHECK_PERIOD = 0.02
 # Simulated seconds for which the robot is watched after the submission has ended.
 AFTERWARDS = 1.0
 # Hz in simulated time; more messages are no control any more.
-MOST_RATE = 500.0
+MOST_RATE = 200.0
 # m between two poses, which no robot drives.
 JUMP = 0.3
 # A run at less than this share of the real-time factor is reported, if it took as many simulated s.
