@@ -37,7 +37,7 @@ WHY = {
     "nothing": "it has no main.py, no main.sh and 0 launch files; one is needed",
     "prints": "it printed more than 100 kB",
     "two_launch_files": "it has no main.py, no main.sh and 2 launch files; one is needed",
-    "writes_much": "it was ended by signal 25: it printed nothing",
+    "writes_much": "it was ended, since it wrote a file of more than 20 MB",
 }
 
 

@@ -18,6 +18,13 @@ from bullet_lab.ros.launcher.output import tied
 GRACE = 2.0
 # Bytes of each file that a submission writes.
 LARGEST_FILE = 20_000_000
+LIMITS = {
+    -signal.SIGXCPU: "used too much processor time",
+    -signal.SIGKILL: "used too much processor time",
+    -signal.SIGXFSZ: "wrote a file of more than 20 MB",
+}
+"""What the limits of a process end it for, by its status."""
+
 # Characters of the last printed line, and of a file that is left.
 LONGEST_LINE = 200
 LONGEST_FILE = 10_000
@@ -83,8 +90,8 @@ class Submission:
     def why_ended(self) -> list[str]:
         """Return lines that say what was wrong with its end; none while it runs."""
         status, lines = self.status(), []
-        if status in (-signal.SIGXCPU, -signal.SIGKILL):
-            lines = ["it was ended, since it used too much processor time"]
+        if status in LIMITS:
+            lines = [f"it was ended, since it {LIMITS[status]}"]
         elif status:
             how = f"ended with status {status}" if status > 0 else f"was ended by signal {-status}"
             tail = self.output.read_bytes()[-10 * LONGEST_LINE :].decode(errors="replace")
