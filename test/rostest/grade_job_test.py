@@ -33,7 +33,7 @@ WHY = {
     "hangs": "it still ran after 10 simulated s",
     "ignores_sigterm": "it still ran after 10 simulated s",
     "kills_grader": "the run ended with status -9 before its end",
-    "not_executable": "main.py is not executable; run chmod +x main.py",
+    "not_executable": "main.py is not executable; run chmod .x main.py",
     "nothing": "it has no main.py, no main.sh and 0 launch files; one is needed",
     "prints": "it printed more than 100 kB",
     "two_launch_files": "it has no main.py, no main.sh and 2 launch files; one is needed",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 from xml.etree import ElementTree
@@ -25,7 +25,7 @@ from bullet_lab.core.parameters import (
     text,
 )
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.resources import package_share
+from bullet_lab.simulation.world.resources import ResourceFinder, package_share
 from bullet_lab.simulation.world.xml import read_text
 
 EXERCISES = "config/exercises"
@@ -92,9 +92,14 @@ class Criterion:
     number: float = number(0.0, "the number that its last one should be")
 
     @property
-    def key(self) -> Tuple[str, str]:
-        """The topic and the field."""
-        return self.topic, "" if self.measure == "rate" else self.field
+    def path(self) -> str:
+        """The field of a message that is measured; empty for the message as a whole."""
+        return "" if self.measure == "rate" else self.field
+
+    @property
+    def key(self) -> str:
+        """The topic and the field, with a space between them."""
+        return f"{self.topic} {self.path}"
 
     def wanted(self) -> str:
         """Return the limits in words."""
@@ -145,7 +150,7 @@ def _file_error(criterion: Criterion, record: Record) -> Optional[float]:
 
 
 def _rate(criterion: Criterion, record: Record) -> Optional[float]:
-    stamps = [row[0] for row in record.messages.get(" ".join(criterion.key), [])]
+    stamps = [row[0] for row in record.messages.get(criterion.key, [])]
     seconds = stamps[-1] - stamps[0] if stamps else 0.0
     return (len(stamps) - 1) / seconds if seconds > 0.0 else None
 
@@ -154,7 +159,7 @@ def _errors(summary: Callable[[np.ndarray], float]) -> Callable[[Criterion, Reco
     """Return a measure that summarizes how a topic's values differ from the truth."""
 
     def measure(criterion: Criterion, record: Record) -> Optional[float]:
-        rows = np.array(record.messages.get(" ".join(criterion.key), []), dtype=float)
+        rows = np.array(record.messages.get(criterion.key, []), dtype=float)
         if len(rows) < LEAST_MESSAGES:
             return None
         away = np.hypot(*(record.track() - criterion.places[0]).T)
@@ -231,11 +236,16 @@ def read_exercise(path: Path) -> Exercise:
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise LabError(f"{path.name} is no YAML: {' '.join(str(error).split())}") from error
     given = content.pop("criteria", None) if isinstance(content, dict) else None
-    settings = _read(Exercise, content, path.name, list(declarations(Exercise)))
+    exercise = Exercise(**_read(Exercise, content, path.name, list(declarations(Exercise))))
+    for key in ("world", "robot"):
+        try:
+            ResourceFinder.anywhere().find(getattr(exercise, key))
+        except LabError as error:
+            raise LabError(f"{path.name}: {key} is {error}") from error
     if not isinstance(given, list) or not given:
         raise LabError(f"{path.name}: criteria is {given}: it must be a list of criteria")
     criteria = [_criterion(one, f"{path.name}: criterion {n}") for n, one in enumerate(given, 1)]
-    return Exercise(**settings, criteria=tuple(criteria))
+    return replace(exercise, criteria=tuple(criteria))
 
 
 def _criterion(entry: Any, where: str) -> Criterion:

@@ -61,6 +61,8 @@ def test_each_exercise_has_a_right_and_two_wrong_submissions():
         ({"runs": 0}, "e.yaml: runs is 0: it must be a whole number from 1 to 100"),
         ({"start": "1 2"}, "e.yaml: start is '1 2': it must be 3 finite numbers"),
         ({"wurld": "a"}, "e.yaml: there is no key 'wurld'; allowed are title, world"),
+        ({"world": "package://bullet_lab/none.world"}, "^e.yaml: world is 'package://bullet_lab/none"),
+        ({"robot": "none.urdf"}, "^e.yaml: robot is 'none.urdf': "),
         ({"criteria": []}, r"e.yaml: criteria is \[\]: it must be a list of criteria"),
         ({"criteria": 5}, "e.yaml: criteria is 5: it must be a list of criteria"),
         ({"criteria": ["x"]}, "e.yaml: criterion 1: measure is : it must be one of end_error"),

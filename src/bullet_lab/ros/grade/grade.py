@@ -9,6 +9,7 @@ import contextlib
 import functools
 import hashlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -70,10 +71,10 @@ class Grader:
     def _digest(self, number: int) -> str:
         digest = hashlib.sha256(self.file.read_bytes())
         folder = self.submissions[number]
-        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-            name = f"{path.relative_to(folder)} {path.stat().st_mode} {path.stat().st_size}"
-            digest.update(name.encode(errors="replace"))
+        for path in sorted(path for path in folder.rglob("*") if os.path.isfile(path)):
             with contextlib.suppress(OSError):
+                name = f"{path.relative_to(folder)} {path.stat().st_mode} {path.stat().st_size}"
+                digest.update(name.encode(errors="replace"))
                 digest.update(path.read_bytes())
         return digest.hexdigest()
 
@@ -132,8 +133,10 @@ def _run(out: Path, settings: GradeSettings, tell: Tell) -> List[str]:
     folder = ResourceFinder.anywhere().find(given if "://" in given else str(base / given))
     submissions, results = [folder], [out]
     if settings.class_folder:
-        submissions = sorted(one for one in folder.iterdir() if one.is_dir())
+        submissions = sorted(one for one in folder.glob("[!.]*") if one.is_dir())
         results = [out / one.name for one in submissions]
+    if not submissions or not folder.is_dir():
+        raise LabError(f"there are no submissions in '{given}'")
     grader = Grader(file, submissions, results)
     marks = {number: grader.kept(number) for number in range(len(submissions))}
     todo = [number for number, mark in marks.items() if not mark]

@@ -50,7 +50,7 @@ def command_of(folder: Path) -> list[str]:
 
 
 class Submission:
-    """A submission that runs in a copy of its folder, `work`; leaving the context ends it all."""
+    """A submission that runs in a copy of its folder, `work`, until it is closed."""
 
     def __init__(self, folder: Path, work: Path, output: Path, seconds: int):
         self.output, self._work = output, work
@@ -70,11 +70,7 @@ class Submission:
         except (OSError, shutil.Error) as error:
             raise SubmissionError(f"it cannot be started: {str(error)[:LONGEST_LINE]}") from error
 
-    def __enter__(self) -> Submission:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_) -> None:
+    def close(self) -> None:
         """End the process group: SIGTERM, then SIGKILL; then all that has left the group."""
         for number in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import time
@@ -63,9 +64,10 @@ class Watcher:
             kind = roslib.message.get_message_class(one.type)
             if kind is None:
                 raise LabError(f"there is no type of messages '{one.type}'")
-            rows = self.record.messages.setdefault(" ".join(one.key), [])
-            if not rows:
-                rospy.Subscriber(one.topic, kind, self._receive, (rows, one.key[1]))
+            rows: list[list[float]] = []
+            # Two criteria with the same key get the same messages.
+            self.record.messages[one.key] = rows
+            rospy.Subscriber(one.topic, kind, self._receive, (rows, one.path))
         until = time.monotonic() + START
         while not self.record.path:
             if time.monotonic() > until:
@@ -139,13 +141,15 @@ def run(exercise: Exercise, seed: int, folder: Path, work: Path, output: Path) -
     }
     job = read_job(package / "launch" / "include" / "bridge.launch.xml", package)
     with Launch(job, values, prepare_master()) as launch:
+
+        def goes_on() -> bool:
+            return launch.verdict(lambda: False, signals.received) is None
+
         rospy.init_node("grade", disable_signals=True)
         watcher = Watcher(exercise)
-        with Submission(folder, work, output, exercise.processor_limit) as submission:
-            watch(
-                *(exercise, submission, watcher),
-                lambda: launch.verdict(lambda: False, signals.received) is None,
-            )
+        submission = Submission(folder, work, output, exercise.processor_limit)
+        with contextlib.closing(submission):
+            watch(exercise, submission, watcher, goes_on)
         rospy.signal_shutdown("done")
     return watcher.record
 

@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,7 @@ def short_grace(monkeypatch):
 
 
 def started(folder, tmp_path, seconds=30):
-    return Submission(folder, tmp_path / "work", tmp_path / "output.txt", seconds)
+    return closing(Submission(folder, tmp_path / "work", tmp_path / "output.txt", seconds))
 
 
 def ended(one):
@@ -88,7 +89,7 @@ def test_a_silent_crash_and_a_wrong_interpreter_say_so(tmp_path):
     folder.mkdir()
     (folder / "main.py").write_text("#!/no/such/python\n")
     (folder / "main.py").chmod(0o755)
-    with Submission(folder, tmp_path / "work2", tmp_path / "output.txt", 30) as one:
+    with closing(Submission(folder, tmp_path / "work2", tmp_path / "output.txt", 30)) as one:
         assert ended(one) > 0
         assert "No such file" in one.why_ended()[0]
 
