@@ -20,10 +20,10 @@ from bullet_lab import srv
 from bullet_lab.core.files import write_json
 from bullet_lab.entry import end_at_once_when_interrupted
 from bullet_lab.errors import LabError
+from bullet_lab.jobs.declaration import read_job
 from bullet_lab.msg import TouchedModels
 from bullet_lab.ros.grade.submission import Submission
 from bullet_lab.ros.launcher.command import StopSignals
-from bullet_lab.jobs.declaration import read_job
 from bullet_lab.ros.launcher.supervision import Launch, prepare_master
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.studies.grade import AGAIN, Criterion, Exercise, Record, read_exercise
