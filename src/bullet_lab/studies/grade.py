@@ -180,6 +180,7 @@ class Measure(NamedTuple):
     of_drive: bool = True
 
 
+ERRORS = "topic type field truth places"
 MEASURES = {
     "end_error": Measure(_end_error, "m", "places"),
     "path_error": Measure(_path_error, "m", "places"),
@@ -188,15 +189,9 @@ MEASURES = {
     "exit_status": Measure(lambda _, record: record.status, "", "", False),
     "file_error": Measure(_file_error, "", "file number", False),
     "rate": Measure(_rate, "Hz", "topic type", False),
-    "topic_error": Measure(
-        _errors(lambda errors: np.quantile(abs(errors), 0.95)),
-        *("", "topic type field truth places", False),
-    ),
-    "topic_mean": Measure(
-        _errors(lambda errors: abs(np.mean(errors))),
-        *("", "topic type field truth places", False),
-    ),
-    "topic_std": Measure(_errors(np.std), "", "topic type field truth places", False),
+    "topic_error": Measure(_errors(lambda all_: np.quantile(abs(all_), 0.95)), "", ERRORS, False),
+    "topic_mean": Measure(_errors(lambda all_: abs(np.mean(all_))), "", ERRORS, False),
+    "topic_std": Measure(_errors(np.std), "", ERRORS, False),
 }
 """The measures by their names in exercises, with the keys of their arguments."""
 
