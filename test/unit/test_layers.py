@@ -33,6 +33,7 @@ ROOMS = (
     "ros.record",
     "ros.launcher",
     "ros.verify",
+    "ros.grade",
 )
 ROS = {"rospy", "roslaunch", "rosgraph", "tf2_ros", "actionlib"}
 

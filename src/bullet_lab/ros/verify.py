@@ -37,7 +37,7 @@ from bullet_lab.core.files import write_json
 from bullet_lab.core.parameters import boolean, choice, integer, name_list
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import Job, choose_job, find_jobs, read_assignments
-from bullet_lab.ros.launcher.output import tied
+from bullet_lab.ros.launcher.output import environment_without_ros, tied
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.studies.study import (
     SUMMARY,
@@ -61,6 +61,9 @@ PICTURE_TOLERANCE = 1.0
 
 TOLERANCES = {"published_noise": 0.0}
 """Jobs with a tolerance that differs; 0: the bytes must be the same, except in pictures."""
+
+UNREPEATABLE = (NAME, "grade")
+"""Jobs that are not run unless they are named: submissions are not in lock step."""
 
 LEFT_OUT = {"save_world": ("path", "saving_s")}
 """Jobs with JSON keys that are not compared, besides WALL_CLOCK_KEYS: a path, a wall time."""
@@ -101,7 +104,6 @@ _DIGITS = 9
 _HASH_DIGITS = 16
 _TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
-_ROS_PACKAGES = ("ROS_PACKAGE_PATH", "ROS_ROOT", "ROS_ETC_DIR", "ROS_VERSION", "ROS_DISTRO")
 # Wall seconds; the launcher needs as long to stop its nodes.
 _STOP_TIMEOUT = 5.0
 
@@ -321,9 +323,7 @@ class Runs:
 
     def __init__(self, jobs: Sequence[Tuple[Job, Path]], processor: str):
         self._jobs = jobs
-        # `verify` itself is a node, whose master the jobs must not join.
-        kept = {n: v for n, v in os.environ.items() if n[:4] != "ROS_" or n in _ROS_PACKAGES}
-        self._environment = {**kept, **PROCESSORS[processor]}
+        self._environment = {**environment_without_ros(), **PROCESSORS[processor]}
         self._processes: List[subprocess.Popen] = []
 
     def on_threads(self, task: Task, numbers: Sequence[int], at_once: int) -> Iterator[Any]:
@@ -373,7 +373,7 @@ class Runs:
 def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
     package = package_share()
     known = find_jobs(package)
-    jobs = [choose_job(known, name) for name in settings.jobs or known if name != NAME]
+    jobs = [choose_job(known, name) for name in settings.jobs or known if name not in UNREPEATABLE]
     for job in jobs:
         read_assignments(job, shlex.split(job.smallest))
     references = References.read(package / REFERENCES)

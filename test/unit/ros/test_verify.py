@@ -12,9 +12,9 @@ from bullet_lab.jobs.declaration import find_jobs
 from bullet_lab.ros import verify
 from bullet_lab.ros.verify import (
     LEFT_OUT,
-    NAME,
     REFERENCES,
     TOLERANCES,
+    UNREPEATABLE,
     FileRow,
     Fingerprint,
     References,
@@ -131,9 +131,10 @@ def test_references_are_read_as_written(tmp_path):
 
 
 def test_each_exception_and_reference_has_a_job():
-    others = set(JOBS) - {NAME}
+    others = set(JOBS) - set(UNREPEATABLE)
     assert set(References.read(PACKAGE / REFERENCES).files) <= others
     assert {*TOLERANCES, *LEFT_OUT} <= others
+    assert set(UNREPEATABLE) <= set(JOBS)
 
 
 def test_a_job_that_fails_leaves_its_status_and_its_last_line(tmp_path):

@@ -19,10 +19,16 @@ from PIL import ImageGrab
 from bullet_lab.core.files import FileError
 from bullet_lab.errors import LabError
 
+_ROS_PACKAGES = ("ROS_PACKAGE_PATH", "ROS_ROOT", "ROS_ETC_DIR", "ROS_VERSION", "ROS_DISTRO")
 _SIZE = "1600x1000x24"
 _START_TIMEOUT = 20.0
 _STOP_TIMEOUT = 5.0
 _PICTURE_PERIOD = 3.0
+
+
+def environment_without_ros() -> dict[str, str]:
+    """Return the environment of a job that must not join this process's ROS master."""
+    return {n: v for n, v in os.environ.items() if n[:4] != "ROS_" or n in _ROS_PACKAGES}
 
 
 def tied(*command: str) -> list[str]:

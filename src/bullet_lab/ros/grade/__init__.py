@@ -1,0 +1,1 @@
+"""Runs submissions to exercises in the simulation and marks them."""

@@ -1,0 +1,171 @@
+"""One run of a submission: the simulation on a ROS master of its own, and a node that watches."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+import time
+from dataclasses import asdict
+from operator import attrgetter
+from pathlib import Path
+
+import numpy as np
+import roslib.message
+import rospkg
+import rospy
+from gazebo_msgs.msg import ModelStates
+
+from bullet_lab import srv
+from bullet_lab.core.files import write_json
+from bullet_lab.entry import end_at_once_when_interrupted
+from bullet_lab.errors import LabError
+from bullet_lab.jobs.declaration import read_job
+from bullet_lab.msg import TouchedModels
+from bullet_lab.ros.grade.submission import Submission
+from bullet_lab.ros.launcher.command import StopSignals
+from bullet_lab.ros.launcher.supervision import Launch, prepare_master
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.studies.grade import AGAIN, Criterion, Exercise, Record, read_exercise
+
+# Wall seconds for the simulation to start.
+START = 60.0
+# Wall seconds between two checks.
+CHECK_PERIOD = 0.02
+# Simulated seconds for which the robot is watched after the submission has ended.
+AFTERWARDS = 1.0
+# Hz in simulated time; more messages are no control any more.
+MOST_RATE = 200.0
+# m between two poses, which no robot drives.
+JUMP = 0.3
+# A run at less than this share of the real-time factor is reported, if it took as many simulated s.
+LEAST_PACE, LEAST_TIME = 0.8, 5.0
+COMMANDS = Criterion(topic="cmd_vel", type="geometry_msgs/Twist", measure="rate")
+GROUND = "ground_plane"
+
+
+class Watcher:
+    """Records the robot, and the topics that the criteria name."""
+
+    def __init__(self, exercise: Exercise):
+        self.record = Record()
+        self.now = 0.0
+        describe = rospy.ServiceProxy("/bullet_lab/describe_models", srv.DescribeModels)
+        describe.wait_for_service(START)
+        models = [one for one in describe("").models if one.name != GROUND]
+        self._robot = next((one.name for one in models if not one.of_world_file), "")
+        for one in models:
+            if one.name != self._robot:
+                box = [one.least.x, one.least.y, one.greatest.x, one.greatest.y]
+                self.record.boxes[one.name] = box
+        rospy.Subscriber("/gazebo/model_states", ModelStates, self._locate)
+        rospy.Subscriber("/bullet_lab/touched", TouchedModels, self._touch)
+        for one in (*(one for one in exercise.criteria if one.topic), COMMANDS):
+            kind = roslib.message.get_message_class(one.type)
+            if kind is None:
+                raise LabError(f"there is no type of messages '{one.type}'")
+            rows: list[list[float]] = []
+            # Two criteria with the same key get the same messages.
+            self.record.messages[one.key] = rows
+            rospy.Subscriber(one.topic, kind, self._receive, (rows, one.path))
+        until = time.monotonic() + START
+        while not self.record.path:
+            if time.monotonic() > until:
+                raise LabError("the world has no robot")
+            time.sleep(CHECK_PERIOD)
+
+    def _locate(self, message: ModelStates) -> None:
+        self.now = rospy.get_time()
+        if self._robot in message.name:
+            place = message.pose[message.name.index(self._robot)].position
+            self.record.path.append([self.now, place.x, place.y])
+
+    def _touch(self, message: TouchedModels) -> None:
+        self.record.touched = sorted({*self.record.touched, *message.models} - {GROUND})
+
+    def _receive(self, message: object, how: tuple[list, str]) -> None:
+        rows, path = how
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        value = float(attrgetter(path)(message)) if path else 0.0
+        # JSON and means have no other numbers.
+        if math.isfinite(value):
+            rows.append([stamp.to_sec() if stamp else rospy.get_time(), value])
+
+    def flood(self, seconds: float) -> str:
+        """Return the first topic with too many messages in some seconds; empty if none has."""
+        most = MOST_RATE * max(seconds, 1.0)
+        keys = (key for key, rows in self.record.messages.items() if len(rows) > most)
+        return next(keys, "").split(" ")[0]
+
+
+def watch(exercise: Exercise, submission: Submission, watcher: Watcher, goes_on) -> None:
+    """Watch a submission until it ends or has to be ended, and complete the record."""
+    has_to_end = any(one.measure == "exit_status" for one in exercise.criteria)
+    record, begin, wall = watcher.record, watcher.now, time.monotonic()
+    why, ended, seconds, waited = [], None, 0.0, 1.0
+    while not why and (ended is None or watcher.now < ended + AFTERWARDS):
+        time.sleep(CHECK_PERIOD)
+        seconds, waited = watcher.now - begin, time.monotonic() - wall
+        if ended is None and submission.status() is not None:
+            ended, record.status = watcher.now, submission.status()
+        if submission.output.stat().st_size > exercise.output_limit * 1000:
+            why = [f"it printed more than {exercise.output_limit} kB"]
+        elif watcher.flood(seconds):
+            why = [f"it sent more than {MOST_RATE:g} messages a second to {watcher.flood(seconds)}"]
+        elif ended is None and seconds > exercise.simulated_limit:
+            why = [f"it still ran after {exercise.simulated_limit:g} simulated s"] * has_to_end
+            break
+        elif waited > exercise.wall_limit:
+            why = [f"it was not done after {exercise.wall_limit:g} s of wall time"]
+        elif not goes_on():
+            raise LabError("the simulation has ended")
+    if seconds > LEAST_TIME and seconds < LEAST_PACE * exercise.rtf * waited:
+        why.append(f"the simulation ran at {seconds / waited:.1f} of rtf {exercise.rtf:g}: {AGAIN}")
+    if np.abs(np.diff(record.track(), axis=0)).max(initial=0.0) > JUMP:
+        why.append("the robot was moved by a service, not driven")
+    record.notes = why + submission.why_ended()
+    record.files = {one.file: submission.file(one.file) for one in exercise.criteria if one.file}
+
+
+def run(exercise: Exercise, seed: int, folder: Path, work: Path, output: Path) -> Record:
+    """Run a submission once and return what was seen; raise LabError if that is impossible."""
+    signals = StopSignals()
+    package = Path(rospkg.RosPack().get_path("bullet_lab"))
+    x, y, yaw = exercise.start
+    values = {
+        "world": exercise.world,
+        "robot": str(ResourceFinder.anywhere().find(exercise.robot)),
+        "robot_pose": f"{x} {y} 0 0 0 {math.radians(yaw)}",
+        "rtf": str(exercise.rtf),
+        "seed": str(seed),
+    }
+    job = read_job(package / "launch" / "include" / "bridge.launch.xml", package)
+    with Launch(job, values, prepare_master()) as launch:
+
+        def goes_on() -> bool:
+            return launch.verdict(lambda: False, signals.received) is None
+
+        rospy.init_node("grade", disable_signals=True)
+        watcher = Watcher(exercise)
+        submission = Submission(folder, work, output, exercise.processor_limit)
+        with contextlib.closing(submission):
+            watch(exercise, submission, watcher, goes_on)
+        rospy.signal_shutdown("done")
+    return watcher.record
+
+
+def main() -> None:
+    """Run with the words EXERCISE SEED FOLDER WORK OUTPUT RECORD; write the record or an error."""
+    end_at_once_when_interrupted()
+    # ROS would read them as its own.
+    (file, seed, folder, work, output, record), sys.argv[1:] = sys.argv[1:], []
+    try:
+        exercise = read_exercise(Path(file))
+        seen = run(exercise, int(seed), Path(folder), Path(work), Path(output))
+    except (LabError, rospy.ROSException) as error:
+        seen = Record(notes=[str(error)])
+    write_json(Path(record), asdict(seen))
+
+
+if __name__ == "__main__":
+    main()

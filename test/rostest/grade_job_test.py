@@ -1,0 +1,110 @@
+#!/usr/bin/env python3
+"""The grade job marks right, wrong and hostile submissions."""
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import unittest
+from pathlib import Path
+
+import rostest
+from lab_testing import run_job
+
+SUBMISSIONS = Path(__file__).resolve().parents[1] / "submissions"
+FOLDER = tempfile.TemporaryDirectory()
+SHORT = """
+title: a short one
+simulated_limit: 10
+processor_limit: 5
+output_limit: 100
+criteria:
+  - {measure: path_error, places: [[1, 0]], at_most: 0.1, points: 5}
+  - {measure: exit_status, at_least: 0, at_most: 0, points: 5}
+"""
+# What the line of a hostile submission says.
+WHY = {
+    "crashes": "it ended with status 1: ZeroDivisionError: division by zero",
+    # On a busy machine, few of its messages arrive.
+    "floods": "it sent more than 200 messages a second to cmd_vel|it still ran after 10 simulated",
+    "forks": "it left processes behind, which were ended",
+    "hangs": "it still ran after 10 simulated s",
+    "ignores_sigterm": "it still ran after 10 simulated s",
+    "kills_grader": "the run ended with status -9 before its end",
+    "not_executable": "main.py is not executable; run chmod .x main.py",
+    "nothing": "it has no main.py, no main.sh and 0 launch files; one is needed",
+    "prints": "it printed more than 100 kB",
+    "two_launch_files": "it has no main.py, no main.sh and 2 launch files; one is needed",
+    "writes_much": "it was ended, since it wrote a file of more than 20 MB",
+}
+
+
+def marks(out):
+    """Return points and reasons by the names of the submissions."""
+    with (out / "grades.csv").open() as file:
+        return {row["submission"]: row for row in csv.DictReader(file)}
+
+
+class GradeJobTest(unittest.TestCase):
+    """Each exercise with its submissions, and what goes wrong."""
+
+    def test_right_submissions_get_all_points_and_wrong_ones_do_not(self):
+        for exercise in ("square", "wall", "noise", "beacon", "goal"):
+            with self.subTest(exercise):
+                words = (f"exercise:={exercise}", f"class:={SUBMISSIONS / exercise}")
+                out, printed = run_job("grade", *words, folder=FOLDER.name)
+                found = marks(out)
+                self.assertEqual("10.0", found.pop("right")["points"], printed)
+                self.assertEqual(2, len(found))
+                for row in found.values():
+                    self.assertLess(float(row["points"]), 9.0, printed)
+
+    def test_hostile_submissions_are_marks_and_leave_nothing(self):
+        exercise = Path(FOLDER.name) / "short.yaml"
+        exercise.write_text(SHORT)
+        group = Path(FOLDER.name) / "class"
+        shutil.copytree(SUBMISSIONS / "hostile", group)
+        (group / "empty").mkdir()
+        words = (f"exercise:={exercise}", f"class:={group}")
+        out, printed = run_job("grade", *words, folder=FOLDER.name)
+        found = marks(out)
+        for name, why in WHY.items():
+            self.assertRegex(found[name]["why"], f"^({why})", printed)
+            self.assertEqual(5.0 * (name == "forks"), float(found[name]["points"]), name)
+        self.assertIn("one is needed", found["empty"]["why"])
+        names = set(os.listdir(out / "crashes"))
+        self.assertEqual({"grade.json", "grade.png", "grade.xml", "output.txt"}, names)
+        # Nothing of them is left.
+        command = ["pgrep", "-f", "sleep 9876"]
+        self.assertEqual(1, subprocess.run(command, stdout=subprocess.DEVNULL).returncode)
+
+    def test_one_submission_is_graded_and_kept_until_it_changes(self):
+        group = Path(FOLDER.name) / "one"
+        shutil.copytree(SUBMISSIONS / "hostile" / "crashes", group)
+        words = ("exercise:=square", f"submission:={group}")
+        out, _ = run_job("grade", *words, folder=FOLDER.name)
+        mark = json.loads((out / "grade.json").read_text())
+        self.assertEqual(0, mark["points"])
+        self.assertEqual(10, mark["of"])
+        mark["why"] = ["kept"]
+        (out / "grade.json").write_text(json.dumps(mark))
+        _, printed = run_job("grade", *words, folder=FOLDER.name, out=out)
+        self.assertIn("; kept", printed)
+        (group / "main.py").write_text("#!/usr/bin/env python3\nraise SystemExit('changed')\n")
+        _, printed = run_job("grade", *words, folder=FOLDER.name, out=out)
+        self.assertIn("status 1: changed", printed)
+
+    def test_a_wrong_command_line_is_a_line(self):
+        for words, line in (
+            ((), "exercise is '': it must be one of beacon, goal, noise, square, wall"),
+            (("exercise:=square",), "submission or class is needed, one of the two"),
+            (("exercise:=square", "submission:=/no/folder"), "/no/folder"),
+        ):
+            _, printed = run_job("grade", *words, folder=FOLDER.name, status=2)
+            self.assertIn(line, printed)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("bullet_lab", "grade_job_test", "__main__")

@@ -1,0 +1,4 @@
+#!/usr/bin/env python3
+"""Divides by zero."""
+
+print(1 / 0)

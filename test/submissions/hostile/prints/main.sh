@@ -1,0 +1,3 @@
+#!/bin/bash
+# Prints without an end.
+exec yes "the robot is at the corner"

@@ -1,0 +1,61 @@
+"""What the grader is asked for, and which marks it keeps."""
+
+import json
+
+import pytest
+
+from bullet_lab.errors import LabError
+from bullet_lab.ros.grade.grade import Grader, GradeSettings, _run
+
+
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        ({}, "^submission or class is needed, one of the two: the folder to grade$"),
+        ({"submission": "a", "class_folder": "a"}, "^submission or class is needed"),
+        ({"submission": "none"}, "none"),
+        ({"submission": "file"}, "^there are no submissions in 'file'$"),
+        ({"class_folder": "file"}, "^there are no submissions in 'file'$"),
+        ({"class_folder": "hidden"}, "^there are no submissions in 'hidden'$"),
+    ],
+)
+def test_what_cannot_be_graded_is_named(tmp_path, given, line):
+    (tmp_path / "file").touch()
+    (tmp_path / "hidden" / ".git").mkdir(parents=True)
+    settings = GradeSettings(exercise="square", base=str(tmp_path), **given)
+    with pytest.raises(LabError, match=line):
+        _run(tmp_path, settings, print)
+
+
+def test_a_mark_is_kept_until_a_file_changes(tmp_path):
+    exercise, folder = tmp_path / "e.yaml", tmp_path / "a"
+    exercise.write_text("title: x")
+    folder.mkdir()
+    main = folder / "main.py"
+    main.write_text("1")
+    (folder / "loop").symlink_to("loop")
+    grader = Grader(exercise, [folder], [tmp_path / "marks"])
+    assert grader.kept(0) == {}
+    (tmp_path / "marks").mkdir()
+    mark = tmp_path / "marks" / "grade.json"
+    mark.write_text(json.dumps({"files": grader._digest(0)}))
+    assert grader.kept(0)
+    for change in (lambda: main.chmod(0o755), lambda: main.write_text("2")):
+        change()
+        assert grader.kept(0) == {}
+        mark.write_text(json.dumps({"files": grader._digest(0)}))
+    exercise.write_text("title: y")
+    assert grader.kept(0) == {}
+    for text in ("", "[]", "{}", "5"):
+        mark.write_text(text)
+        assert grader.kept(0) == {}
+
+
+def test_a_folder_without_a_program_is_graded_without_a_simulation(tmp_path):
+    exercise, folder = tmp_path / "e.yaml", tmp_path / "a"
+    exercise.write_text("criteria: [{measure: contacts, at_most: 0}]")
+    folder.mkdir()
+    mark = Grader(exercise, [folder], [tmp_path / "marks"])(0)
+    assert (mark["points"], mark["of"]) == (0, 1)
+    assert mark["why"] == ["it has no main.py, no main.sh and 0 launch files; one is needed"]
+    assert json.loads((tmp_path / "marks" / "grade.json").read_text()) == mark
