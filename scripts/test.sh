@@ -19,7 +19,7 @@ export LAB_TALLY=$LOG/tally
 # Words for the command that runs again what has failed.
 AGAIN=$LOG/again
 SUITE=$LAB_ROOT/test/suite
-ROSTEST_TIMEOUT=1800
+ROSTEST_TIMEOUT=2400
 MUTANTS=564
 FAULTS=200
 # More than there are cores, because rostests mostly wait.

@@ -12,6 +12,7 @@ WITHOUT = {
     "calibrate",
     "detection_range",
     "detectors",
+    "grade",
     "dock_campaign",
     "noise_study",
     "published_noise",
