@@ -182,11 +182,9 @@ run_once() {
   ((passed && !failed))
 }
 
-# count_coverage: in every Python process that is started from here, whatever its PYTHONPATH.
+# count_coverage: in every Python process that is started from here; coverage's .pth file asks for
+# this variable.
 count_coverage() {
-  local site
-  site=$(python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
-  cp "$SUITE/coverage.pth" "$site/lab_coverage.pth"
   rm -rf "$LOG/coverage"
   mkdir -p "$LOG/coverage"
   export COVERAGE_PROCESS_START=$LAB_ROOT/pyproject.toml COVERAGE_FILE=$LOG/coverage/data
