@@ -26,11 +26,13 @@ from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import text
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
-from bullet_lab.ros.node.node import ignore_clock, node, wait_until
+from bullet_lab.ros.node.node import holds_within, ignore_clock, node
 
 # Per simulated second: how often it looks for new topics.
 RATE = 10.0
 QUEUE = 10_000
+# Wall seconds to wait for the publishers of new topics, some of which may have died.
+PATIENCE = 10.0
 CLOCK = "/clock"
 # What rospy's logs of all nodes add; the log files have the same lines.
 LEFT_OUT = ("/rosout_agg",)
@@ -115,8 +117,8 @@ class Record:
             Rate(STEPS_PER_SECOND).sleep()
             rate = Rate(RATE)
             while True:
-                if self._subscribe():
-                    wait_until(publishers_know_this_node, "the publishers to connect to this node")
+                if self._subscribe() and not holds_within(self._is_connected, PATIENCE):
+                    rospy.logwarn("some topics have a publisher that does not connect")
                 rate.sleep()
         finally:
             with self._lock:
@@ -136,6 +138,10 @@ class Record:
                 tcp_nodelay=True,
             )
         return bool(new)
+
+    def _is_connected(self) -> bool:
+        subscribers = self._subscribers.values()
+        return all(one.get_num_connections() for one in subscribers) and publishers_know_this_node()
 
     def _take(self, topic: str, message: rospy.AnyMsg) -> None:
         with self._lock:
