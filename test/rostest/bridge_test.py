@@ -32,9 +32,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
-# Of places: see `farthest`.
-SAME = 1e-5
-
 ARM_ROBOT = """<robot name="arm_robot">
   <link name="base"><inertial><mass value="1"/>
     <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -80,15 +77,6 @@ def simulated(commands, period):
             robot.command("cmd_vel", PlanarCommand(vx=vx, wz=wz))
             simulation.run_until(simulation.step + period)
     return [(*sample.pose.position[:2], *sample.pose.quaternion[2:]) for sample in samples]
-
-
-def farthest(expected, found):
-    """How far places are from each other at most.
-
-    A command that acts a step late makes 5e-4; a block that has stood before a reset settles
-    otherwise than a new one, by 2e-6 m.
-    """
-    return max(map(math.dist, expected, found))
 
 
 class BridgeTest(BridgeCase):
@@ -170,7 +158,7 @@ class BridgeTest(BridgeCase):
         odom.wait(4)
         self.assertEqual(2 * [10 * k for k in range(1, 14)], clocks(clock))
         self.assertEqual(2 * [50 * MILLISECOND, 100 * MILLISECOND], odom.stamps())
-        self.assertLess(farthest(places(odom.messages[:2]), places(odom.messages[2:])), SAME)
+        self.assertEqual(places(odom.messages[:2]), places(odom.messages[2:]))
 
 
 class ParametersTest(BridgeCase):
@@ -289,7 +277,7 @@ class LockStepTest(BridgeCase):
                 self.commands.publish(twist(vx, wz=wz))
                 self.advance(30 * number)
             found = odom.wait(len(expected))
-            self.assertLess(farthest(expected, places(found)), SAME)
+            self.assertEqual(expected, places(found))
             call("/gazebo/reset_simulation", Empty)
             del odom.messages[: len(found)]
             self.epoch = self.join()
@@ -303,7 +291,7 @@ class LockStepTest(BridgeCase):
         self.commands.publish(twist(vx=1.0))
         going.join(PATIENCE)
         expected = simulated([(0.0, 0.0), (1.0, 0.0)], 100)
-        self.assertLess(farthest(expected, places(odom.wait(4))), SAME)
+        self.assertEqual(expected, places(odom.wait(4)))
 
     def test_lost_command_does_not_hold_time_for_ever(self):
         self.assertTrue(self.advance(100, 3).success)

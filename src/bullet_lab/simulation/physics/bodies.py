@@ -210,6 +210,9 @@ class Body:
     def place(self, pose: Pose) -> None:
         """Place the body at rest, its joints at zero."""
         self.move(pose, ZERO, ZERO)
+        for index, one in enumerate(self.bullet_links, ROOT):
+            if one.mass_properties()[0] > 0.0:
+                self._drop_contacts(index)
         for name in self._joints:
             self.set_joint(name, 0.0)
         for index in self._balls:
@@ -319,8 +322,13 @@ class Body:
                 continue
             self._call(pybullet.changeDynamics, index, frictionAnchor=int(sticking))
             if sticking:
-                # Only new points stick; setting the unchanged filter drops the old ones.
-                self._call(pybullet.setCollisionFilterGroupMask, index, *MOVING_FILTER)
+                # Only new points stick.
+                self._drop_contacts(index)
+
+    def _drop_contacts(self, index: int) -> None:
+        """Forget a link's contact points, from whose last forces a step would begin."""
+        # Setting the unchanged filter does that.
+        self._call(pybullet.setCollisionFilterGroupMask, index, *MOVING_FILTER)
 
     def remove_sliding_friction(self) -> None:
         """Let the body slide freely, for a plugin that computes its friction itself."""
