@@ -24,6 +24,22 @@ criteria:
   - {measure: path_error, places: [[1, 0]], at_most: 0.1, points: 5}
   - {measure: exit_status, at_least: 0, at_most: 0, points: 5}
 """
+PLACES = "((1, 0), (1, 1), (0, 1), (0, 0))"
+GAUSS = "gauss(0.0, 0.1)"
+# The right submission to each exercise, and two wrong ones: a program, and a text in it that
+# another one replaces.
+RIGHT, WRONG = "right", ("wrong_1", "wrong_2")
+EXERCISES = {
+    "square": ("places", PLACES, (PLACES, "((1, 0), (1, 1), (0, 1))", "((1, 0), (0, 1), (0, 0))")),
+    "wall": ("wall", "DISTANCE = 0.51", ("DISTANCE = 0.51", "DISTANCE = 0.3", "DISTANCE = -1.0")),
+    "noise": ("noise", GAUSS, (GAUSS, "uniform(-0.1, 0.1)", "gauss(0.05, 0.1)")),
+    "beacon": ("beacon", "EVERY = 1", ("EVERY = 1", "EVERY = 20", "EVERY = 1\nBEACON = 5.0, 1.0")),
+    "goal": (
+        "places",
+        PLACES,
+        ("((1, -1.9), (2.6, -1.65))", "((1, -1.9),)", "((2.6, -1.65),)"),
+    ),
+}
 # What the line of a hostile submission says.
 WHY = {
     "crashes": "it ended with status 1: ZeroDivisionError: division by zero",
@@ -47,19 +63,30 @@ def marks(out):
         return {row["submission"]: row for row in csv.DictReader(file)}
 
 
+def make_class(exercise):
+    """Make a folder of a right and two wrong submissions; return it."""
+    program, text, texts = EXERCISES[exercise]
+    group = Path(FOLDER.name) / exercise
+    for name, other in zip((RIGHT, *WRONG), texts):
+        shutil.copytree(SUBMISSIONS / program, group / name)
+        main = group / name / "main.py"
+        assert text in main.read_text()
+        main.write_text(main.read_text().replace(text, other))
+    return group
+
+
 class GradeJobTest(unittest.TestCase):
     """Each exercise with its submissions, and what goes wrong."""
 
     def test_right_submissions_get_all_points_and_wrong_ones_do_not(self):
-        for exercise in ("square", "wall", "noise", "beacon", "goal"):
+        for exercise in EXERCISES:
             with self.subTest(exercise):
-                words = (f"exercise:={exercise}", f"class:={SUBMISSIONS / exercise}")
+                words = (f"exercise:={exercise}", f"class:={make_class(exercise)}")
                 out, printed = run_job("grade", *words, folder=FOLDER.name)
                 found = marks(out)
-                self.assertEqual("10.0", found.pop("right")["points"], printed)
-                self.assertEqual(2, len(found))
-                for row in found.values():
-                    self.assertLess(float(row["points"]), 9.0, printed)
+                self.assertEqual("10.0", found[RIGHT]["points"], printed)
+                for name in WRONG:
+                    self.assertLess(float(found[name]["points"]), 9.0, printed)
 
     def test_hostile_submissions_are_marks_and_leave_nothing(self):
         exercise = Path(FOLDER.name) / "short.yaml"

@@ -7,9 +7,9 @@ import rospy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
-PLACES = ((1, -1.9), (2.6, -1.65))
+PLACES = ((1, 0), (1, 1), (0, 1), (0, 0))
 
-rospy.init_node("goal")
+rospy.init_node("places")
 velocities = rospy.Publisher("cmd_vel", Twist, queue_size=1)
 odometry = []
 rospy.Subscriber("odom", Odometry, lambda m: odometry.append(m.pose.pose), queue_size=1)
