@@ -2,13 +2,15 @@
 # Runs a job of the lab: scripts/run.sh <job> [name:=value …]
 # Without a job it lists them; <job> --help lists a job's arguments.
 set -euo pipefail
+# First: without a trap, bash ignores a SIGINT that only bash gets, while another program runs.
+trap 'exit 130' INT
 
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
-# Without a trap, bash ignores a SIGINT that only bash gets, while another program runs.
-trap 'exit 130' INT
 "$LAB_ROOT/scripts/setup.sh"
+# A SIGINT that comes between bash's last look for traps and `exec` would be lost.
+trap - INT
 # While Python starts, it answers a SIGINT with a traceback and status 1, so SIGINT is blocked until
 # the launcher runs. catkin's setup files start Python, too.
 # shellcheck disable=SC2016 # expanded by perl and the other bash
