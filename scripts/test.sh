@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Runs the tests: scripts/test.sh [option ...] [part ...]. Status 0 only if all of them pass.
 #
-# A part is lint, unit, fuzz, the name of a rostest such as drive_squares, or a path of unit tests
-# such as test/unit/core; by default lint and unit come first, then all others.
+# A part is lint, unit, fuzz, the name of a rostest such as drive_squares, a path of unit tests such
+# as test/unit/core, or long, jobs, faults, which are run with --long. By default lint and unit come
+# first, then all others.
 # --long: also run every job at its full length, and the faults
 # --coverage: count the lines and branches of the library that the tests and their nodes run
 # --random-order: unit tests in another order each time; the seed is printed
@@ -137,7 +138,7 @@ run_part() {
     unit) run_pytest unit "$LAB_ROOT/test/unit" -n auto --dist loadfile -m "not long" ;;
     long) run_pytest long "$LAB_ROOT/test/unit" -n auto -m long ;;
     jobs) run_pytest jobs "$LAB_ROOT/test/long" ;;
-    */*) run_pytest some "$1" ;;
+    */*) run_pytest "${1//[^[:alnum:]_]/-}" "$1" ;;
     *) run_rostest "$1" ;;
   esac
 }

@@ -15,8 +15,8 @@ from nav_msgs.msg import Odometry
 from view_looker import Link, Looker, wait_for_url
 
 SPEED = 0.4
-# s from the last key to the robot at rest: 0.6 on an idle machine. Less than BURST.
-LATEST = 3.0
+# s from the last key to the robot at rest: 0.6 on an idle machine, and at a load of 13.
+LATEST = 1.5
 BURST = 6.0
 
 
