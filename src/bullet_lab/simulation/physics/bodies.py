@@ -210,8 +210,9 @@ class Body:
     def place(self, pose: Pose) -> None:
         """Place the body at rest, its joints at zero."""
         self.move(pose, ZERO, ZERO)
-        for index, one in enumerate(self.bullet_links, ROOT):
-            if one.mass_properties()[0] > 0.0:
+        # Of a body without contacts, this would only change the order in which they come.
+        for index in sorted({point[3] for point in self.near_points()}):
+            if self.bullet_links[index - ROOT].mass_properties()[0] > 0.0:
                 self._drop_contacts(index)
         for name in self._joints:
             self.set_joint(name, 0.0)
