@@ -11,7 +11,7 @@ import rosgraph
 import rospy
 import rostest
 from geometry_msgs.msg import Twist
-from lab_testing import NodeTest, wait_for
+from lab_testing import NodeTest, advertised, wait_for
 from standin import RobotStandIn
 from std_msgs.msg import Time
 
@@ -21,12 +21,6 @@ ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 def velocities(topic):
     """The commands so far as (m/s, rad/s)."""
     return [(message.linear.x, message.angular.z) for message in topic.messages]
-
-
-def advertised(topic):
-    """Whether the master knows a publisher of a topic."""
-    publishers, _, _ = rosgraph.Master("/test").getSystemState()
-    return topic in dict(publishers)
 
 
 class DriveSquaresTest(NodeTest):

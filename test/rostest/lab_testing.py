@@ -50,6 +50,12 @@ def wait_for(condition, what, seconds=PATIENCE):
         time.sleep(0.01)
 
 
+def advertised(topic):
+    """Whether the master knows a publisher of a topic."""
+    publishers, _, _ = rosgraph.Master("/test").getSystemState()
+    return topic in dict(publishers)
+
+
 def forget_parameters(node, master):
     """Clear the private parameters that an earlier node of this name has left with a master."""
     with contextlib.suppress(OSError):

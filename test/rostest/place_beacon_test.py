@@ -8,7 +8,16 @@ import rospy
 import rostest
 import tf2_ros
 from geometry_msgs.msg import Point, PointStamped
-from lab_testing import QUARTER_TURN, Node, NodeTest, Topic, publisher, transform, wait_for
+from lab_testing import (
+    QUARTER_TURN,
+    Node,
+    NodeTest,
+    Topic,
+    advertised,
+    publisher,
+    transform,
+    wait_for,
+)
 from sensor_msgs.msg import Range
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -122,7 +131,7 @@ class PlaceBeaconTest(NodeTest):
         said = "source: beacon_3, position: x:3.0 y:-4.0,"
         self.assertTrue(line.wait(1)[0].data.startswith(said))
         delete("beacon_3")
-        wait_for(lambda: not ranges.is_connected(), "the beacon's topic to go")
+        wait_for(lambda: not advertised("/beacon_3/range"), "the beacon's topic to go")
         # The configured ones stay, whatever becomes of them.
         delete("beacon_2")
         self.addCleanup(self.place, click(-5.0, 2.0))
