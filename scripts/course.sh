@@ -15,7 +15,7 @@ _lab_course() {
   root=$(dirname "$scripts")
   # Debian's Python cannot import modules of another Python.
   unset PYTHONPATH PYTHONHOME
-  # shellcheck disable=SC1091
+  # shellcheck disable=SC1090,SC1091
   source "$root/build/ws/devel/setup.bash" || return
   [[ -z $packages || $packages == "$ROS_PACKAGE_PATH" ]] || ROS_PACKAGE_PATH+=:$packages
   # Before any virtual environment, which may have another OpenCV.

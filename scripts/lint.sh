@@ -43,8 +43,9 @@ PYTHON
 # declared twice, and <include> has no <pose>.
 check_sdf() {
   local given=(/usr/share/sdformat*/1.6) schema=$LAB_DIR/sdformat
-  if [[ ! -e ${given[-1]} ]]; then
-    echo "lint sdf: skipped, this Debian has no package sdformat-sdf"
+  # That of Debian 11 names files that it does not have; Debian 13 has none.
+  if [[ ! -e ${given[-1]}/air_pressure.xsd ]]; then
+    echo "lint sdf: skipped, this Debian has no whole schema of SDF"
     return
   fi
   rm -rf "$schema"

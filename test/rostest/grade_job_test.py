@@ -11,7 +11,7 @@ import unittest
 from pathlib import Path
 
 import rostest
-from lab_testing import run_job
+from lab_testing import PACKAGE, run_job
 
 SUBMISSIONS = Path(__file__).resolve().parents[1] / "submissions"
 FOLDER = tempfile.TemporaryDirectory()
@@ -79,6 +79,8 @@ class GradeJobTest(unittest.TestCase):
     """Each exercise with its submissions, and what goes wrong."""
 
     def test_right_submissions_get_all_points_and_wrong_ones_do_not(self):
+        files = (PACKAGE / "config" / "exercises").glob("*.yaml")
+        self.assertEqual({file.stem for file in files}, set(EXERCISES))
         for exercise in EXERCISES:
             with self.subTest(exercise):
                 words = (f"exercise:={exercise}", f"class:={make_class(exercise)}")

@@ -53,7 +53,9 @@ KEPT_BUFFERS = 8
 KEPT_PROGRAMS = 64
 # The priority of a camera's state over that of objects.
 OVERRIDE = 100
-DEPTH_VERTEX = """#version 150
+# Major and minor version of the programs' language; Debian 11's llvmpipe has no more.
+GLSL = (1, 40)
+DEPTH_VERTEX = """#version 140
 uniform mat4 p3d_ModelViewProjectionMatrix;
 in vec4 p3d_Vertex;
 
@@ -62,7 +64,7 @@ void main() {
 }
 """
 # The distance along the view, by which a projection divides. Shadow maps do not use it.
-DEPTH_FRAGMENT = """#version 150
+DEPTH_FRAGMENT = """#version 140
 out vec4 depth;
 
 void main() {
@@ -168,8 +170,14 @@ class Graphics:
         if context is None or context.get_gsg() is None:
             raise RendererError(NO_DRIVER)
         context.set_active(False)
-        self._shared = (context.get_gsg(), context)
-        self.driver = context.get_gsg().get_driver_renderer()
+        state = context.get_gsg()
+        self._shared = (state, context)
+        self.driver = state.get_driver_renderer()
+        # Panda3D would draw without them, and so without light.
+        version = state.get_driver_shader_version_major(), state.get_driver_shader_version_minor()
+        if version < GLSL:
+            has = ".".join(map(str, version))
+            raise RendererError(f"{self.driver} has GLSL {has}, 1.40 at least is needed")
 
     def target(self, width: int, height: int, samples: int) -> Canvas:
         """Return a target for pictures, RGB of 8 bits, or float32 DEPTHS; raise RendererError."""

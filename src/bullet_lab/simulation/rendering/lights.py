@@ -58,7 +58,7 @@ WIDEST_SPOT = math.radians(160.0)
 # pixels; how far a surface is lifted, in m, or per m of distance from a spot or point light.
 Aim = Tuple[Sequence[np.ndarray], int, float]
 
-VERTEX = """#version 150
+VERTEX = """#version 140
 uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelMatrix;
 uniform float exposure;
 in vec4 p3d_Vertex;
@@ -95,7 +95,7 @@ CORNER_MAP_LINE = "  LIGHT_in_MAP = in_map(LIGHT_into_MAP, LIGHT_lift_MAP);\n"
 
 # Mesa's software anisotropic filter takes the nearest texel, which moves edges by up to a pixel.
 # There is no branch, since Mesa's software always computes both sides.
-FRAGMENT = """#version 150
+FRAGMENT = """#version 140
 uniform float exposure;
 uniform vec3 ambient;
 uniform sampler2D p3d_Texture0;

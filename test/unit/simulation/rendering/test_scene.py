@@ -11,6 +11,7 @@ from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.rendering import graphics
 from bullet_lab.simulation.rendering.graphics import RendererError, panda3d, shared_graphics
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
@@ -227,6 +228,12 @@ def test_textures_that_are_gone_are_given_back(tmp_path):
             simulation.remove("panel")
 
         assert bytes_kept(come_and_go, 8) < 5e4
+
+
+def test_a_driver_without_the_language_of_our_programs_is_refused(monkeypatch):
+    monkeypatch.setattr(graphics, "GLSL", (9, 0))
+    with pytest.raises(RendererError, match="has GLSL .*, 1.40 at least is needed"):
+        graphics.Graphics()
 
 
 def test_panda3d_is_loaded_for_the_first_picture_and_needs_a_driver():
