@@ -1,0 +1,156 @@
+"""Plays scenarios on a simulator and compares them with Gazebo's figures: scripts/beside_gazebo.sh.
+
+The simulator is what answers on the ROS master: this package's bridge, which is started if none
+is there, or a Gazebo. Prints a table, writes all of it as CSV, and ends with 1 if a row fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from pathlib import Path
+from typing import Iterator, List, Mapping, Sequence, Tuple
+
+from beside_direct import DirectStage
+from beside_scenarios import DRIVES, PACKAGE, Played, Stage, play_drive
+from beside_table import (
+    FAILED,
+    Allowed,
+    Row,
+    allowed_by_name,
+    allowed_in_drive,
+    as_csv,
+    compare,
+    read_figures,
+    summary,
+    table,
+    write_figures,
+)
+from beside_trials import THROUGH_ROS, TRIALS
+
+FIGURES = PACKAGE / "data" / "gazebo" / "physics.json"
+CSV = Path("results/beside_gazebo/table.csv")
+Scene = Tuple[str, Played, Mapping[str, Allowed]]
+"""A scenario's name, what came of it, and what is allowed."""
+
+# The tutorials' robots include files of their package.
+os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(
+    filter(None, (os.environ.get("ROS_PACKAGE_PATH"), str(PACKAGE / "test")))
+)
+
+
+def names() -> List[str]:
+    """Return the names of all scenarios."""
+    return [drive.name for drive in DRIVES] + list(TRIALS)
+
+
+def play(
+    wanted: Sequence[str] = (),
+    headings: Sequence[float] = (0.0,),
+    start: Tuple[float, float] = (0.0, 0.0),
+    stage: Stage | None = None,
+) -> Iterator[Scene]:
+    """Play scenarios by the beginnings of their names, all if there are none.
+
+    Yields name, what came of it, and what is allowed. Without a stage, it is played in this
+    process, and only what needs no ROS.
+    """
+    direct = stage is None
+    stage = stage or DirectStage()
+    for drive in DRIVES:
+        for heading in headings if _is_wanted(drive.name, wanted) else ():
+            name = drive.name + (f"@{heading:g}" if heading else "")
+            limits = {} if heading else allowed_in_drive(drive)
+            limits = limits if drive.name not in ("two_casters", "rear_caster") else {}
+            limits = limits or (allowed_by_name(drive.name) if not heading else {})
+            yield name, play_drive(drive, stage, heading, (*start, 0.0)), limits
+    for name, trial in TRIALS.items():
+        if _is_wanted(name, wanted) and not (direct and name in THROUGH_ROS):
+            played = trial(stage=stage)
+            stage.clear()
+            yield name, played, allowed_by_name(name)
+
+
+def _is_wanted(name: str, wanted: Sequence[str]) -> bool:
+    return not wanted or any(name.startswith(word) for word in wanted)
+
+
+def rows_of(played: Sequence[Scene], known: Mapping[str, Played]) -> List[Row]:
+    """Return the rows of all scenarios."""
+    nothing = Played()
+    return [
+        row
+        for name, here, limits in played
+        for row in compare(name, known.get(name, nothing).figures, here.figures, limits)
+    ]
+
+
+def check(*wanted: str, headings: Sequence[float] = (0.0,), show: bool = True) -> List[Row]:
+    """Play scenarios in this process and return the rows; print those with a limit."""
+    rows = rows_of(list(play(wanted, headings)), read_figures(FIGURES))
+    if show:
+        print(table(rows, bool(headings != (0.0,))))
+        print(summary(rows))
+    return rows
+
+
+@contextlib.contextmanager
+def ros_stage() -> Iterator[Stage]:
+    """Be a node, and use the simulator on the master; without one, a bridge of its own."""
+    import rospy
+    from beside_ros import RosStage, end_all, is_there, start_bridge
+
+    from bullet_lab.ros.launcher.supervision import prepare_master
+
+    prepare_master()
+    rospy.init_node("beside_gazebo", anonymous=True, disable_signals=True)
+    bridge = None if is_there() else start_bridge()
+    try:
+        yield RosStage()
+    finally:
+        if bridge is not None:
+            end_all(bridge)
+
+
+def read_options(words: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="beside_gazebo.sh", description=(__doc__ or ""))
+    parser.add_argument("--only", default="", help="beginnings of scenarios' names, with commas")
+    parser.add_argument("--headings", default="0", help="of the drives, degrees, with commas")
+    parser.add_argument("--start", default="0,0", help="of the drives: x,y in m")
+    parser.add_argument("--direct", action="store_true", help="in this process, without ROS")
+    parser.add_argument("--all", action="store_true", help="print figures without a limit, too")
+    parser.add_argument("--list", action="store_true", help="print the names of the scenarios")
+    parser.add_argument("--figures", type=Path, default=FIGURES, help="what to compare with")
+    parser.add_argument("--record", type=Path, help="write the figures to this file")
+    parser.add_argument("--csv", type=Path, default=CSV, help="file for the whole table")
+    return parser.parse_args(list(words))
+
+
+def main(words: Sequence[str]) -> int:
+    """Run the program; return its status."""
+    options = read_options(words)
+    if options.list:
+        print("\n".join(names()))
+        return 0
+    wanted = [word for word in options.only.split(",") if word]
+    headings = [float(word) for word in options.headings.split(",")]
+    start = tuple(float(word) for word in options.start.split(","))
+    played: List[Scene] = []
+    with contextlib.nullcontext(None) if options.direct else ros_stage() as stage:
+        for entry in play(wanted, headings, start, stage):
+            played.append(entry)
+            print(entry[0], file=sys.stderr, flush=True)
+    if options.record:
+        write_figures(options.record, "recorded by beside_gazebo.sh", {n: p for n, p, _ in played})
+    rows = rows_of(played, read_figures(options.figures))
+    print(table(rows, options.all or headings != [0.0]))
+    print(summary(rows))
+    options.csv.parent.mkdir(parents=True, exist_ok=True)
+    options.csv.write_text(as_csv(rows), encoding="utf-8")
+    return int(any(row.verdict == FAILED for row in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

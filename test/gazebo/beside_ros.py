@@ -1,0 +1,188 @@
+"""A stage behind a ROS master: this package's bridge, or a Gazebo, used in the same way.
+
+:ROS Service clients: those of /gazebo; /bullet_lab/step, where it is offered
+:ROS Subscribers: /clock, where it is not
+:ROS Publishers: cmd_vel in the namespace of each robot
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from typing import Any, Dict, List, Tuple
+
+import rosgraph
+import rospy
+from beside_scenarios import PACKAGE, Push, Stage
+from bullet_lab.srv import Step
+from geometry_msgs.msg import Point, Twist, Vector3, Wrench
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Empty
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
+from bullet_lab.ros.messages.gazebo_types import msg, srv
+from bullet_lab.ros.messages.poses import normalised_pose, pose_message, twist_message, twist_of
+from bullet_lab.simulation.world.description import FrameState
+
+sys.path.insert(0, str(PACKAGE / "test"))
+from lab_nodes import Node, end_all  # noqa: E402, F401
+
+STEP = "/bullet_lab/step"
+"""A service that only this package's bridge offers; a Gazebo runs by the clock."""
+
+START_SECONDS = 60.0
+ANSWER_SECONDS = 20.0
+SETTLE_SECONDS = 0.1
+"""Wall seconds in which a command arrives, while simulated time stands still."""
+
+SLOW_RATE = 250.0
+"""Steps per wall second of a simulator that runs by the clock, so that it stops in time."""
+
+SLOWEST = 60.0
+"""Wall seconds in which a simulated second must pass."""
+
+
+class StageError(LabError):
+    """The simulator does not do what is asked of it."""
+
+
+def start_bridge(*words: str) -> Node:
+    """Start a bridge, paused, on the master that there is."""
+    rospy.set_param("/use_sim_time", True)
+    node = Node("pybullet_bridge", "_paused:=true", *words)
+    rospy.wait_for_service(STEP, START_SECONDS)
+    return node
+
+
+def is_there(service: str = "/gazebo/get_world_properties") -> bool:
+    """Return whether a service is registered."""
+    offered = rosgraph.Master("/beside_gazebo").getSystemState()[2]
+    return service in (name for name, _ in offered)
+
+
+class RosStage(Stage):
+    """The simulator on the ROS master, paused."""
+
+    def __init__(self):
+        self._proxies: Dict[str, rospy.ServiceProxy] = {}
+        self._models: List[str] = []
+        self._commands: Dict[str, rospy.Publisher] = {}
+        self._spawned = 0
+        self._steps = is_there(STEP)
+        rospy.ServiceProxy("/gazebo/pause_physics", Empty)()
+        if not self._steps:
+            self._clock = _Clock()
+            self._slow_down()
+
+    def spawn(self, text: str, pose: Pose) -> str:
+        self._spawned += 1
+        # A name is never used again: a Gazebo that is paused loses a model of an old name.
+        name = f"beside_{round(1000 * self.now())}_{self._spawned}"
+        kind = "sdf" if "<sdf" in text else "urdf"
+        self._call(f"spawn_{kind}_model", srv.SpawnModel, name, text, name, pose_message(pose), "")
+        self._models.append(name)
+        return name
+
+    def clear(self) -> None:
+        for publisher in self._commands.values():
+            publisher.unregister()
+        self._commands.clear()
+        while self._models:
+            self._call("delete_model", srv.DeleteModel, self._models.pop())
+
+    def state(self, name: str) -> FrameState:
+        answer = self._call("get_model_state", srv.GetModelState, name, "")
+        return FrameState(normalised_pose(answer.pose), *twist_of(answer.twist))
+
+    def put(self, name: str, state: FrameState) -> None:
+        message = msg.ModelState(name, pose_message(state.pose), twist_message(state), "")
+        self._call("set_model_state", srv.SetModelState, message)
+
+    def command(self, name: str, vx: float, vy: float, wz: float) -> None:
+        if name not in self._commands:
+            self._commands[name] = rospy.Publisher(f"/{name}/cmd_vel", Twist, queue_size=1)
+            _wait(self._commands[name].get_num_connections, f"nobody listens to /{name}/cmd_vel")
+        self._commands[name].publish(Vector3(vx, vy, 0.0), Vector3(0.0, 0.0, wz))
+        time.sleep(SETTLE_SECONDS)
+
+    def push(self, body: str, push: Push) -> None:
+        wrench = Wrench(Vector3(*push.force), Vector3(*push.torque))
+        words = (Point(*push.point), wrench, rospy.Time(), rospy.Duration(push.seconds))
+        self._call("apply_body_wrench", srv.ApplyBodyWrench, body, push.frame, *words)
+
+    def exert(self, name: str, joint: str, effort: float, seconds: float) -> None:
+        words = (effort, rospy.Time(), rospy.Duration(seconds))
+        self._call("apply_joint_effort", srv.ApplyJointEffort, joint, *words)
+
+    def joint(self, name: str, joint: str) -> Tuple[float, float]:
+        answer = self._call("get_joint_properties", srv.GetJointProperties, joint)
+        return answer.position[0], answer.rate[0]
+
+    def turn_joint(self, name: str, joint: str, position: float) -> None:
+        words = (name, "", [joint], [position])
+        self._call("set_model_configuration", srv.SetModelConfiguration, *words)
+
+    def run(self, seconds: float) -> None:
+        if self._steps:
+            steps = round(1000 * seconds)
+            self._call(STEP, Step, steps)
+            return
+        until = self.now() + seconds - 5e-4
+        self._call("unpause_physics", Empty)
+        self._clock.wait(until, SLOWEST * max(seconds, 1.0))
+        self._call("pause_physics", Empty)
+
+    def now(self) -> float:
+        """Return simulated time in s."""
+        return self._call("get_world_properties", srv.GetWorldProperties).sim_time
+
+    def _slow_down(self) -> None:
+        """Let it run slowly enough to be stopped at a step."""
+        now = self._call("get_physics_properties", srv.GetPhysicsProperties)
+        words = (now.time_step, SLOW_RATE, now.gravity, now.ode_config)
+        self._call("set_physics_properties", srv.SetPhysicsProperties, *words)
+
+    def _call(self, service: str, kind: Any, *words: Any) -> Any:
+        """Return the answer of a service, by default of /gazebo; raise StageError."""
+        name = service if service.startswith("/") else f"/gazebo/{service}"
+        if name not in self._proxies:
+            rospy.wait_for_service(name, ANSWER_SECONDS)
+            self._proxies[name] = rospy.ServiceProxy(name, kind)
+        try:
+            answer = self._proxies[name](*words)
+        except rospy.ServiceException as error:
+            raise StageError(f"{name}: {error}") from error
+        if not getattr(answer, "success", True):
+            raise StageError(f"{name}: {answer.status_message}")
+        return answer
+
+
+class _Clock:
+    """Simulated time as /clock has it."""
+
+    def __init__(self):
+        self._changed = threading.Condition()
+        self._now = 0.0
+        self._subscriber = rospy.Subscriber("/clock", Clock, self._take, tcp_nodelay=True)
+
+    def _take(self, message: Clock) -> None:
+        with self._changed:
+            self._now = message.clock.to_sec()
+            self._changed.notify_all()
+
+    def wait(self, until: float, seconds: float) -> None:
+        """Wait until simulated time has reached `until`, at most for some wall seconds."""
+        with self._changed:
+            self._now = 0.0
+            if not self._changed.wait_for(lambda: self._now >= until, seconds):
+                raise StageError(f"/clock did not reach {until:.3f} s in {seconds:.0f} s")
+
+
+def _wait(condition: Any, problem: str) -> None:
+    until = time.monotonic() + ANSWER_SECONDS
+    while not condition():
+        if time.monotonic() > until:
+            raise StageError(problem)
+        time.sleep(0.01)

@@ -1,0 +1,210 @@
+"""Figures of two simulators side by side, and what may lie between them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import asdict, dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Optional, Sequence
+
+from beside_scenarios import ROLLS, SLIDES, SLIPS, Drive, Played, motions, name_of
+
+OK, FAILED, TOLD, UNKNOWN = "ok", "FAIL", "told", "not known"
+"""Verdicts: the last two are of figures that have no limit, or that Gazebo's data lacks."""
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """How far a figure may be from Gazebo's: a share of it, or an amount if that is more."""
+
+    share: float = 0.0
+    within: float = 0.0
+
+    def limit(self, gazebo: float) -> float:
+        return max(self.share * abs(gazebo), self.within)
+
+    def __str__(self) -> str:
+        return f"{100 * self.share:g} %" if self.share else f"{self.within:g}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure of a scenario: in Gazebo and here, and what may lie between."""
+
+    scenario: str
+    quantity: str
+    gazebo: Optional[float]
+    here: Optional[float]
+    allowed: str
+    verdict: str
+
+
+DIGITS = Allowed(within=1e-4)
+"""Agrees to four digits."""
+
+_PERCENT = Allowed(share=0.01)
+_MILLIMETRE = Allowed(within=1e-3)
+_WAY = {SLIDES: Allowed(share=0.02), ROLLS: Allowed(share=0.02), SLIPS: Allowed(share=0.02)}
+_TURN = {SLIDES: Allowed(within=3.0), ROLLS: Allowed(within=3.0), SLIPS: Allowed(share=0.08)}
+_CASTERS = Allowed(share=0.1)
+
+
+def allowed_in_drive(drive: Drive) -> Dict[str, Allowed]:
+    """Return the limits of a drive's figures by their names."""
+    found: Dict[str, Allowed] = {}
+    for number, (first, end) in enumerate(motions(drive.legs)[: drive.judged]):
+        leg, name = drive.legs[first], name_of(first, end)
+        turns, ahead, left = bool(leg.wz), bool(leg.vx), bool(leg.vy)
+        if turns:
+            found[f"{name} turned deg"] = _TURN[drive.moves]
+        if turns and ahead:
+            for side in ("ahead", "left"):
+                found[f"{name} {side} m"] = Allowed(within=0.02 * leg.vx * leg.seconds)
+        elif ahead or left:
+            way = _MILLIMETRE if drive.moves == SLIDES and number == 0 else _WAY[drive.moves]
+            found[f"{name} {'ahead' if ahead else 'left'} m"] = way
+    return found
+
+
+def _each(limit: Allowed, *names: str) -> Dict[str, Allowed]:
+    return dict.fromkeys(names, limit)
+
+
+_PUSHED = ("x m", "y m", "vx m/s", "vy m/s", "wz rad/s", "yaw rad")
+_SLID = [f"{axis} at {when} s m" for axis in "xy" for when in ("0.1", "0.5")]
+_TURNED = [f"at {when} s {unit}" for when in (1, 2) for unit in ("rad", "rad/s")]
+_SWUNG = [f"at {when} s rad" for when in range(1, 7)]
+_SET = [
+    f"{when} {what}"
+    for when in ("now", "after 1 ms", "after 100 ms")
+    for what in ("x m", "y m", "z m", "roll rad", "pitch rad", "yaw rad", "vz m/s", "wz rad/s")
+]
+_SLOPE = ("way m", "speed m/s")
+
+# By the beginning of the scenario's name; the longest counts.
+TRIALS: Dict[str, Mapping[str, Allowed]] = {
+    "slide": _each(_MILLIMETRE, *_SLID),
+    "push_1N_mu0": _each(DIGITS, *_PUSHED),
+    # It stands there, and creeps in Gazebo.
+    "push_1N_mu0.5": _each(Allowed(within=2e-3), "x m", "y m"),
+    "push_6N": _each(_PERCENT, "x m"),
+    "push_1N_aside": _each(DIGITS, "x m", "y m", "vx m/s", "vy m/s", "wz rad/s"),
+    "torque_z": _each(DIGITS, *_PUSHED),
+    "push_in": _each(DIGITS, *_PUSHED),
+    "slope35": _each(DIGITS, *_SLOPE),
+    "slope20_mu0": _each(DIGITS, *_SLOPE),
+    # Gazebo's box creeps by 5.6 mm.
+    "slope20_mu0.5": {},
+    "drop": _each(_MILLIMETRE, "rebound m", "end m"),
+    "roll": _each(DIGITS, "x m", "vx m/s", "wy rad/s"),
+    "turn": _each(DIGITS, *_TURNED),
+    "pendulum": _each(DIGITS, *_SWUNG),
+    "push_block": _each(_PERCENT, "robot x m", "crate x m"),
+    "set_model_state": _each(DIGITS, *_SET),
+    "fall": _each(DIGITS, "z m", "vz m/s"),
+    "two_casters": _each(_CASTERS, "leg 0 ahead m"),
+    "rear_caster": {},
+}
+
+
+def allowed_by_name(scenario: str) -> Mapping[str, Allowed]:
+    """Return the limits of a scenario's figures, from its name."""
+    found = [start for start in TRIALS if scenario.startswith(start)]
+    return TRIALS[max(found, key=len)] if found else {}
+
+
+def compare(
+    scenario: str,
+    gazebo: Mapping[str, float],
+    here: Mapping[str, float],
+    allowed: Mapping[str, Allowed],
+) -> List[Row]:
+    """Return a row for each figure that one of the two has."""
+    rows = []
+    for name in dict.fromkeys((*here, *gazebo)):
+        limit = allowed.get(name)
+        one, other = gazebo.get(name), here.get(name)
+        rows.append(Row(scenario, name, one, other, str(limit or ""), _verdict(limit, one, other)))
+    return rows
+
+
+def _verdict(limit: Optional[Allowed], gazebo: Optional[float], here: Optional[float]) -> str:
+    if gazebo is None:
+        return UNKNOWN
+    if limit is None:
+        return TOLD
+    if here is None or not math.isfinite(here):
+        return FAILED
+    return OK if abs(here - gazebo) <= limit.limit(gazebo) else FAILED
+
+
+def table(rows: Sequence[Row], with_told: bool) -> str:
+    """Return the rows as text, those without a limit only if asked for."""
+    shown = [row for row in rows if with_told or row.verdict in (OK, FAILED)]
+    cells = [("scenario", "quantity", "Gazebo", "here", "allowed", "verdict")]
+    cells += [
+        (r.scenario, r.quantity, _number(r.gazebo), _number(r.here), r.allowed, r.verdict)
+        for r in shown
+    ]
+    widths = [max(map(len, column)) for column in zip(*cells)]
+    sides = "<<>>><"
+    return "\n".join(
+        "  ".join(f"{c:{s}{w}}" for c, s, w in zip(line, sides, widths)).rstrip() for line in cells
+    )
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """Return how many rows there are of each verdict."""
+    counts = dict.fromkeys((OK, FAILED, TOLD, UNKNOWN), 0)
+    for row in rows:
+        counts[row.verdict] += 1
+    return ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+
+
+def _number(value: Optional[float]) -> str:
+    return "" if value is None else f"{round(value, 5) + 0.0:.5f}"
+
+
+def as_csv(rows: Sequence[Row]) -> str:
+    """Return all rows as CSV, with a header."""
+    stream = StringIO()
+    writer = csv.DictWriter(stream, list(Row.__dataclass_fields__), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
+    return stream.getvalue()
+
+
+# ---- Figures in files ----
+
+
+def read_figures(path: Path) -> Dict[str, Played]:
+    """Return the figures of a file by scenario."""
+    text = json.loads(path.read_text(encoding="utf-8"))
+    return {
+        name: Played(entry["figures"], [tuple(row) for row in entry.get("path", ())])
+        for name, entry in text["scenarios"].items()
+    }
+
+
+def write_figures(path: Path, origin: str, played: Mapping[str, Played]) -> None:
+    """Write figures to a file, a line for each scenario."""
+    lines = [
+        f"{json.dumps(name)}: {json.dumps(_entry(entry))}" for name, entry in played.items()
+    ]
+    body = ",\n".join(lines)
+    path.write_text(
+        f'{{"origin": {json.dumps(origin)}, "scenarios": {{\n{body}\n}}}}\n', encoding="utf-8"
+    )
+
+
+def _entry(played: Played) -> Dict[str, Any]:
+    figures = {name: _short(value) for name, value in played.figures.items()}
+    path = [[_short(value, 5) for value in row] for row in played.path]
+    return {"figures": figures, **({"path": path} if path else {})}
+
+
+def _short(value: float, digits: int = 6) -> float:
+    return round(value, digits) + 0.0
