@@ -11,7 +11,7 @@ import contextlib
 import os
 import sys
 from pathlib import Path
-from typing import Iterator, List, Mapping, Sequence, Tuple
+from typing import Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from beside_direct import DirectStage
 from beside_scenarios import DRIVES, PACKAGE, Played, Stage, play_drive
@@ -21,6 +21,7 @@ from beside_table import (
     Row,
     allowed_by_name,
     allowed_in_drive,
+    allowed_of_sensor,
     as_csv,
     compare,
     read_figures,
@@ -30,10 +31,11 @@ from beside_table import (
 )
 from beside_trials import THROUGH_ROS, TRIALS
 
-FIGURES = PACKAGE / "data" / "gazebo" / "physics.json"
-CSV = Path("results/beside_gazebo/table.csv")
-Scene = Tuple[str, Played, Mapping[str, Allowed]]
-"""A scenario's name, what came of it, and what is allowed."""
+FIGURES = PACKAGE / "data" / "gazebo"
+OUT = Path("results/beside_gazebo")
+SENSORS = "sensors"
+Scene = Tuple[str, Played, Callable[[str], Optional[Allowed]]]
+"""A scenario's name, what came of it, and what is allowed of each figure."""
 
 # The tutorials' robots include files of their package.
 os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(
@@ -43,7 +45,12 @@ os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(
 
 def names() -> List[str]:
     """Return the names of all scenarios."""
-    return [drive.name for drive in DRIVES] + list(TRIALS)
+    return [*(drive.name for drive in DRIVES), *TRIALS, SENSORS]
+
+
+def known() -> Dict[str, Played]:
+    """Return Gazebo's figures by scenario."""
+    return {**read_figures(FIGURES / "physics.json"), **read_figures(FIGURES / "sensors.json")}
 
 
 def play(
@@ -51,11 +58,12 @@ def play(
     headings: Sequence[float] = (0.0,),
     start: Tuple[float, float] = (0.0, 0.0),
     stage: Stage | None = None,
+    out: Path = OUT,
 ) -> Iterator[Scene]:
     """Play scenarios by the beginnings of their names, all if there are none.
 
     Yields name, what came of it, and what is allowed. Without a stage, it is played in this
-    process, and only what needs no ROS.
+    process, and only what needs no ROS. Pictures go to the folder `out`.
     """
     direct = stage is None
     stage = stage or DirectStage()
@@ -63,14 +71,17 @@ def play(
         for heading in headings if _is_wanted(drive.name, wanted) else ():
             name = drive.name + (f"@{heading:g}" if heading else "")
             limits = {} if heading else allowed_in_drive(drive)
-            limits = limits if drive.name not in ("two_casters", "rear_caster") else {}
-            limits = limits or (allowed_by_name(drive.name) if not heading else {})
-            yield name, play_drive(drive, stage, heading, (*start, 0.0)), limits
+            yield name, play_drive(drive, stage, heading, (*start, 0.0)), limits.get
     for name, trial in TRIALS.items():
         if _is_wanted(name, wanted) and not (direct and name in THROUGH_ROS):
             played = trial(stage=stage)
             stage.clear()
-            yield name, played, allowed_by_name(name)
+            yield name, played, allowed_by_name(name).get
+    if _is_wanted(SENSORS, wanted) and not direct:
+        from beside_sensors import sensors
+
+        yield SENSORS, sensors(stage, out), allowed_of_sensor
+        stage.clear()
 
 
 def _is_wanted(name: str, wanted: Sequence[str]) -> bool:
@@ -89,7 +100,7 @@ def rows_of(played: Sequence[Scene], known: Mapping[str, Played]) -> List[Row]:
 
 def check(*wanted: str, headings: Sequence[float] = (0.0,), show: bool = True) -> List[Row]:
     """Play scenarios in this process and return the rows; print those with a limit."""
-    rows = rows_of(list(play(wanted, headings)), read_figures(FIGURES))
+    rows = rows_of(list(play(wanted, headings)), known())
     if show:
         print(table(rows, bool(headings != (0.0,))))
         print(summary(rows))
@@ -122,9 +133,9 @@ def read_options(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--direct", action="store_true", help="in this process, without ROS")
     parser.add_argument("--all", action="store_true", help="print figures without a limit, too")
     parser.add_argument("--list", action="store_true", help="print the names of the scenarios")
-    parser.add_argument("--figures", type=Path, default=FIGURES, help="what to compare with")
+    parser.add_argument("--figures", type=Path, help="recorded ones to compare with")
     parser.add_argument("--record", type=Path, help="write the figures to this file")
-    parser.add_argument("--csv", type=Path, default=CSV, help="file for the whole table")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for table and pictures")
     return parser.parse_args(list(words))
 
 
@@ -138,17 +149,17 @@ def main(words: Sequence[str]) -> int:
     headings = [float(word) for word in options.headings.split(",")]
     start = tuple(float(word) for word in options.start.split(","))
     played: List[Scene] = []
+    options.out.mkdir(parents=True, exist_ok=True)
     with contextlib.nullcontext(None) if options.direct else ros_stage() as stage:
-        for entry in play(wanted, headings, start, stage):
+        for entry in play(wanted, headings, start, stage, options.out):
             played.append(entry)
             print(entry[0], file=sys.stderr, flush=True)
     if options.record:
         write_figures(options.record, "recorded by beside_gazebo.sh", {n: p for n, p, _ in played})
-    rows = rows_of(played, read_figures(options.figures))
+    rows = rows_of(played, read_figures(options.figures) if options.figures else known())
     print(table(rows, options.all or headings != [0.0]))
     print(summary(rows))
-    options.csv.parent.mkdir(parents=True, exist_ok=True)
-    options.csv.write_text(as_csv(rows), encoding="utf-8")
+    (options.out / "table.csv").write_text(as_csv(rows), encoding="utf-8")
     return int(any(row.verdict == FAILED for row in rows))
 
 

@@ -81,7 +81,7 @@ class RosStage(Stage):
         # A name is never used again: a Gazebo that is paused loses a model of an old name.
         name = f"beside_{round(1000 * self.now())}_{self._spawned}"
         kind = "sdf" if "<sdf" in text else "urdf"
-        self._call(f"spawn_{kind}_model", srv.SpawnModel, name, text, name, pose_message(pose), "")
+        self.call(f"spawn_{kind}_model", srv.SpawnModel, name, text, name, pose_message(pose), "")
         self._models.append(name)
         return name
 
@@ -90,15 +90,15 @@ class RosStage(Stage):
             publisher.unregister()
         self._commands.clear()
         while self._models:
-            self._call("delete_model", srv.DeleteModel, self._models.pop())
+            self.call("delete_model", srv.DeleteModel, self._models.pop())
 
     def state(self, name: str) -> FrameState:
-        answer = self._call("get_model_state", srv.GetModelState, name, "")
+        answer = self.call("get_model_state", srv.GetModelState, name, "")
         return FrameState(normalised_pose(answer.pose), *twist_of(answer.twist))
 
     def put(self, name: str, state: FrameState) -> None:
         message = msg.ModelState(name, pose_message(state.pose), twist_message(state), "")
-        self._call("set_model_state", srv.SetModelState, message)
+        self.call("set_model_state", srv.SetModelState, message)
 
     def command(self, name: str, vx: float, vy: float, wz: float) -> None:
         if name not in self._commands:
@@ -110,41 +110,41 @@ class RosStage(Stage):
     def push(self, body: str, push: Push) -> None:
         wrench = Wrench(Vector3(*push.force), Vector3(*push.torque))
         words = (Point(*push.point), wrench, rospy.Time(), rospy.Duration(push.seconds))
-        self._call("apply_body_wrench", srv.ApplyBodyWrench, body, push.frame, *words)
+        self.call("apply_body_wrench", srv.ApplyBodyWrench, body, push.frame, *words)
 
     def exert(self, name: str, joint: str, effort: float, seconds: float) -> None:
         words = (effort, rospy.Time(), rospy.Duration(seconds))
-        self._call("apply_joint_effort", srv.ApplyJointEffort, joint, *words)
+        self.call("apply_joint_effort", srv.ApplyJointEffort, joint, *words)
 
     def joint(self, name: str, joint: str) -> Tuple[float, float]:
-        answer = self._call("get_joint_properties", srv.GetJointProperties, joint)
+        answer = self.call("get_joint_properties", srv.GetJointProperties, joint)
         return answer.position[0], answer.rate[0]
 
     def turn_joint(self, name: str, joint: str, position: float) -> None:
         words = (name, "", [joint], [position])
-        self._call("set_model_configuration", srv.SetModelConfiguration, *words)
+        self.call("set_model_configuration", srv.SetModelConfiguration, *words)
 
     def run(self, seconds: float) -> None:
         if self._steps:
             steps = round(1000 * seconds)
-            self._call(STEP, Step, steps)
+            self.call(STEP, Step, steps)
             return
         until = self.now() + seconds - 5e-4
-        self._call("unpause_physics", Empty)
+        self.call("unpause_physics", Empty)
         self._clock.wait(until, SLOWEST * max(seconds, 1.0))
-        self._call("pause_physics", Empty)
+        self.call("pause_physics", Empty)
 
     def now(self) -> float:
         """Return simulated time in s."""
-        return self._call("get_world_properties", srv.GetWorldProperties).sim_time
+        return self.call("get_world_properties", srv.GetWorldProperties).sim_time
 
     def _slow_down(self) -> None:
         """Let it run slowly enough to be stopped at a step."""
-        now = self._call("get_physics_properties", srv.GetPhysicsProperties)
+        now = self.call("get_physics_properties", srv.GetPhysicsProperties)
         words = (now.time_step, SLOW_RATE, now.gravity, now.ode_config)
-        self._call("set_physics_properties", srv.SetPhysicsProperties, *words)
+        self.call("set_physics_properties", srv.SetPhysicsProperties, *words)
 
-    def _call(self, service: str, kind: Any, *words: Any) -> Any:
+    def call(self, service: str, kind: Any, *words: Any) -> Any:
         """Return the answer of a service, by default of /gazebo; raise StageError."""
         name = service if service.startswith("/") else f"/gazebo/{service}"
         if name not in self._proxies:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Tuple
+from typing import Dict, List, Tuple, Union
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.world.description import FrameState
@@ -25,11 +25,14 @@ SAMPLE = 0.1
 """Simulated seconds between two points of a path."""
 
 
+Figure = Union[float, str, List[float]]
+
+
 @dataclass
 class Played:
-    """What came of a scenario: numbers by name, and the path as rows t, x, y, yaw (s, m, rad)."""
+    """What came of a scenario: figures by name, and the path as rows t, x, y, yaw (s, m, rad)."""
 
-    figures: Dict[str, float] = field(default_factory=dict)
+    figures: Dict[str, Figure] = field(default_factory=dict)
     path: List[Tuple[float, float, float, float]] = field(default_factory=list)
 
 
@@ -122,8 +125,8 @@ SLIDES, ROLLS, SLIPS = "slides", "rolls", "slips"
 class Drive:
     """A robot and its legs. `changes` are made in its text; `moves` says in which way it moves.
 
-    `height` is that of its frame at rest (m), `heading` in degrees. Of the motions, so many are
-    judged.
+    `height` is that of its frame at rest (m), `heading` in degrees. So many of its motions are
+    judged by what all robots of its kind are allowed.
     """
 
     name: str
@@ -242,13 +245,14 @@ DRIVES = (
     Drive("rover", f"{_TUTORIALS}/rover.urdf.xacro", _USUAL, ROLLS),
     Drive("four_wheels", f"{_TUTORIALS}/four_wheels.urdf.xacro", _USUAL, SLIPS, height=0.1),
     Drive("husky", f"{_MODELS}/husky.urdf.xacro", _USUAL, SLIPS, height=0.13228),
-    Drive("two_casters", f"{_MODELS}/casters.urdf.xacro", (_AHEAD,), ROLLS, height=0.1),
+    Drive("two_casters", f"{_MODELS}/casters.urdf.xacro", (_AHEAD,), ROLLS, height=0.1, judged=0),
     Drive(
         "rear_caster",
         f"{_MODELS}/casters.urdf.xacro",
         (_AHEAD,),
         ROLLS,
         height=0.1,
+        judged=0,
         changes=_LIFTED,
     ),
 )
