@@ -108,7 +108,7 @@ def check(*wanted: str, headings: Sequence[float] = (0.0,), show: bool = True) -
 
 
 @contextlib.contextmanager
-def ros_stage() -> Iterator[Stage]:
+def ros_stage(by_clock: bool = False) -> Iterator[Stage]:
     """Be a node, and use the simulator on the master; without one, a bridge of its own."""
     import rospy
     from beside_ros import RosStage, end_all, is_there, start_bridge
@@ -117,9 +117,9 @@ def ros_stage() -> Iterator[Stage]:
 
     prepare_master()
     rospy.init_node("beside_gazebo", anonymous=True, disable_signals=True)
-    bridge = None if is_there() else start_bridge()
+    bridge = None if is_there() else start_bridge(*["_clock_rate:=1000"] * by_clock)
     try:
-        yield RosStage()
+        yield RosStage(by_clock)
     finally:
         if bridge is not None:
             end_all(bridge)
@@ -131,6 +131,7 @@ def read_options(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--headings", default="0", help="of the drives, degrees, with commas")
     parser.add_argument("--start", default="0,0", help="of the drives: x,y in m")
     parser.add_argument("--direct", action="store_true", help="in this process, without ROS")
+    parser.add_argument("--clock", action="store_true", help="run by /clock, as a Gazebo is run")
     parser.add_argument("--all", action="store_true", help="print figures without a limit, too")
     parser.add_argument("--list", action="store_true", help="print the names of the scenarios")
     parser.add_argument("--figures", type=Path, help="recorded ones to compare with")
@@ -150,7 +151,7 @@ def main(words: Sequence[str]) -> int:
     start = tuple(float(word) for word in options.start.split(","))
     played: List[Scene] = []
     options.out.mkdir(parents=True, exist_ok=True)
-    with contextlib.nullcontext(None) if options.direct else ros_stage() as stage:
+    with contextlib.nullcontext(None) if options.direct else ros_stage(options.clock) as stage:
         for entry in play(wanted, headings, start, stage, options.out):
             played.append(entry)
             print(entry[0], file=sys.stderr, flush=True)

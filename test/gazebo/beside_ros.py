@@ -40,6 +40,7 @@ SETTLE_SECONDS = 0.1
 SLOW_RATE = 250.0
 """Steps per wall second of a simulator that runs by the clock, so that it stops in time."""
 
+HALF_STEP = 5e-4
 SLOWEST = 60.0
 """Wall seconds in which a simulated second must pass."""
 
@@ -63,18 +64,20 @@ def is_there(service: str = "/gazebo/get_world_properties") -> bool:
 
 
 class RosStage(Stage):
-    """The simulator on the ROS master, paused."""
+    """The simulator on the ROS master, paused. `by_clock`: though there is a service that steps."""
 
-    def __init__(self):
+    def __init__(self, by_clock: bool = False):
         self._proxies: Dict[str, rospy.ServiceProxy] = {}
         self._models: List[str] = []
         self._commands: Dict[str, rospy.Publisher] = {}
         self._spawned = 0
-        self._steps = is_there(STEP)
+        self._steps = is_there(STEP) and not by_clock
         rospy.ServiceProxy("/gazebo/pause_physics", Empty)()
         if not self._steps:
             self._clock = _Clock()
             self._slow_down()
+            # A step too many in one run is one less in the next.
+            self._until = self.now()
 
     def spawn(self, text: str, pose: Pose) -> str:
         self._spawned += 1
@@ -129,9 +132,9 @@ class RosStage(Stage):
             steps = round(1000 * seconds)
             self.call(STEP, Step, steps)
             return
-        until = self.now() + seconds - 5e-4
+        self._until += seconds
         self.call("unpause_physics", Empty)
-        self._clock.wait(until, SLOWEST * max(seconds, 1.0))
+        self._clock.wait(self._until - HALF_STEP, SLOWEST * max(seconds, 1.0))
         self.call("pause_physics", Empty)
 
     def now(self) -> float:
