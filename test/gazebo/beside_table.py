@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
+import numpy as np
 from beside_scenarios import ROLLS, SLIDES, SLIPS, Drive, Figure, Played, motions, name_of
 
 WIDEST = 36
@@ -26,22 +28,23 @@ class Allowed:
     share: float = 0.0
     within: float = 0.0
 
-    def limit(self, gazebo: float) -> float:
-        return max(self.share * abs(gazebo), self.within)
-
     def __str__(self) -> str:
         return f"{100 * self.share:g} %" if self.share else f"{self.within:g}"
 
 
 @dataclass(frozen=True)
 class Row:
-    """A figure of a scenario: in Gazebo and here, and what may lie between."""
+    """A figure of a scenario: in Gazebo and here, and what may lie between.
+
+    `apart` is how far they are from each other, in what is allowed: 1 at the limit.
+    """
 
     scenario: str
     quantity: str
     gazebo: Optional[Figure]
     here: Optional[Figure]
     allowed: str
+    apart: Optional[float]
     verdict: str
 
 
@@ -50,7 +53,7 @@ DIGITS = Allowed(within=1e-4)
 
 _PERCENT = Allowed(share=0.01)
 _MILLIMETRE = Allowed(within=1e-3)
-_WAY = {SLIDES: Allowed(share=0.02), ROLLS: Allowed(share=0.02), SLIPS: Allowed(share=0.02)}
+_WAY = Allowed(share=0.02)
 _TURN = {SLIDES: Allowed(within=3.0), ROLLS: Allowed(within=3.0), SLIPS: Allowed(share=0.08)}
 _CASTERS = Allowed(share=0.1)
 
@@ -67,7 +70,7 @@ def allowed_in_drive(drive: Drive) -> Dict[str, Allowed]:
             for side in ("ahead", "left"):
                 found[f"{name} {side} m"] = Allowed(within=0.02 * leg.vx * leg.seconds)
         elif ahead or left:
-            way = _MILLIMETRE if drive.moves == SLIDES and number == 0 else _WAY[drive.moves]
+            way = _MILLIMETRE if drive.moves == SLIDES and number == 0 else _WAY
             found[f"{name} {'ahead' if ahead else 'left'} m"] = way
     return found
 
@@ -165,26 +168,29 @@ def compare(
         limit = allowed(name)
         one, other = gazebo.get(name), here.get(name)
         word = "the same" if limit and isinstance(one, str) else str(limit or "")
-        rows.append(Row(scenario, name, one, other, word, verdict(limit, one, other)))
+        apart = None if limit is None or one is None else distance(limit, one, other)
+        verdict = TOLD if one is not None else UNKNOWN
+        if apart is not None:
+            verdict = OK if apart <= 1.0 else FAILED
+        rows.append(Row(scenario, name, one, other, word, apart, verdict))
     return rows
 
 
-def verdict(
-    limit: Optional[Allowed], gazebo: Optional[Figure], here: Optional[Figure]
-) -> str:
-    """Judge a figure. Text has to be the same; of an array, as many numbers count as are known."""
-    if gazebo is None:
-        return UNKNOWN
-    if limit is None:
-        return TOLD
-    if here is None or type(here) is not type(gazebo):
-        return FAILED
-    if isinstance(gazebo, str):
-        return OK if gazebo == here else FAILED
-    pairs = zip(gazebo, here) if isinstance(gazebo, list) else [(gazebo, here)]
-    if isinstance(gazebo, list) and len(here) < len(gazebo):
-        return FAILED
-    return OK if all(abs(b - a) <= limit.limit(a) for a, b in pairs) else FAILED
+def distance(limit: Allowed, gazebo: Figure, here: Optional[Figure]) -> float:
+    """Return how far a figure is from Gazebo's, 1 at its limit.
+
+    Text has to be the same; of an array, as many numbers count as are known.
+    """
+    if isinstance(gazebo, str) or isinstance(here, str) or here is None:
+        return 0.0 if gazebo == here else math.inf
+    known, found = np.atleast_1d(gazebo), np.atleast_1d(here)
+    if len(found) < len(known):
+        return math.inf
+    allowed = np.maximum(limit.share * np.abs(known), limit.within)
+    apart = np.abs(found[: len(known)] - known)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        worst = np.max(np.where(apart == 0.0, 0.0, apart / allowed), initial=0.0)
+    return math.inf if math.isnan(worst) else float(worst)
 
 
 def table(rows: Sequence[Row], with_told: bool) -> str:
@@ -192,7 +198,7 @@ def table(rows: Sequence[Row], with_told: bool) -> str:
     shown = [row for row in rows if with_told or row.verdict in (OK, FAILED)]
     cells = [("scenario", "quantity", "Gazebo", "here", "allowed", "verdict")]
     cells += [
-        (r.scenario, r.quantity, _text(r.gazebo), _text(r.here), r.allowed, r.verdict)
+        (r.scenario, r.quantity, text_of(r.gazebo), text_of(r.here), r.allowed, r.verdict)
         for r in shown
     ]
     widths = [max(map(len, column)) for column in zip(*cells)]
@@ -210,14 +216,14 @@ def summary(rows: Sequence[Row]) -> str:
     return ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
 
 
-def _text(value: Optional[Figure]) -> str:
+def text_of(value: Optional[Figure]) -> str:
     """Return a figure as text of at most some characters."""
     if value is None:
         return ""
     if isinstance(value, str):
         return value if len(value) <= WIDEST else f"…{value[1 - WIDEST :]}"
     if isinstance(value, list):
-        return _text(" ".join(f"{round(number, 5) + 0.0:.5g}" for number in value))
+        return text_of(" ".join(f"{round(number, 5) + 0.0:.5g}" for number in value))
     return f"{round(value, 5) + 0.0:.5f}"
 
 
