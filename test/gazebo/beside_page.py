@@ -9,7 +9,7 @@ from typing import Dict, List, Mapping, Sequence
 import cv2
 import numpy as np
 from beside_scenarios import DRIVES, PACKAGE, Played
-from beside_table import FAILED, OK, Row, text_of
+from beside_table import FAILED, OK, Row, both
 
 from bullet_lab.core.figures import BLUE, ORANGE, new_figure, plan_axes, save
 
@@ -44,7 +44,7 @@ def short_table(rows: Sequence[Row]) -> str:
         far = max(judged, key=lambda row: row.apart)
         count = f"{agree} of {len(judged)}"
         count = count if agree == len(judged) else f"**{count}**"
-        cells = (name, count, far.quantity, text_of(far.gazebo), text_of(far.here), far.allowed)
+        cells = (name, count, far.quantity, *both(far), far.allowed)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+import xmlrpc.client
 from typing import Any, Dict, List, Tuple
 
 import rosgraph
@@ -29,13 +30,17 @@ from bullet_lab.simulation.world.description import FrameState
 sys.path.insert(0, str(PACKAGE / "test"))
 from lab_nodes import Node, end_all  # noqa: E402, F401
 
+CALLER = "/beside_gazebo"
 STEP = "/bullet_lab/step"
 """A service that only this package's bridge offers; a Gazebo runs by the clock."""
 
 START_SECONDS = 60.0
 ANSWER_SECONDS = 20.0
-SETTLE_SECONDS = 0.1
-"""Wall seconds in which a command arrives, while simulated time stands still."""
+SETTLE_SECONDS = 0.05
+"""Wall seconds from a message's arrival to its effect, while simulated time stands still."""
+
+ASIDE = 200.0
+"""Metres to where robots are put that cannot be deleted."""
 
 SLOW_RATE = 250.0
 """Steps per wall second of a simulator that runs by the clock, so that it stops in time."""
@@ -59,7 +64,7 @@ def start_bridge(*words: str) -> Node:
 
 def is_there(service: str = "/gazebo/get_world_properties") -> bool:
     """Return whether a service is registered."""
-    offered = rosgraph.Master("/beside_gazebo").getSystemState()[2]
+    offered = rosgraph.Master(CALLER).getSystemState()[2]
     return service in (name for name, _ in offered)
 
 
@@ -68,7 +73,8 @@ class RosStage(Stage):
 
     def __init__(self, by_clock: bool = False):
         self._proxies: Dict[str, rospy.ServiceProxy] = {}
-        self._models: List[str] = []
+        # Names, and whether they have plugins.
+        self._models: Dict[str, bool] = {}
         self._commands: Dict[str, rospy.Publisher] = {}
         self._spawned = 0
         self._steps = is_there(STEP) and not by_clock
@@ -85,15 +91,25 @@ class RosStage(Stage):
         name = f"beside_{round(1000 * self.now())}_{self._spawned}"
         kind = "sdf" if "<sdf" in text else "urdf"
         self.call(f"spawn_{kind}_model", srv.SpawnModel, name, text, name, pose_message(pose), "")
-        self._models.append(name)
+        self._models[name] = "<plugin" in text
         return name
 
     def clear(self) -> None:
-        for publisher in self._commands.values():
+        for name, publisher in self._commands.items():
+            self.command(name, 0.0, 0.0, 0.0)
             publisher.unregister()
         self._commands.clear()
-        while self._models:
-            self.call("delete_model", srv.DeleteModel, self._models.pop())
+        for name, has_plugins in self._models.items():
+            # Some plugins end a Gazebo when they are deleted.
+            if has_plugins and not self._steps:
+                self._put_aside(name)
+            else:
+                self.call("delete_model", srv.DeleteModel, name)
+        self._models.clear()
+
+    def _put_aside(self, name: str) -> None:
+        x, y, z = self.state(name).pose.position
+        self.put(name, FrameState(Pose((x + ASIDE, y + 5.0 * self._spawned, z))))
 
     def state(self, name: str) -> FrameState:
         answer = self.call("get_model_state", srv.GetModelState, name, "")
@@ -107,7 +123,9 @@ class RosStage(Stage):
         if name not in self._commands:
             self._commands[name] = rospy.Publisher(f"/{name}/cmd_vel", Twist, queue_size=1)
             _wait(self._commands[name].get_num_connections, f"nobody listens to /{name}/cmd_vel")
+        before = arrived(f"/{name}/cmd_vel")
         self._commands[name].publish(Vector3(vx, vy, 0.0), Vector3(0.0, 0.0, wz))
+        _wait(lambda: arrived(f"/{name}/cmd_vel") != before, f"/{name}/cmd_vel does not arrive")
         time.sleep(SETTLE_SECONDS)
 
     def push(self, body: str, push: Push) -> None:
@@ -181,6 +199,17 @@ class _Clock:
             self._now = 0.0
             if not self._changed.wait_for(lambda: self._now >= until, seconds):
                 raise StageError(f"/clock did not reach {until:.3f} s in {seconds:.0f} s")
+
+
+def arrived(topic: str) -> List[Any]:
+    """Return what the nodes that listen to a topic say of their connections: it grows."""
+    master = rosgraph.Master(CALLER)
+    nodes = dict(master.getSystemState()[1]).get(topic, ())
+    found = []
+    for node in nodes:
+        with xmlrpc.client.ServerProxy(master.lookupNode(node)) as slave:
+            found += [entry for entry in slave.getBusStats(CALLER)[2][1] if entry[0] == topic]
+    return found
 
 
 def _wait(condition: Any, problem: str) -> None:

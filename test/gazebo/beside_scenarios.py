@@ -235,6 +235,7 @@ DRIVES = (
         SLIDES,
         heading=45.0,
     ),
+    Drive("block45_fast", _PLAIN, (Leg(0.0, 0.0, 1.5, 3.4),), SLIDES, heading=45.0),
     Drive(
         "izz0663", _PLAIN, (_SIDE, _CORNER) * 4, SLIDES, changes=((_IZZ, 'izz="0.0663"'),)
     ),

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import cv2
 import genpy
 import numpy as np
+import rosgraph
 import roslib.message
 import rospy
 from beside_ros import RosStage
@@ -184,6 +185,9 @@ class Listener:
             figures.update(self._bumper(what, messages))
             return figures
         figures.update(fields(what, last))
+        if what.endswith("scan"):
+            whole = [abs(1000.0 * r - round(1000.0 * r)) < 0.01 for r in last.ranges if r < 5.0]
+            figures[f"{what} share of whole mm"] = float(np.mean(whole))
         if what.endswith("points"):
             figures[f"{what} finite"] = float(np.isfinite(_points(last)).all(axis=1).sum())
         if what.endswith("camera_info"):
@@ -232,6 +236,9 @@ def sensors(stage: RosStage, folder: Path) -> Played:
     camera = stage.spawn(quiet("camera_robot"), Pose((-1.0, -0.6, 0.0)))
     listener = Listener(stage, robot, camera, crate)
     played = Played()
+    physics = stage.call("get_physics_properties", srv.GetPhysicsProperties)
+    played.figures.update(fields("physics", physics))
+    played.figures["services of /gazebo"] = services()
     for word, name in {"robot": robot, "cam": camera, "crate": crate}.items():
         played.figures.update(properties(stage, word, name))
     stage.run(0.9)
@@ -258,6 +265,13 @@ def sensors(stage: RosStage, folder: Path) -> Played:
 
 
 LINKS = {"robot": ("base_footprint",), "cam": ("base_footprint", "left_wheel"), "crate": ("link",)}
+
+
+def services() -> str:
+    """Return the names of the services of /gazebo, without those that other packages bring."""
+    offered = rosgraph.Master("/beside_gazebo").getSystemState()[2]
+    own = sorted(name[8:] for name, _ in offered if name.startswith("/gazebo/"))
+    return " ".join(name for name in own if not name.endswith(("loggers", "level", "parameters")))
 
 
 def properties(stage: RosStage, word: str, name: str) -> Dict[str, Figure]:

@@ -134,6 +134,9 @@ SENSORS: Sequence[Tuple[str, Optional[Allowed]]] = (
     (r"joint_states", None),
     (r"focal length px$", Allowed(within=0.01)),
     (r"scan ranges (min|mean|max)$", Allowed(within=3e-3)),
+    (r"share of whole mm$", Allowed(within=0.2)),
+    # A step is 1 ms here, whatever is set; the other settings are those of ODE.
+    (r"^physics (pause|max_update_rate|ode_config)", None),
     (r"bumper share", Allowed(within=0.05)),
     (r"bumper states", None),
     (r"moments kg m2$|centre m$|mass kg$", Allowed(within=2e-6)),
@@ -197,15 +200,22 @@ def table(rows: Sequence[Row], with_told: bool) -> str:
     """Return the rows as text, those without a limit only if asked for."""
     shown = [row for row in rows if with_told or row.verdict in (OK, FAILED)]
     cells = [("scenario", "quantity", "Gazebo", "here", "allowed", "verdict")]
-    cells += [
-        (r.scenario, r.quantity, text_of(r.gazebo), text_of(r.here), r.allowed, r.verdict)
-        for r in shown
-    ]
+    cells += [(r.scenario, r.quantity, *both(r), r.allowed, r.verdict) for r in shown]
     widths = [max(map(len, column)) for column in zip(*cells)]
     sides = "<<>>><"
     return "\n".join(
         "  ".join(f"{c:{s}{w}}" for c, s, w in zip(line, sides, widths)).rstrip() for line in cells
     )
+
+
+def both(row: Row) -> Tuple[str, str]:
+    """Return both figures as text; of words, those that only one has, unless they are the same."""
+    one, other = row.gazebo, row.here
+    if isinstance(one, str) and isinstance(other, str) and one != other:
+        there, here = one.split(), other.split()
+        one = " ".join(word for word in there if word not in here)
+        other = " ".join(word for word in here if word not in there)
+    return text_of(one), text_of(other)
 
 
 def summary(rows: Sequence[Row]) -> str:
