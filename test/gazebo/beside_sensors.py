@@ -60,7 +60,7 @@ MOVING = {
 
 # Tags of noise, which are set to 0.
 NOISE = re.compile(r"(<(stddev|gaussianNoise)>)[^<]*")
-# Gazebo reports the shapes of merged links under longer names.
+# What was recorded had the bumper's shape under the name that Gazebo gives it, and this frame.
 LUMPED = "base_footprint_fixed_joint_lump__bumper_collision_1"
 MORE = """
   <gazebo>
@@ -85,6 +85,7 @@ def quiet(robot: str) -> str:
 def sensor_robot() -> str:
     """Return the sensor robot, with an imu and a p3d besides."""
     text = quiet("sensor_robot").replace("<collision>bumper<", f"<collision>{LUMPED}<")
+    text = text.replace("<frameName>world<", "<frameName>bumper_link<")
     return text.replace("</robot>", MORE)
 
 
