@@ -31,6 +31,8 @@ from beside_table import (
 )
 from beside_trials import THROUGH_ROS, TRIALS
 
+from bullet_lab.errors import LabError
+
 FIGURES = PACKAGE / "data" / "gazebo"
 OUT = Path("results/beside_gazebo")
 SENSORS = "sensors"
@@ -100,8 +102,8 @@ def play(
     for drive in DRIVES:
         for heading in headings if _is_wanted(drive.name, wanted) else ():
             name = drive.name + (f"@{heading:g}" if heading else "")
-            limits = {} if heading else allowed_in_drive(drive)
-            yield name, play_drive(drive, stage, heading, (*start, 0.0)), limits.get
+            played = play_drive(drive, stage, heading, (*start, 0.0))
+            yield name, played, allowed_in_drive(drive).get
     if _is_wanted(SENSORS, wanted) and not direct:
         from beside_sensors import sensors
 
@@ -144,13 +146,16 @@ def ros_stage(by_clock: bool = False) -> Iterator[Stage]:
     rospy.init_node("beside_gazebo", anonymous=True, disable_signals=True)
     bridge = None if is_there() else start_bridge(*["_clock_rate:=1000"] * by_clock)
     try:
-        yield RosStage(by_clock)
+        stage = RosStage(by_clock)
+        yield stage
+        stage.close()
     finally:
         if bridge is not None:
             end_all(bridge)
 
 
 def read_options(words: Sequence[str]) -> argparse.Namespace:
+    """Read the command line; ends the program where it is wrong."""
     parser = argparse.ArgumentParser(prog="beside_gazebo.sh", description=(__doc__ or ""))
     parser.add_argument("--only", default="", help="beginnings of scenarios' names, with commas")
     parser.add_argument("--headings", default="0", help="of the drives, degrees, with commas")
@@ -163,7 +168,15 @@ def read_options(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--record", type=Path, help="write the figures to this file")
     parser.add_argument("--page", action="store_true", help="renew docs/beside_gazebo.md")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for table and pictures")
-    return parser.parse_args(list(words))
+    options = parser.parse_args(list(words))
+    options.only = [word for word in options.only.split(",") if word]
+    options.headings = [float(word) for word in options.headings.split(",")]
+    options.start = tuple(float(word) for word in options.start.split(","))
+    if not any(_is_wanted(name, options.only) for name in names()):
+        parser.error("no scenario has such a name; --list shows all")
+    if options.page and (options.only or options.direct):
+        parser.error("--page needs all scenarios, through ROS")
+    return options
 
 
 def main(words: Sequence[str]) -> int:
@@ -172,27 +185,32 @@ def main(words: Sequence[str]) -> int:
     if options.list:
         print("\n".join(names()))
         return 0
-    wanted = [word for word in options.only.split(",") if word]
-    headings = [float(word) for word in options.headings.split(",")]
-    start = tuple(float(word) for word in options.start.split(","))
-    played: List[Scene] = []
     gazebo = read_figures(options.figures) if options.figures else known()
     options.out.mkdir(parents=True, exist_ok=True)
+    played: List[Scene] = []
+    problem = ""
     with contextlib.nullcontext(None) if options.direct else ros_stage(options.clock) as stage:
-        for entry in play(wanted, headings, start, stage, options.out):
-            played.append(entry)
-            print(entry[0], file=sys.stderr, flush=True)
+        scenes = play(options.only, options.headings, options.start, stage, options.out)
+        try:
+            for scene in scenes:
+                played.append(scene)
+                print(scene[0], file=sys.stderr, flush=True)
+        except LabError as error:
+            # A simulator that has died does not take with it what was heard before.
+            problem = f"beside_gazebo: stopped after {len(played)} scenarios: {error}"
     if options.record:
         write_figures(options.record, "recorded by beside_gazebo.sh", {n: p for n, p, _ in played})
     rows = rows_of(played, gazebo)
-    print(table(rows, options.all or headings != [0.0]))
+    print(table(rows, options.all or options.headings != [0.0]))
     print(summary(rows))
-    if options.page:
+    if options.page and not problem:
         from beside_page import write_page
 
         write_page(rows, {n: p for n, p, _ in played}, gazebo, options.out)
     (options.out / "table.csv").write_text(as_csv(rows), encoding="utf-8")
-    return int(any(row.verdict == FAILED for row in rows))
+    if problem:
+        print(problem, file=sys.stderr)
+    return int(bool(problem) or any(row.verdict == FAILED for row in rows))
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ ASIDE = 200.0
 """Metres to where robots are put that cannot be deleted."""
 
 SLOW_RATE = 250.0
-"""Steps per wall second of a simulator that runs by the clock, so that it stops in time."""
+"""Steps per wall second of a simulator that runs by the clock: slow enough to be stopped in time."""
 
 HALF_STEP = 5e-4
 SLOWEST = 60.0
@@ -81,7 +81,7 @@ class RosStage(Stage):
         rospy.ServiceProxy("/gazebo/pause_physics", Empty)()
         if not self._steps:
             self._clock = _Clock()
-            self._slow_down()
+            self._rate = self._set_rate(SLOW_RATE)
             # A step too many in one run is one less in the next.
             self._until = self.now()
 
@@ -159,21 +159,27 @@ class RosStage(Stage):
         """Return simulated time in s."""
         return self.call("get_world_properties", srv.GetWorldProperties).sim_time
 
-    def _slow_down(self) -> None:
-        """Let it run slowly enough to be stopped at a step."""
+    def close(self) -> None:
+        """Give the simulator its speed back."""
+        if not self._steps:
+            self._set_rate(self._rate)
+
+    def _set_rate(self, rate: float) -> float:
+        """Set how fast it runs, in steps per wall second; return what it was."""
         now = self.call("get_physics_properties", srv.GetPhysicsProperties)
-        words = (now.time_step, SLOW_RATE, now.gravity, now.ode_config)
+        words = (now.time_step, rate, now.gravity, now.ode_config)
         self.call("set_physics_properties", srv.SetPhysicsProperties, *words)
+        return now.max_update_rate
 
     def call(self, service: str, kind: Any, *words: Any) -> Any:
         """Return the answer of a service, by default of /gazebo; raise StageError."""
         name = service if service.startswith("/") else f"/gazebo/{service}"
-        if name not in self._proxies:
-            rospy.wait_for_service(name, ANSWER_SECONDS)
-            self._proxies[name] = rospy.ServiceProxy(name, kind)
         try:
+            if name not in self._proxies:
+                rospy.wait_for_service(name, ANSWER_SECONDS)
+                self._proxies[name] = rospy.ServiceProxy(name, kind)
             answer = self._proxies[name](*words)
-        except rospy.ServiceException as error:
+        except (rospy.ServiceException, rospy.ROSException, OSError) as error:
             raise StageError(f"{name}: {error}") from error
         if not getattr(answer, "success", True):
             raise StageError(f"{name}: {answer.status_message}")
