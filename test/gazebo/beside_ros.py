@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
@@ -43,7 +44,7 @@ ASIDE = 200.0
 """Metres to where robots are put that cannot be deleted."""
 
 SLOW_RATE = 250.0
-"""Steps per wall second of a simulator that runs by the clock: slow enough to be stopped in time."""
+"""Steps per wall second of a simulator that runs by the clock, which makes it stop in time."""
 
 HALF_STEP = 5e-4
 SLOWEST = 60.0
@@ -160,9 +161,10 @@ class RosStage(Stage):
         return self.call("get_world_properties", srv.GetWorldProperties).sim_time
 
     def close(self) -> None:
-        """Give the simulator its speed back."""
+        """Give the simulator its speed back, if it is still there."""
         if not self._steps:
-            self._set_rate(self._rate)
+            with contextlib.suppress(StageError):
+                self._set_rate(self._rate)
 
     def _set_rate(self, rate: float) -> float:
         """Set how fast it runs, in steps per wall second; return what it was."""
