@@ -78,12 +78,15 @@ def wheels(*places, shape=ROUND, axis=Y, kind="continuous", parent="base", **joi
 
 
 def ramp(slope=0.0, towards=0.0, friction=1.0):
-    """A floor that rises by an angle in a direction (rad), and the pose of its upper side."""
+    """A floor that rises by an angle in a direction (rad), and the pose of its upper side.
+
+    Friction is by Coulomb's law.
+    """
     turn = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, -slope, 0.0))
     tilt = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, towards)) * turn
     ground = Collision(Box((40.0, 40.0, 0.2)), Pose((0.0, 0.0, -0.1)), friction=friction)
     floor = Model("floor", (Link("l", Pose(), None, (), (ground,)),), pose=tilt, static=True)
-    return World("w", (floor,), (), (0.0, 0.0, -G)), tilt
+    return World("w", (floor,), (), (0.0, 0.0, -G), coulomb=True), tilt
 
 
 class Drive:
@@ -109,7 +112,7 @@ class Drive:
         """Drive the rims of both sides at speeds in m/s."""
         for _ in range(round(seconds / 0.01)):
             for n, wheel in enumerate(self.wheels):
-                wheel.follow((right if n % 2 else left) / self.rover.radius, 0.01)
+                wheel.follow((right if n % 2 else left) / self.rover.radius)
             self.simulation.run_for(0.01)
 
     def twist(self):

@@ -88,7 +88,7 @@ class Simulation:
         self._renderer: Renderer | None = None
         self.seed = seed
         self.step = 0
-        self._physics = Physics(self.world.gravity)
+        self._physics = Physics(self.world.gravity, self.world.coulomb)
         self.models: dict[str, ModelInstance] = {}
         self._bodies = self._physics.bodies
         self._acting: list[Plugin] = []
@@ -107,9 +107,13 @@ class Simulation:
                     instance.restore(self.world.states[model.name])
 
     @classmethod
-    def of(cls, world: str, seed: int = 0) -> Simulation:
-        """Load the world file that a path or URI names; raises LabError."""
-        return cls(read_world_file(ResourceFinder.anywhere().find(world)), seed)
+    def of(cls, world: str, seed: int = 0, coulomb: bool | None = None) -> Simulation:
+        """Load the world file that a path or URI names; raises LabError.
+
+        Friction is as the world says, unless `coulomb` tells otherwise.
+        """
+        found = read_world_file(ResourceFinder.anywhere().find(world))
+        return cls(found if coulomb is None else replace(found, coulomb=coulomb), seed)
 
     def __enter__(self) -> Simulation:
         return self

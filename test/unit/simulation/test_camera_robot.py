@@ -125,9 +125,9 @@ def test_it_does_not_nod(world, robot):
         for _ in range(500):
             world.run_until(world.step + 1)
             roll, pitch, _ = robot.pose().rpy()
-            assert max(abs(roll), abs(pitch)) < math.radians(0.005)
+            assert max(abs(roll), abs(pitch)) < math.radians(0.02)
             # Round wheels: it neither bumps nor sinks.
-            assert abs(robot.pose().position[2]) < 5e-5
+            assert abs(robot.pose().position[2]) < 1e-4
 
 
 def test_it_pushes_a_kerb_with_the_torque_of_its_wheels(world, robot):

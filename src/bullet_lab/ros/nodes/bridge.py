@@ -45,6 +45,7 @@ from std_srvs.srv import Empty
 
 from bullet_lab.core.parameters import (
     boolean,
+    choice,
     integer,
     name_list,
     number,
@@ -103,6 +104,8 @@ EXPORTER = "gazebo_ros"
 ANSWER_SECONDS = 5.0
 # Wall seconds between two checks whether the loop is stuck.
 LOOP_CHECK_SECONDS = 1.0
+# What ~friction means for a simulation; None: as the world says.
+COULOMB = {"world": None, "ode": False, "coulomb": True}
 CALLER = "/bullet_lab"
 NOT_REACHED = "the world or time was reset, or the bridge shuts down"
 # s; a grant up to the end of ROS time is for ever.
@@ -139,6 +142,12 @@ class BridgeParameters:
         maximum=1000.0,
     )
     seed: int = integer(0, "seed of the noise of all sensors", minimum=0)
+    friction: str = choice(
+        "world",
+        "limit of friction: along each of two axes, as Gazebo's engine, or for all directions; "
+        "world: as its <friction_model> says",
+        tuple(COULOMB),
+    )
     states_rate: float = number(
         100.0,
         "messages on /gazebo/model_states and link_states per simulated second",
@@ -163,7 +172,9 @@ class PyBulletBridge:
     def __init__(self, parameters: BridgeParameters):
         warnings = Warnings()
         self._failures: set[tuple[str, str]] = set()
-        self.simulation = simulation = Simulation.of(parameters.world, parameters.seed)
+        self.simulation = simulation = Simulation.of(
+            parameters.world, parameters.seed, COULOMB[parameters.friction]
+        )
         simulation.go_on_after(self._report_failure)
         self.stepper = Stepper(
             simulation,

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Any, Sequence, Tuple
+from typing import Any, Collection, Sequence, Tuple
 
 import numpy as np
 
@@ -33,7 +32,7 @@ HARD = 1e18
 DEFAULT_DAMPING = 0.1
 # Width of a wheel's tread in m.
 TREAD = 0.002
-# The rim beside the tread is lower by this share of the radius. Below 3 %, Bullet makes contact
+# The rim beside the treads is lower by this share of the radius. Below 3 %, Bullet makes contact
 # points with the rim, too, and a step takes half as much time again.
 RIM = 0.05
 # Greatest cosine between a level axle and the vertical.
@@ -45,11 +44,11 @@ ROUND = 0.05
 # A wheel's inertia is at least that of this share of its load at its rim: otherwise friction in a
 # single step would spin it.
 LEAST_RIM = 0.05
-# Gravity in m/s² for the springs of skidding wheels.
+# Gravity in m/s² for the springs of hard shapes.
 GRAVITY = 9.8
-# How deep (m) and how fast (m/s) a hard skidding wheel sinks in under its load.
-SINKING = 2e-5
-SINKING_SPEED = 0.02
+# How deep (m) and how fast (m/s) a hard contact sinks in under the load of the whole body.
+SINKING = 1e-4
+SINKING_SPEED = 0.015
 
 
 @dataclass(frozen=True)
@@ -117,37 +116,70 @@ def axle_of(joint: Joint | None) -> Vector | None:
     return joint.axis if turns else None
 
 
-def on_treads(shapes: Sequence[Collision], axle: Vector | None) -> list[Collision]:
-    """Return the shapes of a link, with a wheel replaced by a narrow tread and a lower rim.
+def on_treads(shapes: Sequence[Collision], axle: Vector | None, skids: bool) -> list[Collision]:
+    """Return the shapes of a link, with a wheel replaced by narrow treads and a lower rim.
 
-    A lying cylinder touches the floor along a line, and Bullet keeps one end of it: all wheels of
-    a robot would roll on their left edges. So a cylinder that is alone on its axle gets a tread
-    in its middle.
+    A lying cylinder touches the floor along a line. ODE makes a contact at each end of it; Bullet
+    keeps one of them, and all wheels of a robot would roll on their left edges. So a cylinder
+    that is alone on its axle gets a tread in its middle, on which it rolls freely; or one at each
+    edge if it skids, since where it touches decides how far the robot turns.
     """
-    if len(shapes) != 1 or axle is None or not isinstance(shapes[0].geometry, Cylinder):
+    if not is_wheel(shapes, axle):
         return list(shapes)
     (wheel,) = shapes
     radius, width = wheel.geometry.radius, wheel.geometry.length
-    if not _turns_about(wheel, axle) or width <= TREAD:
-        return [wheel]
-    rim = Cylinder((1.0 - RIM) * radius, width)
-    return [replace(wheel, geometry=Cylinder(radius, TREAD)), replace(wheel, geometry=rim)]
+    tread, rim = Cylinder(radius, TREAD), Cylinder((1.0 - RIM) * radius, width)
+    edge = 0.5 * (width - TREAD)
+    places = [Pose((0.0, 0.0, z)) for z in ((-edge, edge) if skids else (0.0,))]
+    treads = [replace(wheel, geometry=tread, pose=wheel.pose * place) for place in places]
+    return [*treads, replace(wheel, geometry=rim)]
 
 
-def wants_friction_pyramid(links: Sequence[Link], joints: Sequence[Joint]) -> bool:
-    """Return whether friction on a body needs a limit for each of two directions.
+@dataclass(frozen=True)
+class Footing:
+    """How a body stands on what it touches.
 
-    It does if wheels slip while they are driven (slippery wheels, or wheels on parallel axles
-    that are apart), or if a shape names a friction direction. Leave out wheels with a `Traction`.
+    How hard contacts share a load is undetermined if there are more than three; Bullet's solver
+    would decide, anew in each step. Springs of equal stiffness share it as ODE does, whose
+    contacts are springs: by where they are. So each hard shape is a spring that the body's load
+    compresses. A ball does not share its load, and would bounce.
+
+    Attributes:
+        load: of the whole body in N; 0 for hard contacts.
+        rolling: names of links with a wheel that rolls: ODE gives it two contacts, Bullet one.
+        skidding: names of links with a wheel that skids as the body turns.
     """
-    if any(shape.direction for link in links for shape in link.collisions):
-        return True
-    axles = {joint.child: axle_of(joint) for joint in joints}
-    wheels = [link for link in links if link.collisions and axles.get(link.name)]
-    if any(shape.friction < 1.0 for link in wheels for shape in link.collisions):
-        return True
-    lines = [(link.pose.position, link.pose.rotate(axles[link.name])) for link in wheels]
-    return any(_parallel_and_apart(*pair) for pair in combinations(lines, 2))
+
+    load: float = 0.0
+    rolling: Collection[str] = ()
+    skidding: Collection[str] = ()
+
+    @classmethod
+    def of(cls, links: Sequence[Link], joints: Sequence[Joint], skidding: set[str]) -> Footing:
+        """Return that of a body that is not static."""
+        shapes = [shape.geometry for link in links for shape in link.collisions]
+        load = GRAVITY * sum(link.inertia.mass for link in links if link.inertia is not None)
+        if all(isinstance(shape, Sphere) for shape in shapes):
+            load = 0.0
+        axles = {joint.child: axle_of(joint) for joint in joints}
+        wheels = {link.name for link in links if is_wheel(link.collisions, axles.get(link.name))}
+        return cls(load, wheels - skidding, skidding)
+
+    def surface(self, link: Link, surface: ContactSurface) -> ContactSurface:
+        """Return the surface of shapes of a link as it bears on others."""
+        stiffness, damping = surface.stiffness, surface.damping
+        if stiffness is damping is None and self.load:
+            stiffness, damping = self.load / SINKING, self.load / SINKING_SPEED
+        contacts = 2 if link.name in self.rolling else 1
+        stiffness, damping = (value and contacts * value for value in (stiffness, damping))
+        return replace(surface, stiffness=stiffness, damping=damping)
+
+
+def is_wheel(shapes: Sequence[Collision], axle: Vector | None) -> bool:
+    """Return whether the shapes of a link are one cylinder that turns about its axle."""
+    if len(shapes) != 1 or axle is None or not isinstance(shapes[0].geometry, Cylinder):
+        return False
+    return _turns_about(shapes[0], axle) and shapes[0].geometry.length > 2.0 * TREAD
 
 
 def dot(one: Vector, other: Vector) -> float:
@@ -167,26 +199,42 @@ def _turns_about(cylinder: Collision, axle: Vector) -> bool:
 
 
 @dataclass(frozen=True)
-class SkiddingWheel:
-    """A wheel that skids: the name of its link, the axle in the link's axes, the radius in m."""
+class RoundWheel:
+    """A wheel on a level axle that nothing steers.
+
+    Attributes:
+        link: name of its link.
+        axle: in the link's axes.
+        radius: in m.
+        direction: `fdir1` in the link's axes, unless it is the axle's or there is none.
+    """
 
     link: str
     axle: Vector
     radius: float
+    direction: Vector | None = None
 
 
-def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> list[SkiddingWheel]:
+def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> list[RoundWheel]:
     """Return the wheels of a body that skid sideways as it turns, in the order of its links.
 
-    These are wheels that nothing steers, on level axles that are parallel and apart.
-
-    Args:
-        links: of the body, with their poses in a frame whose z axis points up.
-        joints: between them.
+    Their axles are parallel and apart. The links have poses in a frame whose z axis points up.
     """
+    found = _round_wheels(links, joints)
+    return [
+        wheel for wheel, line in found if any(_parallel_and_apart(line, one) for _, one in found)
+    ]
+
+
+def directed_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> list[RoundWheel]:
+    """Return the wheels of a body whose directions of friction turn with them; see above."""
+    return [wheel for wheel, _ in _round_wheels(links, joints) if wheel.direction]
+
+
+def _round_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> list[tuple[RoundWheel, Axle]]:
     above = {joint.child: joint for joint in joints}
     poses = {link.name: link.pose for link in links}
-    found: list[tuple[SkiddingWheel, Axle]] = []
+    found: list[tuple[RoundWheel, Axle]] = []
     for link in links:
         joint = above.get(link.name)
         if joint is None or not _turns_freely(joint) or _is_steered(joint, above, poses):
@@ -194,11 +242,14 @@ def skidding_wheels(links: Sequence[Link], joints: Sequence[Joint]) -> list[Skid
         radius = max((_radius(shape, joint) for shape in link.collisions), default=0.0)
         axle = link.pose.rotate(joint.axis)
         if radius > 0.0 and abs(axle[2]) < LEVEL:
-            wheel = SkiddingWheel(link.name, joint.axis, radius)
+            wheel = RoundWheel(link.name, joint.axis, radius, _direction(link, joint.axis))
             found.append((wheel, ((link.pose * Pose(joint.anchor)).position, axle)))
-    return [
-        wheel for wheel, line in found if any(_parallel_and_apart(line, one) for _, one in found)
-    ]
+    return found
+
+
+def _direction(link: Link, axle: Vector) -> Vector | None:
+    directions = [c.pose.rotate(c.direction) for c in link.collisions if c.direction]
+    return next((d for d in directions if abs(dot(d, axle)) < ALIGNED), None)
 
 
 def _turns_freely(joint: Joint) -> bool:
@@ -238,23 +289,14 @@ def _radius_of_mesh(mesh: Mesh, pose: Pose, joint: Joint) -> float:
     return float(reaches.max()) if np.ptp(reaches) < ROUND * reaches.max() else 0.0
 
 
-def fit_for_skidding(links: Sequence[Link], wheels: Sequence[SkiddingWheel]) -> list[Link]:
-    """Return the links with wheels that are heavy enough at the rim (`LEAST_RIM`), and soft.
-
-    How hard wheels share the load of a body is undetermined, and Bullet's solver would decide.
-    On springs, the load of each wheel follows from where the wheel is.
-    """
+def heavy_enough(links: Sequence[Link], wheels: Sequence[RoundWheel]) -> list[Link]:
+    """Return the links with the wheels heavy enough at their rims (`LEAST_RIM`)."""
     load = sum(link.inertia.mass for link in links) / len(wheels)
-    spring = {"stiffness": load * GRAVITY / SINKING, "damping": load * GRAVITY / SINKING_SPEED}
     by_name = {link.name: link for link in links}
     for wheel in wheels:
         link = by_name[wheel.link]
         matrix = link.inertia.matrix
         lacking = LEAST_RIM * load * wheel.radius**2 - wheel.axle @ matrix @ wheel.axle
         inertia = replace(link.inertia, matrix=matrix + max(0.0, lacking) * np.eye(3))
-        shapes = tuple(
-            replace(shape, **spring) if shape.stiffness is shape.damping is None else shape
-            for shape in link.collisions
-        )
-        by_name[wheel.link] = replace(link, inertia=inertia, collisions=shapes)
+        by_name[wheel.link] = replace(link, inertia=inertia)
     return list(by_name.values())

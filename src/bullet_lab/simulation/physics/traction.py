@@ -1,11 +1,13 @@
-"""Friction of wheels that skid: Coulomb's law, along and across each wheel.
+"""Friction of wheels that Bullet cannot compute: by Coulomb's law, or by ODE's with `fdir1`.
 
 The engine limits friction along two axes of the world (`docs/contact_model.md`), so it only
 carries these wheels. Their friction is computed here, before each step of the physics, by one
 step of the projected Jacobi iteration, which starts from the friction of the step before. First
-the force is added that would stop the slip; then what exceeds the limit is taken back by the rule
-of greatest dissipation (Moreau 1974, "On unilateral constraints, friction and plasticity"). So
-friction ends up opposing the slip, or stopping it.
+the force is added that would stop the slip; then what exceeds the limit is taken back.
+
+By Coulomb's law, friction ends up opposing the slip, or stopping it: the rule of greatest
+dissipation (Moreau 1974, "On unilateral constraints, friction and plasticity"). ODE limits it
+along `fdir1` and along the axle alone.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.bodies import Body, is_contact
-from bullet_lab.simulation.physics.surfaces import SkiddingWheel, dot
+from bullet_lab.simulation.physics.surfaces import RoundWheel, dot
 from bullet_lab.simulation.world.description import Joint, Link
 
 # Something along a wheel's rolling direction, and the same along its axle.
@@ -42,6 +44,9 @@ NEARLY_ONE = 1.0 + 1e-5
 ITERATIONS = 20
 # A body that is pushed at its rim yields as if it had this part less of its mass.
 YIELDING = 4.0
+# Where fdir1 points into the floor, friction along it adds to the load, which adds to friction. It
+# is not more than the inverse of this times what it would be without.
+JAMMED = 0.1
 # Least sine of the angle between an axle and the normal of a contact with the wheel's tread.
 FLANK = 0.05
 UP = np.array((0.0, 0.0, 1.0))
@@ -86,6 +91,37 @@ def limit_friction(wanted: Pair, gains: Pair, limits: Pair) -> tuple[float, floa
     return u / length * limits[0], v / length * limits[1], 1.0 / (1.0 + s * min(p, q))
 
 
+def limit_directed(
+    wanted: Pair, coefficients: Pair, load: float, cosine: float, sine: float
+) -> tuple[float, float, float]:
+    """Return the wanted friction within ODE's limits, and the share of the wanted that is left.
+
+    Args:
+        wanted: the force that would stop the slip, along the rolling direction and the axle (N).
+        coefficients: `mu1` and `mu2`.
+        load: that the floor carries, in N.
+        cosine: of the angle from the rolling direction to `fdir1`, which turns with the wheel.
+        sine: of the same angle; positive if `fdir1` points up.
+
+    The constraint of ODE's contact along fdir1 has a force λ with |λ| ≤ mu1·N. It pushes with
+    λ·cosine along the rolling direction, and carries λ·sine of the load, so N = load - λ·sine.
+    The second direction is normal times fdir1, whose length is |cosine|, and so is its share of
+    mu2·N. With fdir1 along the floor:
+
+    >>> limit_directed((-20.0, 4.0), (1.0, 0.5), 10.0, 1.0, 0.0)
+    (-10.0, 4.0, 1.0)
+    """
+    first, second = coefficients
+    side = math.copysign(1.0, wanted[0] * cosine)
+    limit = first * abs(cosine) * load / max(1.0 + side * first * sine, JAMMED)
+    along = max(-limit, min(limit, wanted[0]))
+    carried = load - along * sine / cosine if cosine else load
+    limit = max(0.0, second * abs(cosine) * carried)
+    across = max(-limit, min(limit, wanted[1]))
+    left = max(have / want if want else 0.0 for have, want in zip((along, across), wanted))
+    return along, across, left
+
+
 @dataclass(frozen=True)
 class Partner:
     """What a wheel touches.
@@ -107,15 +143,17 @@ class WheelFriction:
     Attributes:
         index: PyBullet's index of the wheel's link.
         axle: in the principal frame of the link.
+        direction: `fdir1` in the same frame; None for Coulomb's law.
         gains: the friction that stops a slip in one step, in N s/m.
         load: the smoothed force that carries the wheel, in N.
     """
 
     gains: Pair
 
-    def __init__(self, index: int, axle: Vector):
+    def __init__(self, index: int, axle: Vector, direction: Vector | None):
         self.index = index
         self.axle = axle
+        self.direction = direction
         self.reset()
 
     def reset(self) -> None:
@@ -129,32 +167,45 @@ class WheelFriction:
         if not touching:
             self._kept = (0.0, 0.0)
 
-    def force(self, slip: Pair, coefficients: Pair, share: float) -> Pair:
-        """Return the friction in N at a slip in m/s, with this share of the gains."""
+    def force(self, slip: Pair, coefficients: Pair, share: float, angle: Pair) -> Pair:
+        """Return the friction in N at a slip in m/s, with this share of the gains.
+
+        `angle` is cosine and sine of that from the rolling direction to `direction`.
+        """
         gains = share * self.gains[0], share * self.gains[1]
         stop, stop2 = gains[0] * slip[0], gains[1] * slip[1]
         wanted = self._kept[0] - STOPPING * stop, self._kept[1] - STOPPING * stop2
         load = max(self.load, LEAST_LOAD)
-        limits = coefficients[0] * load, coefficients[1] * load
-        along, across, left = limit_friction(wanted, gains, limits)
+        if self.direction is None:
+            limits = coefficients[0] * load, coefficients[1] * load
+            along, across, left = limit_friction(wanted, gains, limits)
+        else:
+            along, across, left = limit_directed(wanted, coefficients, load, *angle)
         passing = left * (STOPPING - KEEPING)
         self._kept = along + passing * stop, across + passing * stop2
         return along, across
 
 
 class Traction:
-    """Friction of the skidding wheels of a body, in place of the engine's.
+    """Friction of wheels of a body, in place of the engine's.
 
     Args:
         body: that has the wheels.
-        wheels: its skidding wheels.
+        wheels: those that slip.
         others: all bodies in the world by their unique ids.
+        coulomb: whether by Coulomb's law; if not, all wheels have a direction.
 
     Attributes:
         owners: the wheels by PyBullet's index of their links and of their helper links.
     """
 
-    def __init__(self, body: Body, wheels: Sequence[SkiddingWheel], others: Mapping[int, Body]):
+    def __init__(
+        self,
+        body: Body,
+        wheels: Sequence[RoundWheel],
+        others: Mapping[int, Body],
+        coulomb: bool,
+    ):
         self._body = body
         self._described = tuple(wheels)
         self._others = others
@@ -162,8 +213,9 @@ class Traction:
         self.owners: dict[int, WheelFriction] = {}
         for described in wheels:
             indices = body.link_indices(described.link)
-            frame = body.link_at(indices[0]).mass_properties()[2]
-            wheel = WheelFriction(indices[0], frame.inverse().rotate(described.axle))
+            to_frame = body.link_at(indices[0]).mass_properties()[2].inverse()
+            direction = None if coulomb else to_frame.rotate(described.direction)
+            wheel = WheelFriction(indices[0], to_frame.rotate(described.axle), direction)
             self._wheels.append(wheel)
             self.owners.update(dict.fromkeys(indices, wheel))
         self.update_gains()
@@ -224,7 +276,9 @@ class Traction:
         The slip of the wheel is the mean over the points, weighted by their coefficients; each
         point gets a part of the friction in the same ratio.
         """
-        axle = Pose(quaternion=state[1]).rotate(wheel.axle)
+        pose = Pose(quaternion=state[1])
+        axle = pose.rotate(wheel.axle)
+        angle = (1.0, 0.0)
         mu_along = 0.0
         mu_across = 0.0
         slip_along = 0.0
@@ -245,10 +299,13 @@ class Traction:
             slip_across += part_across * dot(slip, lateral)
             share = min(share, partner.share)
             parts.append((partner, place, rolling, lateral, part_along, part_across))
+            if wheel.direction is not None:
+                direction = pose.rotate(wheel.direction)
+                angle = dot(direction, rolling), dot(direction, point[7])
         mu_along = max(mu_along, LEAST_COEFFICIENT)
         mu_across = max(mu_across, LEAST_COEFFICIENT)
         slips = slip_along / mu_along, slip_across / mu_across
-        along, across = wheel.force(slips, (mu_along, mu_across), share)
+        along, across = wheel.force(slips, (mu_along, mu_across), share, angle)
         for partner, place, rolling, lateral, part_along, part_across in parts:
             x = part_along / mu_along * along
             y = part_across / mu_across * across
@@ -308,7 +365,7 @@ Freedom = Tuple[np.ndarray, Optional[np.ndarray]]
 
 
 def wheel_mobility(
-    links: Sequence[Link], joints: Sequence[Joint], wheels: Sequence[SkiddingWheel]
+    links: Sequence[Link], joints: Sequence[Joint], wheels: Sequence[RoundWheel]
 ) -> np.ndarray:
     """Return how easily friction moves the points where wheels touch the floor.
 

@@ -25,9 +25,6 @@ from bullet_lab.simulation.plugins.samples import (
 # Variance of what the odometry does not know, as in Gazebo.
 UNKNOWN = 1e12
 POSE_VARIANCES = (1e-5, 1e-5, UNKNOWN, UNKNOWN, UNKNOWN, 1e-3)
-# From the three turns in data/fig1_paths.csv: 90.14°, 90.13° and 90.67° in 34 commands at 10 Hz,
-# 0.4636 rad/s where 0.5236 was asked for; r = 0.0600 rad/s · Izz / (m·g·dt).
-PUBLISHED_RADIUS = 0.0102
 # Bullet's contact carries a body in small pushes; the load is their mean over about 20 steps.
 LOAD_SMOOTHING = 0.05
 STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
@@ -90,13 +87,12 @@ class MobileBase(Plugin):
 
 @dataclass(frozen=True)
 class SupportPatch:
-    """The contact of a planar_move robot with the floor.
+    """The contact of a planar_move robot that names a <supportRadius> with the floor.
 
-    Bullet's own contact, four points at the corners of a block, nearly stops its turns. So the
-    friction is that of one support patch (`docs/contact_model.md`), with the ellipsoidal limit
-    surface of Howe and Cutkosky (1996, "Practical force-motion models for sliding manipulation"):
-    force F and moment M about the vertical satisfy (F/μN)² + (M/μNr)² = 1, with N the load and r
-    the effective radius of the patch, and oppose the slip.
+    It is one round patch (`docs/contact_model.md`), with the ellipsoidal limit surface of Howe and
+    Cutkosky (1996, "Practical force-motion models for sliding manipulation"): force F and moment M
+    about the vertical satisfy (F/μN)² + (M/μNr)² = 1, with N the load and r the effective radius
+    of the patch, and oppose the slip.
 
     Attributes:
         friction: Coulomb's coefficient μ.
@@ -135,11 +131,12 @@ class SupportPatch:
 class PlanarMove(MobileBase):
     """Moves the robot as commanded, and sends its true pose as odometry.
 
-    Before each step the body gets the last commanded velocity, turned by its yaw and reduced by
-    floor friction (`SupportPatch`), without roll, pitch and vertical velocity. So a robot in the
-    air does not fall but sinks at g·dt, 1 cm/s, as in Gazebo; without a floor under it, no
-    friction slows it down. The command stays until the next one, or until `cmdTimeout` seconds
-    have passed.
+    Before each step the body gets the last commanded velocity, turned by its yaw, without roll,
+    pitch and vertical velocity. In the step, the friction of what bears the robot takes some of
+    it away. So a robot in the air does not fall but sinks at g·dt, 1 cm/s, as in Gazebo; without
+    a floor under it, no friction slows it down. A robot that names a <supportRadius>, unknown to
+    Gazebo, has the friction of a `SupportPatch` instead. The command stays until the next one, or
+    until `cmdTimeout` seconds have passed.
     """
 
     filenames = ("libgazebo_ros_planar_move.so",)
@@ -151,15 +148,15 @@ class PlanarMove(MobileBase):
         self.transform = self.output("/tf", TransformSample)
         timeout = mount.number("cmdTimeout", -1.0)
         self._timeout = math.inf if timeout < 0.0 else round(timeout * STEPS_PER_SECOND)
-        patch = _support_patch(mount)
-        self._mass = patch.mass
+        mount.require_moving()
+        self._patch = _support_patch(mount)
+        if self._patch is not None:
+            self._body.remove_sliding_friction()
         # For the inner loop.
-        self._slow_down = patch.slow_down
         self._set_velocity = self._body.set_velocity
         self._turned = self._body.turned_inertia
         self._simulation = mount.simulation
         self.schedule = mount.schedule("odometryRate", 20.0)
-        self._body.remove_sliding_friction()
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next step on, until the timeout."""
@@ -172,17 +169,23 @@ class PlanarMove(MobileBase):
         if step >= self._expires:
             command = STANDSTILL
         (_, _, height), quaternion = self._body.com_place()
-        # The load follows from Newton's law: the body started the last step without vertical
-        # velocity, so the floor has carried what did not become a fall.
-        pull = -self._simulation.world.gravity[2] * self._body.weight
-        carried = self._mass * (pull + (height - self._height) / STEP_SQUARED)
-        self._height = height
-        self._load += LOAD_SMOOTHING * (carried - self._load)
-        vx, vy, wz = self._slow_down(command.vx, command.vy, command.wz, self._load, STEP_SECONDS)
+        vx, vy, wz = command.vx, command.vy, command.wz
+        if self._patch is not None:
+            vx, vy, wz = self._patch.slow_down(vx, vy, wz, self._load_now(height), STEP_SECONDS)
         if self._turned:
             quaternion = self._body.pose().quaternion
         cosine, sine = heading_of(quaternion)
         self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
+
+    def _load_now(self, height: float) -> float:
+        """Return the load (N) on the floor, with the centre of mass at a height (m)."""
+        # By Newton's law: the body started the last step without vertical velocity, so the floor
+        # has carried what did not become a fall.
+        pull = -self._simulation.world.gravity[2] * self._body.weight
+        carried = self._patch.mass * (pull + (height - self._height) / STEP_SQUARED)
+        self._height = height
+        self._load += LOAD_SMOOTHING * (carried - self._load)
+        return self._load
 
     def produce(self, step: int) -> None:
         pose = self._pose()
@@ -197,7 +200,9 @@ class PlanarMove(MobileBase):
     def placed(self) -> None:
         self._last_pose = self._pose()
         self._height = self._body.com_pose().position[2]
-        self._load = -self._mass * self._simulation.world.gravity[2] * self._body.weight
+        if self._patch is not None:
+            pull = -self._simulation.world.gravity[2] * self._body.weight
+            self._load = self._patch.mass * pull
 
     def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
         """Return the mean velocity since the last sample, in the robot's present frame."""
@@ -213,13 +218,14 @@ class PlanarMove(MobileBase):
         )
 
 
-def _support_patch(mount: Mount) -> SupportPatch:
-    """Return the patch of the robot's root link, with the least friction of its shapes."""
+def _support_patch(mount: Mount) -> SupportPatch | None:
+    """Return the patch of a robot that names its radius, with its root link's least friction."""
     root = mount.model.root_links()[0]
-    masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
-    radius = mount.coefficient("supportRadius", PUBLISHED_RADIUS)
-    mount.require_moving()
     if root.inertia is None:
         raise PluginError(f"{mount.name()}: its first link cannot move")
+    if not mount.text("supportRadius", ""):
+        return None
+    masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
     friction = min((c.friction for c in root.collisions), default=1.0)
+    radius = mount.coefficient("supportRadius", 0.0)
     return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))

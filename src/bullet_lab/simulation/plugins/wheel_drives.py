@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
+from typing import Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -25,24 +26,26 @@ LOG = logging.getLogger(__name__)
 
 # A wheel below this speed (rad/s) counts as stopped. The solver's residual is about 3e-4 rad/s.
 STANDING = 0.01
+# A rim at this distance (m/s) from its wanted speed, or nearer, gets that speed at once.
+NEAR = 0.01
+# Of the left and the right wheels.
+Pair = Tuple[float, float]
 WHEEL_JOINTS = ("continuous", "revolute")
 
 
 class Wheel:
-    """A joint that is driven at a speed, with limited torque (N m) and acceleration (rad/s²).
+    """A joint that is driven at a speed, with limited torque (N m).
 
     A wheel that was commanded to stop and has stopped is held at its angle and sticks to the
     floor, like a brake: with speed control alone the robot creeps at 0.04 mm/s, and with friction
     alone at 0.02 mm/s, because the engine solves both to a tolerance. A push beyond the torque or
-    friction still moves the wheel; it is held again where it stops. An acceleration of 0 means no
-    limit.
+    friction still moves the wheel; it is held again where it stops.
     """
 
-    def __init__(self, body: Body, joint: str, torque: float, acceleration: float = 0.0):
+    def __init__(self, body: Body, joint: str, torque: float):
         self.joint = joint
         self._body = body
         self._torque = torque
-        self._acceleration = acceleration
         self.stop()
 
     def state(self) -> JointState:
@@ -54,14 +57,9 @@ class Wheel:
         self._speed = 0.0
         self._release()
 
-    def follow(self, speed: float, seconds: float) -> None:
-        """Drive towards a speed in rad/s, `seconds` after the last call."""
-        change = speed - self._speed
-        limit = self._acceleration * seconds
-        if self._acceleration and abs(change) > limit:
-            self._speed += limit if change > 0.0 else -limit
-        else:
-            self._speed = speed
+    def follow(self, speed: float) -> None:
+        """Drive at a speed in rad/s."""
+        self._speed = speed
         if self._speed != 0.0 or abs(self.state().velocity) > STANDING:
             self._release()
         elif not self._held:
@@ -102,14 +100,19 @@ class WheelDrive(MobileBase):
         self._last_step = step
         self._report(step, seconds)
         side = 0.5 * self._command.wz * self.separation
-        speeds = (self._command.vx - side, self._command.vx + side)
+        wanted = (self._command.vx - side, self._command.vx + side)
+        speeds = self._rim_speeds(wanted, seconds)
         for number, wheel in enumerate(self.wheels):
             on_the_right = 2 * number >= len(self.wheels)
-            wheel.follow(speeds[on_the_right] / self.radii[on_the_right], seconds)
+            wheel.follow(speeds[on_the_right] / self.radii[on_the_right])
 
     def placed(self) -> None:
         for wheel in self.wheels:
             wheel.stop()
+
+    def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
+        """Return the speeds (m/s) to set at the left and right rims, `seconds` after the last."""
+        return wanted
 
     def _velocity(self, pose: Pose) -> PlanarCommand:
         """Return the velocity of the body's origin along the heading of a pose."""
@@ -217,15 +220,12 @@ class DiffDrive(WheelDrive):
             raise PluginError(f"{where}: '{right.name}' is the left one already")
         self._joints = (left, right)
         torque = mount.coefficient("wheelTorque", 5.0)
-        limit = mount.coefficient("wheelAcceleration", 0.0)
+        self._acceleration = mount.coefficient("wheelAcceleration", 0.0)
         tags = ("leftWheelDiameter", "rightWheelDiameter")
         self.radii = tuple(
             0.5 * mount.positive(tag, 2.0 * radius) for tag, radius in zip(tags, self.radii)
         )
-        self.wheels = tuple(
-            Wheel(self._body, joint.name, torque, limit / radius)
-            for joint, radius in zip(self._joints, self.radii)
-        )
+        self.wheels = tuple(Wheel(self._body, joint.name, torque) for joint in self._joints)
         self._reckoning = DeadReckoning(self.separation, *self.radii)
         on_tf = mount.boolean("publishTf", True)
         base = mount.boolean("publishOdomTF", True) and on_tf
@@ -244,7 +244,26 @@ class DiffDrive(WheelDrive):
 
     def placed(self) -> None:
         super().placed()
+        self._set_speeds = (0.0, 0.0)
         self._reckoning.resume(*self._angles())
+
+    def _rim_speeds(self, wanted: Pair, seconds: float) -> Pair:
+        """Approach the wanted speeds by <wheelAcceleration>, as Gazebo's plugin does.
+
+        Unless one rim is near its wanted speed, the speed that was set last changes by what the
+        measured speed lacks. So it overshoots while the wheels lag behind, and a robot that
+        stops coasts on until it has come down again.
+        """
+        rims = [wheel.state().velocity * radius for wheel, radius in zip(self.wheels, self.radii)]
+        lacks = [speed - rim for speed, rim in zip(wanted, rims)]
+        if self._acceleration == 0.0 or min(map(abs, lacks)) < NEAR:
+            return wanted
+        most = self._acceleration * seconds
+        left, right = (
+            speed + max(-most, min(most, lack)) for speed, lack in zip(self._set_speeds, lacks)
+        )
+        self._set_speeds = (left, right)
+        return self._set_speeds
 
     def _angles(self) -> tuple[float, float]:
         left, right = self.wheels

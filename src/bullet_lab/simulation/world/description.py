@@ -297,6 +297,7 @@ class ModelState:
 class World:
     """A world file; gravity in m/s², ambient light and background as RGBA.
 
+    `coulomb` tells whether friction has a limit along each of two axes, or one for all directions.
     `states` holds saved states of models by name, if they are not as built.
     """
 
@@ -308,6 +309,7 @@ class World:
     background: Colour = (0.7, 0.7, 0.7, 1.0)
     shadows: bool = True
     states: Mapping[str, ModelState] = field(default_factory=dict)
+    coulomb: bool = False
 
 
 @dataclass(frozen=True)

@@ -160,6 +160,7 @@ def _world(tag: SdfTag) -> World:
         tag.colour("scene/background", World.background),
         tag.boolean("scene/shadows", True),
         {} if state is None else read_states(state, models, tag.source),
+        tag.text("physics/ode/solver/friction_model", "pyramid_model") == "cone_model",
     )
 
 

@@ -303,6 +303,7 @@ def _surroundings(world: World) -> dict[str, Any]:
             "max_step_size": 1.0 / STEPS_PER_SECOND,
             "real_time_factor": "1",
             "real_time_update_rate": str(STEPS_PER_SECOND),
+            "ode": {"solver": {"friction_model": "cone_model"}} if world.coulomb else None,
         },
         "scene": {
             "ambient": world.ambient,

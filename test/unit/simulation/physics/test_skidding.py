@@ -1,6 +1,5 @@
 """Which wheels skid, and how easily friction moves them."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +10,9 @@ from wheeled_robots import Robot, wheel_mesh
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
     LEAST_RIM,
-    SkiddingWheel,
-    fit_for_skidding,
+    RoundWheel,
+    directed_wheels,
+    heavy_enough,
     skidding_wheels,
 )
 from bullet_lab.simulation.physics.traction import wheel_mobility
@@ -139,23 +139,26 @@ def test_what_hangs_on_a_joint_adds_less_than_what_is_fixed(kind):
         assert np.linalg.eigvalsh(more - less).min() > -1e-9
 
 
-def test_no_wheel_is_too_light_or_hard():
-    rover = Rover(wheel_mass=1e-4, wheel={"friction": 0.7}).model()
-    told = skidding_wheels(rover.links, rover.joints)
-    base, *fitted = fit_for_skidding(rover.links, told)
+def test_no_wheel_is_too_light():
+    rover = Rover(wheel_mass=1e-4).model()
+    base, *fitted = heavy_enough(rover.links, skidding_wheels(rover.links, rover.joints))
     assert base is rover.links[0]
     for link in fitted:
         assert link.inertia.matrix[1, 1] == pytest.approx(LEAST_RIM * 8.0004 / 4 * 0.1**2)
-        (shape,) = link.collisions
-        assert shape.friction == 0.7
-        # What carries its load is a fiftieth of a millimetre deep.
-        assert shape.stiffness == pytest.approx(8.0004 / 4 * 9.8 / 2e-5)
-        assert math.isfinite(shape.damping)
-    soft = Rover(wheel={"stiffness": 1e5}).model()
-    assert fit_for_skidding(soft.links, told)[1].collisions == soft.links[1].collisions
 
 
 def test_a_wheel_is_named_by_its_link():
     rover = Rover().model()
     told = skidding_wheels(rover.links, rover.joints)
-    assert told == [SkiddingWheel(f"w{n}", Y, 0.1) for n in range(4)]
+    assert told == [RoundWheel(f"w{n}", Y, 0.1) for n in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("direction", "found"),
+    [((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), ((0.0, 0.0, 1.0), None), (None, None)],
+)
+def test_a_direction_across_the_axle_turns_with_the_wheel(direction, found):
+    shape = replace(ROUND, direction=direction)
+    links, joints = wheels((0.0, 0.2, 0.0), (0.0, -0.2, 0.0), shape=shape)
+    told = directed_wheels(place_links((Link("base"), *links), joints), joints)
+    assert [wheel.direction for wheel in told] == ([found, found] if found else [])

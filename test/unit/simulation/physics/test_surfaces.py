@@ -5,21 +5,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rovers import LYING, G, Y, even_inertia, wheels
+from rovers import LYING, G, Y, even_inertia
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
     RIM,
+    SINKING,
+    SINKING_SPEED,
     TREAD,
     ContactSurface,
+    Footing,
     on_treads,
-    wants_friction_pyramid,
 )
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import (
     Box,
     Collision,
     Cylinder,
+    Joint,
     Link,
     Model,
     Plane,
@@ -28,13 +31,13 @@ from bullet_lab.simulation.world.description import (
 )
 
 
-def slowing(floor, *shapes, heading=0.0, towards=0.0):
+def slowing(floor, *shapes, heading=0.0, towards=0.0, coulomb=False):
     """What friction takes, as a part of g, from a sled that slides in a direction (rad)."""
     ground = Link("l", collisions=(Collision(Plane(), friction=floor),))
     link = Link("l", inertia=even_inertia(2.0, 0.01), collisions=shapes)
     pose = Pose.from_rpy((0.0, 0.0, 0.1), (0.0, 0.0, heading))
     models = Model("floor", (ground,), static=True), Model("sled", (link,), pose=pose)
-    with Simulation(World("w", models, gravity=(0.0, 0.0, -G))) as simulation:
+    with Simulation(World("w", models, gravity=(0.0, 0.0, -G), coulomb=coulomb)) as simulation:
         simulation.run_for(0.2)
         body = simulation.models["sled"].bodies["l"]
         along = math.cos(towards), math.sin(towards)
@@ -73,10 +76,14 @@ def test_a_direction_of_friction_is_that_of_the_shape(quarters):
 
 def test_a_lone_wheel_gets_a_tread_and_a_rim():
     wheel = Collision(Cylinder(0.1, 0.04), LYING, name="wheel")
-    tread, rim = on_treads((wheel,), Y)
+    tread, rim = on_treads((wheel,), Y, skids=False)
     assert tread.geometry == Cylinder(0.1, TREAD)
     assert rim.geometry == Cylinder((1.0 - RIM) * 0.1, 0.04)
     assert tread.pose == rim.pose == LYING
+    # One that skids has a tread at each edge.
+    *treads, rim = on_treads((wheel,), Y, skids=True)
+    assert [tread.geometry for tread in treads] == 2 * [Cylinder(0.1, TREAD)]
+    assert [round(tread.pose.position[1], 6) for tread in treads] == [0.019, -0.019]
 
 
 @pytest.mark.parametrize(
@@ -90,26 +97,37 @@ def test_a_lone_wheel_gets_a_tread_and_a_rim():
     ],
 )
 def test_what_is_no_lone_wheel_stays_as_it_is(shapes, axle):
-    assert on_treads(shapes, axle) == list(shapes)
+    assert on_treads(shapes, axle, skids=True) == list(shapes)
 
 
-# Which law of friction
+# Springs
 
 
-def joined(*places, friction=1.0):
-    """Links on axles at places in a base."""
-    links, joints = wheels(*places, shape=Collision(Sphere(0.1), friction=friction))
-    return (Link("base"), *links), joints
+def test_hard_shapes_are_springs_that_the_load_compresses():
+    soft = Collision(Box((1.0, 1.0, 1.0)), stiffness=1e4, damping=3.0)
+    hard = Collision(Cylinder(0.1, 0.04), LYING)
+    base = Link("base", inertia=even_inertia(2.0, 0.1), collisions=(soft,))
+    wheel = Link("wheel", inertia=even_inertia(1.0, 0.1), collisions=(hard,))
+    joint = Joint("j", "continuous", "base", "wheel", Pose(), Y)
+    footing = Footing.of((base, wheel), (joint,), set())
+    one = footing.surface(base, ContactSurface.of(soft, None))
+    other = footing.surface(wheel, ContactSurface.of(hard, Y))
+    assert (one.stiffness, one.damping) == (1e4, 3.0)
+    # ODE gives a wheel two contacts, Bullet one.
+    assert other.stiffness == pytest.approx(2.0 * 3.0 * G / SINKING)
+    assert other.damping == pytest.approx(2.0 * 3.0 * G / SINKING_SPEED)
+    ball = Link("ball", inertia=even_inertia(2.0, 0.1), collisions=(Collision(Sphere(0.1)),))
+    assert Footing.of((ball,), (), set()).load == 0.0
 
 
-def test_friction_has_directions_for_wheels_that_slip():
-    pair = joined((0.0, 0.2, 0.0), (0.0, -0.2, 0.0))
-    assert not wants_friction_pyramid(*pair)
-    assert wants_friction_pyramid(*joined((0.0, 0.2, 0.0), (0.2, 0.2, 0.0)))
-    assert wants_friction_pyramid(*joined((0.0, 0.2, 0.0), friction=0.5))
-    directed = replace(pair[0][1].collisions[0], direction=(1.0, 0.0, 0.0))
-    links = (pair[0][0], replace(pair[0][1], collisions=(directed,)), pair[0][2])
-    assert wants_friction_pyramid(links, pair[1])
+def test_friction_has_a_limit_along_each_axis_of_the_world_or_for_all_directions():
+    shape = Collision(Box((0.3, 0.3, 0.2)), friction=0.5)
+    oblique = 0.25 * math.pi
+    assert slowing(1.0, shape, towards=oblique) == pytest.approx(0.5 * math.sqrt(2.0), abs=0.01)
+    assert slowing(1.0, shape, towards=oblique, coulomb=True) == pytest.approx(0.5, abs=0.01)
+
+
+# Directions on wheels
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.8, 0.6, 0.0)])

@@ -224,7 +224,7 @@ class VelocityJoint(JointHandle):
         elif speed == 0.0 or speed != self._driven:
             # A motor keeps its speed, but at 0 the wheel must check whether to hold the joint.
             self._driven = speed
-            self._wheel.follow(speed, seconds)
+            self._wheel.follow(speed)
 
 
 KINDS: Mapping[str, Type[JointHandle]] = {
