@@ -62,7 +62,6 @@ class RayScan:
         horizontal: angles of the rays about the sensor's z axis.
         least: least measured distance in m.
         greatest: greatest measured distance in m.
-        resolution: distances are multiples of it, in m; 0 for any distance.
     """
 
     def __init__(self, mount: Mount, tag: SensorTag):
@@ -75,7 +74,6 @@ class RayScan:
         self.greatest = tag.coefficient("ray/range/max", 0.0)
         if self.greatest <= self.least:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
-        self.resolution = tag.coefficient("ray/range/resolution", 0.0)
         self._mean, self._deviation = _noise(tag)
         yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
         level = np.cos(pitch)
@@ -100,15 +98,13 @@ class RayScan:
         return distances
 
     def measure(self, random: np.random.Generator) -> np.ndarray:
-        """Return measured distances: with noise, as multiples of the resolution."""
+        """Return distances with noise. As in Gazebo, `<resolution>` does not round them."""
         distances = self.distances()
         seen = np.isfinite(distances)
         if self._deviation or self._mean:
             # Drawn for all rays, so that one ray's hit does not change the others' noise.
             noise = random.normal(self._mean, self._deviation, len(distances))
             distances[seen] += noise[seen]
-        if self.resolution:
-            distances[seen] = self.resolution * np.round(distances[seen] / self.resolution)
         distances[seen] = np.clip(distances[seen], self.least, self.greatest)
         return distances
 

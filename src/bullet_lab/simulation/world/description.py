@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose, Quaternion, Vector
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
@@ -124,17 +124,19 @@ class Collision:
 class Inertia:
     """Mass, centre of mass in the link's frame, and the 3x3 inertia about it (kg m²).
 
-    The axes of `matrix` are those of the link's frame.
+    The axes of `matrix` are those of the link's frame; `axes` has those of the `<inertial>` in it.
     """
 
     mass: float
     centre: Vector
     matrix: np.ndarray
+    axes: Quaternion = Pose.quaternion
 
-    def elements(self) -> dict[str, float]:
-        """Return the elements of the matrix by their names, ixx to izz."""
+    def elements(self, axes: Quaternion = Pose.quaternion) -> dict[str, float]:
+        """Return the elements ixx to izz, in the link's axes or in others in its frame."""
         rows, columns = np.triu_indices(3)
-        values = self.matrix[rows, columns].tolist()
+        turn = Pose(quaternion=axes).rotation_matrix()
+        values = (turn.T @ self.matrix @ turn)[rows, columns].tolist()
         return {f"i{'xyz'[r]}{'xyz'[c]}": value for r, c, value in zip(rows, columns, values)}
 
 
