@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from bullet_lab.core.pose import Pose, heading_of
-from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.core.pose import Pose, Vector, heading_of
+from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.samples import (
@@ -158,8 +158,9 @@ class PlanarMove(MobileBase):
         self._set_velocity = self._body.set_velocity
         self._turned = self._body.turned_inertia
         self._simulation = mount.simulation
-        self.schedule = mount.schedule("odometryRate", 20.0)
+        self.schedule = mount.schedule("odometryRate", 20.0, _beyond_a_period)
         self._body.remove_sliding_friction()
+        self._body.set_speed = self._set_speed
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next step on, until the timeout."""
@@ -183,6 +184,14 @@ class PlanarMove(MobileBase):
             quaternion = self._body.pose().quaternion
         cosine, sine = heading_of(quaternion)
         self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
+
+    def _set_speed(self) -> tuple[Vector, Vector]:
+        """Return the velocity that the body gets before friction acts, in the world."""
+        command = STANDSTILL if self._now >= self._expires else self._command
+        cosine, sine = heading_of(self._body.pose().quaternion)
+        ahead, left = command.vx, command.vy
+        linear = (cosine * ahead - sine * left, sine * ahead + cosine * left, 0.0)
+        return linear, (0.0, 0.0, command.wz)
 
     def produce(self, step: int) -> None:
         pose = self._pose()
@@ -211,6 +220,11 @@ class PlanarMove(MobileBase):
         return PlanarCommand(
             (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
         )
+
+
+def _beyond_a_period(rate: float) -> WaitingSchedule:
+    """Return the schedule for a rate in Hz (gazebo_ros_planar_move.cpp:220)."""
+    return WaitingSchedule(rate, beyond=True)
 
 
 def _support_patch(mount: Mount) -> SupportPatch:
