@@ -71,10 +71,10 @@ class WaitingSchedule(Schedule):
         super().__init__(rate, start)
 
     @property
-    def period(self) -> float:
+    def period(self) -> float:  # noqa: D102
         return (self._due(1) - self._start) / STEPS_PER_SECOND
 
-    def advance(self) -> None:
+    def advance(self) -> None:  # noqa: D102
         self.restart(self.next_step)
 
     def _due(self, count: int) -> int:

@@ -94,7 +94,7 @@ def total_wrench(message: msg.ContactsState) -> Wrench:
 
 
 def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
-    """Yield markers for the contact points of the last step, which replace those of the message before.
+    """Yield markers for the points of the last step, which replace those of the message before.
 
     Args:
         message: of a bumper.

@@ -156,8 +156,8 @@ class Imu(InertialUnit):
     """The plugin of a model, which names its link.
 
     As in Gazebo it feels no gravity, and measures before friction acts in a step: of a planar_move
-    robot it tells the commanded velocity. Gazebo turns rates and accelerations the wrong way round by
-    the orientation; here they are in the sensor's axes. The service does nothing.
+    robot it tells the commanded velocity. Gazebo turns rates and accelerations the wrong way round
+    by the orientation; here they are in the sensor's axes. The service does nothing.
 
     Attributes:
         service: name of the service for calibration.
