@@ -362,7 +362,7 @@ class SavedWorldTest(BridgeCase):
         self.assertIn(f"2 models at 0.1 s saved to {path}", done.stdout)
         self.start(world=path)
         odom = self.topic("odom", Odometry)
-        step(50)
+        step(51)
         position = odom.wait(1)[0].pose.pose.position
         self.assertAlmostEqual(1.0, position.x, 5)
         self.assertAlmostEqual(2.0, position.y, 5)

@@ -80,8 +80,8 @@ class AttachedFrame:
 
         `before_friction` means the velocity that a plugin sets, if there is one: see `Body`.
         """
-        if before_friction and self.body.set_speed is not None:
-            linear, angular = self.body.set_speed()
+        if before_friction and self.body.commanded_velocity is not None:
+            linear, angular = self.body.commanded_velocity()
         elif self.index < 0:
             linear, angular = self.body.velocity()
         else:

@@ -142,13 +142,13 @@ class Body:
         weight: the share of its mass that gravity pulls.
         settling: the number of steps for which `settle` still limits its speed.
         traction: the `Traction` of its skidding wheels, if it has any.
-        set_speed: returns the velocity of all its centres of mass (m/s, rad/s) that a plugin sets
-            before each step, until friction acts on it in the step; None without such a plugin.
+        commanded_velocity: function of a plugin that sets the velocity before each step: returns
+            it (m/s, of all centres of mass, and rad/s), as it is before friction acts; or None.
     """
 
     model: str = ""
     traction: Any = None
-    set_speed: Callable[[], tuple[Vector, Vector]] | None = None
+    commanded_velocity: Callable[[], tuple[Vector, Vector]] | None = None
 
     def __init__(self, client: int, unique_id: int, bullet_links: Sequence[BulletLink]):
         self.client = client

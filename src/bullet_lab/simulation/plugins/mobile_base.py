@@ -160,7 +160,7 @@ class PlanarMove(MobileBase):
         self._simulation = mount.simulation
         self.schedule = mount.schedule("odometryRate", 20.0, _beyond_a_period)
         self._body.remove_sliding_friction()
-        self._body.set_speed = self._set_speed
+        self._body.commanded_velocity = self._commanded_velocity
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next step on, until the timeout."""
@@ -185,7 +185,7 @@ class PlanarMove(MobileBase):
         cosine, sine = heading_of(quaternion)
         self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
 
-    def _set_speed(self) -> tuple[Vector, Vector]:
+    def _commanded_velocity(self) -> tuple[Vector, Vector]:
         """Return the velocity that the body gets before friction acts, in the world."""
         command = STANDSTILL if self._now >= self._expires else self._command
         cosine, sine = heading_of(self._body.pose().quaternion)
