@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from bullet_lab.core.pose import Pose, Vector, heading_of
@@ -158,7 +159,9 @@ class PlanarMove(MobileBase):
         self._set_velocity = self._body.set_velocity
         self._turned = self._body.turned_inertia
         self._simulation = mount.simulation
-        self.schedule = mount.schedule("odometryRate", 20.0, _beyond_a_period)
+        # gazebo_ros_planar_move.cpp:220
+        waiting = partial(WaitingSchedule, beyond=True)
+        self.schedule = mount.schedule("odometryRate", 20.0, waiting)
         self._body.remove_sliding_friction()
         self._body.commanded_velocity = self._commanded_velocity
 
@@ -220,11 +223,6 @@ class PlanarMove(MobileBase):
         return PlanarCommand(
             (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
         )
-
-
-def _beyond_a_period(rate: float) -> WaitingSchedule:
-    """Return the schedule for a rate in Hz (gazebo_ros_planar_move.cpp:220)."""
-    return WaitingSchedule(rate, beyond=True)
 
 
 def _support_patch(mount: Mount) -> SupportPatch:

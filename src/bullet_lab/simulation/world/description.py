@@ -74,6 +74,7 @@ class Material:
         covers: whether it replaces the colours and textures of a mesh file.
         name: in OGRE's scripts; empty without one.
         scripts: where it is defined: the URI in the document, and the path.
+        shine: brightness of its wide highlights.
     """
 
     ambient: Colour | None = None
@@ -83,6 +84,7 @@ class Material:
     covers: bool = False
     name: str = ""
     scripts: tuple[tuple[str, Path], ...] = ()
+    shine: float = 0.0
 
 
 # The diffuse colour of a surface, and the rest of its look.
@@ -261,7 +263,7 @@ class Cone:
 class Light:
     """A light: `kind` is point, directional or spot; `direction` in the frame of `pose`.
 
-    `attenuation` is for point and spot lights, `cone` for spots.
+    `attenuation` is for point and spot lights, `cone` for spots, `specular` for highlights.
     """
 
     name: str
@@ -272,6 +274,7 @@ class Light:
     casts_shadows: bool = False
     attenuation: Attenuation = Attenuation()
     cone: Cone = Cone()
+    specular: Colour = (0.1, 0.1, 0.1, 1.0)
 
 
 @dataclass(frozen=True)

@@ -318,6 +318,7 @@ def _light(light: Light) -> dict[str, Any]:
         "pose": light.pose,
         "cast_shadows": light.casts_shadows,
         "diffuse": light.diffuse,
+        "specular": light.specular,
         "direction": light.direction,
         "attenuation": asdict(light.attenuation),
         "spot": spot if light.kind == "spot" else None,
