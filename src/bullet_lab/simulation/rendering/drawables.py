@@ -122,11 +122,11 @@ class Surface:
         )
 
     def floats(self) -> np.ndarray:
-        """Return corners' position, normal, colour, texture coordinates, glow and shine, (3 n, 16)."""
-        shape = self.corners.shape[:2]
-        colour, glow = (np.broadcast_to(c, (*shape, len(c))) for c in (self.colour, self.glow))
+        """Return the columns of `_vertex_format` for all corners, (3 n, 16)."""
+        shape, plain = self.corners.shape[:2], (self.colour, self.glow, (self.shine,))
+        colour, glow, shine = (np.broadcast_to(c, (*shape, len(c))) for c in plain)
         picture = np.zeros((*shape, 2)) if self.picture is None else self.picture
-        parts = (self.corners, self.normals, colour, picture, glow, np.full((*shape, 1), self.shine))
+        parts = (self.corners, self.normals, colour, picture, glow, shine)
         return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 16)
 
 

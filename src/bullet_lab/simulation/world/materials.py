@@ -125,10 +125,9 @@ Wood          | 1 1 1       | 1 1 1       | - | 1 | yes | wood.jpg           | 0
 WoodFloor     | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | hardwood_floor.jpg | 0.6 0.43 0.27
 WoodPallet    | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | WoodPallet.png     | 0.65 0.52 0.36
 """
-# Of these colours, Gazebo's scripts give a specular of 0.1 with an exponent of 1.
+# Specular, with an exponent of 1, in Gazebo's scripts for these colours.
 SHINE = 0.1
 SHINY = ("Red", "Green", "Blue", "SkyBlue", "Purple", "Turquoise")
-SHINY += ("GreenGlow", "BlueGlow", "PurpleGlow", "TurquoiseGlow")
 # The scale of pictures that are not to fill a side.
 SCALES = {"Gazebo/Grass": (0.02, 0.02)}
 
