@@ -212,8 +212,11 @@ def _latched(expected: bool, scene: Scene) -> str:
     return "" if scene.heard().latching == expected else f"latched: {not expected}"
 
 
-def _silent(_expected: bool, scene: Scene) -> str:
-    """No message comes on the topic."""
+def _silent(expected: Any, scene: Scene) -> str:
+    """No message comes on the topic; if the row names a type, it has a publisher of that type."""
+    found = scene.evidence.published.get(scene.topic, "no publisher")
+    if isinstance(expected, str) and found != expected:
+        return f"{scene.topic} has {found}{scene.nearby(scene.topic)}"
     heard = scene.evidence.heard.get(scene.topic)
     return f"{len(heard.buffers)} messages came" if heard and heard.buffers else ""
 

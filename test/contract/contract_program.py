@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 
 import rospy
 from contract_rows import COMMIT, Contract, Deviation, Row, read_contract
-from contract_run import DEVIATES, FAILED, PASSED, ContractRun, Verdict
+from contract_run import DEVIATES, FAILED, NOT_JUDGED, PASSED, ContractRun, Verdict
 from contract_simulator import Simulator
 
 from bullet_lab.core import parameters
@@ -35,6 +35,9 @@ BRIDGE = "/bullet_lab/step"
 """A service that only this package's bridge offers."""
 
 AUTO, NONE = "auto", "none"
+STATUSES = (PASSED, DEVIATES, FAILED, NOT_JUDGED)
+STATUS_NOT_JUDGED = 3
+"""The program's status if the simulator died, and some rows were not judged."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +50,22 @@ class ContractParameters:
         AUTO, "accept the bridge's known deviations: if it is the bridge, or never", (AUTO, NONE)
     )
     markdown: bool = parameters.boolean(False, "print the deviations as a Markdown table")
+    restart: float = parameters.number(
+        10.0, "wall seconds to wait for a simulator that died to start again", 0.0, maximum=3600.0
+    )
     junit: str = parameters.text("", "file for the results as JUnit XML; none if empty")
     contract: str = parameters.text("", "folder with another contract; the package's if empty")
 
 
 def main() -> None:
-    """Run the program: status 0 if all rows hold, 1 if one fails, 2 for wrong options."""
+    """Run the program.
+
+    The status is 0 if all rows hold, 1 if one fails, 2 for wrong options, and STATUS_NOT_JUDGED.
+    """
     try:
         options = read_command(rospy.myargv(sys.argv)[1:])
-        contract = read_contract(Path(options.contract) if options.contract else ROWS)
+        folder = Path(options.contract) if options.contract else ROWS
+        contract = read_contract(folder, f"{time.time_ns() // 1_000_000:x}_")
         rows = [row for row in contract.rows if options.only in row.name]
         if not rows:
             raise ArgumentsError(f"no row has '{options.only}' in its name; --list shows all")
@@ -78,15 +88,20 @@ def read_command(words: Sequence[str]) -> ContractParameters:
 
 
 def check(contract: Contract, rows: List[Row], options: ContractParameters) -> None:
-    """Check rows, print the table and write the file; raise NodeError if a row fails."""
+    """Check rows, print the table and write the file.
+
+    Raises NodeError if a row fails, and SystemExit if one could not be judged.
+    """
     start = time.monotonic()
     simulator = Simulator()
     is_bridge = options.deviations == AUTO and BRIDGE in simulator.offered()
     known = contract.known if is_bridge else {}
-    verdicts = ContractRun(contract, simulator, rows, known).verdicts()
+    verdicts = ContractRun(contract, simulator, rows, known, options.restart).verdicts()
     print(table(verdicts))
     if options.junit:
         write_junit(Path(options.junit), verdicts, time.monotonic() - start)
+    if any(entry.status == NOT_JUDGED for entry in verdicts):
+        sys.exit(STATUS_NOT_JUDGED)
     failed = sum(entry.status == FAILED for entry in verdicts)
     if failed:
         raise NodeError(f"{failed} of {len(verdicts)} rows do not hold")
@@ -99,9 +114,9 @@ def table(verdicts: Sequence[Verdict]) -> str:
     for entry in verdicts:
         detail = f"  {entry.detail}" if entry.detail else ""
         source = _short(entry.row.source)
-        lines.append(f"{entry.status:8}  {entry.row.name:{width}}  {source}{detail}")
+        lines.append(f"{entry.status:10}  {entry.row.name:{width}}  {source}{detail}")
     counts = Counter(entry.status for entry in verdicts)
-    total = ", ".join(f"{counts[status]} {status}" for status in (PASSED, DEVIATES, FAILED))
+    total = ", ".join(f"{counts[status]} {status}" for status in STATUSES)
     return "\n".join([*lines, f"{total}; by gazebo_ros_pkgs {COMMIT[:12]}"])
 
 
@@ -130,7 +145,7 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], seconds: float) -> None
         name="gazebo_contract",
         tests=str(len(verdicts)),
         failures=str(counts[FAILED]),
-        errors="0",
+        errors=str(counts[NOT_JUDGED]),
         skipped=str(counts[DEVIATES]),
         time=f"{seconds:.3f}",
     )
@@ -141,7 +156,7 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], seconds: float) -> None
         case = ElementTree.SubElement(suite, "testcase", classname=chapter, name=name)
         case.set("file", entry.row.source)
         if entry.status != PASSED:
-            kind = "failure" if entry.status == FAILED else "skipped"
+            kind = {FAILED: "failure", NOT_JUDGED: "error"}.get(entry.status, "skipped")
             ElementTree.SubElement(case, kind, message=entry.detail)
     text = ElementTree.tostring(suite, encoding="unicode")
     replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))

@@ -27,7 +27,7 @@ COMMIT = "f9e1a4607842afa5888ef01de31cd64a1e3e297f"
 """The commit of ros-simulation/gazebo_ros_pkgs, branch noetic-devel, that all lines refer to."""
 
 PREFIX = "contract_"
-"""The names of all models that the contract spawns begin with this."""
+"""The names of all models that the contract spawns begin with this, and with the mark of a run."""
 
 _DEVIATIONS = "deviations.yaml"
 _TYPES = "types.yaml"
@@ -152,12 +152,20 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Contract:
-    """All chapters and deviations; `types` has md5 sums by the names of messages and services."""
+    """All chapters and deviations.
+
+    Attributes:
+        types: md5 sums by the names of messages and services.
+        folder: of its files.
+        mark: follows PREFIX in all names, so that no run uses a name of an earlier one: Gazebo
+            loses a model that is spawned while paused under the name of a deleted one.
+    """
 
     chapters: Tuple[Chapter, ...]
     types: Mapping[str, str]
     deviations: Tuple[Deviation, ...]
     folder: Path
+    mark: str = ""
 
     @property
     def rows(self) -> List[Row]:
@@ -173,20 +181,21 @@ class Contract:
         """Return a value of a row; for `{file: …}`, the text of that file in probes/."""
         if not (isinstance(value, dict) and set(value) == {"file"}):
             return value
-        return (self.folder / "probes" / value["file"]).read_text(encoding="utf-8")
+        text = (self.folder / "probes" / value["file"]).read_text(encoding="utf-8")
+        return text.replace(PREFIX, PREFIX + self.mark)
 
 
-def read_contract(folder: Path) -> Contract:
+def read_contract(folder: Path, mark: str = "") -> Contract:
     """Read all files of a contract; raise ContractError."""
     paths = [p for p in sorted(folder.glob("*.yaml")) if p.name not in (_DEVIATIONS, _TYPES)]
-    chapters = tuple(_chapter(path) for path in paths)
+    chapters = tuple(_chapter(path, mark) for path in paths)
     if not chapters:
         raise ContractError(f"there is no contract in {folder}")
     deviations = tuple(
         _made(Deviation, {**entry, "rows": tuple(entry.get("rows", ()))}, folder / _DEVIATIONS)
-        for entry in _load(folder / _DEVIATIONS) or ()
+        for entry in _load(folder / _DEVIATIONS, mark) or ()
     )
-    contract = Contract(chapters, _load(folder / _TYPES) or {}, deviations, folder)
+    contract = Contract(chapters, _load(folder / _TYPES) or {}, deviations, folder, mark)
     names = [row.name for row in contract.rows]
     duplicates = sorted({name for name in names if names.count(name) > 1})
     unknown = sorted(set(contract.known) - set(names))
@@ -197,15 +206,16 @@ def read_contract(folder: Path) -> Contract:
     return contract
 
 
-def _load(path: Path) -> Any:
+def _load(path: Path, mark: str = "") -> Any:
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else None
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        return yaml.safe_load(text.replace(PREFIX, PREFIX + mark))
     except (OSError, UnicodeError, yaml.YAMLError) as error:
         raise ContractError(f"{path}: {error}") from error
 
 
-def _chapter(path: Path) -> Chapter:
-    content = _load(path)
+def _chapter(path: Path, mark: str) -> Chapter:
+    content = _load(path, mark)
     if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
         raise ContractError(f"{path}: has no rows")
     plugin = content.get("plugin", "")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from collections import deque
 from dataclasses import dataclass
-from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Deque, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
 from contract_judges import Evidence, Scene, judge
@@ -18,7 +19,7 @@ Place = Tuple[float, float, float]
 Rows = List[Tuple[Row, Optional[Probe]]]
 """Rows with their probes; None for a row that has none."""
 
-PASSED, DEVIATES, FAILED = "passed", "deviates", "FAILED"
+PASSED, DEVIATES, FAILED, NOT_JUDGED = "passed", "deviates", "FAILED", "not judged"
 ROUND_SECONDS = 2.6
 """Simulated seconds for which the probes of a round are observed."""
 
@@ -68,7 +69,12 @@ def verdict(
 class ContractRun:
     """Checks some rows of a contract, and leaves the simulator as it was.
 
-    `deviations` are the known ones, by row.
+    Args:
+        contract: the contract.
+        simulator: that is checked.
+        rows: that are judged.
+        deviations: the known ones, by row.
+        patience: wall seconds for which a simulator that died is waited for.
     """
 
     def __init__(
@@ -77,23 +83,37 @@ class ContractRun:
         simulator: Simulator,
         rows: Sequence[Row],
         deviations: Mapping[str, Deviation],
+        patience: float = 0.0,
     ):
         self._contract = contract
         self._simulator = simulator
         self._wanted = {row.name for row in rows}
         self._deviations = deviations
+        self._patience = patience
         self._parameters: List[str] = []
+        self._found: Dict[str, Verdict] = {}
+        self._floors = 0
+        # What the simulator was asked for last.
+        self._last = ""
 
     def verdicts(self) -> List[Verdict]:
-        """Return the results of the rows; raise SimulatorError if they cannot be checked."""
+        """Return the results of the rows; raise SimulatorError if no simulator answers.
+
+        If it dies on the way, the rows so far keep their results. If another one is started, the
+        chapters of an interrupted round are tried again one by one.
+        """
         was_paused = self._simulator.must("get_physics_properties").pause
         self._simulator.must("pause_physics")
-        found: List[Verdict] = []
+        groups = deque(self._groups())
         try:
-            self._clear()
-            for rows in self._groups():
-                found += self._follow(rows)
-                self._clear()
+            while groups:
+                group = groups.popleft()
+                try:
+                    self._clear()
+                    self._follow(group)
+                    self._clear()
+                except SimulatorError as error:
+                    groups = self._after_failure(group, groups, str(error))
         finally:
             # An error here must not hide the first one.
             with contextlib.suppress(SimulatorError):
@@ -101,7 +121,39 @@ class ContractRun:
                 if not was_paused:
                     self._simulator.must("unpause_physics")
         order = {row.name: number for number, row in enumerate(self._contract.rows)}
-        return sorted(found, key=lambda entry: order[entry.row.name])
+        return sorted(self._found.values(), key=lambda entry: order[entry.row.name])
+
+    def _after_failure(self, group: Rows, groups: Deque[Rows], error: str) -> Deque[Rows]:
+        """Note that the rest of a group is not judged; return the groups that are to follow."""
+        self._simulator.forget()
+        has_died = not self._simulator.answers()
+        reason = f"{'the simulator died, ' if has_died else ''}after {self._last}: {error}"
+        rest = [(row, probe) for row, probe in group if self._is_left(row)]
+        if not has_died:
+            self._give_up(rest, reason)
+            return groups
+        if not self._simulator.is_back_within(self._patience):
+            self._give_up(rest, reason)
+            for other in groups:
+                self._give_up(other, reason)
+            return deque()
+        self._simulator.must("pause_physics")
+        chapters: Dict[str, Rows] = {}
+        for row, probe in rest:
+            chapters.setdefault(row.name.partition("/")[0], []).append((row, probe))
+        if len(chapters) > 1:
+            groups.extendleft(reversed(list(chapters.values())))
+        else:
+            self._give_up(rest, reason)
+        return groups
+
+    def _give_up(self, rows: Rows, reason: str) -> None:
+        for row, _ in rows:
+            if self._is_left(row):
+                self._found[row.name] = Verdict(row, NOT_JUDGED, reason)
+
+    def _is_left(self, row: Row) -> bool:
+        return self._is_wanted(row) and row.name not in self._found
 
     def _groups(self) -> Iterator[Rows]:
         """Yield the rows that are followed together: chapters with steps, and rounds of probes."""
@@ -120,7 +172,7 @@ class ContractRun:
     def _is_wanted(self, row: Row) -> bool:
         return bool(row.word) and row.name in self._wanted
 
-    def _follow(self, rows: Rows) -> List[Verdict]:
+    def _follow(self, rows: Rows) -> None:
         """Spawn the probes of some rows, then do and judge the rows one after the other."""
         probes = {probe.name: probe for _, probe in rows if probe}
         where = places(probes)
@@ -130,8 +182,8 @@ class ContractRun:
         evidence = Evidence()
         if probes:
             commands = [command for probe in probes.values() for command in probe.commands()]
+            self._last = f"{ROUND_SECONDS:g} s of time with {', '.join(sorted(probes))}"
             evidence = self._simulator.run(ROUND_SECONDS, commands)
-        found: List[Verdict] = []
         for (row, probe), topic in zip(rows, topics):
             if row.run:
                 before = evidence.seconds
@@ -147,18 +199,21 @@ class ContractRun:
             if row.call:
                 self._call(row, scene)
             if probe and probe.name in refused:
-                found.append(verdict(row, f"the probe is refused: {refused[probe.name]}"))
+                reason = f"the probe is refused: {refused[probe.name]}"
+                self._found[row.name] = verdict(row, reason)
             elif self._is_wanted(row):
-                found.append(self._judged(row, scene))
+                self._found[row.name] = self._judged(row, scene)
         self._simulator.forget()
-        return found
 
     def _call(self, row: Row, scene: Scene) -> None:
         request = {name: self._contract.read(value) for name, value in row.request.items()}
+        self._last = f"{row.call} in '{row.name}'"
         try:
             scene.answer = self._simulator.call(row.call, request)
         except CallError as error:
             scene.error = str(error)
+            if not self._simulator.answers():
+                raise SimulatorError(scene.error) from error
 
     def _observe(self, rows: Sequence[Row], topics: Sequence[str]) -> Dict[str, Tuple[str, str]]:
         """Subscribe to the topics of rows; return type and md5 sum of their services."""
@@ -185,7 +240,8 @@ class ContractRun:
         """Spawn probes, and a floor below them; return errors by the names of refused probes."""
         standing = [where[probe.name] for probe in probes if probe.floor]
         if standing:
-            self._spawn("floor", floor_text(standing), "", Pose())
+            self._floors += 1
+            self._spawn(f"floor_{self._floors}", floor_text(standing), "", Pose())
         refused = {}
         for probe in probes:
             space = probe.robot_namespace
@@ -198,15 +254,18 @@ class ContractRun:
             try:
                 self._spawn(probe.name, text, space, pose)
             except SimulatorError as error:
+                if not self._simulator.answers():
+                    raise
                 refused[probe.name] = str(error)
         return refused
 
     def _spawn(self, name: str, text: str, space: str, pose: Pose) -> None:
         position = dict(zip("xyz", pose.position))
         orientation = dict(zip("xyzw", pose.quaternion))
+        self._last = f"spawn of {name}"
         self._simulator.must(
             "spawn_sdf_model",
-            model_name=f"{PREFIX}{name}",
+            model_name=f"{PREFIX}{self._contract.mark}{name}",
             model_xml=text,
             robot_namespace=space,
             initial_pose={"position": position, "orientation": orientation},
@@ -217,6 +276,7 @@ class ContractRun:
         self._simulator.forget()
         for name in self._simulator.must("get_world_properties").model_names:
             if name.startswith(PREFIX):
+                self._last = f"delete of {name}"
                 self._simulator.must("delete_model", model_name=name)
         while self._parameters:
             rospy.delete_param(self._parameters.pop())

@@ -87,6 +87,23 @@ class Simulator:
         """Return the names of all services."""
         return [name for name, _ in self._master.getSystemState()[2]]
 
+    def answers(self) -> bool:
+        """Return whether the simulator answers."""
+        try:
+            self.call("get_world_properties", {})
+            return True
+        except CallError:
+            return False
+
+    def is_back_within(self, seconds: float) -> bool:
+        """Wait for a simulator that died to be started again; return whether it answers."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            if self.answers():
+                return True
+            time.sleep(1.0)
+        return False
+
     def must(self, service: str, **request: Any) -> Any:
         """Return the answer of a service; raise SimulatorError unless it reports success."""
         try:

@@ -114,15 +114,15 @@ class GazeboTest(BridgeCase):
         first, second = self.topic("odom", Odometry), self.topic("left/odom", Odometry)
         self.sender("left/cmd_vel").send(twist(vx=0.5))
         step(1000)
-        self.assertGreater(second.wait(20)[-1].pose.pose.position.x, 0.4)
+        self.assertGreater(second.wait(19)[-1].pose.pose.position.x, 0.4)
         self.assertEqual("second/odom", second.messages[-1].header.frame_id)
-        self.assert_near((0.0,), (first.wait(20)[-1].pose.pose.position.x,), 1e-3)
+        self.assert_near((0.0,), (first.wait(19)[-1].pose.pose.position.x,), 1e-3)
         self.assertTrue(call("/gazebo/delete_model", DeleteModel, "second").success)
         published = dict(rosgraph.Master("/test").getPublishedTopics(""))
         self.assertNotIn("/left/odom", published)
         step(1000)
-        first.wait(40)
-        self.assertEqual(20, len(second.messages))
+        first.wait(39)
+        self.assertEqual(19, len(second.messages))
 
     def test_bad_models_are_refused_while_a_robot_drives_on(self):
         self.sender().send(twist(vx=0.5))
@@ -362,7 +362,7 @@ class SavedWorldTest(BridgeCase):
         self.assertIn(f"2 models at 0.1 s saved to {path}", done.stdout)
         self.start(world=path)
         odom = self.topic("odom", Odometry)
-        step(50)
+        step(51)
         position = odom.wait(1)[0].pose.pose.position
         self.assertAlmostEqual(1.0, position.x, 5)
         self.assertAlmostEqual(2.0, position.y, 5)

@@ -19,8 +19,8 @@ from lab_testing import PATIENCE, Node, Topic
 from nav_msgs.msg import Odometry
 
 SIDES = 2
-# Of 20 Hz, for 12 s a side.
-MESSAGES = 20 * 12 * SIDES
+# One every 51 ms, for 12 s a side.
+MESSAGES = SIDES * 12_000 // 51
 
 RELAY = """
 import rospy

@@ -83,7 +83,9 @@ class SensorsTest(BridgeCase):
 
     def test_bumper(self):
         self.before_the_wall(CRATE)
-        (state,) = self.last_of("bumper", ContactsState, 50).states
+        states = self.last_of("bumper", ContactsState, 50).states
+        self.assertEqual(50, len(states), "one for each step since the last message")
+        state = states[-1]
         self.assertEqual("robot::base::base_collision", state.collision1_name)
         self.assertEqual("ground_plane::link::collision", state.collision2_name)
         self.assertAlmostEqual(2 * 9.8, state.total_wrench.force.z, 1)

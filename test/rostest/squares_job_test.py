@@ -98,7 +98,7 @@ class SquaresJobTest(unittest.TestCase):
         with (out / "distances.csv").open() as file:
             stamps = [round(1000 * float(row["stamp"])) for row in csv.DictReader(file)]
         self.assertEqual(summary["rows"], len(stamps))
-        self.assertEqual([stamps[0] + 50 * k for k in range(len(stamps))], stamps)
+        self.assertEqual([stamps[0] + 51 * k for k in range(len(stamps))], stamps)
         self.assertTrue((out / "distances.png").is_file())
 
 

@@ -19,8 +19,7 @@ class Schedule:
     """Occurrences at a rate per simulated second that is exact on average.
 
     The k-th occurrence falls on the first step at or after k/rate seconds, so a rate that does
-    not divide 1000 Hz jitters by less than one step and never drifts. (Gazebo waits until more
-    than a period has passed, and so turns 20 Hz into 19.6 Hz.)
+    not divide 1000 Hz jitters by less than one step and never drifts.
 
     Args:
         rate: occurrences per second, in [1e-9, 1000]; 0 means every step, as in Gazebo.
@@ -57,3 +56,26 @@ class Schedule:
 
     def _due(self, count: int) -> int:
         return self._start - (-count * self._numerator // self._denominator)
+
+
+class WaitingSchedule(Schedule):
+    """Occurrences that each wait for a whole period since the last one, in whole steps.
+
+    So the mean rate may be lower than the asked one. Some of Gazebo's plugins wait until a period
+    has passed (30 Hz become 29.4 Hz); with `beyond`, until more than a period has (20 Hz become
+    19.6 Hz).
+    """
+
+    def __init__(self, rate: float, start: int = 0, beyond: bool = False):
+        self._beyond = beyond and rate != 0.0
+        super().__init__(rate, start)
+
+    @property
+    def period(self) -> float:  # noqa: D102
+        return (self._due(1) - self._start) / STEPS_PER_SECOND
+
+    def advance(self) -> None:  # noqa: D102
+        self.restart(self.next_step)
+
+    def _due(self, count: int) -> int:
+        return super()._due(count) + (self._beyond and self._denominator == 1)

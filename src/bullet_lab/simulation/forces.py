@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
+from bullet_lab.core.pose import Vector, add, cross
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.models import Entity, ModelInstance
@@ -44,7 +44,7 @@ class Period:
 
 @dataclass(frozen=True)
 class Wrench:
-    """A force in N at the origin of a link's frame and a torque in N m, in the world's axes.
+    """A force in N at a link's centre of mass and a torque in N m, in the world's axes.
 
     `target` is the model and the link that it acts on; `numbers` are the values to check.
     """
@@ -59,16 +59,19 @@ class Wrench:
     @classmethod
     def at_point(
         cls,
-        given_in: FrameState,
+        frame: FrameState | None,
         link: Entity,
         force: Vector,
         torque: Vector,
         point: Vector,
         period: Period,
     ) -> Wrench:
-        """Return the wrench of a force and torque that are given in a frame, at a point of it.
+        """Return the wrench of a force and torque at a point (m), given in a frame.
 
-        They are turned into the world's axes now, and keep their directions there.
+        As in Gazebo, the components are computed in the link's axes, and then act along the
+        world's axes: the direction of the force is right only for a link that is not turned.
+        Without a frame, they are in the world's axes, and the point is relative to the centre of
+        mass.
 
         Raises:
             ForceError: a number is not finite or too large.
@@ -76,16 +79,17 @@ class Wrench:
         _check(force + torque)
         if not max(map(abs, point)) <= FARTHEST:
             raise ForceError(f"force at {point} m: not within {FARTHEST:g} m")
-        turn = Pose(quaternion=given_in.pose.quaternion)
-        push, twist = turn.rotate(force), turn.rotate(torque)
-        at = (given_in.pose * Pose(point)).position
-        arm = subtract(at, link.frame.pose().position)
-        return cls(link, push, add(twist, cross(arm, push)), period)
+        torque = add(torque, cross(point, force))
+        if frame is not None:
+            seen = link.frame.pose().inverse() * frame.pose
+            force, torque = seen.rotate(force), seen.rotate(torque)
+            torque = add(torque, cross(seen.position, force))
+        return cls(link, force, torque, period)
 
     def apply(self) -> None:
         """Act in the coming step."""
         frame = self.link.frame
-        frame.body.push(frame.link, self.force, self.torque, frame.pose().position)
+        frame.body.push(frame.link, self.force, self.torque, frame.centre_of_mass())
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,8 @@ def drive_square(square: Square, mode: str = OPEN_LOOP, rest: float = 0.5) -> Sq
         simulation.run_for(rest)
         while True:
             pose = _planar(robot.pose())
-            command = driver.command(pose)
+            # As a node, it knows the newest message.
+            command = driver.command(rows[-1][1] if rows else pose)
             if command is None:
                 break
             if driver.sides_done == len(corners):

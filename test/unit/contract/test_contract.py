@@ -18,6 +18,7 @@ from contract_rows import ContractError, Deviation, Row, read_contract
 from contract_run import (
     DEVIATES,
     FAILED,
+    NOT_JUDGED,
     PASSED,
     Verdict,
     floor_text,
@@ -119,14 +120,16 @@ def test_a_row_holds_unless_it_is_known_to_deviate(complaint, known, instead, st
 
 
 def test_table_listing_and_junit_have_each_row(tmp_path):
-    verdicts = [Verdict(ROW, PASSED), Verdict(ROW, FAILED, "2 Hz"), Verdict(ROW, DEVIATES, "so")]
+    found = ((PASSED, ""), (FAILED, "2 Hz"), (DEVIATES, "so"), (NOT_JUDGED, "it died"))
+    verdicts = [Verdict(ROW, *each) for each in found]
     lines = table(verdicts).splitlines()
     assert "a.cpp:1  2 Hz" in lines[1]
-    assert lines[3].startswith("1 passed, 1 deviates, 1 FAILED")
+    assert lines[4].startswith("1 passed, 1 deviates, 1 FAILED, 1 not judged")
     assert "it is better so" in listing([ROW], {ROW.name: KNOWN})
     write_junit(tmp_path / "a.xml", verdicts, 1.5)
     suite = ElementTree.parse(tmp_path / "a.xml").getroot()
-    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("3", "1", "1")
+    counts = [suite.get(key) for key in ("tests", "failures", "skipped", "errors")]
+    assert counts == ["4", "1", "1", "1"]
     assert suite.find("testcase/failure").get("message") == "2 Hz"
 
 

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.core.schedule import Schedule, ScheduleError
+from bullet_lab.core.schedule import Schedule, ScheduleError, WaitingSchedule
 
 
 def steps(rate, until, start=0):
@@ -37,3 +37,25 @@ def test_periods_count_from_the_start_and_after_a_restart():
 def test_other_rates_are_refused(rate):
     with pytest.raises(ScheduleError, match="Hz is not within 1e-09 … 1000 Hz"):
         Schedule(rate)
+
+
+# As the comparisons in Gazebo's sources have it, for `elapsed >= 1 / rate` and for `>`.
+@pytest.mark.parametrize(
+    ("rate", "beyond", "gap"),
+    [
+        (20.0, False, 50),
+        (30.0, False, 34),
+        (0.0, False, 1),
+        (20.0, True, 51),
+        (50.0, True, 21),
+        (30.0, True, 34),
+        (1000.0, True, 2),
+        (0.0, True, 1),
+    ],
+)
+def test_waiting_for_a_period_since_the_last_occurrence(rate, beyond, gap):
+    schedule = WaitingSchedule(rate, 7, beyond)
+    for count in range(1, 9):
+        assert schedule.next_step == 7 + count * gap
+        schedule.advance()
+    assert schedule.period == gap / 1000

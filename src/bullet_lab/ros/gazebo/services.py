@@ -40,9 +40,9 @@ from bullet_lab.simulation.models import (
     move_link,
     relative_to,
 )
-from bullet_lab.simulation.world.description import FrameState, Inertia, Light, Model
+from bullet_lab.simulation.world.description import FrameState, Light, Model
 from bullet_lab.simulation.world.sdf import read_spawned
-from bullet_lab.simulation.world.tree import INERTIA_KEYS, matrix_from_elements
+from bullet_lab.simulation.world.tree import INERTIA_KEYS, inertia_at
 
 QUEUE_SIZE = 10
 # Status message of a getter that succeeded, after the type's name.
@@ -198,10 +198,8 @@ def _apply_wrench(world: RunningWorld, request: Any) -> None:
     torque = vector_of(request.wrench.torque, "the torque")
     point = vector_of(request.reference_point, "the reference point")
     link = find_link(world.models, request.body_name)
-    frame = frame_state(world.models, request.reference_frame)
-    if request.reference_frame in WORLD_FRAMES:
-        # As in Gazebo: force and torque in the world frame, the point relative to the body.
-        frame = FrameState(Pose(link.frame.pose().position))
+    name = request.reference_frame
+    frame = None if name in WORLD_FRAMES else frame_state(world.models, name)
     wrench = Wrench.at_point(frame, link, force, torque, point, _period(world, request))
     world.simulation.forces.add(wrench)
 
@@ -264,7 +262,8 @@ def _link_properties(world: RunningWorld, request: Any) -> Answer:
     if inertia is None:
         return {"com": pose_message(Pose())}
     gravity = description.gravity and not model.static
-    values = {"gravity_mode": gravity, "mass": inertia.mass, **inertia.elements()}
+    values = {"gravity_mode": gravity, "mass": inertia.mass, **inertia.elements(inertia.axes)}
+    # As in Gazebo, the moments are in the axes of the <inertial>, which the answer does not tell.
     return {"com": pose_message(Pose(inertia.centre)), **values}
 
 
@@ -274,7 +273,9 @@ def _set_link_properties(world: RunningWorld, request: Any) -> None:
     if not all(map(math.isfinite, (request.mass, *elements.values()))):
         raise InputError("mass or inertia is not finite")
     centre = vector_of(request.com.position, "the centre of mass")
-    inertia = Inertia(request.mass, centre, matrix_from_elements(**elements))
+    before = link.instance.model.links_by_name()[link.link].inertia
+    pose = Pose(centre, Pose.quaternion if before is None else before.axes)
+    inertia = inertia_at(pose, request.mass, **elements)
     change_link(link, inertia, request.gravity_mode)
 
 
@@ -347,8 +348,6 @@ SERVICES = (
     ("clear_body_wrenches", srv.BodyRequest, _clear_wrenches, ""),
     ("apply_joint_effort", srv.ApplyJointEffort, _apply_effort, "effort set"),
     ("clear_joint_forces", srv.JointRequest, _clear_efforts, ""),
-    # Gazebo has both names for it.
-    ("clear_joint_efforts", srv.JointRequest, _clear_efforts, ""),
     ("get_joint_properties", srv.GetJointProperties, _joint_properties, GOT),
     ("set_joint_properties", srv.SetJointProperties, _set_joint_properties, SET),
     ("get_link_properties", srv.GetLinkProperties, _link_properties, GOT),

@@ -38,6 +38,7 @@ from bullet_lab.ros.messages.poses import (
     set_quaternion,
     set_time,
     set_vector,
+    time_of,
 )
 from bullet_lab.simulation.plugins.samples import (
     CameraInfoSample,
@@ -224,13 +225,18 @@ def _imu(message: Imu, sample: ImuSample) -> None:
 
 
 def _contacts(message: msg.ContactsState, sample: ContactsSample) -> None:
-    message.states = [_contact(contact) for contact in sample.contacts]
+    count = len(sample.contacts)
+    message.states = [
+        _contact(contact, f"i:({number}/{count})") for number, contact in enumerate(sample.contacts)
+    ]
 
 
-def _contact(contact: ShapeContact) -> msg.ContactState:
+def _contact(contact: ShapeContact, number: str) -> msg.ContactState:
     pushes = zip(contact.forces, contact.torques)
+    time = f"time:{time_of(contact.step).to_sec():.9f}"
     return msg.ContactState(
-        info=f"{len(contact.positions)} points",
+        # As in Gazebo; no other field has the time.
+        info=f"Debug:  {number}  my geom:{contact.first}  other geom:{contact.second}  {time}",
         collision1_name=contact.first,
         collision2_name=contact.second,
         wrenches=[Wrench(Vector3(*force), Vector3(*torque)) for force, torque in pushes],

@@ -48,8 +48,9 @@ def set_vector(message: Any, vector: Vector) -> None:
 
 
 def set_quaternion(message: Any, quaternion: Quaternion) -> None:
-    """Write x, y, z and w into a message."""
-    message.x, message.y, message.z, message.w = quaternion
+    """Write a unit quaternion into a message, with w >= 0: its negative means the same."""
+    x, y, z, w = quaternion
+    message.x, message.y, message.z, message.w = (-x, -y, -z, -w) if w < 0.0 else quaternion
 
 
 def set_pose(message: PoseMessage, pose: Pose) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Iterable, Iterator
+from typing import Any, Iterable, Iterator, List
 
 import numpy as np
 import rospy
@@ -77,15 +77,24 @@ class ShowSensors:
             self._acceleration.publish(shown)
 
 
+def last_states(message: msg.ContactsState) -> List[msg.ContactState]:
+    """Return the states of the last step in a bumper's message, which has those of each step.
+
+    The times are in `info`; without them, all states are returned.
+    """
+    times = [state.info.partition("time:")[2].strip() for state in message.states]
+    return [state for state, time in zip(message.states, times) if time == times[-1]]
+
+
 def total_wrench(message: msg.ContactsState) -> Wrench:
-    """Return the sum of the forces and torques of all contacts; raises InputError."""
-    totals = [state.total_wrench for state in message.states]
+    """Return the sum of forces and torques of the last step's contacts; raises InputError."""
+    totals = [state.total_wrench for state in last_states(message)]
     force = _sum(vector_of(total.force, "a force") for total in totals)
     return Wrench(force, _sum(vector_of(total.torque, "a torque") for total in totals))
 
 
 def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
-    """Yield markers for all contact points, which replace those of the message before.
+    """Yield markers for the points of the last step, which replace those of the message before.
 
     Args:
         message: of a bumper.
@@ -96,7 +105,7 @@ def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker
     """
     yield Marker(header=message.header, action=Marker.DELETEALL)
     number = 0
-    for state in message.states:
+    for state in last_states(message):
         count = len(state.contact_positions)
         if count != len(state.contact_normals) or count != len(state.wrenches):
             raise InputError("a contact point without a normal or a force")

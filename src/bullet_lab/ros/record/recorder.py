@@ -39,6 +39,7 @@ from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
+from bullet_lab.ros.nodes.show_sensors import last_states
 
 # Wall seconds to wait for the last messages after the end was announced.
 PATIENCE = 5.0
@@ -302,9 +303,10 @@ def _inertial(message: Imu) -> tuple:
 
 
 def _contacts(message: msg.ContactsState) -> tuple:
-    """Return the number of points and the sum of the forces, and the models that were touched."""
-    points = sum(len(state.contact_positions) for state in message.states)
-    forces = [state.total_wrench.force for state in message.states]
+    """Return points and sum of the forces in the last step, and the models that were touched."""
+    states = last_states(message)
+    points = sum(len(state.contact_positions) for state in states)
+    forces = [state.total_wrench.force for state in states]
     sums = (sum(getattr(force, axis) for force in forces) for axis in "xyz")
     return (points, *sums), [state.collision2_name.split("::")[0] for state in message.states]
 

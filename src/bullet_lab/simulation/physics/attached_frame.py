@@ -75,9 +75,14 @@ class AttachedFrame:
         """Return the frame's pose in the world."""
         return self._principal_pose() * self._in_principal
 
-    def velocity(self) -> tuple[Vector, Vector]:
-        """Return linear (m/s, of the frame's origin) and angular (rad/s) velocity, in the world."""
-        if self.index < 0:
+    def velocity(self, before_friction: bool = False) -> tuple[Vector, Vector]:
+        """Return linear (m/s, of the frame's origin) and angular (rad/s) velocity, in the world.
+
+        `before_friction` means the velocity that a plugin sets, if there is one: see `Body`.
+        """
+        if before_friction and self.body.commanded_velocity is not None:
+            linear, angular = self.body.commanded_velocity()
+        elif self.index < 0:
             linear, angular = self.body.velocity()
         else:
             state = pybullet.getLinkState(self.body.unique_id, self.index, 1, 1, self.body.client)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Callable, Sequence
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
@@ -84,7 +84,12 @@ class BulletLink:
         """Return mass in kg, principal moments in kg m², and the pose of the principal frame."""
         if self.joint is HELPER_JOINT or self.link.inertia is None:
             return 0.0, ZERO, Pose()
-        return (self.link.inertia.mass, *principal_axes(self.link.inertia))
+        return (self.link.inertia.mass, *self._principal_axes)
+
+    @cached_property
+    def _principal_axes(self) -> tuple[Vector, Pose]:
+        # Each name of a contact's shape needs them.
+        return principal_axes(self.link.inertia)
 
     def joint_properties(self, parent: Link) -> dict[str, float]:
         """Return damping and limits of its joint to a parent, as PyBullet's properties of it.
@@ -137,10 +142,13 @@ class Body:
         weight: the share of its mass that gravity pulls.
         settling: the number of steps for which `settle` still limits its speed.
         traction: the `Traction` of its skidding wheels, if it has any.
+        commanded_velocity: function of a plugin that sets the velocity before each step: returns
+            it (m/s, of all centres of mass, and rad/s), as it is before friction acts; or None.
     """
 
     model: str = ""
     traction: Any = None
+    commanded_velocity: Callable[[], tuple[Vector, Vector]] | None = None
 
     def __init__(self, client: int, unique_id: int, bullet_links: Sequence[BulletLink]):
         self.client = client

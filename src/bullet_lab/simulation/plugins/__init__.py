@@ -116,9 +116,11 @@ class Mount(TagReader):
         """Return the tags that the plugin has not read, without those that have no effect."""
         return tuple(tag for tag in self.plugin.tags if tag not in self._read | QUIET_TAGS)
 
-    def schedule(self, tag: str, default: float) -> Schedule:
+    def schedule(
+        self, tag: str, default: float, kind: Callable[[float], Schedule] = Schedule
+    ) -> Schedule:
         """Return the schedule for the rate (Hz, 0: every step) in a tag; raises LabError."""
-        return _schedule(self, tag, default)
+        return _schedule(self, tag, default, kind)
 
     def topic(self, name: str) -> str:
         """Return a topic's name within the plugin's namespace; raises PluginError if invalid."""
@@ -169,12 +171,14 @@ class Mount(TagReader):
             raise PluginError(f"{self.name()} needs a model that can move, but it is static")
 
 
-def _schedule(tags: TagReader, key: str, default: float) -> Schedule:
+def _schedule(
+    tags: TagReader, key: str, default: float, kind: Callable[[float], Schedule] = Schedule
+) -> Schedule:
     try:
-        return Schedule(tags.number(key, default))
+        return kind(tags.number(key, default))
     except ScheduleError as error:
         tags.doubt(PluginError(f"{tags.where(key)}: {error}"))
-        return Schedule(default)
+        return kind(default)
 
 
 class SensorTag(ElementReader):

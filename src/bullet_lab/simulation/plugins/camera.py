@@ -344,7 +344,8 @@ class DepthCamera(Camera):
     Depth is in metres along the optical axis and without noise, as in Gazebo. A pixel has none
     (NaN) if the first surface that it shows is not within pointCloudCutoff …
     pointCloudCutoffMax. Picture, depth and points are of one moment and one geometry; each is
-    computed only if it has a listener.
+    computed only if it has a listener. As in Gazebo, depth_camera's points are in a single row, and
+    nothing comes on its two topics of camera_info.
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
@@ -353,6 +354,7 @@ class DepthCamera(Camera):
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
+        self._is_kinect = mount.plugin.filename.startswith(KINECT)
         self._closest, self._farthest = self._measured_range()
         self._in_millimetres = mount.boolean("useDepth16UC1Format", False)
         for tag in NOT_SIMULATED:
@@ -374,9 +376,13 @@ class DepthCamera(Camera):
         if points:
             code = TO_RGB.get(self.encoding)
             colours = picture if code is None else cv2.cvtColor(picture, code)
-            self.points.send(PointsSample(step, self.frame, self.points_at(depths), colours))
-        self.send_geometry(step, self.info)
-        self.send_geometry(step, self.depth_info)
+            cloud = self.points_at(depths)
+            if not self._is_kinect:
+                cloud, colours = cloud.reshape(1, -1, 3), colours.reshape(1, -1, 3)
+            self.points.send(PointsSample(step, self.frame, cloud, colours))
+        if self._is_kinect:
+            self.send_geometry(step, self.info)
+            self.send_geometry(step, self.depth_info)
 
     def measure(self) -> np.ndarray:
         """Return distances along the optical axis, (height, width) float32 in m, or NaN."""
@@ -403,9 +409,8 @@ class DepthCamera(Camera):
     def _measured_range(self) -> tuple[float, float]:
         """Return the least and the greatest depth that is measured, in m."""
         mount = self.mount
-        is_kinect = mount.plugin.filename.startswith(KINECT)
         closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
-        default = KINECTS_CUTOFF if is_kinect else self.far
+        default = KINECTS_CUTOFF if self._is_kinect else self.far
         farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
         if not closest < farthest:
             where = mount.where("pointCloudCutoff")

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
-from bullet_lab.core.pose import Pose, heading_of
-from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.core.pose import Pose, Vector, heading_of
+from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.samples import (
@@ -156,7 +157,10 @@ class PlanarMove(MobileBase):
         self._set_velocity = self._body.set_velocity
         self._turned = self._body.turned_inertia
         self._simulation = mount.simulation
-        self.schedule = mount.schedule("odometryRate", 20.0)
+        # gazebo_ros_planar_move.cpp:220
+        waiting = partial(WaitingSchedule, beyond=True)
+        self.schedule = mount.schedule("odometryRate", 20.0, waiting)
+        self._body.commanded_velocity = self._commanded_velocity
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next step on, until the timeout."""
@@ -186,6 +190,14 @@ class PlanarMove(MobileBase):
         self._height = height
         self._load += LOAD_SMOOTHING * (carried - self._load)
         return self._load
+
+    def _commanded_velocity(self) -> tuple[Vector, Vector]:
+        """Return the velocity that the body gets before friction acts, in the world."""
+        command = STANDSTILL if self._now >= self._expires else self._command
+        cosine, sine = heading_of(self._body.pose().quaternion)
+        ahead, left = command.vx, command.vy
+        linear = (cosine * ahead - sine * left, sine * ahead + cosine * left, 0.0)
+        return linear, (0.0, 0.0, command.wz)
 
     def produce(self, step: int) -> None:
         pose = self._pose()

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector, add, cross, subtract
-from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
 from bullet_lab.simulation.plugins import Mount, PluginError, Sensor, SensorTag
 from bullet_lab.simulation.plugins.samples import ImuSample, JointSample, MotionSample
@@ -115,7 +115,7 @@ class InertialUnit(Sensor):
 
     def produce(self, step: int) -> None:
         self._step = step
-        linear, self._angular = self.place.velocity()
+        linear, self._angular = self._velocity()
         self._acceleration = self._accelerometer.advance(step, linear)
         super().produce(step)
 
@@ -124,7 +124,11 @@ class InertialUnit(Sensor):
         self.placed()
 
     def placed(self) -> None:
-        self._accelerometer.restart(self._step, self.place.velocity()[0])
+        self._accelerometer.restart(self._step, self._velocity()[0])
+
+    def _velocity(self) -> tuple[Vector, Vector]:
+        """Return the measured linear and angular velocity, in the world."""
+        return self.place.velocity()
 
     def measure(self, step: int) -> ImuSample:
         pose = self.place.pose()
@@ -151,8 +155,9 @@ class InertialUnit(Sensor):
 class Imu(InertialUnit):
     """The plugin of a model, which names its link.
 
-    As in Gazebo it feels no gravity. Gazebo turns rates and accelerations the wrong way round by
-    the orientation; here they are in the sensor's axes. The service does nothing.
+    As in Gazebo it feels no gravity, and measures before friction acts in a step: of a planar_move
+    robot it tells the commanded velocity. Gazebo turns rates and accelerations the wrong way round
+    by the orientation; here they are in the sensor's axes. The service does nothing.
 
     Attributes:
         service: name of the service for calibration.
@@ -167,7 +172,10 @@ class Imu(InertialUnit):
         super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
         self.service = mount.topic(mount.text("serviceName", "/default_imu"))
         self.place = mount.attached(body, _offset(mount))
-        self.schedule = mount.schedule("updateRate", 0.0)
+        self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
+
+    def _velocity(self) -> tuple[Vector, Vector]:
+        return self.place.velocity(before_friction=True)
 
 
 class ImuSensor(InertialUnit):
@@ -202,7 +210,8 @@ def _turned(quaternion: Quaternion, turn: np.ndarray) -> Quaternion:
 class TruePose(Sensor):
     """Reports the true pose and velocity of a link as odometry (p3d).
 
-    As in Gazebo, the velocity is along the axes of frameName, not of the link. xyzOffset and
+    As in Gazebo, the velocity is along the axes of frameName, not of the link, and that before
+    friction acts in a step: of a planar_move robot, the commanded one. xyzOffset and
     rpyOffset move the reported pose within frameName, but not the point whose velocity is
     reported. gaussianNoise, the standard deviation in m/s and rad/s, is on the velocity alone,
     and its square is in both covariances.
@@ -219,7 +228,7 @@ class TruePose(Sensor):
         self._reference = None if frame in WORLD_FRAMES else mount.attached(frame)
         self._offset = _offset(mount)
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
-        self.schedule = mount.schedule("updateRate", 0.0)
+        self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
 
     def measure(self, step: int) -> MotionSample:
         pose, linear, angular = self._motion()
@@ -233,10 +242,10 @@ class TruePose(Sensor):
 
     def _motion(self) -> tuple[Pose, Vector, Vector]:
         """Return pose, linear and angular velocity in the frame of reference."""
-        pose, (linear, angular) = self._place.pose(), self._place.velocity()
+        pose, (linear, angular) = self._place.pose(), self._place.velocity(before_friction=True)
         if self._reference is None:
             return pose, linear, angular
-        frame, (base, spin) = self._reference.pose(), self._reference.velocity()
+        frame, (base, spin) = self._reference.pose(), self._reference.velocity(before_friction=True)
         # The velocity of the frame of reference at the place of the link: base + spin x arm.
         carried = add(base, cross(spin, subtract(pose.position, frame.position)))
         into = frame.inverse()

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import logging
 import re
+from collections import deque
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose, Vector, cross, subtract
+from bullet_lab.core.pose import Vector, cross, subtract
 from bullet_lab.simulation.physics.attached_frame import ContactPoint
 from bullet_lab.simulation.plugins import Mount, PluginError, Sensor, SensorTag
 from bullet_lab.simulation.plugins.samples import (
@@ -28,6 +30,8 @@ LOG = logging.getLogger(__name__)
 RAY_SENSORS = ("ray", "gpu_ray")
 MOST_RAYS = 100_000
 SIMULATED_NOISE = ("gaussian", "none", "")
+# Steps of which a bumper keeps the contacts, as in Gazebo.
+LONGEST_MEMORY = 100
 # The parts that Gazebo's conversion of URDF adds to a shape's name.
 ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
 
@@ -62,7 +66,6 @@ class RayScan:
         horizontal: angles of the rays about the sensor's z axis.
         least: least measured distance in m.
         greatest: greatest measured distance in m.
-        resolution: distances are multiples of it, in m; 0 for any distance.
     """
 
     def __init__(self, mount: Mount, tag: SensorTag):
@@ -75,7 +78,6 @@ class RayScan:
         self.greatest = tag.coefficient("ray/range/max", 0.0)
         if self.greatest <= self.least:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
-        self.resolution = tag.coefficient("ray/range/resolution", 0.0)
         self._mean, self._deviation = _noise(tag)
         yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
         level = np.cos(pitch)
@@ -100,15 +102,13 @@ class RayScan:
         return distances
 
     def measure(self, random: np.random.Generator) -> np.ndarray:
-        """Return measured distances: with noise, as multiples of the resolution."""
+        """Return distances with noise. As in Gazebo, `<resolution>` does not round them."""
         distances = self.distances()
         seen = np.isfinite(distances)
         if self._deviation or self._mean:
             # Drawn for all rays, so that one ray's hit does not change the others' noise.
             noise = random.normal(self._mean, self._deviation, len(distances))
             distances[seen] += noise[seen]
-        if self.resolution:
-            distances[seen] = self.resolution * np.round(distances[seen] / self.resolution)
         distances[seen] = np.clip(distances[seen], self.least, self.greatest)
         return distances
 
@@ -190,28 +190,44 @@ class RangeSensor(Sensor):
 
 
 class Bumper(Sensor):
-    """Reports the contacts of its link's shapes, with their forces in the last step.
+    """Reports the contacts of its link's shapes, with their forces.
 
-    Samples come at the sensor's rate, also without contacts. Vectors are in frameName if that is
-    a link of the model, else in the world. (In Gazebo they are always in the world.)
+    Samples come at the sensor's rate, also without contacts. As in Gazebo, one has the contacts of
+    each step since the last sample, of LONGEST_MEMORY steps at most, in the world's axes whatever
+    frameName says. Contacts are kept only while the sensor has a listener.
     """
 
     filenames = ("libgazebo_ros_bumper.so",)
+    acts = True
 
     def __init__(self, mount: Mount):
         tag = SensorTag(mount, ("contact",))
         self._place = tag.place()
         self._watched = _watched(mount, tag, self._place.link)
-        frame = mount.text("frameName", "/world")
-        self._frame = mount.frame(frame)
-        is_link = frame in mount.model.frames or frame in mount.model.links_by_name()
-        self._reference = mount.attached(frame) if is_link else None
+        self._frame = mount.frame(mount.text("frameName", "/world"))
         super().__init__(mount, mount.text("bumperTopicName", "bumper_states"), ContactsSample)
         self.schedule = tag.schedule()
+        self._steps: deque[list[ShapeContact]] = deque(maxlen=LONGEST_MEMORY)
+
+    def before_step(self, step: int) -> None:
+        if self._keeps and step > self._last_step:
+            self._steps.append(self._contacts(step))
+
+    def produce(self, step: int) -> None:
+        super().produce(step)
+        self.reset(step)
+        self._keeps = self._output.wanted
+
+    def reset(self, step: int) -> None:
+        self._steps.clear()
+        self._keeps, self._last_step = False, step
 
     def measure(self, step: int) -> ContactsSample:
-        into = Pose() if self._reference is None else self._reference.pose().inverse()
-        centre = self._place.centre_of_mass()
+        self._steps.append(self._contacts(step))
+        return ContactsSample(step, self._frame, tuple(chain.from_iterable(self._steps)))
+
+    def _contacts(self, step: int) -> list[ShapeContact]:
+        """Return the contacts of the step that has just been made."""
         # The contact points by the names of the two shapes, the own one first.
         pairs: dict[tuple[str, str], list[ContactPoint]] = {}
         name = self.mount.simulation.shape_name
@@ -220,26 +236,22 @@ class Bumper(Sensor):
             if first in self._watched:
                 second = name(*point.other, point.place_on_other)
                 pairs.setdefault((first, second), []).append(point)
-        contacts = [_contact(*names, points, into, centre) for names, points in pairs.items()]
-        return ContactsSample(step, self._frame, tuple(contacts))
+        centre = self._place.centre_of_mass()
+        return [_contact(step, *names, points, centre) for names, points in pairs.items()]
 
 
 def _contact(
-    first: str, second: str, points: list[ContactPoint], into: Pose, centre: Vector
+    step: int, first: str, second: str, points: list[ContactPoint], centre: Vector
 ) -> ShapeContact:
-    """Return the contact of two shapes in a frame.
-
-    `into` is the pose of the world in that frame; torques are about `centre`, in the world.
-    """
-    turn = into.rotate
-    torques = [cross(subtract(point.place, centre), point.force) for point in points]
+    """Return the contact of two shapes; torques are about `centre`, in the world."""
     return ShapeContact(
+        step,
         first,
         second,
-        tuple(turn(point.force) for point in points),
-        tuple(turn(torque) for torque in torques),
-        tuple((into * Pose(point.place)).position for point in points),
-        tuple(turn(point.normal) for point in points),
+        tuple(point.force for point in points),
+        tuple(cross(subtract(point.place, centre), point.force) for point in points),
+        tuple(point.place for point in points),
+        tuple(point.normal for point in points),
         tuple(point.depth for point in points),
     )
 
@@ -254,8 +266,10 @@ def _watched(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
         if not found:
             # Gazebo's versions differ in what they add to the name of a shape of a URDF.
             found = [one for one in known if ADDED.sub("", one) == ADDED.sub("", name)]
-        if not found:
-            where, shapes = tag.where("collision"), ", ".join(known) or "none"
-            raise PluginError(f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}")
+            where, shapes = tag.where("collision"), ", ".join(found or known) or "none"
+            what = f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}"
+            if not found:
+                raise PluginError(what)
+            LOG.warning("%s; these are watched, Gazebo would report no contact", what)
         chosen += found
     return tuple(f"{mount.model.name}::{link}::{name}" for name in chosen or known)

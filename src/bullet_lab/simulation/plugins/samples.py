@@ -234,13 +234,15 @@ class MotionSample(Sample):
 
 @dataclass(frozen=True)
 class ShapeContact:
-    """Two shapes that touch.
+    """Two shapes that touched in the step that ended at `step`.
 
     `first` and `second` name them as model::link::shape. For each contact point: the force in N
     and the torque in N m on the first shape's link (about its centre of mass), the position in m,
-    the normal from the second shape to the first, and the depth of the overlap in m.
+    the normal from the second shape to the first, and the depth of the overlap in m. Vectors are in
+    the world's axes.
     """
 
+    step: int
     first: str
     second: str
     forces: tuple[Vector, ...]
@@ -252,6 +254,6 @@ class ShapeContact:
 
 @dataclass(frozen=True)
 class ContactsSample(Sample):
-    """All pairs of shapes that touch, with vectors in `frame`."""
+    """All pairs of shapes that touched since the last sample, step by step."""
 
     contacts: tuple[ShapeContact, ...]

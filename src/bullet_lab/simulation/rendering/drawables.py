@@ -82,6 +82,7 @@ class Surface:
         look: colour and material in the file of a mesh; None without any.
         colour: of scattered light.
         glow: RGB of the light that it emits.
+        shine: of its wide highlights.
         texture: its picture, or None.
     """
 
@@ -91,6 +92,7 @@ class Surface:
     look: Appearance | None = None
     colour: Colour = WHITE
     glow: Sequence[float] = (0.0, 0.0, 0.0)
+    shine: float = 0.0
     texture: Texture | None = None
 
     def shown(self, visual: Visual, ambient: np.ndarray, report: Report) -> Surface:
@@ -115,16 +117,17 @@ class Surface:
             picture=None if texture is None else texture.coordinates(picture),
             colour=colour if material.lit else (0.0, 0.0, 0.0, colour[3]),
             glow=_glow(colour, material, ambient),
+            shine=material.shine if material.lit else 0.0,
             texture=texture,
         )
 
     def floats(self) -> np.ndarray:
-        """Return position, normal, colour, texture coordinates and glow of corners, (3 n, 15)."""
-        shape = self.corners.shape[:2]
-        colour, glow = (np.broadcast_to(c, (*shape, len(c))) for c in (self.colour, self.glow))
+        """Return the columns of `_vertex_format` for all corners, (3 n, 16)."""
+        shape, plain = self.corners.shape[:2], (self.colour, self.glow, (self.shine,))
+        colour, glow, shine = (np.broadcast_to(c, (*shape, len(c))) for c in plain)
         picture = np.zeros((*shape, 2)) if self.picture is None else self.picture
-        parts = (self.corners, self.normals, colour, picture, glow)
-        return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 15)
+        parts = (self.corners, self.normals, colour, picture, glow, shine)
+        return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 16)
 
 
 def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> tuple[float, ...]:
@@ -394,6 +397,7 @@ def _vertex_format() -> Any:
         ("color", 4, kinds.C_color),
         ("texcoord", 2, kinds.C_texcoord),
         ("glow", 3, kinds.C_other),
+        ("shine", 1, kinds.C_other),
     ):
         columns.add_column(name, count, kinds.NT_float32, content)
     return core.GeomVertexFormat.register_format(core.GeomVertexFormat(columns))

@@ -13,7 +13,9 @@ Light is Lambertian and is computed for each pixel in the world's frame:
 
 where the glow is the light that a surface emits, and what its ambient colour adds to its colour in
 ambient light. The fading is 1 / (constant + linear d + quadratic d²), at most 1, and 0 beyond the
-light's range. There are no highlights.
+light's range. Surfaces with a `shine` have wide highlights of suns, computed at their corners:
+
+    shine · specular · max(0, normal · the direction halfway between sun and camera)
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from typing import Any, Callable, Iterator, Sequence, Tuple
 import numpy as np
 
 from bullet_lab.simulation.rendering.graphics import Canvas, Graphics, panda_matrix
-from bullet_lab.simulation.world.description import Light, World
+from bullet_lab.simulation.world.description import BLACK, Light, World
 
 LOG = logging.getLogger(__name__)
 
@@ -59,16 +61,16 @@ WIDEST_SPOT = math.radians(160.0)
 Aim = Tuple[Sequence[np.ndarray], int, float]
 
 VERTEX = """#version 140
-uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelMatrix;
+uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelMatrix, p3d_ViewMatrixInverse;
 uniform float exposure;
 in vec4 p3d_Vertex;
 in vec3 p3d_Normal;
 in vec4 p3d_Color;
 in vec2 p3d_MultiTexCoord0;
 in vec3 glow;
-out vec3 place, normal;
+in float shine;
+out vec3 place, normal, given_off;
 flat out vec4 colour;
-flat out vec3 given_off;
 out vec2 picture;
 DECLARED
 // Where a corner is in a shadow map. A place that is a little above a surface does not lie in the
@@ -86,11 +88,15 @@ void main() {
   normal = mat3(p3d_ModelMatrix) * p3d_Normal;
   colour = p3d_Color;
   given_off = exposure * glow;
+  vec3 to_camera = normalize(p3d_ViewMatrixInverse[3].xyz - place);
   picture = p3d_MultiTexCoord0;
 LIGHTS}
 """
 # A sun's position is the direction to it.
-CORNER_LINE = "  LIGHT_cosine = max(0.0, dot(normal, LIGHT_position.xyz));\n"
+CORNER_LINE = """  LIGHT_cosine = max(0.0, dot(normal, LIGHT_position.xyz));
+  given_off += exposure * shine * LIGHT_specular
+    * max(0.0, dot(normal, normalize(LIGHT_position.xyz + to_camera)));
+"""
 CORNER_MAP_LINE = "  LIGHT_in_MAP = in_map(LIGHT_into_MAP, LIGHT_lift_MAP);\n"
 
 # Mesa's software anisotropic filter takes the nearest texel, which moves edges by up to a pixel.
@@ -99,9 +105,8 @@ FRAGMENT = """#version 140
 uniform float exposure;
 uniform vec3 ambient;
 uniform sampler2D p3d_Texture0;
-in vec3 place, normal;
+in vec3 place, normal, given_off;
 flat in vec4 colour;
-flat in vec3 given_off;
 in vec2 picture;
 out vec4 drawn;
 DECLARED
@@ -174,7 +179,7 @@ LIGHTS
 }
 """.replace("NEAREST", str(NEAREST)).replace("HALF_A_PIXEL", str(0.5 / LAMP_SIZE))
 # For both programs: outputs of the first are inputs of the second.
-DECLARED = """uniform vec3 LIGHT_diffuse, LIGHT_along, LIGHT_cone;
+DECLARED = """uniform vec3 LIGHT_diffuse, LIGHT_specular, LIGHT_along, LIGHT_cone;
 uniform vec4 LIGHT_position, LIGHT_attenuation;
 INOUT float LIGHT_cosine;
 """
@@ -377,6 +382,7 @@ def _uniforms(light: Light) -> dict[str, Sequence[float]]:
     fade, cone = light.attenuation, light.cone
     return {
         "diffuse": light.diffuse[:3],
+        "specular": light.specular[:3] if light.kind == "directional" else BLACK[:3],
         "position": (*-along, 0.0) if light.kind == "directional" else (*light.pose.position, 1.0),
         "along": along,
         "attenuation": (fade.range, fade.constant, fade.linear, fade.quadratic),

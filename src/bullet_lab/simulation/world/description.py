@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose, Quaternion, Vector
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
@@ -74,6 +74,7 @@ class Material:
         covers: whether it replaces the colours and textures of a mesh file.
         name: in OGRE's scripts; empty without one.
         scripts: where it is defined: the URI in the document, and the path.
+        shine: brightness of its wide highlights.
     """
 
     ambient: Colour | None = None
@@ -83,6 +84,7 @@ class Material:
     covers: bool = False
     name: str = ""
     scripts: tuple[tuple[str, Path], ...] = ()
+    shine: float = 0.0
 
 
 # The diffuse colour of a surface, and the rest of its look.
@@ -124,17 +126,19 @@ class Collision:
 class Inertia:
     """Mass, centre of mass in the link's frame, and the 3x3 inertia about it (kg m²).
 
-    The axes of `matrix` are those of the link's frame.
+    The axes of `matrix` are those of the link's frame; `axes` has those of the `<inertial>` in it.
     """
 
     mass: float
     centre: Vector
     matrix: np.ndarray
+    axes: Quaternion = Pose.quaternion
 
-    def elements(self) -> dict[str, float]:
-        """Return the elements of the matrix by their names, ixx to izz."""
+    def elements(self, axes: Quaternion = Pose.quaternion) -> dict[str, float]:
+        """Return the elements ixx to izz, in the link's axes or in others in its frame."""
         rows, columns = np.triu_indices(3)
-        values = self.matrix[rows, columns].tolist()
+        turn = Pose(quaternion=axes).rotation_matrix()
+        values = (turn.T @ self.matrix @ turn)[rows, columns].tolist()
         return {f"i{'xyz'[r]}{'xyz'[c]}": value for r, c, value in zip(rows, columns, values)}
 
 
@@ -259,7 +263,7 @@ class Cone:
 class Light:
     """A light: `kind` is point, directional or spot; `direction` in the frame of `pose`.
 
-    `attenuation` is for point and spot lights, `cone` for spots.
+    `attenuation` is for point and spot lights, `cone` for spots, `specular` for highlights.
     """
 
     name: str
@@ -270,6 +274,7 @@ class Light:
     casts_shadows: bool = False
     attenuation: Attenuation = Attenuation()
     cone: Cone = Cone()
+    specular: Colour = (0.1, 0.1, 0.1, 1.0)
 
 
 @dataclass(frozen=True)

@@ -125,6 +125,9 @@ Wood          | 1 1 1       | 1 1 1       | - | 1 | yes | wood.jpg           | 0
 WoodFloor     | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | hardwood_floor.jpg | 0.6 0.43 0.27
 WoodPallet    | 1 1 1       | 0.5 0.5 0.5 | - | 1 | yes | WoodPallet.png     | 0.65 0.52 0.36
 """
+# Specular, with an exponent of 1, in Gazebo's scripts for these colours.
+SHINE = 0.1
+SHINY = ("Red", "Green", "Blue", "SkyBlue", "Purple", "Turquoise")
 # The scale of pictures that are not to fill a side.
 SCALES = {"Gazebo/Grass": (0.02, 0.02)}
 
@@ -146,8 +149,10 @@ def _gazebo_materials() -> dict[str, tuple[Colour, Material, str, Colour]]:
         if len(row) > 1:
             name, diffuse, ambient, emissive, alpha, lit, picture, plain = (*row, "", "1 1 1")[:8]
             glow = _rgba(emissive) or BLACK
+            shine = SHINE if name in SHINY else 0.0
             name, colour = f"Gazebo/{name}", (*_rgba(diffuse)[:3], float(alpha))
-            look = Material(_rgba(ambient), glow, lit=lit == "yes", covers=True, name=name)
+            lit = lit == "yes"
+            look = Material(_rgba(ambient), glow, lit=lit, shine=shine, covers=True, name=name)
             found[name] = colour, look, picture, _rgba(plain)
     return found
 

@@ -328,6 +328,7 @@ def _light(tag: SdfTag) -> Light:
         tag.boolean("cast_shadows", False),
         Attenuation(*attenuation),
         cone,
+        tag.colour("specular", Light.specular),
     )
 
 

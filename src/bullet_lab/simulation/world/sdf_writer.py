@@ -169,9 +169,9 @@ def _in_scope(scopes: dict[str, Element], scope: str) -> Element:
 
 def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
     inertial = link.inertia and {
-        "pose": Pose(link.inertia.centre),
+        "pose": Pose(link.inertia.centre, link.inertia.axes),
         "mass": link.inertia.mass,
-        "inertia": link.inertia.elements(),
+        "inertia": link.inertia.elements(link.inertia.axes),
     }
     content = {
         "pose": link.pose,
@@ -319,6 +319,7 @@ def _light(light: Light) -> dict[str, Any]:
         "pose": light.pose,
         "cast_shadows": light.casts_shadows,
         "diffuse": light.diffuse,
+        "specular": light.specular,
         "direction": light.direction,
         "attenuation": asdict(light.attenuation),
         "spot": spot if light.kind == "spot" else None,

@@ -15,7 +15,7 @@ from bullet_lab.simulation.world.description import WORLD_LINK, Inertia, PluginT
 from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Shape, Sphere
-from bullet_lab.simulation.world.tree import INERTIA_KEYS, matrix_from_elements
+from bullet_lab.simulation.world.tree import INERTIA_KEYS, inertia_at
 from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError, leaving_out
 
 LOG = logging.getLogger(__name__)
@@ -193,9 +193,7 @@ class Tag(ElementReader):
         """Return the inertia in an <inertial>; `moment` is the default of its diagonal, kg m²."""
         defaults = 3 * (moment,) + 3 * (0.0,)
         elements = [self.number(f"inertia/{key}", d) for key, d in zip(INERTIA_KEYS, defaults)]
-        pose = self.pose()
-        turn = pose.rotation_matrix()
-        return Inertia(mass, pose.position, turn @ matrix_from_elements(*elements) @ turn.T)
+        return inertia_at(self.pose(), mass, *elements)
 
 
 def _mesh(tag: Tag) -> Mesh:

@@ -240,15 +240,24 @@ def _merge(base: Link, members: list[tuple[Link, Pose]], rename: bool) -> Link:
     )
 
 
-def matrix_from_elements(
-    ixx: float, iyy: float, izz: float, ixy: float = 0.0, ixz: float = 0.0, iyz: float = 0.0
-) -> np.ndarray:
-    """Return the 3x3 inertia matrix in kg m².
+def inertia_at(
+    pose: Pose,
+    mass: float,
+    ixx: float,
+    iyy: float,
+    izz: float,
+    ixy: float = 0.0,
+    ixz: float = 0.0,
+    iyz: float = 0.0,
+) -> Inertia:
+    """Return the inertia of an `<inertial>` at a pose in the link's frame, in kg and kg m².
 
-    >>> matrix_from_elements(1.0, 2.0, 3.0, ixy=0.5).tolist()
+    >>> inertia_at(Pose(), 1.0, 1.0, 2.0, 3.0, ixy=0.5).matrix.tolist()
     [[1.0, 0.5, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]]
     """
-    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=float)
+    own = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=float)
+    turn = pose.rotation_matrix()
+    return Inertia(mass, pose.position, turn @ own @ turn.T, pose.quaternion)
 
 
 def combine(parts: Sequence[tuple[Inertia, Pose]]) -> Inertia:
@@ -261,6 +270,8 @@ def combine(parts: Sequence[tuple[Inertia, Pose]]) -> Inertia:
     >>> both.mass, both.centre, both.matrix.diagonal().tolist()
     (2.0, (0.0, 0.0, 0.0), [2.0, 10.0, 10.0])
     """
+    if len(parts) == 1 and parts[0][1] == Pose():
+        return parts[0][0]
     mass = sum(inertia.mass for inertia, _ in parts)
     centres = [np.array((pose * Pose(inertia.centre)).position) for inertia, pose in parts]
     weights = [inertia.mass for inertia, _ in parts]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Collection, Mapping
@@ -52,6 +53,8 @@ from bullet_lab.simulation.world.xml import (
 SECONDS = 30
 MEMORY_BYTES = 1 << 30
 LONGEST_MESSAGE = 300
+# Digits of a sensor's numbers: Gazebo converts URDF to SDF, and writes that with so many.
+SENSOR_DIGITS = 6
 
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
 # Gazebo makes no joint of these: their child links are free.
@@ -185,6 +188,8 @@ def _model(root: _UrdfTag) -> Model:
         tuple(joint for joint in joints if joint.kind not in LOOSE_JOINTS),
         source,
     )
+    for sensor in element.iterfind("gazebo/sensor"):
+        _shorten_numbers(sensor)
     plugins = tuple(
         plugin
         for gazebo in element.findall("gazebo")
@@ -192,6 +197,16 @@ def _model(root: _UrdfTag) -> Model:
     )
     robot = Model(root.name or "robot", links, joints, plugins, static=tags.static)
     return tags.apply_gravity(lump_fixed_joints(robot, rename=True))
+
+
+def _shorten_numbers(element: Element) -> None:
+    """Round the numbers in a sensor, but for its plugins' tags, to SENSOR_DIGITS digits."""
+    for child in element:
+        if child.tag != "plugin":
+            _shorten_numbers(child)
+    with suppress(ValueError):
+        numbers = map(float, (element.text or "").split())
+        element.text = " ".join(f"{number:.{SENSOR_DIGITS}g}" for number in numbers)
 
 
 def _link(tag: _UrdfTag, colours: Mapping[str, Colour]) -> Link:

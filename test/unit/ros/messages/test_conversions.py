@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.conversions import COMMANDS
-from bullet_lab.ros.messages.poses import first_step_at, time_of
+from bullet_lab.ros.messages.poses import first_step_at, pose_message, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.simulation.plugins.samples import (
     JointSample,
@@ -30,6 +30,11 @@ def test_steps_are_milliseconds(step):
 def test_time_between_two_steps_is_the_later_one():
     assert first_step_at(genpy.Time(1, 1)) == 1001
     assert first_step_at(genpy.Time(0, 999_999_999)) == 1000
+
+
+def test_quaternions_have_a_w_that_is_not_negative():
+    turned = pose_message(Pose(quaternion=(-0.6, 0.0, 0.0, -0.8))).orientation
+    assert plain(turned) == [0.6, 0.0, 0.0, 0.8]
 
 
 def test_odometry_says_what_the_sample_says():

@@ -7,24 +7,29 @@ from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.nodes.show_sensors import contact_markers, total_wrench
 
 
-def touching(force=2.0, normals="[{x: -1}, {x: -1}]"):
-    """Return two pairs of shapes that touch in two points each, of which the second is idle."""
+def touching(force=2.0, normals="[{x: -1}, {x: -1}]", before=False):
+    """Return two pairs of shapes that touch in two points each, of which the second is idle.
+
+    With `before`, the message has the same of the step before.
+    """
     wrench = f"{{force: {{x: {-force}}}, torque: {{z: 1}}}}"
     state = f"""
-          - wrenches: [{wrench}, {{}}]
+          - info: "time:TIME"
+            wrenches: [{wrench}, {{}}]
             total_wrench: {wrench}
             contact_positions: [{{x: 1, y: 2, z: 3}}, {{x: 1, y: 3, z: 3}}]
             contact_normals: {normals}
     """
     text = f"""
         header: {{frame_id: bumper_link}}
-        states: {2 * state}
+        states: {2 * before * state.replace("TIME", "0.1")}{2 * state.replace("TIME", "0.2")}
     """
-    return message(msg.ContactsState, text.replace("inf", ".inf").replace("nan", ".nan"))
+    return message(msg.ContactsState, text.replace("-inf", "-.inf").replace("nan", ".nan"))
 
 
-def test_each_point_has_a_sphere_a_normal_and_its_force():
-    first, *markers = contact_markers(touching(), 0.1)
+@pytest.mark.parametrize("before", [False, True])
+def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before):
+    first, *markers = contact_markers(touching(before=before), 0.1)
     assert first.action == Marker.DELETEALL
     kinds = [marker.ns for marker in markers]
     # The second point of each pair of shapes bears nothing: no arrow.
@@ -37,8 +42,9 @@ def test_each_point_has_a_sphere_a_normal_and_its_force():
     assert end == pytest.approx([0.8, 2.0, 3.0])
 
 
-def test_the_wrench_is_that_of_all_contacts():
-    assert plain(total_wrench(touching())) == [[-4.0, 0.0, 0.0], [0.0, 0.0, 2.0]]
+@pytest.mark.parametrize("before", [False, True])
+def test_the_wrench_is_that_of_all_contacts_of_the_last_step(before):
+    assert plain(total_wrench(touching(before=before))) == [[-4.0, 0.0, 0.0], [0.0, 0.0, 2.0]]
     assert plain(total_wrench(msg.ContactsState())) == [[0.0] * 3] * 2
 
 

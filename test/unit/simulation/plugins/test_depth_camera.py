@@ -201,6 +201,18 @@ def test_all_is_of_one_moment_and_points_have_the_colours_of_the_picture(format,
         assert found[name][0].camera == camera.camera
 
 
+def test_depth_camera_sends_a_row_of_points_and_no_geometry():
+    with world(wall(2.0, 0.0)[0]) as simulation:
+        robot, _ = add(simulation, plugin="depth_camera", format="L8")
+        names = ("points", "depth/image_raw", "ir/camera_info", "depth/camera_info")
+        found = {name: record(robot, name) for name in names}
+        simulation.run_for(0.05)
+    (cloud,), (depth,) = found["points"], found["depth/image_raw"]
+    assert (cloud.points.shape, cloud.colours.shape) == ((1, 19200, 3), (1, 19200, 3))
+    np.testing.assert_array_equal(cloud.points[0, :, 2], depth.pixels.ravel())
+    assert [found[name] for name in names[2:]] == [[], []]
+
+
 def test_millimetres_where_they_are_asked_for():
     with world(wall(2.0, 0.9)[0]) as simulation:
         robot, _ = add(simulation, tags="<useDepth16UC1Format>true</useDepth16UC1Format>")

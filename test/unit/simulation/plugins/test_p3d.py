@@ -79,11 +79,11 @@ def test_noise_is_on_the_velocity_and_its_square_in_the_covariances():
     assert samples[0].variance == pytest.approx(0.04)
 
 
-def test_the_mean_rate_is_exact():
+def test_each_sample_waits_for_a_period():
     with empty() as simulation:
         samples = record(simulation.add(p3d("<updateRate>7</updateRate>")), "truth")
         simulation.run_for(1.0)
-    assert len(samples) == 7
+    assert [sample.step for sample in samples] == [143 * k for k in range(1, 7)]
 
 
 @pytest.mark.parametrize(

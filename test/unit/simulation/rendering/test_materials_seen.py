@@ -121,6 +121,16 @@ COLOUR, DIM = (0.5, 0.0, 1.0, 1.0), (0.4, 0.4, 0.4, 1.0)
 AHEAD = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (1.0, 0.0, 0.0))
 
 
+def test_wide_highlights_of_a_sun():
+    # Gazebo 11.1 shows Gazebo/Blue as (4, 4, 255) in the sun; a sun's specular is 0.2 there.
+    plate = Visual(BOX, colour=(0.0, 0.0, 1.0, 1.0), material=Material(shine=0.1))
+    for shine, specular, red in ((0.1, 0.2, 5), (0.1, 0.0, 0), (0.0, 0.2, 0)):
+        visual = replace(plate, material=Material(shine=shine))
+        light = replace(AHEAD, specular=3 * (specular,) + (1.0,))
+        seen = picture_of(with_visual(visual), eye=EYE, ambient=DIM, lights=(light,))[240, 320]
+        assert seen[:2].tolist() == [red, red]
+
+
 def in_light(visual, *behind, light=AHEAD):
     """The colour in the picture of a plate across the view, in dim light and another."""
     model = with_visual(visual)

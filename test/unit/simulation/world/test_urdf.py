@@ -91,6 +91,15 @@ def test_the_inertia_is_turned_into_the_frame_of_the_link():
     assert inertia.matrix == pytest.approx(np.diag([2, 1, 2.5]), abs=1e-12)
 
 
+def test_the_axes_of_an_inertial_are_kept(package):
+    # As Gazebo's get_link_properties tells them of the camera robot's wheel, in kg m².
+    wheel = read_urdf_file(package / "urdf" / "camera_robot.urdf")
+    inertia = wheel.links_by_name()["left_wheel"].inertia
+    own = inertia.elements(inertia.axes)
+    found = [own[key] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
+    assert found == pytest.approx([0.002467, 0.002467, 0.0049, 0, 0, 0], abs=1e-6)
+
+
 def test_joints():
     parts = (
         '<origin xyz="0 0 1"/><axis xyz="0 3 4"/><limit lower="-1" upper="2"/>'
@@ -111,14 +120,17 @@ def test_plugins_stand_in_gazebo_tags_and_in_their_sensors():
         '<link name="a"/>'
         '<gazebo><plugin name="p" filename="libp.so"><x> 1 </x><y/></plugin></gazebo>'
         '<gazebo reference="a"><sensor type="camera" name="eye"><update_rate>30</update_rate>'
-        '<plugin name="q" filename="libq.so"/></sensor></gazebo>'
+        "<pose>0 0 1.23456789</pose><ray><max>inf</max></ray>"
+        '<plugin name="q" filename="libq.so"><x>1.23456789</x></plugin></sensor></gazebo>'
     )
     outer, inner = read_urdf(text, "s").plugins
     assert (outer.name, outer.filename, outer.link) == ("p", "libp.so", "")
     assert outer.tags == {"x": "1", "y": ""}
     assert outer.sensor is None
     assert (inner.name, inner.filename, inner.link) == ("q", "libq.so", "a")
-    assert inner.sensor.find("update_rate").text == "30"
+    # Of the numbers of a sensor, Gazebo's conversion to SDF keeps six digits.
+    told = [inner.sensor.findtext(path) for path in ("update_rate", "pose", "ray/max", "plugin/x")]
+    assert told == ["30", "0 0 1.23457", "inf", "1.23456789"]
 
 
 BAD = [

@@ -160,7 +160,7 @@ def test_where_regions_have_no_volume_there_are_figures_too(alone):
 def test_the_simulated_square():
     trajectory = simulated_square()
     assert trajectory.length() == pytest.approx(7.6, abs=0.1)
-    assert 1.0 / np.diff(trajectory.stamps).mean() == pytest.approx(20.0, rel=0.01)
+    assert 1.0 / np.diff(trajectory.stamps).mean() == pytest.approx(1000.0 / 51, rel=0.01)
     (case,) = study(
         trajectory, StudySettings(levels=(0.1,), models=("report",), rates=(20.0,), paths=10)
     )
