@@ -269,4 +269,4 @@ def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_
     for turning in (truth[0].angular, imu[0].angular_velocity):
         assert turning == pytest.approx((0.0, 0.0, 0.5), abs=1e-4)
     assert math.hypot(*imu[0].specific_force) == pytest.approx(10.0, abs=0.01)
-    assert math.hypot(*robot.frame().velocity()[0]) < 0.195
+    assert math.hypot(*robot.frame().velocity()[0]) < 0.199
