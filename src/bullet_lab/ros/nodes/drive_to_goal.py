@@ -74,7 +74,8 @@ class DriveToGoalParameters(GoalLimits):
     odom: str = text("odom", "topic of the odometry, perfect or noisy")
     rate: float = number(20.0, "commands per second", minimum=5.0, maximum=100.0)
     odom_rate: float = number(
-        20.0, "lock step: messages of odometry per second", above=0.0, maximum=1000.0
+        20.0, "lock step: messages of odometry per second, 1000/51 for planar_move's 20", above=0.0,
+        maximum=1000.0,
     )
     stale: float = number(
         0.5, "s without odometry after which the robot is stopped", above=0.0
