@@ -20,7 +20,6 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 PLATFORM=$LAB_ROOT/build/platform
-UV=$PLATFORM/tools/bin/uv
 CHECKS=(debian11 debian12 debian13 resolve newest lowest catkin)
 GLIBC=2_31
 # The Python packages that ROS's own packages import.
@@ -32,11 +31,6 @@ NEED_TF2=(
   --ignore=test/unit/ros/nodes/test_dock_node.py
   --deselect=test/unit/jobs/test_declaration.py::test_every_shipped_job_has_the_common_arguments_and_sound_defaults
 )
-
-get_uv() {
-  [[ -x $UV ]] || { /usr/bin/python3 -m venv "$PLATFORM/tools" \
-    && "$PLATFORM/tools/bin/python" -m pip install --quiet uv; }
-}
 
 # ---- Bare Debians ----
 

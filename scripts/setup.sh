@@ -17,7 +17,9 @@ set -euo pipefail
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
-UV=$LAB_DIR/uv/bin/uv
+# All clones of a user share it.
+UV_FOLDER=${XDG_CACHE_HOME:-${HOME:-$LAB_DIR}/.cache}/bullet_lab/uv
+UV=$UV_FOLDER/bin/uv
 # A folder that --download has made, in place of the internet.
 OFFLINE=
 LEAST_MEGABYTES=2000
@@ -268,10 +270,15 @@ step_debian() {
 
 # uv installs them in a tenth of pip's time, and its cache serves all clones of a user.
 get_uv() {
-  local from=()
+  local from=() made
   [[ ! -x $UV ]] || return 0
   [[ -z $OFFLINE ]] || from=(--no-index --find-links "$OFFLINE/wheels")
-  debians_pip install "${from[@]}" --only-binary :all: --target "$LAB_DIR/uv" uv
+  mkdir -p "${UV_FOLDER%/*}" && made=$(mktemp -d "$UV_FOLDER.XXXX") || return 1
+  # Another clone may do the same now: the second one's stays unused.
+  ! debians_pip install "${from[@]}" --only-binary :all: --target "$made" uv \
+    || mv -T "$made" "$UV_FOLDER" || true
+  rm -rf "$made"
+  [[ -x $UV ]]
 }
 
 # pip as python3-venv brings it, without a virtual environment.
