@@ -62,8 +62,6 @@ class Watcher:
         rospy.Subscriber("/bullet_lab/touched", TouchedModels, self._touch)
         for one in (*(one for one in exercise.criteria if one.topic), COMMANDS):
             kind = roslib.message.get_message_class(one.type)
-            if kind is None:
-                raise LabError(f"there is no type of messages '{one.type}'")
             rows: list[list[float]] = []
             # Two criteria with the same key get the same messages.
             self.record.messages[one.key] = rows
