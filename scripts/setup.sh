@@ -343,7 +343,7 @@ renew_lock() {
     (
       cd "$LAB_ROOT"
       UV_SYSTEM_CERTS=1 "$UV" pip compile --quiet --upgrade --universal --python-version 3.8 \
-        --generate-hashes --no-header --no-annotate "$part.txt" -o "$part.lock"
+        --generate-hashes --no-header --no-annotate -c constraints.txt "$part.txt" -o "$part.lock"
     )
   done
 }
