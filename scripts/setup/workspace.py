@@ -21,6 +21,9 @@ import genpy.generate_initpy
 import genpy.generator
 
 PYTHON_FOLDER = Path("lib/python3/dist-packages")
+# Definitions whose Python package may not be there yet. Without an __init__.py, these messages give
+# way to those of the package.
+GENERATED = ("nav_msgs",)
 HEADER = "std_msgs/Header header\n"
 # An action is the messages that actionlib exchanges (http://wiki.ros.org/actionlib/DetailedDescription).
 ACTION_MESSAGES = {
@@ -142,6 +145,9 @@ def make(workspace: Path, ros: Path, python: Path) -> None:
     search = {file.parent.name: [str(file)] for file in (ros / "share").glob("*/msg")}
     for package, name in packages.items():
         search[name] = [str(package / "msg"), str(workspace / "actions" / name)]
+    for name in GENERATED:
+        search[name].append(str(workspace / "actions" / name))
+        generate(ros / "share" / name, name, devel / PYTHON_FOLDER, search)
     for package, name in packages.items():
         generate(package, name, devel / PYTHON_FOLDER, search)
         link_python(package, name, devel / PYTHON_FOLDER)

@@ -39,7 +39,9 @@ def test_who_may_not_write_to_a_clone_is_told_who_sets_it_up():
 
 def test_no_build_leaves_out_the_build_alone():
     steps = of_setup("steps_of --with course").stdout.split()
-    assert steps == ["debian-first", "debian-base", "python-base", "build", "debian-course"]
+    least = ["debian-first", "debian-base", "python-base", "build"]
+    assert steps == [*least, "debian-more", "debian-course"]
+    assert of_setup("steps_of --least").stdout.split() == least
     steps[steps.index("build")] = "debian-catkin"
     assert of_setup("steps_of --no-build --with course").stdout.split() == steps
 

@@ -69,13 +69,9 @@ from bullet_lab.msg import (
 from bullet_lab.ros.messages import images
 from bullet_lab.ros.messages.poses import InputError, pose_of, stamped_pose
 from bullet_lab.ros.node.driving import GoalNode, GoalServer
+from bullet_lab.ros.node.frames import FrameError
 from bullet_lab.ros.node.node import node
-from bullet_lab.ros.node.odometry import (
-    FrameError,
-    MessageQueue,
-    own_frame,
-    planar_pose,
-)
+from bullet_lab.ros.node.odometry import MessageQueue, own_frame, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.simulation.world.resources import ResourceFinder
 
