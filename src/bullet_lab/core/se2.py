@@ -14,7 +14,8 @@ import numpy as np
 PlanarPose = Tuple[float, float, float]
 """A single pose as numbers: x (m), y (m) and yaw (rad)."""
 
-_LEADING = 2.0**20
+# A sum with it is a multiple of 2^-20.
+_COARSE = 1.5 * 2.0**32
 
 
 def wrap(angle):
@@ -60,20 +61,20 @@ def hypot(x, y):
 
 
 def atan2(y: float, x: float) -> float:
-    """Return the angle (rad, in [-pi, pi]) of a finite vector, to 4e-16, alike everywhere.
+    """Return the angle (rad, in [-pi, pi]) of a vector, to 4e-16, alike everywhere.
 
     The last bit of math.atan2 depends on the C library (glibc 2.35), that of sin and cos does not
-    (since glibc 2.28). So only the leading 20 bits come from math.atan2; the rest is the angle
-    beyond them, whose arc tangent has two terms of its series.
+    (since glibc 2.28). So math.atan2 gives only a multiple of 2^-20; the rest is the angle
+    beyond it, whose arc tangent has two terms of its series.
 
     >>> atan2(1.0, 0.0) == math.pi / 2.0
     True
     """
     angle = math.atan2(y, x)
-    leading = round(angle * _LEADING) / _LEADING
+    leading = (angle + _COARSE) - _COARSE
     sin, cos = math.sin(leading), math.cos(leading)
     ahead = x * cos + y * sin
-    if ahead == 0.0:
+    if not 0.0 < ahead < math.inf:
         return angle
     rest = (y * cos - x * sin) / ahead
     return leading + (rest - rest * rest * rest / 3.0)

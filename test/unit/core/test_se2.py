@@ -67,10 +67,10 @@ def test_angles_and_lengths_are_those_of_math(scale):
             assert se2.hypot(x, y) == pytest.approx(math.hypot(x, y), rel=4.5e-16, abs=0.0)
 
 
-@pytest.mark.parametrize("y", [-1.0, -0.0, 0.0, 1.0])
-@pytest.mark.parametrize("x", [-1.0, -0.0, 0.0, 1.0])
+@pytest.mark.parametrize("y", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
+@pytest.mark.parametrize("x", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
 def test_the_angles_of_the_axes_are_exact(y, x):
-    assert se2.atan2(y, x) == math.atan2(y, x)
+    assert se2.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=0.0, abs=0.0, nan_ok=True)
 
 
 def test_steps_lead_along_the_path():
