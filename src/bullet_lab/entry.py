@@ -42,9 +42,6 @@ def run(target: str) -> None:
     give_memory_back()
     import logging
 
-    # Debian 11's rospy calls by its old name what Python 3.9 has renamed.
-    if not hasattr(threading.Thread, "isAlive"):
-        threading.Thread.isAlive = threading.Thread.is_alive
     # No traceback if the disk is too full for the log.
     logging.raiseExceptions = False
     keep_to_this_machine()
