@@ -256,11 +256,14 @@ link_debians_python() {
   ln -sfn /usr/bin/python3 "$LAB_COURSE/python"
 }
 
-# A failed update may concern a list that is not needed; if not, the installation fails.
-apt_install() {
-  [[ -n $OFFLINE ]] || apt_get update || true
-  apt_get install --no-install-recommends "$@"
-}
+# A failed update may concern a list that is not needed; if not, the installation fails. Users who
+# do this at the same time wait for each other: apt-get itself waits only for dpkg.
+apt_install() (
+  exec 8</var/lib/apt/lists
+  flock 8
+  [[ -n $OFFLINE ]] || apt_get update 8<&- || true
+  apt_get install --no-install-recommends "$@" 8<&-
+)
 
 step_debian() {
   local title=$1 log=$2 part=$3 missing

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,15 @@ def test_no_build_leaves_out_the_build_alone():
     assert of_setup("steps_of --least").stdout.split() == least
     steps[steps.index("build")] = "debian-catkin"
     assert of_setup("steps_of --no-build --with course").stdout.split() == steps
+
+
+def test_users_who_install_at_the_same_time_wait_for_each_other(tmp_path):
+    # A failure of the update is ignored, that of the installation is not.
+    lines = f"apt_get() {{ [[ $1 == install ]] || mkdir {tmp_path}/busy && sleep 0.1; "
+    lines += f"[[ $1 == update ]] || rmdir {tmp_path}/busy; }}; apt_install"
+    with ThreadPoolExecutor() as pool:
+        runs = list(pool.map(of_setup, [lines] * 4))
+    assert [run.returncode for run in runs] == [0] * 4, runs
 
 
 def test_the_python_of_courses_is_made_by_the_set_up(tmp_path):
