@@ -11,7 +11,6 @@ import importlib
 import os
 import signal
 import sys
-import threading
 from typing import Iterator
 from urllib.parse import urlsplit
 
