@@ -99,6 +99,7 @@ class RobotJobTest(unittest.TestCase):
         self.assertFalse(sonar["acts"])
         self.assertEqual(["sonar (libsomebodys_sonar.so)"], summary["left_out"])
         self.assertIn("libsomebodys_sonar.so", printed)
+        self.assertNotIn("without a picture", printed)
         self.assertAlmostEqual(25.0, summary["topics"]["/wheels/odom"]["seen_hz"], delta=0.1)
         self.assertEqual(([], []), (summary["silent"], summary["off_rate"]))
         metre, turn = summary["drive"]["metre"], summary["drive"]["turn"]

@@ -52,7 +52,7 @@ class Watcher:
         self.now = 0.0
         describe = rospy.ServiceProxy("/bullet_lab/describe_models", srv.DescribeModels)
         describe.wait_for_service(START)
-        models = [one for one in describe("").models if one.name != GROUND]
+        models = [one for one in describe("", False).models if one.name != GROUND]
         self._robot = next((one.name for one in models if not one.of_world_file), "")
         for one in models:
             if one.name != self._robot:
