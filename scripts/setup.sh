@@ -42,7 +42,7 @@ debian_packages() {
   case $1 in
     # What a program needs to be installed beside the other packages.
     first) echo ca-certificates python3 python3-venv ;;
-    # What the job squares needs. workspace.py generates nav_msgs, which would bring compilers.
+    # What the job squares needs. workspace.py generates messages whose packages would bring compilers.
     base)
       echo rosout joint-state-publisher ros-robot-state-publisher python3-rosgraph \
         python3-roslaunch python3-rosmaster python3-rosparam python3-rospy python3-actionlib \

@@ -23,7 +23,7 @@ import genpy.generator
 PYTHON_FOLDER = Path("lib/python3/dist-packages")
 # Definitions whose Python package may not be there yet. Without an __init__.py, these messages give
 # way to those of the package.
-GENERATED = ("nav_msgs",)
+GENERATED = ("nav_msgs", "move_base_msgs")
 HEADER = "std_msgs/Header header\n"
 # An action is the messages that actionlib exchanges (http://wiki.ros.org/actionlib/DetailedDescription).
 ACTION_MESSAGES = {

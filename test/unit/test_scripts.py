@@ -7,6 +7,7 @@ import json
 import os
 import re
 import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -65,6 +66,17 @@ def test_the_python_of_courses_is_made_by_the_set_up(tmp_path):
     assert of_setup(lines).returncode == 0
     for name in ("python", "python3"):
         assert os.readlink(tmp_path / "course" / name) == "/usr/bin/python3"
+
+
+def test_the_first_job_needs_only_the_packages_that_come_first():
+    pytest.importorskip("rospy")
+    # Of the packages that setup.sh --least leaves out.
+    later = ("tf2_ros", "rosbag", "rosmsg", "rosnode", "rosservice", "rostopic")
+    launched = ("nodes.bridge", "nodes.noisy_odom", "nodes.drive_squares", "record.plots")
+    lines = f"import sys, importlib; sys.modules.update(dict.fromkeys({later}))\n"
+    lines += f"for name in {launched}: importlib.import_module(f'bullet_lab.ros.{{name}}')"
+    run = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
 
 
 def programs():

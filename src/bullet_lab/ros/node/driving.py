@@ -11,9 +11,8 @@ from actionlib import ActionServer, ServerGoalHandle, SimpleActionServer
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import Twist
 
-from bullet_lab.ros.node.frames import FrameFinder
 from bullet_lab.ros.node.lock_step import in_lock_step, rate
-from bullet_lab.ros.node.odometry import MessageQueue
+from bullet_lab.ros.node.odometry import FrameFinder, MessageQueue
 from bullet_lab.ros.node.publishers import Publisher, publisher
 
 

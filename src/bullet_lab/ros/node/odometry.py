@@ -1,4 +1,4 @@
-"""Checked odometry, and queues of messages."""
+"""Checked odometry, queues of messages, and transforms between frames."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from collections import deque
 from typing import Any, Callable, Generic, TypeVar
 
 import rospy
-from geometry_msgs.msg import Vector3
+from geometry_msgs.msg import PoseStamped, Vector3
 from nav_msgs.msg import Odometry
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose, yaw_from_quaternion
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import NORM_TOLERANCE, InputError
+from bullet_lab.ros.messages.poses import NORM_TOLERANCE, InputError, pose_of
 from bullet_lab.ros.node.lock_step import in_lock_step
 from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
 from bullet_lab.ros.node.publishers import subscriber
@@ -32,6 +33,12 @@ LATEST = 10.0
 # Wall seconds between two checks for a shutdown.
 SHUTDOWN_CHECK_SECONDS = 0.2
 _MILLISECOND = 1_000_000
+# Wall seconds to wait for a missing transform.
+PATIENCE = 2.0
+# Likewise for the thread that drives, in lock step: simulated time does not advance meanwhile.
+LOCK_STEP_PATIENCE = 5.0
+# Wall seconds between two attempts.
+POLL_SECONDS = 0.02
 
 T = TypeVar("T")
 
@@ -250,6 +257,69 @@ class MessageQueue(Generic[T]):
             self._newest = max(stamp, self._newest)
             self._patience = LATEST
             self._new.notify_all()
+
+
+class FrameError(LabError):
+    """There is no transform between two frames."""
+
+
+class FrameFinder:
+    """Transforms poses from one frame to another by the newest transforms of TF.
+
+    With `wait`, it waits for a missing transform. The thread that drives uses `wait=False`, which
+    waits only in lock step, where simulated time stands still meanwhile.
+    """
+
+    def __init__(self):
+        # Imported late: the first job, squares, runs before tf2 is installed.
+        from bullet_lab.ros.node.tf_buffer import CarefulBuffer
+
+        self._buffer = CarefulBuffer()
+
+    def clear(self) -> None:
+        """Remove all transforms after a reset of time."""
+        self._buffer.clear()
+
+    def bring(self, pose: Pose, source: str, target: str, wait: bool = True) -> Pose:
+        """Return a pose in another frame; leading slashes of frame names are ignored.
+
+        Raises:
+            FrameError: no transform between the two.
+            InputError: an invalid frame name.
+        """
+        source, target = source.lstrip("/"), target.lstrip("/")
+        if not source:
+            raise InputError("it has no frame_id")
+        if source == target:
+            return pose
+        return self.pose_in(target, source, wait) * pose
+
+    def planar(
+        self, message: PoseStamped, target: str, wait: bool = True
+    ) -> tuple[float, float, float]:
+        """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
+
+        Raises InputError for an invalid pose, and the errors of `bring`.
+        """
+        pose = pose_of(message.pose.position, message.pose.orientation)
+        placed = self.bring(pose, message.header.frame_id, target, wait)
+        return placed.position[0], placed.position[1], placed.yaw
+
+    def pose_in(self, target: str, source: str, wait: bool = True) -> Pose:
+        """Return the pose of the frame `source` in the frame `target`; errors as of `bring`."""
+        if "\0" in source + target:
+            raise InputError("a frame's name has a NUL")
+        patience = PATIENCE if wait else LOCK_STEP_PATIENCE if in_lock_step() else 0.0
+        deadline = time.monotonic() + patience
+        while True:
+            try:
+                found = self._buffer.newest(target, source)
+                return pose_of(found.translation, found.rotation)
+            except LookupError as error:
+                if time.monotonic() >= deadline or rospy.is_shutdown():
+                    line = f"no transform from '{source}' to '{target}': {error}"
+                    raise FrameError(line) from None
+            time.sleep(POLL_SECONDS)
 
 
 def own_tf_prefix() -> str:

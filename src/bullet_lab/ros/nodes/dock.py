@@ -26,7 +26,6 @@ from typing import Any, Callable
 
 import numpy as np
 import rospy
-import tf2_ros
 from actionlib import ServerGoalHandle
 from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Vector3
@@ -69,9 +68,13 @@ from bullet_lab.msg import (
 from bullet_lab.ros.messages import images
 from bullet_lab.ros.messages.poses import InputError, pose_of, stamped_pose
 from bullet_lab.ros.node.driving import GoalNode, GoalServer
-from bullet_lab.ros.node.frames import FrameError
 from bullet_lab.ros.node.node import node
-from bullet_lab.ros.node.odometry import MessageQueue, own_frame, planar_pose
+from bullet_lab.ros.node.odometry import (
+    FrameError,
+    MessageQueue,
+    own_frame,
+    planar_pose,
+)
 from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.simulation.world.resources import ResourceFinder
 
@@ -255,7 +258,12 @@ class DockTopics:
         self._child = child
         self._pose = Publisher("~dock_pose", PoseStamped, queue_size=10)
         self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
-        self._tf = tf2_ros.TransformBroadcaster() if child else None
+        self._tf = None
+        if child:
+            # Imported late: recorders import this module before tf2 is installed.
+            import tf2_ros
+
+            self._tf = tf2_ros.TransformBroadcaster()
         self._shown: Any = None
 
     def publish(self, stamp: rospy.Time, frame: str, task: DockingTask) -> None:

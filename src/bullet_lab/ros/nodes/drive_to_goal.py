@@ -40,9 +40,8 @@ from bullet_lab.drive import STANDSTILL, DrivePhase, GoalDriver, GoalLimits
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.node.driving import GoalNode, GoalServer
-from bullet_lab.ros.node.frames import FrameError
 from bullet_lab.ros.node.node import Refusals, holds_within, node
-from bullet_lab.ros.node.odometry import MessageQueue, OdometryError, planar_pose
+from bullet_lab.ros.node.odometry import FrameError, MessageQueue, OdometryError, planar_pose
 from bullet_lab.ros.node.publishers import Publisher, publisher
 
 ACTION = "move_base"

@@ -40,8 +40,8 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call, numbered
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
-from bullet_lab.ros.node.frames import FrameFinder
 from bullet_lab.ros.node.node import NodeError, Refusals, node, wait_until
+from bullet_lab.ros.node.odometry import FrameFinder
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import read_text
