@@ -80,7 +80,9 @@ def generate(package: Path, name: str, python: Path, search: dict[str, list[str]
     actions = Path(search[name][-1])
     messages = sorted(map(str, package.glob("msg/*.msg")))
     for file in sorted(package.glob("action/*.action")):
-        messages += action_messages(file, actions)
+        # Debian's packages have the messages of their actions.
+        if not (package / "msg" / f"{file.stem}Goal.msg").exists():
+            messages += action_messages(file, actions)
     generators = (
         ("msg", messages, genpy.generator.MsgGenerator()),
         ("srv", sorted(map(str, package.glob("srv/*.srv"))), genpy.generator.SrvGenerator()),
