@@ -57,6 +57,16 @@ def test_users_who_install_at_the_same_time_wait_for_each_other(tmp_path):
     assert [run.returncode for run in runs] == [0] * 4, runs
 
 
+def test_clones_that_install_uv_at_the_same_time_share_one(tmp_path):
+    lines = f"UV_FOLDER={tmp_path}/uv UV={tmp_path}/uv/bin/uv; "
+    lines += "debians_pip() { mkdir $5/bin; sleep 0.1; install -m 755 /dev/null $5/bin/uv; }; "
+    with ThreadPoolExecutor() as pool:
+        runs = list(pool.map(of_setup, [f"{lines} get_uv"] * 4))
+    assert [run.returncode for run in runs] == [0] * 4, runs
+    assert os.listdir(tmp_path) == ["uv"]
+    assert os.listdir(tmp_path / "uv") == ["bin"]
+
+
 def test_the_python_of_courses_is_made_by_the_set_up(tmp_path):
     # Whoever sources course.sh may not write to the clone.
     lines = f"LAB_DIR={tmp_path} LAB_COURSE={tmp_path}/course; mkdir {tmp_path}/stamp; "
