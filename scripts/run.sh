@@ -8,7 +8,10 @@ trap 'exit 130' INT
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
-"$LAB_ROOT/scripts/setup.sh"
+# The first picture does not wait for what other jobs need.
+least=()
+[[ $* != squares ]] || least=(--least)
+"$LAB_ROOT/scripts/setup.sh" "${least[@]}"
 # A SIGINT that comes between bash's last look for traps and `exec` would be lost.
 trap - INT
 # While Python starts, it answers a SIGINT with a traceback and status 1, so SIGINT is blocked until

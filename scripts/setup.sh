@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # Installs and builds what is missing; ends at once if nothing is missing.
 #
-# Usage: scripts/setup.sh [--no-build] [--with rviz|test|course|browser|catkin] …
+# Usage: scripts/setup.sh [--least | --no-build] [--with rviz|test|course|browser|catkin] …
 #        scripts/setup.sh --download DIR | --offline DIR [--with …] … | --remove | --renew-lock
 #
 # --download: collect all packages in a folder, for machines without internet and with the same
 #   Debian. --offline: install from such a folder.
 # --remove: delete build/, and name the Debian packages that were installed for it.
+# --least: only what the job squares needs with its defaults.
 # --no-build: you build the package yourself, in your own catkin workspace; installs a compiler.
 # --renew-lock: take the newest versions that requirements*.txt allow into requirements*.lock.
 # Debian packages are installed by apt-get (with sudo unless you are root), Python packages into
@@ -17,7 +18,9 @@ set -euo pipefail
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
-UV=$LAB_DIR/uv/bin/uv
+# All clones of a user share it.
+UV_FOLDER=${XDG_CACHE_HOME:-${HOME:-$LAB_DIR}/.cache}/bullet_lab/uv
+UV=$UV_FOLDER/bin/uv
 # A folder that --download has made, in place of the internet.
 OFFLINE=
 LEAST_MEGABYTES=2000
@@ -39,15 +42,21 @@ debian_packages() {
   case $1 in
     # What a program needs to be installed beside the other packages.
     first) echo ca-certificates python3 python3-venv ;;
+    # What the job squares needs. workspace.py generates messages whose packages would bring compilers.
     base)
-      echo rosbash rosout topic-tools joint-state-publisher ros-robot-state-publisher \
-        python3-rosbag python3-rosgraph python3-roslaunch python3-rosmaster python3-rosmsg \
-        python3-rosnode python3-rosparam python3-rospy python3-rosservice python3-rostopic \
-        python3-actionlib python3-dynamic-reconfigure python3-genpy python3-message-filters \
-        python3-tf2-ros libegl1 libgl1 libgl1-mesa-dri
-      # Types in Python, and their definitions, which rosmsg finds by the package.xml of -dev.
-      printf 'python3-%s\nros-%s\n' {actionlib,diagnostic,geometry,move-base,nav}-msgs{,} \
-        {rosgraph,sensor,std,tf2,trajectory,visualization}-msgs{,} std-srvs{,}
+      echo rosout joint-state-publisher ros-robot-state-publisher python3-rosgraph \
+        python3-roslaunch python3-rosmaster python3-rosparam python3-rospy python3-actionlib \
+        python3-dynamic-reconfigure python3-genpy python3-message-filters
+      printf 'ros-%s\n' {actionlib,diagnostic,geometry,move-base,nav,rosgraph,sensor,std}-msgs \
+        {tf2,trajectory,visualization}-msgs std-srvs
+      printf 'python3-%s\n' {actionlib,diagnostic,geometry,rosgraph,sensor,std,tf2}-msgs \
+        {trajectory,visualization}-msgs std-srvs
+      ;;
+    # tf2, OpenGL, and the commands of ROS; rosmsg finds definitions by the package.xml of -dev.
+    more)
+      echo rosbash topic-tools python3-rosbag python3-rosmsg python3-rosnode python3-rosservice \
+        python3-rostopic python3-tf2-ros python3-nav-msgs python3-move-base-msgs \
+        libegl1 libgl1 libgl1-mesa-dri
       printf 'lib%s-dev\n' {actionlib,diagnostic,geometry,move-base,nav,sensor,std,tf2}-msgs \
         {trajectory,visualization}-msgs ros-rosgraph-msgs std-srvs
       ;;
@@ -156,7 +165,8 @@ mark_done() { checksum_of "$1" >"$LAB_DIR/stamp/$1"; }
 describe() {
   case $1 in
     debian-first) echo "Debian packages for Python" ;;
-    debian-base) echo "Debian packages" ;;
+    debian-base) echo "Debian packages of ROS" ;;
+    debian-more) echo "Debian packages of tf2 and OpenGL" ;;
     debian-*) echo "Debian packages for ${1#debian-}" ;;
     python-base) echo "virtual environment" ;;
     python-*) echo "Python packages for ${1#python-}" ;;
@@ -206,6 +216,7 @@ run_quietly() {
 
 missing_of() {
   local installed
+  (($#)) || return 0
   installed=$(dpkg-query -W -f '${Package} ${db:Status-Status}\n' "$@" 2>/dev/null || true)
   comm -23 <(printf '%s\n' "$@" | sort -u) \
     <(awk '$2 == "installed" {print $1}' <<<"$installed" | sort -u)
@@ -245,11 +256,14 @@ link_debians_python() {
   ln -sfn /usr/bin/python3 "$LAB_COURSE/python"
 }
 
-# A failed update may concern a list that is not needed; if not, the installation fails.
-apt_install() {
-  [[ -n $OFFLINE ]] || apt_get update || true
-  apt_get install --no-install-recommends "$@"
-}
+# A failed update may concern a list that is not needed; if not, the installation fails. Users who
+# do this at the same time wait for each other: apt-get itself waits only for dpkg.
+apt_install() (
+  exec 8</var/lib/apt/lists
+  flock 8
+  [[ -n $OFFLINE ]] || apt_get update 8<&- || true
+  apt_get install --no-install-recommends "$@" 8<&-
+)
 
 step_debian() {
   local title=$1 log=$2 part=$3 missing
@@ -268,10 +282,15 @@ step_debian() {
 
 # uv installs them in a tenth of pip's time, and its cache serves all clones of a user.
 get_uv() {
-  local from=()
+  local from=() made
   [[ ! -x $UV ]] || return 0
   [[ -z $OFFLINE ]] || from=(--no-index --find-links "$OFFLINE/wheels")
-  debians_pip install "${from[@]}" --only-binary :all: --target "$LAB_DIR/uv" uv
+  mkdir -p "${UV_FOLDER%/*}" && made=$(mktemp -d "$UV_FOLDER.XXXX") || return 1
+  # Another clone may do the same now: the second one's stays unused.
+  ! debians_pip install "${from[@]}" --only-binary :all: --target "$made" uv \
+    || mv -T "$made" "$UV_FOLDER" || true
+  rm -rf "$made"
+  [[ -x $UV ]]
 }
 
 # pip as python3-venv brings it, without a virtual environment.
@@ -336,7 +355,7 @@ renew_lock() {
     (
       cd "$LAB_ROOT"
       UV_SYSTEM_CERTS=1 "$UV" pip compile --quiet --upgrade --universal --python-version 3.8 \
-        --generate-hashes --no-header --no-annotate "$part.txt" -o "$part.lock"
+        --generate-hashes --no-header --no-annotate -c constraints.txt "$part.txt" -o "$part.lock"
     )
   done
 }
@@ -429,7 +448,7 @@ download() {
   cp /var/lib/apt/lists/*_{Packages,InRelease}* "$folder/lists/"
   # As on a machine that has nothing, and part by part: what apt chooses depends on the others.
   : >"$folder/none"
-  for part in first base rviz test course; do
+  for part in first base more rviz test course; do
     mapfile -t packages < <(debian_packages "$part" | xargs -n 1 | sort -u)
     apt-get -y --download-only --no-install-recommends -o Dir::State::status="$folder/none" \
       -o Dir::Cache::archives="$folder/debs" -o Debug::NoLocking=1 install "${packages[@]}"
@@ -491,12 +510,12 @@ open_steps() {
 
 steps_of() {
   printf '%s\n' debian-first debian-base python-base
-  if [[ ${1-} == --no-build ]]; then
-    echo debian-catkin
-    shift
-  else
-    echo build
-  fi
+  case ${1-} in
+    --least) echo build ;;
+    --no-build) printf '%s\n' debian-catkin debian-more ;;
+    *) printf '%s\n' build debian-more ;;
+  esac
+  [[ ${1-} != --least && ${1-} != --no-build ]] || shift
   while (($#)); do
     case "$1 ${2-}" in
       "--with rviz") echo debian-rviz ;;
@@ -504,7 +523,7 @@ steps_of() {
       "--with course") echo debian-course ;;
       "--with browser") printf '%s\n' debian-browser python-browser ;;
       "--with catkin") printf '%s\n' debian-catkin catkin ;;
-      *) fail "unknown argument '$*'; usage: setup.sh [--no-build] [--with rviz|test|course|browser|catkin] …" ;;
+      *) fail "unknown argument '$*'; usage: setup.sh [--least | --no-build] [--with rviz|test|course|browser|catkin] …" ;;
     esac
     shift 2
   done

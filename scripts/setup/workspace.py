@@ -21,6 +21,9 @@ import genpy.generate_initpy
 import genpy.generator
 
 PYTHON_FOLDER = Path("lib/python3/dist-packages")
+# Definitions whose Python package may not be there yet. Without an __init__.py, these messages give
+# way to those of the package.
+GENERATED = ("nav_msgs", "move_base_msgs")
 HEADER = "std_msgs/Header header\n"
 # An action is the messages that actionlib exchanges (http://wiki.ros.org/actionlib/DetailedDescription).
 ACTION_MESSAGES = {
@@ -77,7 +80,9 @@ def generate(package: Path, name: str, python: Path, search: dict[str, list[str]
     actions = Path(search[name][-1])
     messages = sorted(map(str, package.glob("msg/*.msg")))
     for file in sorted(package.glob("action/*.action")):
-        messages += action_messages(file, actions)
+        # Debian's packages have the messages of their actions.
+        if not (package / "msg" / f"{file.stem}Goal.msg").exists():
+            messages += action_messages(file, actions)
     generators = (
         ("msg", messages, genpy.generator.MsgGenerator()),
         ("srv", sorted(map(str, package.glob("srv/*.srv"))), genpy.generator.SrvGenerator()),
@@ -142,6 +147,9 @@ def make(workspace: Path, ros: Path, python: Path) -> None:
     search = {file.parent.name: [str(file)] for file in (ros / "share").glob("*/msg")}
     for package, name in packages.items():
         search[name] = [str(package / "msg"), str(workspace / "actions" / name)]
+    for name in GENERATED:
+        search[name].append(str(workspace / "actions" / name))
+        generate(ros / "share" / name, name, devel / PYTHON_FOLDER, search)
     for package, name in packages.items():
         generate(package, name, devel / PYTHON_FOLDER, search)
         link_python(package, name, devel / PYTHON_FOLDER)

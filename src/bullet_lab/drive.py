@@ -17,7 +17,7 @@ from enum import Enum
 from typing import Any, Generator, Iterator, Optional, Tuple
 
 from bullet_lab.core.parameters import boolean, checked, integer, number
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, atan2, hypot, wrap
 from bullet_lab.errors import LabError
 
 Command = Tuple[float, float]
@@ -267,7 +267,7 @@ class GoalDriver:
 
     def distance(self, pose: PlanarPose) -> float:
         """Return the distance (m) of a pose from the goal."""
-        return math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
+        return hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
 
     def turn_left(self, pose: PlanarPose) -> float:
         """Return the remaining turn (rad, in [-pi, pi)) from a pose to the goal's heading."""
@@ -305,7 +305,7 @@ class GoalDriver:
 
     def _drive(self, pose: PlanarPose, left: float) -> Command:
         limits = self._limits
-        off = wrap(math.atan2(self.goal[1] - pose[1], self.goal[0] - pose[0]) - pose[2])
+        off = wrap(atan2(self.goal[1] - pose[1], self.goal[0] - pose[0]) - pose[2])
         if abs(off) > (TURN_UNTIL if self._on_the_spot else TURN_BEYOND):
             self._on_the_spot = True
             return 0.0, math.copysign(self._turn_speed(off), off)

@@ -11,7 +11,6 @@ import importlib
 import os
 import signal
 import sys
-import threading
 from typing import Iterator
 from urllib.parse import urlsplit
 
@@ -42,9 +41,6 @@ def run(target: str) -> None:
     give_memory_back()
     import logging
 
-    # Debian 11's rospy calls by its old name what Python 3.9 has renamed.
-    if not hasattr(threading.Thread, "isAlive"):
-        threading.Thread.isAlive = threading.Thread.is_alive
     # No traceback if the disk is too full for the log.
     logging.raiseExceptions = False
     keep_to_this_machine()

@@ -41,6 +41,8 @@ ALLOWED = (
     os.path.expanduser("~/.config/matplotlib"),
     # rosbag compiles the definitions of messages that a bag has.
     os.path.join(tempfile.gettempdir(), "genpy_"),
+    # Older scipy makes and removes a file while it is imported.
+    os.path.join(tempfile.gettempdir(), "scipy-"),
     "/dev/",
     "/proc/self",
     "/sys/devices",

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import time
@@ -14,8 +15,10 @@ import pytest
 from bullet_lab.jobs.declaration import find_jobs
 
 PACKAGE = Path(__file__).resolve().parents[2]
-JOBS = sorted(find_jobs(PACKAGE))
+JOBS = find_jobs(PACKAGE)
 assert "squares" in JOBS
+# Without a submission there is nothing to grade.
+NEEDED = {"grade": shlex.split(JOBS["grade"].smallest)}
 # Other ways that jobs go than by default, on top of those that rostests take.
 WAYS = [
     ("dock", "world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30"),
@@ -32,7 +35,7 @@ LATEST_SIGNAL = 8.0
 def start(job, folder, *words):
     """Start a job in a process group of its own, as a terminal does."""
     return subprocess.Popen(
-        [str(PACKAGE / "scripts" / "run.sh"), job, f"out:={folder}", *words],
+        [str(PACKAGE / "scripts" / "run.sh"), job, f"out:={folder}", *NEEDED.get(job, ()), *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -68,7 +68,7 @@ WORLD = f"""<sdf version="1.6"><world name="lab"><include><uri>model://ground_pl
 KIND = "effort_controllers/JointTrajectoryController"
 LAUNCH = f"""<launch>
   <include file="$(find gazebo_ros)/launch/empty_world.launch">
-    <arg name="world_name" value="$(dirname)/lab.world"/><arg name="gui" value="false"/>
+    <arg name="world_name" value="{FOLDER.name}/lab.world"/><arg name="gui" value="false"/>
     <arg name="paused" value="true"/></include>
   <param name="robot_description" value="&lt;robot name='rover'>&lt;link name='base'/>&lt;/robot>"/>
   <param name="arm/type" value="{KIND}"/>
@@ -99,6 +99,7 @@ class RobotJobTest(unittest.TestCase):
         self.assertFalse(sonar["acts"])
         self.assertEqual(["sonar (libsomebodys_sonar.so)"], summary["left_out"])
         self.assertIn("libsomebodys_sonar.so", printed)
+        self.assertNotIn("without a picture", printed)
         self.assertAlmostEqual(25.0, summary["topics"]["/wheels/odom"]["seen_hz"], delta=0.1)
         self.assertEqual(([], []), (summary["silent"], summary["off_rate"]))
         metre, turn = summary["drive"]["metre"], summary["drive"]["turn"]

@@ -6,6 +6,7 @@ import tempfile
 import unittest
 from pathlib import Path
 
+import rospkg
 import rospy
 import rostest
 import tf2_ros
@@ -34,6 +35,8 @@ TOPICS = (
     ("right/mycamera/image_raw", Image, "right/camera_optical_frame"),
     ("right/mycamera/camera_info", CameraInfo, "right/camera_optical_frame"),
 )
+KNOWS_PREFIX = rospkg.RosPack().get_manifest("robot_state_publisher").version != "1.15.1"
+WHY_SKIPPED = "Debian 11's robot_state_publisher has no tf_prefix: docs/platforms.md"
 BLOCK = (PACKAGE / "urdf" / "block_robot.urdf").read_text()
 
 
@@ -63,6 +66,7 @@ class RobotsTest(unittest.TestCase):
         self.assertEqual({"left_wheel_joint", "right_wheel_joint"}, set(joints.name))
         self.topic("left/beacon_0", String).wait(1)
 
+    @unittest.skipUnless(KNOWS_PREFIX, WHY_SKIPPED)
     def test_no_topic_and_no_frame_is_shared(self):
         buffer = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(buffer)
@@ -128,6 +132,7 @@ class RobotsTest(unittest.TestCase):
         answer = call("/left/noisy_odom_node/set_noise", SetNoise, "report", 0.2, [])
         self.assertTrue(answer.success)
 
+    @unittest.skipUnless(KNOWS_PREFIX, WHY_SKIPPED)
     def test_docking_finds_the_frames_with_the_prefix(self):
         client = SimpleActionClient("right/dock", DockAction)
         wait_for(lambda: client.wait_for_server(rospy.Duration(1)), "the action")

@@ -7,6 +7,8 @@ import json
 import os
 import re
 import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -39,9 +41,30 @@ def test_who_may_not_write_to_a_clone_is_told_who_sets_it_up():
 
 def test_no_build_leaves_out_the_build_alone():
     steps = of_setup("steps_of --with course").stdout.split()
-    assert steps == ["debian-first", "debian-base", "python-base", "build", "debian-course"]
+    least = ["debian-first", "debian-base", "python-base", "build"]
+    assert steps == [*least, "debian-more", "debian-course"]
+    assert of_setup("steps_of --least").stdout.split() == least
     steps[steps.index("build")] = "debian-catkin"
     assert of_setup("steps_of --no-build --with course").stdout.split() == steps
+
+
+def test_users_who_install_at_the_same_time_wait_for_each_other(tmp_path):
+    # A failure of the update is ignored, that of the installation is not.
+    lines = f"apt_get() {{ [[ $1 == install ]] || mkdir {tmp_path}/busy && sleep 0.1; "
+    lines += f"[[ $1 == update ]] || rmdir {tmp_path}/busy; }}; apt_install"
+    with ThreadPoolExecutor() as pool:
+        runs = list(pool.map(of_setup, [lines] * 4))
+    assert [run.returncode for run in runs] == [0] * 4, runs
+
+
+def test_clones_that_install_uv_at_the_same_time_share_one(tmp_path):
+    lines = f"UV_FOLDER={tmp_path}/uv UV={tmp_path}/uv/bin/uv; "
+    lines += "debians_pip() { mkdir $5/bin; sleep 0.1; install -m 755 /dev/null $5/bin/uv; }; "
+    with ThreadPoolExecutor() as pool:
+        runs = list(pool.map(of_setup, [f"{lines} get_uv"] * 4))
+    assert [run.returncode for run in runs] == [0] * 4, runs
+    assert os.listdir(tmp_path) == ["uv"]
+    assert os.listdir(tmp_path / "uv") == ["bin"]
 
 
 def test_the_python_of_courses_is_made_by_the_set_up(tmp_path):
@@ -53,6 +76,17 @@ def test_the_python_of_courses_is_made_by_the_set_up(tmp_path):
     assert of_setup(lines).returncode == 0
     for name in ("python", "python3"):
         assert os.readlink(tmp_path / "course" / name) == "/usr/bin/python3"
+
+
+def test_the_first_job_needs_only_the_packages_that_come_first():
+    pytest.importorskip("rospy")
+    # Of the packages that setup.sh --least leaves out.
+    later = ("tf2_ros", "rosbag", "rosmsg", "rosnode", "rosservice", "rostopic")
+    launched = ("nodes.bridge", "nodes.noisy_odom", "nodes.drive_squares", "record.plots")
+    lines = f"import sys, importlib; sys.modules.update(dict.fromkeys({later}))\n"
+    lines += f"for name in {launched}: importlib.import_module(f'bullet_lab.ros.{{name}}')"
+    run = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
 
 
 def programs():

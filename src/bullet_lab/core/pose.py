@@ -8,6 +8,8 @@ from typing import Tuple
 
 import numpy as np
 
+from bullet_lab.core.se2 import atan2, hypot
+
 Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]
 
@@ -110,16 +112,16 @@ class Pose:
         sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
         pitch = math.asin(sine)
         if abs(sine) > POLE_SINE:
-            yaw = math.copysign(2.0, -sine) * math.atan2(x, w)
+            yaw = math.copysign(2.0, -sine) * atan2(x, w)
             return (0.0, pitch, math.remainder(yaw, math.tau))
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        roll = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         return (roll, pitch, self.yaw)
 
     @property
     def yaw(self) -> float:
         """Rotation about the vertical axis, in radians within [-pi, pi]."""
         x, y, z, w = self.quaternion
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def heading_of(quaternion: Quaternion) -> Tuple[float, float]:
@@ -127,7 +129,7 @@ def heading_of(quaternion: Quaternion) -> Tuple[float, float]:
     x, y, z, w = quaternion
     cosine, sine = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)
     # Both are 0 if the x axis points straight up: any heading is right.
-    length = math.hypot(cosine, sine) or 1.0
+    length = hypot(cosine, sine) or 1.0
     return cosine / length, sine / length
 
 

@@ -14,6 +14,9 @@ import numpy as np
 PlanarPose = Tuple[float, float, float]
 """A single pose as numbers: x (m), y (m) and yaw (rad)."""
 
+# A sum with it is a multiple of 2^-20.
+_COARSE = 1.5 * 2.0**32
+
 
 def wrap(angle):
     """Wrap angles into [-pi, pi): pi itself becomes -pi.
@@ -45,6 +48,38 @@ def wrap(angle):
     return wrapped - math.tau * ((wrapped >= math.pi) * 1.0 - (wrapped < -math.pi) * 1.0)
 
 
+def hypot(x, y):
+    """Return the length of vectors, floats or arrays.
+
+    A root is rounded alike everywhere; math.hypot and np.hypot are not (Python 3.10, glibc 2.35).
+
+    >>> hypot(3.0, 4.0)
+    5.0
+    """
+    square = x * x + y * y
+    return math.sqrt(square) if isinstance(square, float) else np.sqrt(square)
+
+
+def atan2(y: float, x: float) -> float:
+    """Return the angle (rad, in [-pi, pi]) of a vector, to 4e-16, alike everywhere.
+
+    The last bit of math.atan2 depends on the C library (glibc 2.35), that of sin and cos does not
+    (since glibc 2.28). So math.atan2 gives only a multiple of 2^-20; the rest is the angle
+    beyond it, whose arc tangent has two terms of its series.
+
+    >>> atan2(1.0, 0.0) == math.pi / 2.0
+    True
+    """
+    angle = math.atan2(y, x)
+    leading = (angle + _COARSE) - _COARSE
+    sin, cos = math.sin(leading), math.cos(leading)
+    ahead = x * cos + y * sin
+    if not 0.0 < ahead < math.inf:
+        return angle
+    rest = (y * cos - x * sin) / ahead
+    return leading + (rest - rest * rest * rest / 3.0)
+
+
 def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
     """Return the heading (rad, in [-pi, pi]) of a rotation.
 
@@ -54,7 +89,7 @@ def yaw_from_quaternion(x: float, y: float, z: float, w: float) -> float:
     >>> yaw_from_quaternion(0.0, 0.0, 1.0, 1.0) == math.pi / 2.0
     True
     """
-    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def quaternion_from_yaw(yaw: float) -> tuple[float, float, float, float]:

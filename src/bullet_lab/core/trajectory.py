@@ -9,7 +9,7 @@ from typing import Any, Iterable, List, Sequence
 
 import numpy as np
 
-from bullet_lab.core.se2 import quaternion_from_yaw, wrap, yaw_from_quaternion
+from bullet_lab.core.se2 import hypot, quaternion_from_yaw, wrap, yaw_from_quaternion
 from bullet_lab.errors import LabError
 
 CSV_HEADER = "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"
@@ -62,7 +62,7 @@ class Trajectory:
     def travelled(self) -> np.ndarray:
         """Return the distance (m) travelled up to each pose, shape (n,)."""
         dx, dy = np.diff(self.poses[:, :2], axis=0).T
-        return np.concatenate([[0.0], np.cumsum(np.hypot(dx, dy))])
+        return np.concatenate([[0.0], np.cumsum(hypot(dx, dy))])
 
     def length(self) -> float:
         """Return the length (m) of the path."""
@@ -195,7 +195,7 @@ def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
     if not np.array_equal(reference.stamps, estimate.stamps):
         raise MetricsError("only trajectories with the same stamps can be compared")
     dx, dy, dyaw = (estimate.poses - reference.poses).T
-    error, heading_error = np.hypot(dx, dy), wrap(dyaw)
+    error, heading_error = hypot(dx, dy), wrap(dyaw)
     return PathError(
         ape_rmse_m=_rms(error),
         ape_mean_m=float(np.mean(error)),
@@ -219,7 +219,7 @@ def closure_error(trajectory: Trajectory) -> float:
     5.0
     """
     dx, dy, _ = trajectory.poses[-1] - trajectory.poses[0]
-    return math.hypot(dx, dy)
+    return hypot(dx, dy)
 
 
 def _rms(values: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Dict, Mapping, Sequence, Tuple, Type
 import numpy as np
 
 from bullet_lab.core.parameters import declarations, number
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, atan2, hypot, wrap
 from bullet_lab.errors import LabError
 
 MIN_TRANSLATION = 1e-4
@@ -71,16 +71,16 @@ def line_of_travel(dx, dy) -> Tuple[np.ndarray, np.ndarray]:
         dy: m, to the left, of the same shape.
     """
     sign = np.where(dx < 0.0, -1.0, 1.0)
-    return np.arctan2(sign * dy, np.abs(dx)), sign * np.hypot(dx, dy)
+    return np.arctan2(sign * dy, np.abs(dx)), sign * hypot(dx, dy)
 
 
 def _direction(dx: float, dy: float) -> Tuple[float, float]:
     """Return what `line_of_travel` returns, for floats."""
-    length = math.hypot(dx, dy)
+    length = hypot(dx, dy)
     if dx < 0.0:
-        return math.atan2(-dy, -dx), -length
+        return atan2(-dy, -dx), -length
     # Adding 0.0 turns -0.0, whose arc tangent is pi, into 0.0.
-    return math.atan2(dy, dx + 0.0), length
+    return atan2(dy, dx + 0.0), length
 
 
 @dataclass(frozen=True)

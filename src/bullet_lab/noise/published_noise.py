@@ -15,7 +15,7 @@ from typing import Any, Optional, Tuple
 
 import numpy as np
 
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, atan2, hypot, wrap
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
 
 PUBLISHED_RATE = 0.9
@@ -24,7 +24,7 @@ PUBLISHED_RATE = 0.9
 # s; the resolution of present-day stamps as doubles is not much finer.
 _STAMP_TOLERANCE = 1e-6
 # For floats; the functions of numpy are for arrays.
-_MATH = SimpleNamespace(sin=math.sin, cos=math.cos, arctan2=math.atan2, hypot=math.hypot)
+_MATH = SimpleNamespace(sin=math.sin, cos=math.cos, arctan2=atan2, hypot=hypot)
 
 
 @dataclass(frozen=True)

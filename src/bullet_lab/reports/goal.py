@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from bullet_lab.core import figures
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import NANOSECONDS
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports import DriveReport, Reading, draw_path
 
@@ -197,7 +197,7 @@ class GoalReport(DriveReport):
             end = truth.stamps[-1] if record.ended is None else record.ended
             chosen = (truth.stamps >= record.begun) & (truth.stamps <= end + 0.5)
             x, y, _ = truth.poses[chosen].T
-            away = np.hypot(x - record.goal[0], y - record.goal[1])
+            away = hypot(x - record.goal[0], y - record.goal[1])
             axes.plot(truth.stamps[chosen], away, color=BLUE, linewidth=1.2)
         axes.axhline(self._tolerance, color=GREY, linewidth=0.8, linestyle="--", label="tolerance")
         axes.set_ylim(bottom=0.0)
@@ -233,7 +233,7 @@ def goal_figures(record: GoalRecord, truth: Trajectory | None) -> dict[str, Any]
     first, last, rest = np.maximum(0, np.searchsorted(truth.stamps, times + 1e-9) - 1)
     driven, stood = truth.travelled(), truth.poses[rest]
     found.update(
-        distance_m=float(math.hypot(x - stood[0], y - stood[1])),
+        distance_m=hypot(x - stood[0], y - stood[1]),
         yaw_error_deg=math.degrees(wrap(float(stood[2]) - yaw)),
         seconds=record.ended - record.begun,
         driven_m=float(driven[last] - driven[first]),
@@ -247,7 +247,7 @@ def greatest_speed(truth: Trajectory) -> float:
 
 
 def _speeds(truth: Trajectory) -> np.ndarray:
-    return np.hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
+    return hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
 
 
 def title_of(goals: Sequence[dict[str, Any]]) -> str:

@@ -22,6 +22,7 @@ from bullet_lab.core.figures import (
     plan_axes,
 )
 from bullet_lab.core.files import Join, Series, SeriesError, Values
+from bullet_lab.core.se2 import hypot
 from bullet_lab.reports import Reading, Report, draw_path
 
 # N; a smaller force is a touch that has just ended.
@@ -74,7 +75,7 @@ class SensorsReport(Report):
     def push(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the stamps (s) of the bumper's messages and the horizontal forces (N)."""
         stamps, rows = self.table("bumper")
-        return stamps, np.hypot(rows[:, 1], rows[:, 2])
+        return stamps, hypot(rows[:, 1], rows[:, 2])
 
     def scan_points(self) -> np.ndarray:
         """Return the points (m) of all scans in the frame of the odometry, shape (n, 2).
@@ -194,7 +195,7 @@ class BeaconsReport(Report):
     def _complete(self, stamp: int, found: dict[str, Values]) -> None:
         x, y, _ = pose = found["odom"]
         measured = [value for name in self.beacons for value in found[f"{name}/range"]]
-        true = [math.hypot(x - bx, y - by) for bx, by in self.beacons.values()]
+        true = [hypot(x - bx, y - by) for bx, by in self.beacons.values()]
         self._rows.add(stamp, [*pose, *measured, *true])
 
     def _distances(self) -> list[np.ndarray]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure, plan_axes
 from bullet_lab.core.files import Join, PathSeries, Series, Values, make_folder, move_file
 from bullet_lab.core.parameters import declarations
-from bullet_lab.core.se2 import ellipse_points
+from bullet_lab.core.se2 import ellipse_points, hypot
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, closure_error, path_error
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
@@ -79,7 +79,7 @@ def analyse(trajectory: Trajectory) -> SquarePath:
     # The message between a drive and a turn has a share of both, hence one more at each end.
     last = len(trajectory) - 1
     sides = [
-        float(np.hypot(*(positions[min(end + 1, last)] - positions[max(start - 1, 0)])))
+        float(hypot(*(positions[min(end + 1, last)] - positions[max(start - 1, 0)])))
         for start, end in drives
     ]
     angles = [
@@ -91,7 +91,7 @@ def analyse(trajectory: Trajectory) -> SquarePath:
 
 def _cut(positions: np.ndarray, headings: np.ndarray):
     """Return the drives, and the turns after the first of them, as pairs of pose indices."""
-    distances = np.hypot(*np.diff(positions, axis=0).T)
+    distances = hypot(*np.diff(positions, axis=0).T)
     is_drive = distances >= TURNING_RADIUS * np.abs(np.diff(headings))
     if not is_drive.size:
         return [], []
@@ -102,7 +102,7 @@ def _cut(positions: np.ndarray, headings: np.ndarray):
     # all that are left are significant.
     while True:
         drive = (np.arange(len(edges) - 1) % 2 == 0) == first_is_drive
-        distance = np.hypot(*np.diff(positions[edges], axis=0).T)
+        distance = hypot(*np.diff(positions[edges], axis=0).T)
         turn = np.abs(np.diff(headings[edges]))
         significance = np.where(drive, distance / MIN_SIDE, turn / MIN_TURN)
         least = int(np.argmin(significance))
@@ -121,8 +121,8 @@ def _cut(positions: np.ndarray, headings: np.ndarray):
 
 
 def _is_straight(positions: np.ndarray) -> bool:
-    driven = np.hypot(*np.diff(positions, axis=0).T).sum()
-    return bool(np.hypot(*(positions[-1] - positions[0])) >= MIN_STRAIGHTNESS * driven)
+    driven = hypot(*np.diff(positions, axis=0).T).sum()
+    return bool(hypot(*(positions[-1] - positions[0])) >= MIN_STRAIGHTNESS * driven)
 
 
 def squares_summary(

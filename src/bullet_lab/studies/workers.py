@@ -24,7 +24,7 @@ from bullet_lab.studies.study import Settings, Tell, UnfinishedError, progress
 SECONDS_FOR_SCHEDULER = 10.0
 SECONDS_FOR_WORKERS = 30.0
 LIVES = 2
-"""Number of processes that may die on a task before it is tried alone."""
+"""Number of processes that may die on a task before it is tried alone, by one more process."""
 
 MOST_WORKERS = 1024
 
@@ -130,12 +130,14 @@ def workers(count: int = 0, scheduler: str = "") -> Run:
             else:
                 yield number, result
         for number in suspects:
-            yield from run_round(task, [number])
+            yield from run_round(task, [number], lives=1)
 
     return run
 
 
-def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
+def _on_processes(
+    count: int, task: Task, numbers: Sequence[int], lives: int = LIVES
+) -> Results:
     # Each process uses one core: its libraries must not start a thread per core.
     for library in ("MKL", "OMP", "OPENBLAS"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
@@ -156,7 +158,7 @@ def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
                     busy.pop(pipe).end()
                 if found is None:
                     deaths[number] += 1
-                    if deaths[number] < LIVES:
+                    if deaths[number] < lives:
                         left.append(number)
                         continue
                     found = True, TaskLostError(_LOST)
@@ -234,8 +236,10 @@ def _in_turn(task: Task, number: int) -> Any:
         return task(number)
 
 
-def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
-    """Run the tasks on the workers of a cluster."""
+def _on_dask(
+    scheduler: str, task: Task, numbers: Sequence[int], lives: int = LIVES
+) -> Results:
+    """Run the tasks on the workers of a cluster, whose scheduler counts the lives of a task."""
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
 

@@ -31,6 +31,6 @@ angles = tf.transformations.euler_from_quaternion(rotation)
 
 print("opencv:", cv2.__version__.split(".")[0])
 print("marker:", ids.tolist(), len(tvecs))
-print("window:", cv2.getWindowProperty("camera", cv2.WND_PROP_VISIBLE) > 0)
+print("window:", cv2.getWindowProperty("camera", cv2.WND_PROP_AUTOSIZE) > 0)
 print("laser: %.3f %.3f %.3f" % (x, y, z))
 print("turned: %.3f" % max(map(abs, angles)))

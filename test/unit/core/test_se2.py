@@ -57,6 +57,22 @@ def test_leading_axes_broadcast():
     assert se2.compose(paths, [1.0, 0.0, 0.0]).shape == (4, 7, 3)
 
 
+@pytest.mark.parametrize("scale", [1e-200, 1e-9, 1.0, 1e100])
+def test_angles_and_lengths_are_those_of_math(scale):
+    angles = np.concatenate([np.linspace(-math.pi, math.pi, 2001), np.geomspace(1e-12, 3.0, 500)])
+    for angle in angles.tolist():
+        y, x = scale * math.sin(angle), scale * math.cos(angle)
+        assert se2.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=4.5e-16, abs=0.0)
+        if scale > 1e-150:
+            assert se2.hypot(x, y) == pytest.approx(math.hypot(x, y), rel=4.5e-16, abs=0.0)
+
+
+@pytest.mark.parametrize("y", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
+@pytest.mark.parametrize("x", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
+def test_the_angles_of_the_axes_are_exact(y, x):
+    assert se2.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=0.0, abs=0.0, nan_ok=True)
+
+
 def test_steps_lead_along_the_path():
     paths = random_poses(4, 7)
     moves = se2.steps(paths)

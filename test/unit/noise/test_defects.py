@@ -8,6 +8,7 @@ import pytest
 from noise_paths import drive
 
 from bullet_lab.core import se2
+from bullet_lab.core.se2 import atan2, hypot
 from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.noise.published_noise import (
     ALL,
@@ -30,7 +31,7 @@ PYTHON = SimpleNamespace(
         name: np.vectorize(f, otypes=[float])
         for name, f in (
             *(("sin", math.sin), ("cos", math.cos)),
-            *(("arctan2", math.atan2), ("hypot", math.hypot)),
+            *(("arctan2", atan2), ("hypot", hypot)),
         )
     }
 )

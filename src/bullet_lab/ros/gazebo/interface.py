@@ -7,13 +7,18 @@ The latter are /bullet_lab/save_world, /bullet_lab/describe_models, /gazebo/mode
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import Point
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 
 from bullet_lab.core.files import ConfinedFolder, FileError
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -24,6 +29,7 @@ from bullet_lab.ros.gazebo.devices import DeviceServices
 from bullet_lab.ros.gazebo.physics import GazeboPhysics
 from bullet_lab.ros.gazebo.services import Answer, offer, offer_services, subscribe_to_states
 from bullet_lab.ros.messages.gazebo_types import msg
+from bullet_lab.ros.messages.images import image_message
 from bullet_lab.ros.messages.poses import (
     InputError,
     pose_message,
@@ -42,6 +48,8 @@ from bullet_lab.simulation.models import (
     survey,
 )
 from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.simulation import take_picture
+from bullet_lab.simulation.video import overview
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.srv import DescribeModels, SaveWorld
 
@@ -51,6 +59,8 @@ PERFORMANCE_RATE = 5.0
 MOST_WARNINGS = 1000
 # z of the normal of the steepest ground that a robot stands on (60°); a wall is steeper.
 STEEPEST = 0.5
+# m around a model in its picture.
+PICTURE_MARGIN = 0.1
 
 
 class WorldSaver:
@@ -218,8 +228,20 @@ class ModelDescriptions:
         self._service = offer("/bullet_lab/describe_models", DescribeModels, self._answer)
 
     def _answer(self, request: Any) -> Answer:
-        models = self._world.do(lambda: self._describe(request.model_name))
-        return {"models": models, "said": self._warnings.lines}
+        name = request.model_name
+        answer = {"said": self._warnings.lines}
+        answer["models"] = self._world.do(lambda: self._describe(name))
+        if request.with_picture:
+            answer["picture"] = self._world.do(lambda: self._picture(name))
+        return answer
+
+    def _picture(self, name: str) -> Image:
+        """Draw a model; walls of a narrow room, between it and the eye, are left out."""
+        least, greatest = map(np.array, bounds(find_model(self._world.models, name)))
+        view = overview(least - PICTURE_MARGIN, greatest + PICTURE_MARGIN)
+        view = replace(view, near=0.5 * math.dist(view.eye, view.target))
+        picture = take_picture(self._world.simulation, view, samples=4)
+        return image_message(Header(), picture, "rgb8")
 
     def _describe(self, name: str) -> List[ModelDescription]:
         models, simulation = self._world.models, self._world.simulation

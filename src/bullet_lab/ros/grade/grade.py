@@ -14,8 +14,11 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Dict, List
+
+from roslib.message import get_message_class
 
 from bullet_lab.core.files import file_errors, make_folder, write_json
 from bullet_lab.core.parameters import text
@@ -26,6 +29,7 @@ from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.studies.grade import (
     AGAIN,
     GRADE,
+    Exercise,
     Record,
     find_exercise,
     grade,
@@ -123,10 +127,24 @@ def _trial(file: Path, seed: int, folder: Path, out: Path, longest: float) -> Re
             return Record(notes=[f"the run ended with status {process.poll()} before its end"])
 
 
+def check_topics(exercise: Exercise, name: str) -> None:
+    """Raise LabError if a criterion's messages or their field do not exist, or are no numbers."""
+    for number, one in enumerate(exercise.criteria, 1):
+        if not one.topic:
+            continue
+        try:
+            value = get_message_class(one.type)()
+            float(attrgetter(one.path)(value) if one.path else 0.0)
+        except (AttributeError, TypeError, ValueError):
+            what = f"field '{one.path}' of type '{one.type}': there is no such number"
+            raise LabError(f"{name}: criterion {number}: {what}") from None
+
+
 def _run(out: Path, settings: GradeSettings, tell: Tell) -> List[str]:
     base = Path(settings.base)
     file = find_exercise(settings.exercise, base).resolve()
     exercise = read_exercise(file)
+    check_topics(exercise, file.name)
     if bool(settings.class_folder) == bool(settings.submission):
         raise LabError("submission or class is needed, one of the two: the folder to grade")
     given = settings.class_folder or settings.submission

@@ -52,7 +52,7 @@ class Watcher:
         self.now = 0.0
         describe = rospy.ServiceProxy("/bullet_lab/describe_models", srv.DescribeModels)
         describe.wait_for_service(START)
-        models = [one for one in describe("").models if one.name != GROUND]
+        models = [one for one in describe("", False).models if one.name != GROUND]
         self._robot = next((one.name for one in models if not one.of_world_file), "")
         for one in models:
             if one.name != self._robot:
@@ -62,8 +62,6 @@ class Watcher:
         rospy.Subscriber("/bullet_lab/touched", TouchedModels, self._touch)
         for one in (*(one for one in exercise.criteria if one.topic), COMMANDS):
             kind = roslib.message.get_message_class(one.type)
-            if kind is None:
-                raise LabError(f"there is no type of messages '{one.type}'")
             rows: list[list[float]] = []
             # Two criteria with the same key get the same messages.
             self.record.messages[one.key] = rows

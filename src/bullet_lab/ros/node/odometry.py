@@ -9,8 +9,7 @@ from collections import deque
 from typing import Any, Callable, Generic, TypeVar
 
 import rospy
-import tf2_ros
-from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3
+from geometry_msgs.msg import PoseStamped, Vector3
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.pose import Pose
@@ -34,8 +33,6 @@ LATEST = 10.0
 # Wall seconds between two checks for a shutdown.
 SHUTDOWN_CHECK_SECONDS = 0.2
 _MILLISECOND = 1_000_000
-# s; tf2 ends the process if a stamp is as large: it means "no time" there.
-END_OF_TIME = 2**31 - 1
 # Wall seconds to wait for a missing transform.
 PATIENCE = 2.0
 # Likewise for the thread that drives, in lock step: simulated time does not advance meanwhile.
@@ -266,30 +263,6 @@ class FrameError(LabError):
     """There is no transform between two frames."""
 
 
-class CarefulBuffer(tf2_ros.Buffer):
-    """A buffer that ignores transforms that would end the process."""
-
-    def __init__(self):
-        super().__init__()
-        self._refusals = Refusals()
-
-    def set_transform(self, transform: TransformStamped, authority: str) -> None:
-        """Store a transform of /tf."""
-        if self._is_usable("/tf", transform):
-            super().set_transform(transform, authority)
-
-    def set_transform_static(self, transform: TransformStamped, authority: str) -> None:
-        """Store a transform of /tf_static."""
-        if self._is_usable("/tf_static", transform):
-            super().set_transform_static(transform, authority)
-
-    def _is_usable(self, topic: str, transform: TransformStamped) -> bool:
-        is_usable = transform.header.stamp.secs < END_OF_TIME
-        if not is_usable:
-            self._refusals.refuse(topic, "a stamp at the end of ROS time")
-        return is_usable
-
-
 class FrameFinder:
     """Transforms poses from one frame to another by the newest transforms of TF.
 
@@ -298,8 +271,10 @@ class FrameFinder:
     """
 
     def __init__(self):
+        # Imported late: the first job, squares, runs before tf2 is installed.
+        from bullet_lab.ros.node.tf_buffer import CarefulBuffer
+
         self._buffer = CarefulBuffer()
-        self._listener = tf2_ros.TransformListener(self._buffer)
 
     def clear(self) -> None:
         """Remove all transforms after a reset of time."""
@@ -338,9 +313,9 @@ class FrameFinder:
         deadline = time.monotonic() + patience
         while True:
             try:
-                found = self._buffer.lookup_transform(target, source, rospy.Time(0)).transform
+                found = self._buffer.newest(target, source)
                 return pose_of(found.translation, found.rotation)
-            except tf2_ros.TransformException as error:
+            except LookupError as error:
                 if time.monotonic() >= deadline or rospy.is_shutdown():
                     line = f"no transform from '{source}' to '{target}': {error}"
                     raise FrameError(line) from None

@@ -26,7 +26,6 @@ from typing import Any, Callable
 
 import numpy as np
 import rospy
-import tf2_ros
 from actionlib import ServerGoalHandle
 from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Vector3
@@ -259,7 +258,12 @@ class DockTopics:
         self._child = child
         self._pose = Publisher("~dock_pose", PoseStamped, queue_size=10)
         self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
-        self._tf = tf2_ros.TransformBroadcaster() if child else None
+        self._tf = None
+        if child:
+            # Imported late: recorders import this module before tf2 is installed.
+            import tf2_ros
+
+            self._tf = tf2_ros.TransformBroadcaster()
         self._shown: Any = None
 
     def publish(self, stamp: rospy.Time, frame: str, task: DockingTask) -> None:

@@ -26,6 +26,7 @@ from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.parameters import boolean, checked, text
+from bullet_lab.core.se2 import hypot
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
@@ -126,7 +127,7 @@ class TrackRobot:
     def _measure(self, msg: Odometry, x: float, y: float) -> None:
         distances = []
         for topics in self._topics.values():
-            dist = math.hypot(x - topics.beacon.x, y - topics.beacon.y)
+            dist = hypot(x - topics.beacon.x, y - topics.beacon.y)
             topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
             distances.append((topics.beacon, dist))
         if self._markers.get_num_connections() > 0:

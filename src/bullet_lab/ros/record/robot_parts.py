@@ -187,9 +187,9 @@ def drives_of(master: Master) -> list[str]:
     return [topic for topic, kind in master.subscribed.items() if kind == VELOCITIES]
 
 
-def described(name: str = "") -> DescribeModelsResponse:
+def described(name: str = "", with_picture: bool = False) -> DescribeModelsResponse:
     """Return the bridge's description of a model, or of all; raises NodeError."""
-    return call(SERVICE, DescribeModels, name)
+    return call(SERVICE, DescribeModels, name, with_picture)
 
 
 def find_robot(name: str, launched: Launched) -> ModelDescription:

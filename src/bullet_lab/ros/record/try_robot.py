@@ -3,8 +3,8 @@
 :ROS Parameters: see `TryRobotParameters`.
 :ROS Publishers: velocities (geometry_msgs/Twist), on the topic that the robot subscribes to
 :ROS Subscribers: all topics that the robot publishes
-:ROS Service clients: /bullet_lab/describe_models, /gazebo/get_model_state, spawn_sdf_model and
-    delete_model (a camera, for a picture of the robot), unpause_physics, and list_controllers
+:ROS Service clients: /bullet_lab/describe_models, /gazebo/get_model_state, unpause_physics, and
+    list_controllers
 
 Writes robot.md, robot.png, truth.tum, odom.tum and summary.json.
 """
@@ -17,28 +17,24 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Callable
+from typing import Any
 
-import numpy as np
 import roslib.message
 import rospy
 from geometry_msgs.msg import Twist
-from sensor_msgs.msg import Image
 
 from bullet_lab.core.parameters import number, text
-from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.robot import ODOMETRY, TRUTH, Leg, RobotReport
-from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.images import pixels_of
-from bullet_lab.ros.messages.poses import pose_message, pose_of
+from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.driving import StoppableSender
 from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
-from bullet_lab.ros.node.node import NodeError, holds_within, node
+from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
 from bullet_lab.ros.node.publishers import publisher, subscriber
 from bullet_lab.ros.record.recorder import RecordParameters
@@ -157,10 +153,9 @@ class Trial:
             raise NodeError(report.line(summary))
 
     def _photograph(self) -> None:
-        model = self._model()
-        box = [(corner.x, corner.y, corner.z) for corner in (model.least, model.greatest)]
         try:
-            self._report.picture = photograph(*box, self._rate.sleep, round(COMMANDS * STAND))
+            picture = described(self._name, with_picture=True).picture
+            self._report.picture = pixels_of(picture, "bgr8")
         except LabError as error:
             rospy.logwarn("continuing without a picture of the robot: %s", error)
 
@@ -279,76 +274,3 @@ def _class_of(kind: str) -> type:
     with contextlib.suppress(ImportError, ValueError):
         return roslib.message.get_message_class(kind) or rospy.AnyMsg
     return rospy.AnyMsg
-
-
-CAMERA_NAME = "bullet_lab_photographer"
-FIELD_OF_VIEW = 0.8
-# Direction from the middle of the model to the camera: ahead, left, up.
-DIRECTION = (0.72, 0.52, 0.46)
-# Distance in units of the half diagonal: the whole model is in the picture with some margin.
-DISTANCE = 1.25 / math.sin(0.5 * FIELD_OF_VIEW * 0.75)
-# Nothing nearer than this share of the distance is drawn, such as walls of narrow rooms.
-CLEARANCE = 0.5
-# m; half diagonal that is assumed for a model without size.
-SMALLEST = 0.1
-# Wall seconds for a connection, or a picture that has been taken.
-CAMERA_PATIENCE = 2.0
-CAMERA = """<sdf version="1.6"><model name="{name}"><static>true</static><link name="link">
-  <sensor name="camera" type="camera"><update_rate>2</update_rate><camera>
-    <horizontal_fov>{fov}</horizontal_fov>
-    <image><width>800</width><height>600</height><format>R8G8B8</format></image>
-    <clip><near>{near}</near><far>{far}</far></clip>
-  </camera>
-  <plugin name="camera" filename="libgazebo_ros_camera.so">
-    <cameraName>{name}</cameraName><imageTopicName>image_raw</imageTopicName>
-    <cameraInfoTopicName>camera_info</cameraInfoTopicName><frameName>{name}</frameName>
-    <robotNamespace>/</robotNamespace><samples>4</samples>
-  </plugin></sensor></link></model></sdf>"""
-
-
-def camera_pose(least: Vector, greatest: Vector) -> Pose:
-    """Return a pose from which a camera sees the whole of a box (m), looking along its x."""
-    middle = 0.5 * (np.array(least) + greatest)
-    away = distance_to(least, greatest) * np.array(DIRECTION) / np.linalg.norm(DIRECTION)
-    yaw = math.atan2(-away[1], -away[0])
-    pitch = math.atan2(away[2], math.hypot(away[0], away[1]))
-    return Pose.from_rpy(tuple((middle + away).tolist()), (0.0, pitch, yaw))
-
-
-def distance_to(least: Vector, greatest: Vector) -> float:
-    """Return the distance (m) of the camera from the middle of a box."""
-    half = 0.5 * float(np.linalg.norm(np.subtract(greatest, least)))
-    return DISTANCE * max(half, SMALLEST)
-
-
-def photograph(
-    least: Vector, greatest: Vector, wait: Callable[[], None], patience: int
-) -> np.ndarray | None:
-    """Take a picture of a box of the world (m) with a camera that is spawned for it.
-
-    Args:
-        least: lower corner of the box.
-        greatest: upper corner.
-        wait: lets a twentieth of a second of simulated time pass.
-        patience: how often that is called, so that the picture always takes the same time.
-
-    Returns:
-        The picture, (h, w, 3) uint8, BGR; None if none comes.
-    """
-    distance = distance_to(least, greatest)
-    near = CLEARANCE * distance
-    text = CAMERA.format(name=CAMERA_NAME, fov=FIELD_OF_VIEW, near=near, far=distance + 100.0)
-    pose = pose_message(camera_pose(least, greatest))
-    pictures: list[Image] = []
-    call("/gazebo/spawn_sdf_model", srv.SpawnModel, CAMERA_NAME, text, "/", pose, "world")
-    listener = subscriber(f"/{CAMERA_NAME}/image_raw", Image, pictures.append)
-    try:
-        holds_within(lambda: publishers_know_this_node(listener.resolved_name), CAMERA_PATIENCE)
-        for _ in range(patience):
-            wait()
-        holds_within(lambda: pictures, CAMERA_PATIENCE)
-    finally:
-        listener.unregister()
-        if not rospy.is_shutdown():
-            call("/gazebo/delete_model", srv.DeleteModel, CAMERA_NAME)
-    return pixels_of(pictures[0], "bgr8") if pictures else None

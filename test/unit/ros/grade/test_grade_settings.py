@@ -27,6 +27,20 @@ def test_what_cannot_be_graded_is_named(tmp_path, given, line):
         _run(tmp_path, settings, print)
 
 
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [("nav_msgs/Odometry", "pose.x"), ("nav_msgs/Odometry", "pose"), ("std_msgs/Flaot64", "data"),
+     ("Float64", "data"), ("std_msgs/String", "data")],
+)
+def test_a_field_that_is_no_number_is_named_before_anything_runs(tmp_path, kind, field):
+    file = tmp_path / "e.yaml"
+    limits = f"measure: topic_mean, topic: a, type: {kind}, field: {field}, at_most: 0"
+    file.write_text(f"criteria: [{{measure: contacts, at_most: 0}}, {{{limits}}}]")
+    line = f"^e.yaml: criterion 2: field '{field}' of type '{kind}': there is no such number$"
+    with pytest.raises(LabError, match=line):
+        _run(tmp_path, GradeSettings(exercise=str(file), submission="a"), print)
+
+
 def test_a_mark_is_kept_until_a_file_changes(tmp_path):
     exercise, folder = tmp_path / "e.yaml", tmp_path / "a"
     exercise.write_text("title: x")
