@@ -226,7 +226,11 @@ def _merge(base: Link, members: list[tuple[Link, Pose]]) -> Link:
         base,
         inertia=combine(inertias) if inertias else None,
         visuals=tuple(replace(v, pose=p * v.pose) for link, p in members for v in link.visuals),
-        collisions=tuple(replace(c, pose=p * c.pose) for link, p in members for c in link.collisions),
+        collisions=tuple(
+            replace(shape, pose=pose * shape.pose)
+            for link, pose in members
+            for shape in link.collisions
+        ),
         self_collide=any(link.self_collide for link, _ in members),
     )
 
