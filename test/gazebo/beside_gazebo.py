@@ -37,29 +37,26 @@ FIGURES = PACKAGE / "data" / "gazebo"
 OUT = Path("results/beside_gazebo")
 SENSORS = "sensors"
 HOLDS = (
-    "slide_0",
-    "push_1N_mu0",
-    "push_1N_mu0.5",
-    "push_6N_mu0.5",
-    "push_1N_aside",
+    "slide",
+    "push",
     "torque_z",
-    "push_block",
-    "slope20_mu0",
-    "slope35_mu0.5",
-    "drop_ball_none_floor_none",
-    "drop_ball_0.7_floor_0.7",
+    "slope",
+    "drop",
     "roll",
     "fall",
     "turn",
-    "turn_damping",
-    "turn_friction",
     "pendulum",
-    "pendulum_damping",
     "set_model_state",
     "block",
+    "cpmr_block",
+    "izz",
+    "sensor_robot",
     "camera_robot",
+    "burger",
+    "rover",
+    "four_wheels_soft",
 )
-"""Scenarios of which the tests demand that each figure is within its limit."""
+"""Beginnings of scenarios' names. The tests demand that each figure is within its limit."""
 
 Scene = Tuple[str, Played, Callable[[str], Optional[Allowed]]]
 """A scenario's name, what came of it, and what is allowed of each figure."""
@@ -72,7 +69,8 @@ os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(
 
 def names() -> List[str]:
     """Return the names of all scenarios."""
-    return [*TRIALS, *(drive.name for drive in DRIVES), SENSORS]
+    drives = [drive.name_at(heading) for drive in DRIVES for heading in drive.turned]
+    return [*TRIALS, *drives, SENSORS]
 
 
 def known() -> Dict[str, Played]:
@@ -82,15 +80,16 @@ def known() -> Dict[str, Played]:
 
 def play(
     wanted: Sequence[str] = (),
-    headings: Sequence[float] = (0.0,),
+    headings: Sequence[float] = (),
     start: Tuple[float, float] = (0.0, 0.0),
     stage: Stage | None = None,
     out: Path = OUT,
 ) -> Iterator[Scene]:
     """Play scenarios by the beginnings of their names, all if there are none.
 
-    Yields name, what came of it, and what is allowed. Without a stage, it is played in this
-    process, and only what needs no ROS. Pictures go to the folder `out`.
+    Yields name, what came of it, and what is allowed. Without headings, a drive has those at which
+    Gazebo's figures were recorded. Without a stage, it is played in this process, and only what
+    needs no ROS. Pictures go to the folder `out`.
     """
     direct = stage is None
     stage = stage or DirectStage()
@@ -100,10 +99,11 @@ def play(
             stage.clear()
             yield name, played, allowed_by_name(name).get
     for drive in DRIVES:
-        for heading in headings if _is_wanted(drive.name, wanted) else ():
-            name = drive.name + (f"@{heading:g}" if heading else "")
-            played = play_drive(drive, stage, heading, (*start, 0.0))
-            yield name, played, allowed_in_drive(drive).get
+        for heading in headings or drive.turned:
+            name = drive.name_at(heading)
+            if _is_wanted(name, wanted):
+                played = play_drive(drive, stage, heading, (*start, 0.0))
+                yield name, played, allowed_in_drive(drive).get
     if _is_wanted(SENSORS, wanted) and not direct:
         from beside_sensors import sensors
 
@@ -125,11 +125,11 @@ def rows_of(played: Sequence[Scene], known: Mapping[str, Played]) -> List[Row]:
     ]
 
 
-def check(*wanted: str, headings: Sequence[float] = (0.0,), show: bool = True) -> List[Row]:
+def check(*wanted: str, headings: Sequence[float] = (), show: bool = True) -> List[Row]:
     """Play scenarios in this process and return the rows; print those with a limit."""
     rows = rows_of(list(play(wanted, headings)), known())
     if show:
-        print(table(rows, bool(headings != (0.0,))))
+        print(table(rows, bool(headings)))
         print(summary(rows))
     return rows
 
@@ -158,7 +158,9 @@ def read_options(words: Sequence[str]) -> argparse.Namespace:
     """Read the command line; ends the program where it is wrong."""
     parser = argparse.ArgumentParser(prog="beside_gazebo.sh", description=(__doc__ or ""))
     parser.add_argument("--only", default="", help="beginnings of scenarios' names, with commas")
-    parser.add_argument("--headings", default="0", help="of the drives, degrees, with commas")
+    parser.add_argument(
+        "--headings", default="", help="of the drives, degrees, with commas, for the recorded ones"
+    )
     parser.add_argument("--start", default="0,0", help="of the drives: x,y in m")
     parser.add_argument("--direct", action="store_true", help="in this process, without ROS")
     parser.add_argument("--clock", action="store_true", help="run by /clock, as a Gazebo is run")
@@ -170,7 +172,7 @@ def read_options(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=OUT, help="folder for table and pictures")
     options = parser.parse_args(list(words))
     options.only = [word for word in options.only.split(",") if word]
-    options.headings = [float(word) for word in options.headings.split(",")]
+    options.headings = [float(word) for word in options.headings.split(",") if word]
     options.start = tuple(float(word) for word in options.start.split(","))
     if not any(_is_wanted(name, options.only) for name in names()):
         parser.error("no scenario has such a name; --list shows all")
@@ -201,7 +203,7 @@ def main(words: Sequence[str]) -> int:
     if options.record:
         write_figures(options.record, "recorded by beside_gazebo.sh", {n: p for n, p, _ in played})
     rows = rows_of(played, gazebo)
-    print(table(rows, options.all or options.headings != [0.0]))
+    print(table(rows, options.all or bool(options.headings)))
     print(summary(rows))
     if options.page and not problem:
         from beside_page import write_page

@@ -216,7 +216,10 @@ def arrived(topic: str) -> List[Any]:
     found = []
     for node in nodes:
         with xmlrpc.client.ServerProxy(master.lookupNode(node)) as slave:
-            found += [entry for entry in slave.getBusStats(CALLER)[2][1] if entry[0] == topic]
+            answer = slave.getBusStats(CALLER)
+            # Nodes in C++ leave out the status and its text.
+            incoming = (answer[2] if isinstance(answer[0], int) else answer)[1]
+            found += [entry for entry in incoming if entry[0] == topic]
     return found
 
 

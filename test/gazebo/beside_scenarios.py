@@ -125,8 +125,9 @@ SLIDES, ROLLS, SLIPS = "slides", "rolls", "slips"
 class Drive:
     """A robot and its legs. `changes` are made in its text; `moves` says in which way it moves.
 
-    `height` is that of its frame at rest (m), `heading` in degrees. So many of its motions are
-    judged by what all robots of its kind are allowed.
+    `height` is that of its frame at rest (m), `heading` in degrees; `turned` lists by how much that
+    heading was turned when Gazebo's figures were recorded. So many of its motions are judged by
+    what all robots of its kind are allowed.
     """
 
     name: str
@@ -137,6 +138,11 @@ class Drive:
     height: float = 0.0
     changes: Tuple[Tuple[str, str], ...] = ()
     judged: int = 99
+    turned: Tuple[float, ...] = (0.0,)
+
+    def name_at(self, heading: float) -> str:
+        """Return the name of its figures when its heading is turned by some degrees."""
+        return self.name + (f"@{heading:g}" if heading else "")
 
     def text(self) -> str:
         """Return the robot's URDF."""
@@ -216,6 +222,8 @@ _MODELS = "test/gazebo/models"
 _AHEAD = Leg(0.2, 0.0, 0.0, 5.0)
 _TURN = Leg(0.0, 0.0, 0.5, 5.0)
 _USUAL = (_AHEAD, stop(), _TURN, stop())
+_TWO = (0.0, 45.0)
+_ALL_ROUND = (0.0, 30.0, 45.0, 90.0)
 _SIDE = Leg(0.2, 0.0, 0.0, 10.0)
 _CORNER = Leg(0.0, 0.0, -0.5236, 3.4)
 _BLOCK = (_SIDE, _CORNER, stop(), Leg(0.2, 0.0, 0.3, 5.0), Leg(0.0, 0.2, 0.0, 2.0), stop())
@@ -223,11 +231,42 @@ _PLAIN = f"{_MODELS}/plain_block.urdf"
 _IZZ = 'izz="7.5e-3"'
 _LIFTED = (('xyz="0.15 0 -0.05"', 'xyz="0.15 0 0"'),)
 _TUTORIALS = "test/tutorials/urdf"
+_SOFT = (
+    "</robot>",
+    "".join(
+        f'<gazebo reference="{end}_{side}"><kp>1e6</kp><kd>1</kd></gazebo>'
+        for end in ("front", "back")
+        for side in ("left", "right")
+    )
+    + "</robot>",
+)
+_SQUARE = (_SOFT, ('xyz="0.12 ', 'xyz="0.2 '), ('xyz="-0.12 ', 'xyz="-0.2 '))
+
+
+def _four_wheels(name: str, *changes: Tuple[str, str], judged: int = 99) -> Drive:
+    return Drive(
+        name,
+        f"{_TUTORIALS}/four_wheels.urdf.xacro",
+        _USUAL,
+        SLIPS,
+        height=0.1,
+        changes=changes,
+        judged=judged,
+        turned=_ALL_ROUND,
+    )
+
+
+def _casters(name: str, *changes: Tuple[str, str]) -> Drive:
+    robot = f"{_MODELS}/casters.urdf.xacro"
+    legs = (_AHEAD,)
+    return Drive(name, robot, legs, ROLLS, 0.0, 0.1, changes, judged=0, turned=_TWO)
+
 
 DRIVES = (
     # Its turn is the report's, by a tag that Gazebo ignores.
     Drive("block", "urdf/block_robot.urdf", _BLOCK, SLIDES, judged=1),
-    Drive("cpmr_block", _PLAIN, _BLOCK, SLIDES),
+    # Its arc by planar_move rocks in Gazebo, in a cycle of two steps: chance decides where it ends.
+    Drive("cpmr_block", _PLAIN, _BLOCK, SLIDES, judged=2),
     Drive(
         "block45",
         _PLAIN,
@@ -241,19 +280,21 @@ DRIVES = (
     ),
     Drive("izz075", _PLAIN, (_SIDE, _CORNER) * 2, SLIDES, changes=((_IZZ, 'izz="0.075"'),)),
     Drive("sensor_robot", "urdf/sensor_robot.urdf", _USUAL, SLIDES),
-    Drive("camera_robot", "urdf/camera_robot.urdf", _USUAL, ROLLS),
-    Drive("burger", f"{_MODELS}/burger.urdf.xacro", _USUAL, ROLLS),
-    Drive("rover", f"{_TUTORIALS}/rover.urdf.xacro", _USUAL, ROLLS),
-    Drive("four_wheels", f"{_TUTORIALS}/four_wheels.urdf.xacro", _USUAL, SLIPS, height=0.1),
-    Drive("husky", f"{_MODELS}/husky.urdf.xacro", _USUAL, SLIPS, height=0.13228),
-    Drive("two_casters", f"{_MODELS}/casters.urdf.xacro", (_AHEAD,), ROLLS, height=0.1, judged=0),
+    Drive("camera_robot", "urdf/camera_robot.urdf", _USUAL, ROLLS, turned=_TWO),
+    Drive("burger", f"{_MODELS}/burger.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
+    Drive("rover", f"{_TUTORIALS}/rover.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
+    _four_wheels("four_wheels"),
+    _four_wheels("four_wheels_soft", _SOFT),
+    # Friction along and across balance: chance decides how far it turns.
+    _four_wheels("four_wheels_square", *_SQUARE, judged=1),
     Drive(
-        "rear_caster",
-        f"{_MODELS}/casters.urdf.xacro",
-        (_AHEAD,),
-        ROLLS,
-        height=0.1,
-        judged=0,
-        changes=_LIFTED,
+        "husky",
+        f"{_MODELS}/husky.urdf.xacro",
+        _USUAL,
+        SLIPS,
+        height=0.13228,
+        turned=_ALL_ROUND,
     ),
+    _casters("two_casters"),
+    _casters("rear_caster", *_LIFTED),
 )

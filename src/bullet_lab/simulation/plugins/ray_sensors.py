@@ -23,7 +23,7 @@ from bullet_lab.simulation.plugins.samples import (
     RangeSample,
     ShapeContact,
 )
-from bullet_lab.simulation.world.tree import LUMP
+from bullet_lab.simulation.world.urdf import LUMP
 
 LOG = logging.getLogger(__name__)
 

@@ -14,7 +14,6 @@ from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import (
     WORLD_LINK,
-    Collision,
     Inertia,
     Joint,
     Link,
@@ -35,8 +34,6 @@ HEAVIEST = 1e12
 RELATIVE_TOLERANCE = 1e-3
 # The radius in m of the ball that replaces a link without shapes.
 BALL = 0.05
-# Stands between the names of the remaining link and of a shape from a merged link.
-LUMP = "_fixed_joint_lump__"
 
 Links = Tuple[Link, ...]
 Joints = Tuple[Joint, ...]
@@ -174,12 +171,11 @@ def place_links(links: Links, joints: Joints) -> Links:
     return tuple(replace(link, pose=poses[link.name]) for link in links)
 
 
-def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
+def lump_fixed_joints(model: Model) -> Model:
     """Return a model with the links on fixed joints merged into their parents.
 
     A merged link gives its shapes, mass and inertia to the link that stays, and `frames` has its
-    pose there. With `rename`, the names of its shapes contain that of the link that stays. Links
-    on which gravity acts differently are not merged, unless they cannot move.
+    pose there. Links on which gravity acts differently are not merged, unless they cannot move.
     """
     fixed = {joint.child: joint for joint in model.joints if _merges(joint, model)}
     places = {link.name: _place(link.name, fixed) for link in model.links}
@@ -201,7 +197,7 @@ def lump_fixed_joints(model: Model, rename: bool = False) -> Model:
         joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
     return replace(
         model,
-        links=tuple(_merge(link, members[link.name], rename) for link in kept),
+        links=tuple(_merge(link, members[link.name]) for link in kept),
         joints=tuple(joints),
         frames=frames,
     )
@@ -224,18 +220,17 @@ def _place(name: str, fixed: dict[str, Joint]) -> tuple[str, Pose]:
     return name, pose
 
 
-def _merge(base: Link, members: list[tuple[Link, Pose]], rename: bool) -> Link:
-    def moved(shape: Collision, link: Link, pose: Pose) -> Collision:
-        is_renamed = rename and link.name != base.name
-        name = f"{base.name}{LUMP}{shape.name}" if is_renamed else shape.name
-        return replace(shape, pose=pose * shape.pose, name=name)
-
+def _merge(base: Link, members: list[tuple[Link, Pose]]) -> Link:
     inertias = [(link.inertia, pose) for link, pose in members if link.inertia is not None]
     return replace(
         base,
         inertia=combine(inertias) if inertias else None,
         visuals=tuple(replace(v, pose=p * v.pose) for link, p in members for v in link.visuals),
-        collisions=tuple(moved(c, link, p) for link, p in members for c in link.collisions),
+        collisions=tuple(
+            replace(shape, pose=pose * shape.pose)
+            for link, pose in members
+            for shape in link.collisions
+        ),
         self_collide=any(link.self_collide for link, _ in members),
     )
 

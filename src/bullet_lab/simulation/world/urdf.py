@@ -56,6 +56,8 @@ LONGEST_MESSAGE = 300
 # Digits of a sensor's numbers: Gazebo converts URDF to SDF, and writes that with so many.
 SENSOR_DIGITS = 6
 
+# Stands between the names of a link and of a shape that had another name.
+LUMP = "_fixed_joint_lump__"
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
 # Gazebo makes no joint of these: their child links are free.
 LOOSE_JOINTS = ("floating", "planar")
@@ -196,7 +198,7 @@ def _model(root: _UrdfTag) -> Model:
         for plugin in plugins_in(gazebo, gazebo.get("reference", ""))
     )
     robot = Model(root.name or "robot", links, joints, plugins, static=tags.static)
-    return tags.apply_gravity(lump_fixed_joints(robot, rename=True))
+    return tags.apply_gravity(lump_fixed_joints(robot))
 
 
 def _shorten_numbers(element: Element) -> None:
@@ -257,11 +259,15 @@ def _joint(tag: _UrdfTag) -> Joint:
 
 
 def _with_collision_names(link: Link) -> Link:
-    """Return a link whose collisions have the names that Gazebo gives: link_collision_1."""
+    """Return a link whose collisions have the names that Gazebo gives: link_collision_1.
+
+    Those of merged links, and those with names of their own, have LUMP in their names.
+    """
     collisions = []
     for number, shape in enumerate(link.collisions):
         suffix = f"_{number}" if number else ""
-        collisions.append(replace(shape, name=f"{shape.name}_collision{suffix}"))
+        name = shape.name if shape.name == link.name else f"{link.name}{LUMP}{shape.name}"
+        collisions.append(replace(shape, name=f"{name}_collision{suffix}"))
     return replace(link, collisions=tuple(collisions))
 
 

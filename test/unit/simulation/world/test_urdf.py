@@ -57,6 +57,20 @@ def test_the_block_robot(block_model):
     assert states.tags == {"updateRate": "20.0"}
 
 
+def test_names_of_shapes_are_gazebos(package):
+    camera_robot = read_urdf_file(package / "urdf" / "camera_robot.urdf")
+    lump = "_fixed_joint_lump__"
+    assert [shape.name for link in camera_robot.links[:2] for shape in link.collisions] == [
+        f"base_footprint{lump}base_link_collision",
+        f"base_footprint{lump}can_link_collision_1",
+        f"base_footprint{lump}caster_link_collision_2",
+        f"left_wheel{lump}tread_collision",
+        f"left_wheel{lump}rim_collision_1",
+    ]
+    beacon = read_urdf_file(package / "urdf" / "beacon.urdf")
+    assert [shape.name for shape in beacon.links[0].collisions] == ["base_link_collision"]
+
+
 def test_shapes_origins_colours_and_names(package):
     model = read_urdf(
         robot(
