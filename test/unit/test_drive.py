@@ -19,12 +19,12 @@ from bullet_lab.drive import (
     SquareDriver,
     open_loop_side,
 )
-from bullet_lab.simulation.plugins.mobile_base import PUBLISHED_RADIUS, SupportPatch
+from bullet_lab.simulation.plugins.mobile_base import SupportPatch
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
-BLOCK = SupportPatch(1.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)
-ICE = SupportPatch(0.0, PUBLISHED_RADIUS, 4.51, 7.5125e-3)
+BLOCK = SupportPatch(1.0, 0.0102, 4.51, 7.5125e-3)
+ICE = SupportPatch(0.0, 0.0102, 4.51, 7.5125e-3)
 PERIOD = 0.05
 
 
