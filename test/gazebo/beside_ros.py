@@ -81,10 +81,10 @@ class RosStage(Stage):
         self._steps = is_there(STEP) and not by_clock
         rospy.ServiceProxy("/gazebo/pause_physics", Empty)()
         if not self._steps:
-            self._clock = _Clock()
             self._rate = self._set_rate(SLOW_RATE)
             # A step too many in one run is one less in the next.
             self._until = self.now()
+            self._clock = _Clock(self._until)
 
     def spawn(self, text: str, pose: Pose) -> str:
         self._spawned += 1
@@ -107,6 +107,8 @@ class RosStage(Stage):
             else:
                 self.call("delete_model", srv.DeleteModel, name)
         self._models.clear()
+        if not self._steps:
+            self._until = self.now()
 
     def _put_aside(self, name: str) -> None:
         x, y, z = self.state(name).pose.position
@@ -152,6 +154,8 @@ class RosStage(Stage):
             self.call(STEP, Step, steps)
             return
         self._until += seconds
+        if self._clock.now >= self._until - HALF_STEP:
+            return
         self.call("unpause_physics", Empty)
         self._clock.wait(self._until - HALF_STEP, SLOWEST * max(seconds, 1.0))
         self.call("pause_physics", Empty)
@@ -191,21 +195,21 @@ class RosStage(Stage):
 class _Clock:
     """Simulated time as /clock has it."""
 
-    def __init__(self):
+    def __init__(self, now: float):
         self._changed = threading.Condition()
-        self._now = 0.0
-        self._subscriber = rospy.Subscriber("/clock", Clock, self._take, tcp_nodelay=True)
+        self.now = now
+        subscriber = rospy.Subscriber("/clock", Clock, self._take, tcp_nodelay=True)
+        _wait(subscriber.get_num_connections, "nobody sends /clock")
 
     def _take(self, message: Clock) -> None:
         with self._changed:
-            self._now = message.clock.to_sec()
+            self.now = message.clock.to_sec()
             self._changed.notify_all()
 
     def wait(self, until: float, seconds: float) -> None:
         """Wait until simulated time has reached `until`, at most for some wall seconds."""
         with self._changed:
-            self._now = 0.0
-            if not self._changed.wait_for(lambda: self._now >= until, seconds):
+            if not self._changed.wait_for(lambda: self.now >= until, seconds):
                 raise StageError(f"/clock did not reach {until:.3f} s in {seconds:.0f} s")
 
 
