@@ -295,7 +295,7 @@ class TutorialsTest(unittest.TestCase):
         expect = self.check("bumper_and_sonar.py")
         expect("sonar", "1", 1e-2)
         expect("ultrasound", "True")
-        expect("touches", "post::post::post_collision_collision ground_plane::link::collision")
+        expect("touches", "post::post::post_fixed_joint_lump__post_collision_collision ground_plane::link::collision")
         expect("weight", "98", 5.0)
 
     def test_differential_drive_and_joint_states(self):
