@@ -32,13 +32,16 @@ NAMES = (
     ("odom", "noisy_odom"),
     *product(("truth", "groundtruth", "ground_truth"), ("odom", "odometry")),
 )
-"""Ends of the names of the two files of a recording, truth first; the rest is the same."""
+"""Ends of the names of the two files of a recording, truth first; the rest is the same.
+
+Capital letters do not matter.
+"""
 
 TRUTH_PREFIXES = ("truth_", "ground_truth_", "")
 ODOMETRY_PREFIXES = ("noisy_", "odom_", "odometry_", "")
 """Prefixes of the columns x, y and yaw of a table with both paths; the first match counts."""
 
-_SUFFIXES = (".tum", ".txt", ".csv")
+_SUFFIXES = (".tum", ".txt", ".dat", ".csv")
 _STEPS_AT_A_TIME = 50_000
 _COMMANDS = (
     (0.2, 0.0, 10.0),
@@ -176,7 +179,7 @@ def _prefixes(path: Path) -> Optional[Tuple[str, str]]:
 
 
 def _pairs(files: Sequence[Path]) -> Iterator[Tuple[Path, Path]]:
-    by_stem: Dict[str, Path] = {file.stem: file for file in files if file.suffix in _SUFFIXES}
+    by_stem = {file.stem.lower(): file for file in files if file.suffix in _SUFFIXES}
     taken = set()
     for truth, odometry in NAMES:
         for stem in sorted(by_stem):

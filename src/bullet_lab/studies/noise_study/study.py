@@ -272,6 +272,8 @@ def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tel
     if perfect.path:
         source = str(Path(perfect.base) / perfect.path)
         trajectory = read_path(Path(source), perfect.topic)
+        if trajectory.remark:
+            tell(f"{source}: {trajectory.remark}")
     else:
         source = "the report's square, simulated"
         trajectory = simulated_square(perfect.laps)
