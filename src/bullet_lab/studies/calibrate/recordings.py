@@ -203,6 +203,7 @@ class DriveSettings(noise_parameters(), SystematicErrors):
     base_error: float = _error("base_error", -0.02)
     diameter_error: float = _error("diameter_error", 0.004)
     gyro_bias_per_metre: float = _error("gyro_bias_per_metre", 0.01)
+    way_per_turn: float = _error("way_per_turn", 0.01)
     model: str = choice("probabilistic", "noise model of the made-up drive", MODELS)
     rate: float = number(5.0, "Hz of its odometry", above=0.0, maximum=1000.0)
     laps: int = integer(3, "of it, 39 s and 6.3 m each", 1, 1000)

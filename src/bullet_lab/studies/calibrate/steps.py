@@ -83,7 +83,7 @@ class Steps:
         odometry: the same by the odometry, shape (n, 3).
         follows: whether each begins at the end of the one before, shape (n,).
         seconds: duration of each, shape (n,).
-        resting: number of other steps, in which the robot was at rest.
+        resting: number of other steps, in which the robot was at rest: they are parts of the next.
         gaps: number of steps over a gap.
         unseen: number of the resting steps in which the truth moved.
         truth_std_m: standard deviation of the truth's position.
@@ -216,17 +216,22 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     true = se2.between(true_poses[first], true_poses[last])
     reported = se2.between(poses[first], poses[last])
     still = np.any([(np.abs(one) < _STILL).all(axis=1) for one in (true, reported)], axis=0)
+    unseen = still & (np.hypot(true[:, 0], true[:, 1]) > _SLIP)
     moving = np.flatnonzero(~still)
+    # A rest belongs to the step after it, as the robot may come to a stop unseen.
+    apart = np.cumsum(unseen | (first != np.concatenate(([-1], last[:-1]))))[moving]
     follows = np.zeros(len(moving), dtype=bool)
-    follows[1:] = first[moving[1:]] == last[moving[:-1]]
+    follows[1:] = apart[1:] == apart[:-1]
+    first, last = first[moving], last[moving]
+    first[1:] = np.where(follows[1:], last[:-1], first[1:])
     return Steps(
-        true=true[moving],
-        odometry=reported[moving],
+        true=se2.between(true_poses[first], true_poses[last]),
+        odometry=se2.between(poses[first], poses[last]),
         follows=follows,
-        seconds=(stamps[last] - stamps[first])[moving],
+        seconds=stamps[last] - stamps[first],
         resting=int(still.sum()),
         gaps=int(broken.sum()),
-        unseen=int((still & (np.hypot(true[:, 0], true[:, 1]) > _SLIP)).sum()),
+        unseen=int(unseen.sum()),
         truth_std_m=std_m,
         truth_std_rad=std_rad,
         remarks=tuple(f"{recording.name}: {remark}" for remark in remarks),
