@@ -8,7 +8,8 @@ to the next: with their variances V and the slopes J of the end,
     M = dispersion (moments of the noise + J `OWN` V J').
 
 `OWN` is 2, as the stretch that is predicted has errors of its own. The dispersion is that for which
-95 % of the ends are within their regions, for the length for which it is largest: errors of a
+95 % of the ends are within their regions (more of few ends, as in conformal prediction: of n
+windows the share 0.95 (1 + 1/n)), for the length for which it is largest: errors of a
 few metres are often larger than steps show, as they are neither independent nor Gaussian.
 
 A prediction is judged by the mean logarithm of its density at the reported end: the more, the
@@ -127,7 +128,10 @@ def judged(found: Sequence[Tuple[Windows, np.ndarray]]) -> Prediction:
     dispersion = 1.0
     for group in groups:
         squares = np.concatenate([one.squares(v)[0] for one, v in group])
-        dispersion = max(dispersion, float(np.quantile(squares, LEVEL)) / INSIDE)
+        # With few windows the next one is more often beyond their quantile than 1 - LEVEL.
+        apart = sum(int(one.apart.sum()) for one, _ in group)
+        level = min(1.0, LEVEL * (1.0 + 1.0 / apart))
+        dispersion = max(dispersion, float(np.quantile(squares, level)) / INSIDE)
     return Prediction(dispersion, tuple(_score(group, dispersion) for group in groups))
 
 

@@ -18,6 +18,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_parameters, rule_of
+from bullet_lab.noise.presets import preset, with_preset
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.spread import SpreadPath, SystematicSpread
 from bullet_lab.noise.systematic import SystematicErrors
@@ -109,6 +110,7 @@ class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread):
 
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
     model: str = choice("report", "rule of the noise", MODELS)
+    noise: str = preset()
     mode: str = choice(OPEN_LOOP, "condition that ends a side", MODES)
     as_published: bool = boolean(False, "apply the report's noise with all its defects")
 
@@ -150,6 +152,7 @@ def _noise(
 
     With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
     """
+    settings = with_preset(settings)
     spread = SystematicSpread.of(settings)
     errors = SpreadPath(SystematicErrors.of(settings), spread, settings.seed)
     path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)

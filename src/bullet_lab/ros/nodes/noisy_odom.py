@@ -36,6 +36,7 @@ from bullet_lab.noise.odometry_noise import (
     noise_parameters,
     rule_of,
 )
+from bullet_lab.noise.presets import preset, with_preset
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.spread import SpreadPath, SystematicSpread
 from bullet_lab.noise.systematic import SystematicErrors, SystematicStep
@@ -59,6 +60,7 @@ class NoisyOdomParameters(noise_parameters(), SystematicErrors, SystematicSpread
     """
 
     model: str = choice("report", "rule of the noise", MODELS)
+    noise: str = preset()
     seed: int = integer(0, "of the random draws", minimum=0)
     robots: int = integer(
         0, "serve robot1 … robot<n>, each with a seed of its own derived from ~seed", 0, MOST_ROBOTS
@@ -78,6 +80,7 @@ class NoisyOdometry:
     """
 
     def __init__(self, parameters: NoisyOdomParameters, namespace: str = ""):
+        parameters = with_preset(parameters)
         self.std = parameters.std
         self.msg: Odometry | None = None
         self.last_odom: Odometry | None = None
