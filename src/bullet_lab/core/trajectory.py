@@ -15,7 +15,7 @@ from bullet_lab.errors import LabError
 CSV_HEADER = "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"
 """First line of a file of two paths; s, m and rad."""
 
-_TUM_COLUMNS = 8
+_COLUMNS = (8, 4, 3)
 
 
 class TrajectoryError(LabError):
@@ -29,6 +29,7 @@ class Trajectory:
     Attributes:
         stamps: s, strictly increasing, shape (n,).
         poses: x (m), y (m) and yaw (rad), finite, shape (n, 3).
+        remark: what was left out as the file was read; empty if nothing was.
 
     Raises:
         TrajectoryError: a shape or a value is wrong.
@@ -36,6 +37,7 @@ class Trajectory:
 
     stamps: np.ndarray
     poses: np.ndarray
+    remark: str = ""
 
     def __post_init__(self):
         object.__setattr__(self, "stamps", _read_only(self.stamps))
@@ -92,9 +94,11 @@ def tum_row(stamp: float, x: float, y: float, yaw: float) -> str:
 
 
 def read_tum(path: str | PathLike) -> Trajectory:
-    """Read a trajectory from a TUM file, without height, roll and pitch.
+    """Read a trajectory from a text file with 8, 4 or 3 columns.
 
-    Empty lines and those that begin with # are skipped.
+    They are those of TUM, without height, roll and pitch; stamp, x, y and yaw; or stamp, speed
+    (m/s) and turn rate (rad/s), as of `integrated`. Empty lines and those that begin with # are
+    skipped. Of poses with the same stamp the first is kept, and the remark counts the others.
 
     Raises:
         TrajectoryError: the file cannot be read or is invalid; the message names the line.
@@ -106,18 +110,23 @@ def read_tum(path: str | PathLike) -> Trajectory:
         raise TrajectoryError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise TrajectoryError(f"cannot read {path}: it is not a text file") from None
-    rows = []
+    lines = [(number, words) for number, words in lines if words and not words[0].startswith("#")]
+    count = len(lines[0][1]) if lines else _COLUMNS[0]
+    needed = str(count) if count in _COLUMNS else " or ".join(map(str, _COLUMNS))
+    rows, places = [], []
     for number, words in lines:
-        if not words or words[0].startswith("#"):
-            continue
-        where = f"{path}, line {number}"
-        if len(words) != _TUM_COLUMNS:
-            raise TrajectoryError(f"{where}: {_TUM_COLUMNS} values needed, not {len(words)}")
-        stamp, x, y, _, *quaternion = finite_numbers(words, where)
-        if not any(quaternion):
-            raise TrajectoryError(f"{where}: the quaternion is zero")
-        rows.append((stamp, x, y, yaw_from_quaternion(*quaternion)))
-    return trajectory_of(rows, path)
+        places.append(f"line {number}")
+        where = f"{path}, {places[-1]}"
+        if len(words) != count or count not in _COLUMNS:
+            raise TrajectoryError(f"{where}: {needed} values needed, not {len(words)}")
+        values = finite_numbers(words, where)
+        if len(values) == _COLUMNS[0]:
+            stamp, x, y, _, *quaternion = values
+            if not any(quaternion):
+                raise TrajectoryError(f"{where}: the quaternion is zero")
+            values = [stamp, x, y, yaw_from_quaternion(*quaternion)]
+        rows.append(values)
+    return trajectory_of(rows, path, places)
 
 
 def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
@@ -131,17 +140,58 @@ def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
     return values
 
 
-def trajectory_of(rows: Sequence[Sequence[float]], path: str | PathLike) -> Trajectory:
-    """Return the trajectory of rows of stamp (s), x, y (m) and yaw (rad).
+def trajectory_of(
+    rows: Sequence[Sequence[float]], path: str | PathLike, places: Sequence[str]
+) -> Trajectory:
+    """Return the trajectory of rows of a file.
+
+    Args:
+        rows: stamp (s), x, y (m) and yaw (rad), or stamp, speed (m/s) and turn rate (rad/s). Of
+            those with the same stamp the first is kept.
+        path: the file.
+        places: of the rows in it, in words.
 
     Raises:
-        TrajectoryError: they are invalid; the message names their file.
+        TrajectoryError: they are invalid; the message names their file, and the place.
     """
-    table = np.array(rows, dtype=float).reshape(-1, 4)
+    table = np.array(rows, dtype=float).reshape(len(rows), -1 if rows else 4)
+    waits = np.diff(table[:, 0], prepend=-np.inf)
+    again = waits == 0.0
+    where, remark = str(path), ""
+    if (waits < 0.0).any():
+        where = f"{path}, {places[int(np.argmax(waits < 0.0))]}"
+    elif again.any():
+        remark = (
+            f"{again.sum()} with the stamp of the one before left out, "
+            f"the first in {places[int(np.argmax(again))]}"
+        )
+    table = table[~again]
     try:
-        return Trajectory(table[:, 0], table[:, 1:])
+        poses = table[:, 1:] if table.shape[1] == 4 else integrated(*table.T)
+        return Trajectory(table[:, 0], poses, remark)
     except TrajectoryError as error:
-        raise TrajectoryError(f"{path}: {error}") from None
+        raise TrajectoryError(f"{where}: {error}") from None
+
+
+def integrated(stamps: np.ndarray, speed: np.ndarray, turn_rate: np.ndarray) -> np.ndarray:
+    """Return the poses (m, m, rad) if each velocity is held until the next stamp, (n, 3).
+
+    Args:
+        stamps: s, shape (n,).
+        speed: m/s, shape (n,).
+        turn_rate: rad/s, counter-clockwise > 0, shape (n,).
+
+    >>> integrated(np.array([0.0, 2.0, 3.0]), np.ones(3), np.array([0.0, np.pi, 0.0])).round(3)
+    array([[ 0.   ,  0.   ,  0.   ],
+           [ 2.   ,  0.   ,  0.   ],
+           [ 2.   ,  0.637, -3.142]])
+    """
+    seconds = np.diff(stamps)
+    turns = turn_rate[:-1] * seconds
+    heading = np.cumsum(turns)
+    moves = speed[:-1] * seconds * np.sinc(turns / math.tau) * np.exp(1j * (heading - 0.5 * turns))
+    places = np.concatenate(([0j], np.cumsum(moves)))
+    return np.column_stack((places.real, places.imag, wrap(np.concatenate(([0.0], heading)))))
 
 
 class MetricsError(LabError):

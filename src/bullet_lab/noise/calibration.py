@@ -21,14 +21,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Dict, Iterator, Sequence, Tuple
+from typing import Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
 from scipy.stats import chi2
 
 from bullet_lab.noise.likelihood import SYSTEMATIC, Problem
 
-__all__ = ["SYSTEMATIC", "Fit", "Problem", "covariance", "fit", "intervals", "profile"]
+__all__ = [
+    "SYSTEMATIC",
+    "Fit",
+    "Problem",
+    "covariance",
+    "fit",
+    "intervals",
+    "on_limit",
+    "profile",
+]
 
 INTERVAL = 0.95
 ROOT = math.sqrt(chi2.ppf(INTERVAL, 1))
@@ -78,10 +87,6 @@ class Fit(Optimum):
     names: Tuple[str, ...]
     estimates: np.ndarray
 
-    def aic(self) -> np.ndarray:
-        """Return Akaike's criterion, shape (b,): less is better."""
-        return 2.0 * (len(self.names) - self.log_likelihood)
-
     def values(self, row: int = 0) -> Dict[str, float]:
         """Return the estimates of one of the odometries by name."""
         return dict(zip(self.names, self.estimates[row].tolist()))
@@ -105,6 +110,13 @@ def fit(problem: Problem) -> Fit:
         problem.names,
         np.where(is_zero, 0.0, problem.values(best.coordinates)),
     )
+
+
+def on_limit(problem: Problem, found: Fit) -> List[str]:
+    """Return the parameters of one odometry whose estimate is the largest or least possible one."""
+    reached = np.abs(found.coordinates[0]) >= np.abs(problem.high) - 1e-9
+    beyond = reached & (~problem.logarithmic | (found.coordinates[0] > 0.0))
+    return [name for name, is_there in zip(found.names, beyond) if is_there]
 
 
 def intervals(problem: Problem, found: Fit) -> np.ndarray:

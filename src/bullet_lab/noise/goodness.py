@@ -15,14 +15,14 @@ depend on n.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import List
 
 import numpy as np
 from scipy.special import ndtr
 
 from bullet_lab.noise.calibration import Fit, Problem, fit
-from bullet_lab.noise.likelihood import PARTS, StepPairs, part_errors
+from bullet_lab.noise.likelihood import PARTS, LongErrors, Shares, StepPairs, part_errors
 from bullet_lab.noise.odometry_noise import NoiseRule, line_of_travel, rule_of
 
 SIGNIFICANCE = 0.05
@@ -119,22 +119,27 @@ def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> np.ndarray:
 
 
 def drawn_pairs(
-    true, rule: NoiseRule, generator: np.random.Generator, count: int, expected=None, **truth
+    pairs: StepPairs, rule: NoiseRule, generator: np.random.Generator, count: int, expected=None
 ) -> StepPairs:
     """Draw odometries whose `whitened` errors are standard normal.
 
     Args:
-        true: the true steps, shape (n, 3).
+        pairs: with the true steps, n of them.
         rule: the noise rule.
         generator: of the normal draws, three for each step.
         count: how many odometries.
         expected: steps without noise, shape (n, 3); the true ones by default.
-        truth: truth_std_m and truth_std_rad as of `StepPairs`.
     """
-    expected = true if expected is None else expected
-    errors = part_errors(StepPairs(true, expected[np.newaxis], **truth), expected)
+    expected = pairs.true if expected is None else expected
+    if pairs.within is not None:
+        errors = LongErrors.of(pairs, expected[np.newaxis], Shares.of(pairs.within))
+        roots = np.linalg.cholesky(errors.covariance(rule))
+        draws = generator.standard_normal((count, len(expected), 3, 1))
+        added = (roots @ draws)[..., 0]
+        return replace(pairs, odometry=expected + added[..., [1, 0, 2]])
+    errors = part_errors(replace(pairs, odometry=expected[np.newaxis]), expected)
     _, variance = errors.residuals(rule)
-    draws = generator.standard_normal((count, len(true), 3)) * np.sqrt(variance)
+    draws = generator.standard_normal((count, len(expected), 3)) * np.sqrt(variance)
     moved = errors.lever * rule.variances(*errors.parts)[0]
     turned = draws[..., 2] + moved / (errors.lever * moved + errors.floor[0]) * draws[..., 0]
     direction, trans = line_of_travel(expected[:, 0], expected[:, 1])
@@ -142,7 +147,7 @@ def drawn_pairs(
         direction = direction + np.where(errors.lever > 0.0, draws[..., 0] / errors.lever, 0.0)
     trans = trans + draws[..., 1]
     steps = (trans * np.cos(direction), trans * np.sin(direction), expected[:, 2] + turned)
-    return StepPairs(true, np.stack(steps, axis=-1), **truth)
+    return replace(pairs, odometry=np.stack(steps, axis=-1))
 
 
 def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Goodness:
@@ -175,9 +180,12 @@ def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Go
 
 
 def _whitened(problem: Problem, found: Fit) -> np.ndarray:
-    return whitened(
-        problem.pairs, problem.rule(found.estimates), problem.expected(found.estimates)
-    )
+    values = found.estimates
+    rule, expected = problem.rule(values), problem.expected(values)
+    if problem.pairs.within is None:
+        return whitened(problem.pairs, rule, expected)
+    error, variance = problem.step_errors(values, np.arange(len(values))).residuals(rule)
+    return error / np.sqrt(variance)
 
 
 def _replicas(problem: Problem, found: Fit, seed: int):
@@ -187,14 +195,14 @@ def _replicas(problem: Problem, found: Fit, seed: int):
     chosen = np.arange(len(pairs.true))
     if len(chosen) > _MAX_STEPS:
         chosen = np.sort(generator.choice(chosen, _MAX_STEPS, replace=False))
+    values = problem.values(found.coordinates)
+    within = None if pairs.within is None else pairs.within[chosen]
     drawn = drawn_pairs(
-        pairs.true[chosen],
+        replace(pairs, true=pairs.true[chosen], within=within),
         rule_of(found.model, found.values()),
         generator,
         _REPLICAS,
-        problem.expected(problem.values(found.coordinates))[0][chosen],
-        truth_std_m=pairs.truth_std_m,
-        truth_std_rad=pairs.truth_std_rad,
+        problem.expected(values)[0][chosen],
     )
     again = Problem(
         drawn, found.model, problem.systematic, problem.wheel_base, found.coordinates[0]

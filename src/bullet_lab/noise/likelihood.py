@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass, replace
-from typing import Optional, Sequence, Tuple
+from typing import Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -40,17 +40,30 @@ from bullet_lab.noise.odometry_noise import (
     line_of_travel,
     model_named,
 )
-from bullet_lab.noise.systematic import LARGEST_BIAS, LARGEST_ERROR, SystematicErrors
+from bullet_lab.noise.systematic import (
+    LARGEST_BIAS,
+    LARGEST_ERROR,
+    LARGEST_LOSS,
+    SystematicErrors,
+    end_of,
+)
 
 RESOLUTION = 1e-9
 """m and rad; standard deviation of the truth's poses by default."""
 
 PARTS = ("rot1", "trans", "rot2")
 
-SYSTEMATIC = ("scale_error", "base_error", "diameter_error", "gyro_bias_per_metre")
+SYSTEMATIC = (
+    *("scale_error", "base_error", "diameter_error"),
+    *("gyro_bias_per_metre", "way_per_turn"),
+)
 """Those of `SystematicErrors` that a path determines; its wheel_base has to be known."""
 
-_LARGEST = {**dict.fromkeys(SYSTEMATIC, LARGEST_ERROR), "gyro_bias_per_metre": LARGEST_BIAS}
+_LARGEST = {
+    **dict.fromkeys(SYSTEMATIC, LARGEST_ERROR),
+    "gyro_bias_per_metre": LARGEST_BIAS,
+    "way_per_turn": LARGEST_LOSS,
+}
 # The limit of an estimate is the largest multiple that is less than the largest parameter.
 _LIMIT_STEP = 1e6 / 2.0**60
 _LEVELS = np.geomspace(1e-6, 10.0, 36)
@@ -73,12 +86,15 @@ class StepPairs:
         odometry: the same as the odometries report it, shape (b, n, 3).
         truth_std_m: standard deviation of the truth's position, on each axis, > 0.
         truth_std_rad: standard deviation of the truth's heading, > 0.
+        within: the shorter true steps that each consists of, filled up with zeros, shape
+            (n, m, 3), if they are known.
     """
 
     true: np.ndarray
     odometry: np.ndarray
     truth_std_m: float = RESOLUTION
     truth_std_rad: float = RESOLUTION
+    within: Optional[np.ndarray] = None
 
     def some(self, rows) -> StepPairs:
         """Return some of the odometries, by their indices."""
@@ -164,6 +180,80 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """What each unit of a random walk's variances does to the end of a long step, (n, 3, 3).
+
+    Order and frame are those of `LongErrors`.
+
+    Attributes:
+        ways: by the variance of 1 m² per metre of the translations.
+        headings: by the variance of 1 rad² per metre of the headings.
+        turns: by the variance of 1 rad² per radian of the headings.
+    """
+
+    ways: np.ndarray
+    headings: np.ndarray
+    turns: np.ndarray
+
+    @classmethod
+    def of(cls, within: np.ndarray) -> Shares:
+        """Return those of long steps that consist of shorter ones, (n, m, 3)."""
+        heading = np.cumsum(within[..., 2], axis=1) - within[..., 2]
+        moves = (within[..., 0] + 1j * within[..., 1]) * np.exp(1j * heading)
+        way, angle = np.abs(moves), np.abs(within[..., 2])
+        places = np.cumsum(moves, axis=1)
+        # A turn in the middle of a short step swings the rest of the long one.
+        rest = places[:, -1:] - (places - 0.5 * moves)
+        levers = np.stack((rest.real, -rest.imag, np.ones(rest.shape)), axis=-1)
+        along = moves / np.where(way > 0.0, way, 1.0)
+        along = np.stack((along.imag, along.real, np.zeros(along.shape)), axis=-1)
+        pairs = ((along, way), (levers, way), (levers, angle))
+        return cls(*(np.einsum("nmi,nmj,nm->nij", one, one, size) for one, size in pairs))
+
+
+@dataclass(frozen=True, eq=False)
+class LongErrors:
+    """Errors at the ends of steps that consist of shorter ones, for a random walk.
+
+    Attributes:
+        error: aside (m), ahead (m) and turned (rad), in the frame of the begin, (b, n, 3).
+        shares: of the variances.
+        floor: variances of these errors from the truth's own, (3,).
+    """
+
+    error: np.ndarray
+    shares: Shares
+    floor: np.ndarray
+
+    @classmethod
+    def of(cls, pairs: StepPairs, expected: np.ndarray, shares: Shares) -> LongErrors:
+        """Compare odometries with steps without noise, (b, n, 3)."""
+        difference = pairs.odometry - expected
+        turned = wrap(difference[..., 2])
+        error = np.stack((difference[..., 1], difference[..., 0], turned), axis=-1)
+        stds = np.array((pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad))
+        return cls(error, shares, 2.0 * stds * stds)
+
+    def covariance(self, rule: NoiseRule) -> np.ndarray:
+        """Return the covariances by a random walk with parameters of shape (b, 1), (b, n, 3, 3)."""
+        (on_ways, moved), (in_turns, _) = rule.walked(1.0, 0.0), rule.walked(0.0, 1.0)
+        rows = (
+            (moved, self.shares.ways),
+            (on_ways, self.shares.headings),
+            (in_turns, self.shares.turns),
+        )
+        every = (np.asarray(size)[..., np.newaxis, np.newaxis] * share for size, share in rows)
+        return sum(every) + np.diag(self.floor)
+
+    def residuals(self, rule: NoiseRule) -> Tuple[np.ndarray, np.ndarray]:
+        """Return independent errors and their variances, as `PartErrors` does, (b, n, 3)."""
+        root = np.linalg.cholesky(self.covariance(rule))
+        size = np.diagonal(root, axis1=-2, axis2=-1)
+        whitened = np.linalg.solve(root, self.error[..., np.newaxis])[..., 0]
+        return whitened * size, np.broadcast_to(size * size, whitened.shape)
+
+
 class Problem:
     """The likelihood of steps by some parameters, with its derivatives and a start of the search.
 
@@ -206,6 +296,7 @@ class Problem:
         self.logarithmic = np.arange(len(self.names)) < len(own)
         self.longest = np.where(self.logarithmic, 4.0, 30.0)
         self._true = part_errors(pairs)
+        self._shares = None if pairs.within is None else Shares.of(pairs.within)
         largest = [_LARGEST.get(name, LARGEST_PARAMETER) for name in self.names]
         self.high = self.coordinates(np.array(largest) // _LIMIT_STEP * _LIMIT_STEP)
         self.known = start is not None
@@ -232,12 +323,22 @@ class Problem:
         """Return the steps that odometry without noise would report, shape (b, n, 3)."""
         if not self.systematic:
             return np.broadcast_to(self.pairs.true, (len(values), *self.pairs.true.shape))
-        columns = dict.fromkeys(SYSTEMATIC, np.zeros((len(values), 1)))
-        columns.update(zip(self.systematic, values.T[self._own :, :, np.newaxis]))
-        return SystematicErrors(**columns, wheel_base=self.wheel_base).steps(self.pairs.true)
+        if self.pairs.within is None:
+            return self.errors(values, 1).steps(self.pairs.true)
+        return end_of(self.errors(values, 2).steps(self.pairs.within))
 
-    def _errors(self, values: np.ndarray, rows: np.ndarray) -> PartErrors:
-        """Return the errors of the parts for some of the odometries, by parameters (rows, k)."""
+    def errors(self, values: np.ndarray, axes: int) -> SystematicErrors:
+        """Return the systematic errors of b sets of parameters, in arrays (b, 1 …) of more axes."""
+        shape = (len(values), *(1,) * axes)
+        columns = dict.fromkeys(SYSTEMATIC, np.zeros(shape))
+        names = zip(self.systematic, values.T[self._own :])
+        columns.update((name, column.reshape(shape)) for name, column in names)
+        return SystematicErrors(**columns, wheel_base=self.wheel_base)
+
+    def step_errors(self, values: np.ndarray, rows: np.ndarray) -> Union[PartErrors, LongErrors]:
+        """Return the errors of the steps of some of the odometries, by parameters (rows, k)."""
+        if self._shares is not None:
+            return LongErrors.of(self.pairs.some(rows), self.expected(values), self._shares)
         if self.systematic:
             return part_errors(self.pairs.some(rows), self.expected(values))
         true = self._true
@@ -248,7 +349,7 @@ class Problem:
             turned=true.turned[rows],
         )
 
-    def _evaluate(self, values: np.ndarray, errors: PartErrors) -> Tuple[np.ndarray, np.ndarray]:
+    def _evaluate(self, values: np.ndarray, errors) -> Tuple[np.ndarray, np.ndarray]:
         """Return residuals and the logarithms of their variances, (rows, 3 n)."""
         found, variances = errors.residuals(self.rule(values))
         shape = (len(values), -1)
@@ -257,12 +358,12 @@ class Problem:
     def logarithm(self, coordinates: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the logarithm of the likelihood of some of the odometries, (rows,)."""
         values = self.values(coordinates)
-        return _logarithm(*self._evaluate(values, self._errors(values, rows)))
+        return _logarithm(*self._evaluate(values, self.step_errors(values, rows)))
 
     def slopes(self, coordinates: np.ndarray, rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """Return gradient, (rows, k), and Fisher's information, (rows, k, k), of some of them."""
         values = self.values(coordinates)
-        errors = self._errors(values, rows)
+        errors = self.step_errors(values, rows)
         found, logarithms = self._evaluate(values, errors)
         by_found = np.empty((len(rows), len(self.names), found.shape[1]))
         by_log = np.empty_like(by_found)
@@ -271,7 +372,7 @@ class Problem:
             moved[:, j] += _DIFFERENCE
             values = self.values(moved)
             # The noise that was added does not depend on the rule.
-            there = errors if j < self._own else self._errors(values, rows)
+            there = errors if j < self._own else self.step_errors(values, rows)
             change, log_there = self._evaluate(values, there)
             change -= found
             by_found[:, j] = np.where(np.abs(change) < _LARGEST_JUMP, change, 0.0)
@@ -288,10 +389,10 @@ class Problem:
     def _start(self) -> np.ndarray:
         """Return the level of noise that fits best, as coordinates, shape (b, k)."""
         values = np.zeros((len(self), len(self.names)))
-        errors = self._true
+        errors = self.step_errors(values, np.arange(len(self)))
         if self.systematic:
             values[:, self._own :] = self._robust()
-            errors = part_errors(self.pairs, self.expected(values))
+            errors = self.step_errors(values, np.arange(len(self)))
         found, best = np.full(len(self), -np.inf), values.copy()
         for level in _LEVELS.tolist():
             own = astuple(self._kind.at_level(level))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import abc
 import math
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from typing import Any, ClassVar, Dict, Mapping, Sequence, Tuple, Type
 
 import numpy as np
@@ -108,6 +108,11 @@ class NoiseRule(abc.ABC):
         """Return the rule at a level of noise."""
         return rule_of(cls.name, {"std": std})
 
+    def scaled(self, factor: float) -> NoiseRule:
+        """Return the rule with so many times the variances; parameters are standard deviations."""
+        root = math.sqrt(factor)
+        return replace(self, **{name: root * value for name, value in vars(self).items()})
+
     @abc.abstractmethod
     def variances(self, rot1, trans, rot2):
         """Return the variances of the parts of a step.
@@ -168,9 +173,26 @@ class ReportRule(NoiseRule):
         return std1 * std1, std_trans * std_trans, std2 * std2
 
 
+class WalkRule(NoiseRule):
+    """A random walk: variances in proportion to way and angle, for steps of any length."""
+
+    @abc.abstractmethod
+    def walked(self, distance, angle):
+        """Return the variances of heading (rad²) and translation (m²) of a way.
+
+        Args:
+            distance: m, forwards and backwards, >= 0, float or array.
+            angle: rad, to the left and to the right, >= 0, likewise.
+        """
+
+    def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
+        turned, moved = self.walked(abs(trans), abs(wrap(rot1 + rot2)))
+        return 0.5 * turned, moved, 0.5 * turned
+
+
 @register
 @dataclass(frozen=True)
-class RateInvariantRule(NoiseRule):
+class RateInvariantRule(WalkRule):
     """Variance in proportion to the distance travelled, as of a random walk.
 
     Translation gains std² per metre; heading gains std² per metre and per radian, half of it
@@ -189,11 +211,9 @@ class RateInvariantRule(NoiseRule):
 
     std: float = _parameter(0.1, "standard deviation per root of a metre and of a radian")
 
-    def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
+    def walked(self, distance, angle):  # noqa: D102 - inherited
         variance = self.std * self.std
-        distance = abs(trans)
-        half_turn = 0.5 * variance * (distance + abs(wrap(rot1 + rot2)))
-        return half_turn, variance * distance, half_turn
+        return variance * (distance + angle), variance * distance
 
 
 @register
@@ -228,6 +248,9 @@ class ProbabilisticRule(NoiseRule):
         """
         square = std * std
         return cls(square, 0.1 * square, square, 0.1 * square)
+
+    def scaled(self, factor: float) -> NoiseRule:  # noqa: D102 - inherited
+        return replace(self, **{name: factor * value for name, value in vars(self).items()})
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
         turn1, moved, turn2 = rot1 * rot1, trans * trans, rot2 * rot2

@@ -12,6 +12,10 @@ is rho times as large as nominal, it computes s_side / rho_side; with the nomina
     s' = (s_right / rho_right + s_left / rho_left) / 2
     phi' = (s_right / rho_right - s_left / rho_left) / b + gyro_bias_per_metre |s|
 
+In turns a robot may go less far than its wheels roll, as they slip: the wheels roll s + loss |phi|
+in the direction of s. A robot that turns on the spot does not go, so that there is nothing to lose:
+if the middle of the axle goes less than half the loss, the wheels roll s.
+
 The diameters are given by their mean and their ratio, as by Borenstein and Feng, Measurement and
 correction of systematic odometry errors in mobile robots (1996).
 """
@@ -34,6 +38,9 @@ LARGEST_ERROR = 0.5
 LARGEST_BIAS = 10.0
 """rad/m; more than a turn on each metre."""
 
+LARGEST_LOSS = 0.5
+"""m/rad; more than wheels of a robot roll as it turns."""
+
 
 def _error(doc: str, largest: float = LARGEST_ERROR) -> Any:
     return number(0.0, doc, minimum=-largest, maximum=largest)
@@ -54,6 +61,7 @@ class SystematicErrors:
             Driving forwards, it is hard to distinguish from a diameter_error of
             -gyro_bias_per_metre · wheel_base.
         wheel_base: m, the nominal base; used only by diameter_error.
+        way_per_turn: m/rad, way that is lost in turns, left and right, on arcs.
 
     >>> SystematicErrors(base_error=0.25).steps([[0.0, 0.0, 0.8], [1.0, 0.0, 0.0]])
     array([[0., 0., 1.],
@@ -65,6 +73,7 @@ class SystematicErrors:
     diameter_error: float = _error("right diameter / left diameter of the wheels - 1")
     gyro_bias_per_metre: float = _error("rad that the heading gains on each metre", LARGEST_BIAS)
     wheel_base: float = number(0.38, "m, distance of the wheels that diameter_error is for", 0.01)
+    way_per_turn: float = _error("m of way that is lost in each radian of a turn", LARGEST_LOSS)
 
     @classmethod
     def of(cls, parameters) -> SystematicErrors:
@@ -75,7 +84,7 @@ class SystematicErrors:
     def none(self) -> bool:
         """Whether all errors are 0."""
         wheels = (self.scale_error, self.base_error, self.diameter_error)
-        return not any((*wheels, self.gyro_bias_per_metre))
+        return not any((*wheels, self.gyro_bias_per_metre, self.way_per_turn))
 
     @property
     def diameters(self) -> Tuple[float, float]:
@@ -112,6 +121,8 @@ class SystematicErrors:
             The reported ones, shape (..., 3), |dyaw| not wrapped.
         """
         ahead, across, turn = np.moveaxis(arcs(steps), -1, 0)
+        loss = self.way_per_turn * np.abs(turn)
+        ahead = ahead + np.where(2.0 * np.abs(ahead) > np.abs(loss), np.sign(ahead) * loss, 0.0)
         matrix = self.matrix()
         drift = self.gyro_bias_per_metre * np.abs(ahead)
         new_ahead = matrix[0, 0] * ahead + matrix[0, 1] * turn
@@ -216,6 +227,9 @@ class SystematicPath:
         half = 0.5 * dyaw
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
         ahead, across = (cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord
+        loss = self._errors.way_per_turn * abs(dyaw)
+        if 2.0 * abs(ahead) > abs(loss):
+            ahead += math.copysign(1.0, ahead) * loss
         (ahead_ahead, ahead_turn), (turn_ahead, turn_turn) = self._matrix
         turn = turn_ahead * ahead + turn_turn * dyaw + self._errors.gyro_bias_per_metre * abs(ahead)
         ahead, across = ahead_ahead * ahead + ahead_turn * dyaw, ahead_ahead * across

@@ -28,6 +28,9 @@ SHORTEST_PATH = 1e-3
 
 ODOMETRY = "nav_msgs/Odometry"
 
+VELOCITIES = ("v", "omega")
+"""Columns of a table with speed (m/s) and turn rate (rad/s) instead of poses."""
+
 _POSES = {
     ODOMETRY: attrgetter("pose.pose.position", "pose.pose.orientation"),
     "geometry_msgs/PoseStamped": attrgetter("pose.position", "pose.orientation"),
@@ -44,10 +47,10 @@ class PathFileError(TrajectoryError):
 
 
 def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
-    """Read a path from a bag (.bag), a table (.csv), or any other file in TUM format.
+    """Read a path from a bag (.bag), a table (.csv), or any other file as of `read_tum`.
 
     The first line of a table names its columns, with stamp, x, y and yaw among them, in s, m and
-    rad. An example is paths.csv of the squares.
+    rad, or else stamp, v and omega, in m/s and rad/s. An example is paths.csv of the squares.
 
     Args:
         path: the file.
@@ -113,9 +116,10 @@ def read_table(
 
 
 def _read_csv(path: Path, prefix: str) -> Trajectory:
-    columns, rows = read_table(path, ("stamp", f"{prefix}x", f"{prefix}y", f"{prefix}yaw"))
+    pose = tuple(f"{prefix}{name}" for name in ("x", "y", "yaw"))
+    columns, rows = read_table(path, ("stamp", *pose), ("stamp", *VELOCITIES))
     poses = [finite_numbers([row[name] for name in columns], where) for where, row in rows]
-    return trajectory_of(poses, path)
+    return trajectory_of(poses, path, [where.rsplit(", ", 1)[-1] for where, _ in rows])
 
 
 def _read_bag(path: Path, topic: str) -> Trajectory:
@@ -149,7 +153,8 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         paths = sorted({info.topic for info in there if info.datatype == ODOMETRY})
         known_paths = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
         raise PathFileError(f"{path}: nothing on the topic {topic}; {known_paths}")
-    return trajectory_of([_pose_row(message) for message in messages], path)
+    places = [f"message {number} of {topic}" for number in range(1, len(messages) + 1)]
+    return trajectory_of([_pose_row(message) for message in messages], path, places)
 
 
 def _pose_row(message: Any) -> List[float]:

@@ -18,8 +18,10 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_parameters, rule_of
+from bullet_lab.noise.presets import preset, with_preset
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
+from bullet_lab.noise.spread import SpreadPath, SystematicSpread
+from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
@@ -104,11 +106,12 @@ def _planar(pose: Pose) -> PlanarPose:
 
 
 @dataclass(frozen=True)
-class SquaresSettings(noise_parameters(), SystematicErrors):
+class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread):
     """Settings of a run, with the names of the job's arguments."""
 
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
     model: str = choice("report", "rule of the noise", MODELS)
+    noise: str = preset()
     mode: str = choice(OPEN_LOOP, "condition that ends a side", MODES)
     as_published: bool = boolean(False, "apply the report's noise with all its defects")
 
@@ -150,7 +153,9 @@ def _noise(
 
     With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
     """
-    errors = SystematicPath(SystematicErrors.of(settings))
+    settings = with_preset(settings)
+    spread = SystematicSpread.of(settings)
+    errors = SpreadPath(SystematicErrors.of(settings), spread, settings.seed)
     path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 
@@ -158,7 +163,7 @@ def _noise(
         reported = errors.update(*pose).pose
         if not settings.as_published:
             moved = path.update(*reported)
-            yield moved.pose, moved.covariance[:2, :2]
+            yield moved.pose, (moved.covariance + errors.covariance)[:2, :2]
         elif sampler.due(step * SECONDS_PER_STEP):
             # The report's noise leaves covariances alone.
             yield published.update(*reported), np.zeros((2, 2))

@@ -86,10 +86,10 @@ def test_tum_from_numpy_numbers_is_text_all_the_same():
     ("line", "message"),
     [
         ("1 2 3", "line 2: 8 values needed, not 3"),
+        ("-1 0 0 0 0 0 0 1", "line 2: stamps must increase"),
         ("1 0 0 0 0 0 0 one", "line 2: a value is not a number"),
         ("1 0 0 nan 0 0 0 1", "line 2: a value is not finite"),
         ("1 0 0 0 0 0 0 0", "line 2: the quaternion is zero"),
-        ("0 0 0 0 0 0 0 1", "must increase"),
     ],
 )
 def test_bad_tum_files_are_refused(write, line, message):
@@ -98,6 +98,23 @@ def test_bad_tum_files_are_refused(write, line, message):
         read_tum(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_poses_with_the_same_stamp_are_left_out_and_counted(write):
+    stamps = (0, 0, 1, 1, 1)
+    found = read_tum(write("# a", *(f"{t} {x} 0 0 0 0 0 1" for x, t in enumerate(stamps))))
+    np.testing.assert_array_equal(found.poses[:, 0], [0, 2])
+    assert found.remark == "3 with the stamp of the one before left out, the first in line 3"
+    assert read_tum(write("0 0 0 0", "1 2 3 0.5")).poses[1].tolist() == [2.0, 3.0, 0.5]
+
+
+def test_velocities_are_held_until_the_next_stamp(write):
+    found = read_tum(write(f"0 1 {math.pi / 2}", "1 2 0", "3 0 0"))
+    quarter = 2.0 / math.pi
+    expected = [[0, 0, 0], [quarter, quarter, math.pi / 2], [quarter, quarter + 4, math.pi / 2]]
+    np.testing.assert_allclose(found.poses, expected, atol=1e-12)
+    with pytest.raises(TrajectoryError, match="line 1: 8 or 4 or 3 values needed, not 5"):
+        read_tum(write("0 0 0 0 0"))
 
 
 def test_files_that_cannot_be_read(tmp_path):

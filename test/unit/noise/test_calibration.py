@@ -27,7 +27,8 @@ def drive(count=3):
 def drawn(rule, count, seed=1, steps=None, errors=None):
     steps = drive() if steps is None else steps
     expected = None if errors is None else errors.steps(steps)
-    return drawn_pairs(steps, rule, np.random.default_rng(seed), count, expected)
+    pairs = StepPairs(steps, steps[np.newaxis])
+    return drawn_pairs(pairs, rule, np.random.default_rng(seed), count, expected)
 
 
 def test_one_standard_deviation_has_its_closed_form():

@@ -10,6 +10,7 @@ from recorded_paths import make_rule
 from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.goodness import drawn_pairs
+from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import (
     MODELS,
@@ -59,7 +60,8 @@ def test_a_model_that_is_registered_is_known_by_its_name(slip):
 
 def test_its_parameters_are_calibrated(slip):
     steps = np.tile([[0.04, 0.0, 0.0], [0.0, 0.0, 0.1]], (100, 1))
-    pairs = drawn_pairs(steps, SlipRule(0.1, 0.02), np.random.default_rng(1), 1)
+    true = StepPairs(steps, steps[np.newaxis])
+    pairs = drawn_pairs(true, SlipRule(0.1, 0.02), np.random.default_rng(1), 1)
     problem = Problem(pairs, "slip")
     (std, slipped) = intervals(problem, fit(problem))[0]
     assert 0.05 < std[0] < 0.1 < std[1] < 0.15
@@ -72,7 +74,7 @@ def test_models_share_no_name_and_no_random_numbers(slip):
         taken = type("Taken", (SlipRule,), {"name": name, "stream": stream})
         with pytest.raises(ValueError, match="has the name or the stream of"):
             register(taken)
-    assert list(MODELS) == ["report", "rate_invariant", "probabilistic", "slip"]
+    assert list(MODELS) == ["report", "rate_invariant", "probabilistic", "random_walk", "slip"]
 
 
 def test_a_model_that_comes_along_changes_no_study():
@@ -85,7 +87,8 @@ def test_a_model_that_comes_along_changes_no_study():
 
 def test_a_parameter_of_several_models_is_declared_once(slip):
     names = [entry.name for entry in fields(noise_parameters())]
-    assert names == ["std", "alpha1", "alpha2", "alpha3", "alpha4", "slip"]
+    alphas = ["alpha1", "alpha2", "alpha3", "alpha4"]
+    assert names == ["std", *alphas, "way_std", "heading_std", "turn_std", "slip"]
     assert set(declarations(ReportRule)) == {"std"}
 
 

@@ -19,7 +19,7 @@ from bullet_lab.noise.systematic import (
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning
 
 BASE = 0.38
-ALL = SystematicErrors(0.02, -0.03, 0.01, 0.004, BASE)
+ALL = SystematicErrors(0.02, -0.03, 0.01, 0.004, BASE, 0.05)
 
 
 def reckoned(angles, left, right, base):

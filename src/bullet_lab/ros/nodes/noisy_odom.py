@@ -36,8 +36,10 @@ from bullet_lab.noise.odometry_noise import (
     noise_parameters,
     rule_of,
 )
+from bullet_lab.noise.presets import preset, with_preset
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, SystematicStep
+from bullet_lab.noise.spread import SpreadPath, SystematicSpread
+from bullet_lab.noise.systematic import SystematicErrors, SystematicStep
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers
@@ -51,13 +53,14 @@ QUEUE_SIZE = 100
 
 
 @dataclass(frozen=True)
-class NoisyOdomParameters(noise_parameters(), SystematicErrors):
-    """Private parameters of noisy_odom, with those of the noise models and systematic errors.
+class NoisyOdomParameters(noise_parameters(), SystematicErrors, SystematicSpread):
+    """Private parameters of noisy_odom, with those of noise models, systematic errors and spread.
 
     The noise is added to the odometry with the systematic errors.
     """
 
     model: str = choice("report", "rule of the noise", MODELS)
+    noise: str = preset()
     seed: int = integer(0, "of the random draws", minimum=0)
     robots: int = integer(
         0, "serve robot1 … robot<n>, each with a seed of its own derived from ~seed", 0, MOST_ROBOTS
@@ -77,6 +80,7 @@ class NoisyOdometry:
     """
 
     def __init__(self, parameters: NoisyOdomParameters, namespace: str = ""):
+        parameters = with_preset(parameters)
         self.std = parameters.std
         self.msg: Odometry | None = None
         self.last_odom: Odometry | None = None
@@ -86,7 +90,8 @@ class NoisyOdometry:
         self._model = parameters.model
         self._noise = asdict(parameters)
         self._path = NoisyPath(rule_of(self._model, self._noise), parameters.seed)
-        self._systematic = SystematicPath(SystematicErrors.of(parameters))
+        spread = SystematicSpread.of(parameters)
+        self._systematic = SpreadPath(SystematicErrors.of(parameters), spread, parameters.seed)
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)
@@ -122,10 +127,12 @@ class NoisyOdometry:
             noisy = _at(msg, self.pose)
             errors = (reported.motion_error, step.motion_error)
             _add_noise(noisy, step, errors, self._seconds_since_last(msg))
+            _add_covariance(noisy.pose.covariance, self._systematic.covariance, 1.0)
         self.last_odom = msg
         self.pub.publish(noisy)
         if self._sampler is None and self._ellipse.has_connections():
-            self._ellipse.publish(ellipse_marker(noisy, step.covariance))
+            covariance = step.covariance + self._systematic.covariance
+            self._ellipse.publish(ellipse_marker(noisy, covariance))
 
     def set_noise(self, request: SetNoiseRequest) -> SetNoiseResponse:
         """Change the noise from the next message on."""

@@ -32,13 +32,16 @@ NAMES = (
     ("odom", "noisy_odom"),
     *product(("truth", "groundtruth", "ground_truth"), ("odom", "odometry")),
 )
-"""Ends of the names of the two files of a recording, truth first; the rest is the same."""
+"""Ends of the names of the two files of a recording, truth first; the rest is the same.
+
+Capital letters do not matter.
+"""
 
 TRUTH_PREFIXES = ("truth_", "ground_truth_", "")
 ODOMETRY_PREFIXES = ("noisy_", "odom_", "odometry_", "")
 """Prefixes of the columns x, y and yaw of a table with both paths; the first match counts."""
 
-_SUFFIXES = (".tum", ".txt", ".csv")
+_SUFFIXES = (".tum", ".txt", ".dat", ".csv")
 _STEPS_AT_A_TIME = 50_000
 _COMMANDS = (
     (0.2, 0.0, 10.0),
@@ -176,7 +179,7 @@ def _prefixes(path: Path) -> Optional[Tuple[str, str]]:
 
 
 def _pairs(files: Sequence[Path]) -> Iterator[Tuple[Path, Path]]:
-    by_stem: Dict[str, Path] = {file.stem: file for file in files if file.suffix in _SUFFIXES}
+    by_stem = {file.stem.lower(): file for file in files if file.suffix in _SUFFIXES}
     taken = set()
     for truth, odometry in NAMES:
         for stem in sorted(by_stem):
@@ -200,6 +203,7 @@ class DriveSettings(noise_parameters(), SystematicErrors):
     base_error: float = _error("base_error", -0.02)
     diameter_error: float = _error("diameter_error", 0.004)
     gyro_bias_per_metre: float = _error("gyro_bias_per_metre", 0.01)
+    way_per_turn: float = _error("way_per_turn", 0.01)
     model: str = choice("probabilistic", "noise model of the made-up drive", MODELS)
     rate: float = number(5.0, "Hz of its odometry", above=0.0, maximum=1000.0)
     laps: int = integer(3, "of it, 39 s and 6.3 m each", 1, 1000)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from dataclasses import asdict, dataclass
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,12 +16,35 @@ from bullet_lab.core import se2
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
-from bullet_lab.noise.calibration import Fit, Problem, covariance, fit, intervals, profile
+from bullet_lab.noise.calibration import (
+    Fit,
+    Problem,
+    covariance,
+    fit,
+    intervals,
+    on_limit,
+    profile,
+)
 from bullet_lab.noise.goodness import Goodness, goodness
-from bullet_lab.noise.likelihood import PARTS
-from bullet_lab.noise.odometry_noise import MODELS
+from bullet_lab.noise.likelihood import PARTS, StepPairs
+from bullet_lab.noise.odometry_noise import MODELS, WalkRule, rule_of
+from bullet_lab.noise.prediction import (
+    LENGTHS,
+    OWN,
+    Prediction,
+    judged,
+    parameter_variances,
+    predicted,
+)
 from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.studies.calibrate.lengths import (
+    long_length,
+    long_pairs,
+    pairs_of,
+    part_of,
+)
 from bullet_lab.studies.calibrate.recordings import Coverage, Recording
+from bullet_lab.studies.calibrate.steps import Steps
 from bullet_lab.studies.results import labelled, legend_below, panels
 
 _INSEPARABLE = 0.99  # correlation of two estimates that the steps cannot separate
@@ -47,14 +71,18 @@ class ModelCalibration:
     Attributes:
         problem: the parameters and the steps.
         fit: the most likely values.
-        intervals: of the parameters, 95 %, shape (k, 2).
+        intervals: of the parameters, 95 %, shape (k, 2); as wide as the dispersion makes them.
         goodness: of the fit.
+        prediction: how well halves of the steps predict each other.
+        length: m and rad of long steps; 0, 0 for steps as they were taken.
     """
 
     problem: Problem
     fit: Fit
     intervals: np.ndarray
     goodness: Goodness
+    prediction: Prediction
+    length: Tuple[float, float]
 
     @property
     def model(self) -> str:
@@ -62,9 +90,22 @@ class ModelCalibration:
         return self.fit.model
 
     @property
-    def aic(self) -> float:
-        """Akaike's criterion: less is better."""
-        return float(self.fit.aic()[0])
+    def limited(self) -> List[str]:
+        """The parameters that lie on a limit: then nothing of the model is a result."""
+        return on_limit(self.problem, self.fit)
+
+    def rank(self) -> Tuple[bool, float]:
+        """Return what sorts models, the best one first."""
+        return bool(self.limited), -self.prediction.density
+
+    def published(self) -> Dict[str, float]:
+        """Return noise and systematic errors as they predict, with the spread of the latter."""
+        values = self.fit.values()
+        dispersion = self.prediction.dispersion
+        rule = rule_of(self.model, values).scaled(dispersion)
+        variances = OWN * dispersion * parameter_variances(self.problem, self.fit)
+        spreads = zip(self.problem.systematic, np.sqrt(variances).tolist())
+        return {**values, **asdict(rule), **{f"{name}_std": spread for name, spread in spreads}}
 
     def parameters(self) -> Dict[str, Tuple[float, float, float]]:
         """Return estimate, and low and high end of the interval, of each parameter by name."""
@@ -82,21 +123,61 @@ class ModelCalibration:
         return [(self.fit.names[i], self.fit.names[j]) for i, j in pairs]
 
 
-def calibrate(problem: Problem, follows: np.ndarray, seed: int) -> ModelCalibration:
-    """Find the parameters of a problem with one odometry; for the arguments see `goodness`.
+def calibrate(
+    steps: Steps, model: str, systematic: Sequence[str], wheel_base: float, seed: int
+) -> ModelCalibration:
+    """Find the parameters of a model, and how well halves of the steps predict each other.
+
+    A random walk is fitted to the steps as they are if it describes them, or else to long
+    ones. The other models depend on the length of steps.
+
+    Args:
+        steps: short ones.
+        model: of the noise.
+        systematic: errors to fit.
+        wheel_base: m, as of `SystematicErrors`.
+        seed: of the bootstrap, >= 0.
 
     Raises:
-        UndeterminedError: the steps do not determine them.
+        UndeterminedError: the steps do not determine the parameters.
     """
+    make = functools.partial(Problem, model=model, systematic=systematic, wheel_base=wheel_base)
+    length = (0.0, 0.0)
     try:
+        problem = make(pairs_of(steps))
         found = fit(problem)
-        ends, quality = intervals(problem, found)[0], goodness(problem, found, follows, seed)
+        quality = goodness(problem, found, steps.follows, seed)
+        if issubclass(MODELS[model], WalkRule) and not quality.fits:
+            length = long_length(steps)
+        if any(length):
+            pairs, follows = long_pairs(steps, length)
+            problem = make(pairs)
+            found = fit(problem)
+            quality = goodness(problem, found, follows, seed)
+        prediction = judged(list(predictions(make, steps, length)))
+        ends = intervals(problem, found)[0]
     except np.linalg.LinAlgError:
         raise UndeterminedError(
-            f"{problem.model}: the steps do not determine its parameters: "
+            f"{model}: the steps do not determine its parameters: "
             "do odometry and truth belong together, and does the robot drive and turn?"
         ) from None
-    return ModelCalibration(problem, found, ends, quality)
+    coordinates = problem.coordinates(ends.T).T
+    middle = found.coordinates[0][:, np.newaxis]
+    wider = middle + math.sqrt(prediction.dispersion) * (coordinates - middle)
+    # An interval that begins at 0 keeps to it.
+    wider = np.where(ends == 0.0, 0.0, problem.values(wider.T).T)
+    return ModelCalibration(problem, found, wider, quality, prediction, length)
+
+
+def predictions(make: Callable[[StepPairs], Problem], steps: Steps, length: Tuple[float, float]):
+    """Yield windows of each half of the steps, and the variances V of a fit of the other."""
+    for number in (0, 1):
+        own, other = part_of(steps, number), part_of(steps, 1 - number)
+        problem = make(long_pairs(own, length)[0] if any(length) else pairs_of(own))
+        found = fit(problem)
+        variances = parameter_variances(problem, found)
+        for size in LENGTHS:
+            yield predicted(problem, found, pairs_of(other), other.follows, size), variances
 
 
 def symbol(name: str) -> str:
@@ -122,16 +203,18 @@ def meaning(model: str, name: str) -> str:
 
 def calibration_summary(ranked: Sequence[ModelCalibration]) -> Dict[str, Any]:
     """Return the figures of all models, the best one first, for summary.json."""
-    return {"best": ranked[0].model, "models": [_summary(one, ranked[0].aic) for one in ranked]}
+    return {"best": ranked[0].model, "models": [_summary(one) for one in ranked]}
 
 
-def _summary(one: ModelCalibration, best: float) -> Dict[str, Any]:
-    judged = one.goodness
+def _summary(one: ModelCalibration) -> Dict[str, Any]:
+    fitted = one.goodness
     return {
         "model": one.model,
         "log_likelihood": float(one.fit.log_likelihood[0]),
-        "aic": one.aic,
-        "aic_above_best": one.aic - best,
+        "step_length": one.length,
+        "on_limit": one.limited,
+        "prediction": {**asdict(one.prediction), "density": one.prediction.density},
+        "published": one.published(),
         "parameters": {
             name: {
                 "symbol": symbol(name),
@@ -142,16 +225,16 @@ def _summary(one: ModelCalibration, best: float) -> Dict[str, Any]:
             for name, (value, low, high) in one.parameters().items()
         },
         "goodness": {
-            "fits": judged.fits,
-            "p_value": judged.p_value,
-            "nees_per_part": judged.nees,
-            "shape": {"ks_distance": judged.distance, "p_value": judged.shape_p},
-            "size": {"mean_square": _by_part(judged.mean_squares), "p_value": judged.size_p},
+            "fits": fitted.fits,
+            "p_value": fitted.p_value,
+            "nees_per_part": fitted.nees,
+            "shape": {"ks_distance": fitted.distance, "p_value": fitted.shape_p},
+            "size": {"mean_square": _by_part(fitted.mean_squares), "p_value": fitted.size_p},
             "neighbours": {
-                "correlation": _by_part(judged.correlations),
-                "p_value": judged.neighbours_p,
+                "correlation": _by_part(fitted.correlations),
+                "p_value": fitted.neighbours_p,
             },
-            "said": judged.words(),
+            "said": fitted.words(),
         },
         "inseparable": one.inseparable(),
     }
@@ -175,9 +258,12 @@ def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, fl
     text: List[str] = []
     for one in ranked:
         known = true.get(one.model, {})
-        above = one.aic - ranked[0].aic
-        rank = "the likeliest model" if one is ranked[0] else f"AIC {above:.1f} above the best"
-        text.append(f"{one.model}: {rank}; {_verdict(one.goodness)}")
+        less = ranked[0].prediction.density - one.prediction.density
+        rank = "predicts best" if one is ranked[0] else f"predicts worse by {less:.2f}"
+        steps = "steps of {:g} m or {:g} rad" if any(one.length) else "each step"
+        text.append(f"{one.model}: {rank}; {steps.format(*one.length)}; {_verdict(one.goodness)}")
+        text += [f"  NO RESULT: {name} lies on its limit" for name in one.limited]
+        text.append(f"  {_predicted(one.prediction)}")
         for name, (value, low, high) in one.parameters().items():
             truth = f", true {known[name]:g}" if name in known else ""
             text.append(
@@ -194,10 +280,21 @@ def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, fl
     return text
 
 
-def _verdict(judged: Goodness) -> str:
-    if judged.fits:
-        return f"nothing speaks against it (p = {judged.p_value:.2g})"
-    return f"it does NOT fit (p = {judged.p_value:.2g})"
+def _predicted(prediction: Prediction) -> str:
+    each = ", ".join(
+        f"{100.0 * one.held:.0f} % of {one.windows} windows of {one.length:g} m"
+        for one in prediction.scores
+    )
+    return (
+        f"variances {prediction.dispersion:.2f} times as large as steps show; "
+        + (f"halves then hold each other's ends in {each}" if each else "too short to predict")
+    )
+
+
+def _verdict(found: Goodness) -> str:
+    if found.fits:
+        return f"nothing speaks against it (p = {found.p_value:.2g})"
+    return f"it does NOT fit (p = {found.p_value:.2g})"
 
 
 def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
@@ -209,16 +306,20 @@ def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
         seconds: median time of a step.
     """
     verdict = _verdict(one.goodness)
+    rate = "any steps" if issubclass(MODELS[one.model], WalkRule) else f"steps of {seconds:.3g} s"
     rows = [
-        f"# Noise of an odometry, found by calibrate from {source}.",
-        f"# Steps of {seconds:.3g} s; for others only rate_invariant is about the same.",
-        f"# The model: {verdict}.",
+        f"# Noise of an odometry, found by calibrate from {source}, for {rate}.",
+        f"# {_predicted(one.prediction)}.",
+        f"# Of single steps: {verdict}.",
         f"model: {one.model}",
     ]
-    for name, (value, low, high) in one.parameters().items():
+    values = one.published()
+    for name, (estimate, low, high) in one.parameters().items():
         label = "" if symbol(name) == name else f"{symbol(name)}, "
-        comment = f"{label}{meaning(one.model, name)}: {low:.4g} to {high:.4g} (95 %)"
-        rows.append(f"{name}: {_plain(value)}  # {comment}")
+        steps = "" if name in one.problem.systematic else f"; {estimate:.4g} of steps"
+        comment = f"{label}{meaning(one.model, name)}{steps}, {low:.4g} to {high:.4g} (95 %)"
+        rows.append(f"{name}: {_plain(values.pop(name))}  # {comment}")
+    rows += [f"{name}: {_plain(value)}" for name, value in values.items()]
     if one.problem.systematic:
         rows.append(f"wheel_base: {_plain(one.problem.wheel_base)}  # m, as it was taken to be")
     return "\n".join(rows) + "\n"
@@ -243,8 +344,8 @@ def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:
                 normal = ndtri((np.arange(seen.size) + 0.5) / seen.size)
                 shown = np.clip(seen, -_WIDEST, _WIDEST)
                 axes.plot(normal, shown, ".", markersize=3.0, color=colour, label=part)
-        judged = one.goodness
-        verdict = f"{'fits' if judged.fits else 'does not fit'}, p = {judged.p_value:.2g}"
+        fitted = one.goodness
+        verdict = f"{'fits' if fitted.fits else 'does not fit'}, p = {fitted.p_value:.2g}"
         axes.set_title(f"{MODELS[one.model].title}: {verdict}", fontsize=10)
         axes.set(xlabel="standard normal", xlim=(-4.0, 4.0), ylim=(-_WIDEST, _WIDEST))
         axes.grid(alpha=0.3)
@@ -273,14 +374,14 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
     for axes in grid.flat[len(parameters) :]:
         axes.set_axis_off()
     for axes in grid[:, 0]:
-        axes.set(ylabel="fall of 2 log L", ylim=(0.0, 8.0))
+        axes.set(ylabel="fall of 2 log L", ylim=(0.0, 8.0 * one.prediction.dispersion))
     figure.tight_layout()
     return figure
 
 
 def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
     value, low, high = found
-    axes.axhline(_LIMIT, color=GREY, linewidth=0.8, linestyle="--")
+    axes.axhline(_LIMIT * one.prediction.dispersion, color=GREY, linewidth=0.8, linestyle="--")
     axes.grid(alpha=0.3)
     axes.axvline(value, color=BLUE, linewidth=1.0)
     if not (math.isfinite(low) and math.isfinite(high)):

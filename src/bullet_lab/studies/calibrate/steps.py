@@ -16,19 +16,22 @@ from bullet_lab.core import se2
 from bullet_lab.core.parameters import boolean, number
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
-from bullet_lab.noise.likelihood import RESOLUTION
-from bullet_lab.noise.systematic import arcs, chords
+from bullet_lab.studies.calibrate.alignment import (
+    FEWEST_STEPS,
+    SURE,
+    clock_offset,
+    interpolated,
+    jitter,
+    marker_place,
+    resolution,
+)
 from bullet_lab.studies.calibrate.recordings import Recording
 from bullet_lab.studies.paths import snapped
 
-FEWEST_STEPS = 30
-"""Smallest number of steps for a calibration."""
-
 _STILL = 1e-6  # m and rad, motion of a robot at rest
 _SLIP = 0.01  # m, true motion at which a step without odometry is counted
-_WIDEST_OFFSET = 1.0  # s
-_MOST_DECIMALS = 8
-_MEDIAN = 0.6745  # of the magnitude of a standard normal number
+# Of the times between poses: longer ones are rare.
+_MOST_WAITS = 0.98
 _NOTEWORTHY = 1e-5  # m and rad, of the truth's noise
 _TIMES = 100.0  # shortest step as a multiple of the truth's noise
 
@@ -64,9 +67,10 @@ class StepSettings:
         0.0, "rad to turn before a step ends; 0: a message, or by the jitter", 0.0
     )
     time_offset: float = number(0.0, "s that the odometry's clock is behind the truth's")
-    find_offset: bool = boolean(False, "find time_offset, within a second of the given one")
+    find_offset: bool = boolean(True, "correct what is left of time_offset, up to a second")
+    find_marker: bool = boolean(True, "correct for the place of the truth's point on the robot")
     max_gap: float = number(
-        5.0, "times the median time between poses after which some are missing", above=1.0
+        5.0, "times the usual time between poses after which some are missing", above=1.0
     )
 
 
@@ -79,7 +83,7 @@ class Steps:
         odometry: the same by the odometry, shape (n, 3).
         follows: whether each begins at the end of the one before, shape (n,).
         seconds: duration of each, shape (n,).
-        resting: number of other steps, in which the robot was at rest.
+        resting: number of other steps, in which the robot was at rest: they are parts of the next.
         gaps: number of steps over a gap.
         unseen: number of the resting steps in which the truth moved.
         truth_std_m: standard deviation of the truth's position.
@@ -175,23 +179,34 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     truth, odometry = recording.truth, recording.odometry
     odometry = _shifted(odometry, settings.time_offset)
     stamps = _common_stamps(truth, odometry, recording.name)
-    remarks: List[str] = []
+    remarks = [
+        f"{name}: {path.remark}"
+        for name, path in (("truth", truth), ("odometry", odometry))
+        if path.remark
+    ]
     offset, error = clock_offset(truth, odometry, stamps)
-    whole = settings.time_offset + offset
-    if settings.find_offset:
-        odometry = _shifted(odometry, offset)
-        stamps = _common_stamps(truth, odometry, recording.name)
-        remarks.append(f"time_offset found: {whole:.4f} s, with a standard error of {error:.4f} s")
-    elif abs(offset) > max(4.0 * error, 0.25 * float(np.median(np.diff(stamps)))):
+    if abs(offset) > max(SURE * error, 0.25 * float(np.median(np.diff(stamps)))):
+        whole, reach = settings.time_offset + offset, 1.96 * error
         remarks.append(
-            f"the odometry's clock seems to be {whole:.3f} s behind the truth's "
-            f"(standard error {error:.3f} s): time_offset:={whole:.3f}, or find_offset:=true"
+            f"the odometry's clock is {whole:.3f} s behind the truth's "
+            f"(95 % {whole - reach:.3f} to {whole + reach:.3f} s); "
+            + ("corrected" if settings.find_offset else f"time_offset:={whole:.3f} corrects it")
         )
+        if settings.find_offset:
+            odometry = _shifted(odometry, offset)
+            stamps = _common_stamps(truth, odometry, recording.name)
     true_poses, poses = (interpolated(path, stamps) for path in (truth, odometry))
+    if settings.find_marker:
+        marker = marker_place(true_poses, poses, stamps)
+        place = marker.sure()
+        if any(place):
+            true_poses = se2.compose(true_poses, se2.inverse(place))
+            remarks.append(_about_marker(place, marker.error))
     broken = _over_gap(stamps, (truth, odometry), settings.max_gap)
     # The numbers of a made-up drive may be round without rounding: then the odometry's are not.
     least = min(map(resolution, (truth, odometry)))
-    seen_m, seen_rad = jitter(truth)
+    follows = ~broken & np.concatenate(([False], ~broken[:-1]))
+    seen_m, seen_rad = jitter(se2.steps(true_poses), se2.steps(poses), follows)
     std_m = settings.truth_std_m or max(seen_m, least)
     std_rad = settings.truth_std_rad or max(seen_rad, least)
     if max(std_m, std_rad) > _NOTEWORTHY:
@@ -201,17 +216,22 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     true = se2.between(true_poses[first], true_poses[last])
     reported = se2.between(poses[first], poses[last])
     still = np.any([(np.abs(one) < _STILL).all(axis=1) for one in (true, reported)], axis=0)
+    unseen = still & (np.hypot(true[:, 0], true[:, 1]) > _SLIP)
     moving = np.flatnonzero(~still)
+    # A rest belongs to the step after it, as the robot may come to a stop unseen.
+    apart = np.cumsum(unseen | (first != np.concatenate(([-1], last[:-1]))))[moving]
     follows = np.zeros(len(moving), dtype=bool)
-    follows[1:] = first[moving[1:]] == last[moving[:-1]]
+    follows[1:] = apart[1:] == apart[:-1]
+    first, last = first[moving], last[moving]
+    first[1:] = np.where(follows[1:], last[:-1], first[1:])
     return Steps(
-        true=true[moving],
-        odometry=reported[moving],
+        true=se2.between(true_poses[first], true_poses[last]),
+        odometry=se2.between(poses[first], poses[last]),
         follows=follows,
-        seconds=(stamps[last] - stamps[first])[moving],
+        seconds=stamps[last] - stamps[first],
         resting=int(still.sum()),
         gaps=int(broken.sum()),
-        unseen=int((still & (np.hypot(true[:, 0], true[:, 1]) > _SLIP)).sum()),
+        unseen=int(unseen.sum()),
         truth_std_m=std_m,
         truth_std_rad=std_rad,
         remarks=tuple(f"{recording.name}: {remark}" for remark in remarks),
@@ -236,60 +256,6 @@ def joined(found: Sequence[Steps]) -> Steps:
             f"({steps.resting} more stood still, {steps.gaps} went over a gap)"
         )
     return steps
-
-
-def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
-    """Return the poses (m, m, rad) at stamps within a path, shape (n, 3).
-
-    Between two poses the robot drives the arc of a constant velocity; at the stamp of a pose the
-    result is that pose, bit for bit.
-
-    >>> path = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (2.0, 2.0, np.pi / 2.0)])
-    >>> interpolated(path, np.array([0.0, 0.5])).round(3)
-    array([[0.   , 0.   , 0.   ],
-           [1.414, 0.586, 0.785]])
-    """
-    before = np.clip(np.searchsorted(path.stamps, stamps, side="right") - 1, 0, len(path) - 1)
-    after = np.minimum(before + 1, len(path) - 1)
-    seconds = np.where(after > before, path.stamps[after] - path.stamps[before], 1.0)
-    share = (stamps - path.stamps[before]) / seconds
-    whole = arcs(se2.between(path.poses[before], path.poses[after]))
-    return se2.compose(path.poses[before], chords(share[:, np.newaxis] * whole))
-
-
-def resolution(path: Trajectory) -> float:
-    """Return the standard deviation (m or rad) of the rounding of a file's poses.
-
-    >>> float(resolution(Trajectory([0.0, 1.0], [(0.0, 0.5, 0.0), (0.25, 1.0, 0.0)])))
-    0.005773502691896258
-    """
-    places = path.poses[:, :2]
-    for decimals in range(1, _MOST_DECIMALS + 1):
-        if np.abs(places - places.round(decimals)).max() < 1e-3 * 10.0**-decimals:
-            # The rounding of a quaternion has twice the effect on the heading.
-            return 2.0 * 10.0**-decimals / np.sqrt(12.0)
-    return RESOLUTION
-
-
-def jitter(path: Trajectory) -> Tuple[float, float]:
-    """Return the standard deviation of white noise on a path, m and rad; 0 without noise.
-
-    Differences of the third and the fourth order of a smooth path are small, the latter smaller.
-    Those of white noise have sqrt(20) and sqrt(70) times its standard deviation. Their medians are
-    not affected by starts and stops of the robot.
-
-    >>> jitter(Trajectory(np.arange(9.0), np.tile([0.5, 0.0, 0.0], (9, 1)) * np.arange(9)[:, None]))
-    (0.0, 0.0)
-    """
-    if len(path) < FEWEST_STEPS:
-        return 0.0, 0.0
-    columns = np.column_stack((path.poses[:, :2], np.unwrap(path.poses[:, 2])))
-    third, fourth = (
-        np.median(np.abs(np.diff(columns, order, axis=0)), axis=0) / (_MEDIAN * np.sqrt(scale))
-        for order, scale in ((3, 20.0), (4, 70.0))
-    )
-    x_std, y_std, yaw_std = np.where(fourth > 0.7 * third, fourth, 0.0).tolist()
-    return float(np.sqrt(0.5 * (x_std**2 + y_std**2))), yaw_std
 
 
 def _long_enough(
@@ -318,57 +284,19 @@ def _about_jitter(settings: StepSettings, std_m: float, std_rad: float) -> str:
     )
 
 
-def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
-    """Return the delay (s) of the odometry's clock behind the truth's, and its standard error.
-
-    It is the offset, within a second, for which distances and turns of both are most similar. The
-    standard error is infinite if the motion does not determine it.
-    """
-    period = float(np.median(np.diff(stamps)))
-    # Long enough to average the noise of single messages.
-    window = max(4.0 * period, 0.5)
-    inside = (stamps > stamps[0] + _WIDEST_OFFSET) & (
-        stamps < stamps[-1] - window - _WIDEST_OFFSET
+def _about_marker(place: Sequence[float], error: Sequence[float]) -> str:
+    x, y, yaw = (
+        f"{scale * value:.1f} ± {1.96 * scale * spread:.1f}" if value else "0"
+        for value, spread, scale in zip(place, error, (1e3, 1e3, np.degrees(1.0)))
     )
-    begins = stamps[inside]
-    if len(begins) < FEWEST_STEPS:
-        return 0.0, np.inf
-    reported = _motion(odometry, begins, window)
-    scale = np.std(reported, axis=0) + 1e-3
-
-    def dissimilarity(offset: float) -> float:
-        difference = (_motion(truth, begins + offset, window) - reported) / scale
-        # Without the mean difference, which comes from errors of scale.
-        return float(np.sum(np.square(difference - difference.mean(axis=0))))
-
-    spacing = 0.5 * period
-    count = int(_WIDEST_OFFSET / spacing)
-    offsets = spacing * np.arange(-count, count + 1)
-    sums = np.array([dissimilarity(offset) for offset in offsets])
-    best = int(np.argmin(sums))
-    if best in (0, len(offsets) - 1):
-        return 0.0, np.inf
-    low, middle, high = sums[best - 1 : best + 2]
-    curvature = (low - 2.0 * middle + high) / spacing**2
-    if curvature <= 0.0:
-        return 0.0, np.inf
-    offset = offsets[best] + 0.5 * spacing * (low - high) / (low - 2.0 * middle + high)
-    # Windows overlap, so that fewer are independent.
-    independent = 2.0 * len(begins) * period / window
-    return float(offset), float(np.sqrt(2.0 * middle / max(independent, 1.0) / curvature))
-
-
-def _motion(path: Trajectory, begins: np.ndarray, window: float) -> np.ndarray:
-    """Return the distances and turns of a robot within windows of time, (n, 2), in any frame."""
-    dx, dy, turns = (
-        np.interp(begins + window, path.stamps, column) - np.interp(begins, path.stamps, column)
-        for column in (*path.poses[:, :2].T, np.unwrap(path.poses[:, 2]))
+    return (
+        f"the truth's point is {x} mm ahead of the axle, {y} mm to its left, and turned by {yaw}° "
+        "(95 %); corrected"
     )
-    return np.column_stack((np.hypot(dx, dy), turns))
 
 
 def _shifted(path: Trajectory, seconds: float) -> Trajectory:
-    return Trajectory(path.stamps + seconds, path.poses) if seconds else path
+    return replace(path, stamps=path.stamps + seconds) if seconds else path
 
 
 def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.ndarray:
@@ -396,7 +324,9 @@ def _over_gap(stamps: np.ndarray, paths: Sequence[Trajectory], most: float) -> n
     broken = np.zeros(len(stamps) - 1, dtype=bool)
     for path in paths:
         waits = np.diff(path.stamps)
-        gaps = np.flatnonzero(waits > most * np.median(waits))
+        # The median is no measure of a log that comes in bursts.
+        usual = np.sort(waits)[int(_MOST_WAITS * (len(waits) - 1))]
+        gaps = np.flatnonzero(waits > most * usual)
         begin, end = path.stamps[gaps], path.stamps[gaps + 1]
         later = np.searchsorted(end, stamps[:-1], side="right")
         known = later < len(gaps)

@@ -12,12 +12,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
-import numpy as np
-
 from bullet_lab.core.parameters import choices, integer
-from bullet_lab.noise.calibration import SYSTEMATIC, Problem
-from bullet_lab.noise.likelihood import StepPairs
+from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import MODELS
+from bullet_lab.studies.calibrate.lengths import short_steps
 from bullet_lab.studies.calibrate.recordings import (
     Coverage,
     DataSettings,
@@ -28,6 +26,7 @@ from bullet_lab.studies.calibrate.recordings import (
 )
 from bullet_lab.studies.calibrate.results import (
     ModelCalibration,
+    UndeterminedError,
     calibrate,
     calibration_summary,
     coverage_figure,
@@ -43,7 +42,7 @@ from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_fr
 from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"
-WHEELS, GYRO = SYSTEMATIC[2:]
+WHEELS, GYRO = SYSTEMATIC[2:4]
 MOST_COVERAGE_PATHS = 100_000
 COVERAGE_COLUMNS = (
     *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
@@ -99,7 +98,7 @@ def run_calibration(
         recordings = [made_up(drive, settings.seed)]
         errors = {name: getattr(drive, name) for name in settings.errors}
         true = {drive.model: {**drive.noise(), **errors}}
-    taken = joined([take_steps(recording, steps) for recording in recordings])
+    taken = short_steps(joined([take_steps(recording, steps) for recording in recordings]))
     taken.check()
     for line in taken.lines():
         tell(line)
@@ -110,18 +109,20 @@ def run_calibration(
             f"{GYRO} is not fitted: on a path that goes one way only, it is a {WHEELS} of "
             "-wheel_base times as much"
         )
-    pairs = StepPairs(
-        taken.true, taken.odometry[np.newaxis], taken.truth_std_m, taken.truth_std_rad
-    )
 
     def calibrate_model(number: int) -> ModelCalibration:
-        problem = Problem(pairs, settings.models[number], fitted, drive.wheel_base)
-        return calibrate(problem, taken.follows, settings.seed)
+        model = settings.models[number]
+        return calibrate(taken, model, fitted, drive.wheel_base, settings.seed)
 
     count = len(settings.models)
     found = run_tasks(calibrate_model, count, this_process, tell, "calibrate", "model", " models")
-    ranked = sorted(found, key=lambda one: one.aic)
+    ranked = sorted(found, key=ModelCalibration.rank)
     best = ranked[0]
+    if best.limited:
+        raise UndeterminedError(
+            f"{', '.join(best.limited)} of {best.model} on the limit, and no model without: the "
+            "odometry is too far from the truth, or the steps are too short to tell more than noise"
+        )
     for line in lines(ranked, true):
         tell(line)
     names = [recording.name for recording in recordings]
@@ -139,7 +140,11 @@ def run_calibration(
     }
     source = f"{names[0]} and {len(names) - 1} more" if names[1:] else names[0]
     seconds = summary["steps"]["median_s"]
-    texts = {f"noise_{one.model}.yaml": noise_yaml(one, source, seconds) for one in found}
+    texts = {
+        f"noise_{one.model}.yaml": noise_yaml(one, source, seconds)
+        for one in found
+        if not one.limited
+    }
     texts["noise.yaml"] = noise_yaml(best, source, seconds)
     return write_results(folder, summary, {}, figures, texts)
 

@@ -47,6 +47,10 @@ SIDES_PER_LAP = 4
 _DISTANCES_PER_CASE = 100
 
 
+STUDIED = ("report", "rate_invariant", "probabilistic")
+"""Models by default."""
+
+
 @dataclass(frozen=True)
 class StudySettings(Settings):
     """Noise and number of paths; a level is std, per metre and per radian.
@@ -60,7 +64,7 @@ class StudySettings(Settings):
         0.0,
         maximum=LARGEST_STD,
     )
-    models: Tuple[str, ...] = choices(tuple(MODELS), "rules that scale the noise", MODELS)
+    models: Tuple[str, ...] = choices(STUDIED, "rules that scale the noise", MODELS)
     rates: Tuple[float, ...] = numbers((0.9, 5.0, 20.0), "message rates, Hz", above=0.0)
     paths: int = integer(3000, "noisy paths for each level, model and rate", 2, MOST_PATHS)
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
@@ -272,6 +276,8 @@ def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tel
     if perfect.path:
         source = str(Path(perfect.base) / perfect.path)
         trajectory = read_path(Path(source), perfect.topic)
+        if trajectory.remark:
+            tell(f"{source}: {trajectory.remark}")
     else:
         source = "the report's square, simulated"
         trajectory = simulated_square(perfect.laps)

@@ -149,7 +149,9 @@ def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> SquareRun:
             f"{file}: odometry and truth turn in opposite directions: "
             "is the y axis or the yaw of one of them mirrored?"
         )
-    return SquareRun(file.stem, odometry.poses, tuple(first), tuple(last))
+    remarks = "; ".join(filter(None, (odometry.remark, truth.remark)))
+    name = f"{file.stem} ({remarks})" if remarks else file.stem
+    return SquareRun(name, odometry.poses, tuple(first), tuple(last))
 
 
 def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:

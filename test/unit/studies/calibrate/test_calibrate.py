@@ -6,13 +6,16 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from bullet_lab.core import se2
 from bullet_lab.core.parameters import read_parameters
-from bullet_lab.core.trajectory import CSV_HEADER
+from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
 from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
+from bullet_lab.noise.prediction import path_of
 from bullet_lab.studies.calibrate import study
 from bullet_lab.studies.calibrate.recordings import (
     DriveSettings,
+    Recording,
     calibration_drive,
     coverage,
     made_up,
@@ -50,14 +53,16 @@ def test_it_leaves_its_files_and_says_what_they_say(done):
     assert json.loads((folder / "summary.json").read_text()) == json.loads(json.dumps(summary))
     assert summary["best"] == "probabilistic"
     assert "alpha1 (α1)" in said and "rotation from rotation" in said
-    assert "rate_invariant: AIC" in said and "it does NOT fit" in said
+    assert "rate_invariant: predicts worse" in said and "it does NOT fit" in said
+    assert "windows of 1 m" in said
 
 
 def test_the_made_up_drive_is_recovered(done):
     _, summary, _ = done
     best, other = summary["models"]
     assert best["goodness"]["fits"] and not other["goodness"]["fits"]
-    assert other["aic_above_best"] > 100.0
+    assert best["prediction"]["density"] > other["prediction"]["density"]
+    assert best["step_length"] == (0.0, 0.0) and other["step_length"] != (0.0, 0.0)
     settings = DriveSettings()
     known = {**settings.noise(), **{name: getattr(settings, name) for name in SYSTEMATIC}}
     assert set(best["parameters"]) == set(known)
@@ -73,6 +78,7 @@ def test_the_made_up_drive_is_recovered(done):
 def test_noisy_odom_loads_the_noise(done):
     rosparam = pytest.importorskip("rosparam")
     pytest.importorskip("bullet_lab.srv")
+    from bullet_lab.noise.spread import SystematicSpread
     from bullet_lab.noise.systematic import SystematicErrors
     from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 
@@ -82,12 +88,12 @@ def test_noisy_odom_loads_the_noise(done):
         ((given, _),) = rosparam.load_file(str(folder / f"noise_{entry['model']}.yaml"))
         values = {f"~{name}": value for name, value in given.items()}
         found = read_parameters(NoisyOdomParameters, values.get, given)
-        estimates = {name: p["estimate"] for name, p in entry["parameters"].items()}
         rule, errors = rule_of(found.model, asdict(found)), SystematicErrors.of(found)
         assert rule.name == entry["model"]
-        for name, value in {**asdict(rule), **asdict(errors)}.items():
-            expected = estimates.get(name, 0.38)
-            assert value == pytest.approx(expected, rel=1e-8)
+        said = {**asdict(rule), **asdict(errors), **asdict(SystematicSpread.of(found))}
+        assert set(entry["published"]) < set(said)
+        for name, value in said.items():
+            assert value == pytest.approx(entry["published"].get(name, 0.38), rel=1e-8)
 
 
 def write_paths(path, recording, rows=None):
@@ -152,6 +158,22 @@ def test_paths_of_coverage_have_the_noise_that_is_said():
     (found,) = coverage(DriveSettings(std=0.02, laps=1), "report", (), 200, 1)
     # The standard error of the mean of 200 estimates from 585 parts each, 3.3 times.
     assert found.mean == pytest.approx(0.02, rel=3.3 / np.sqrt(2 * 400 * 200) + 1e-3)
+
+
+def test_an_estimate_on_its_limit_is_no_result(tmp_path, capsys):
+    recording = made_up(LAP, 3)
+    # Turns of a gyro whose unit is nearly twice what it should be.
+    steps = se2.steps(recording.odometry.poses) * [1.0, 1.0, 1.9]
+    poses = path_of(steps)
+    wrong = Recording("x", recording.truth, Trajectory(recording.truth.stamps, poses))
+    write_paths(tmp_path / "paths.csv", wrong)
+    status, _, err = run(
+        capsys, tmp_path / "out", "--data", tmp_path / "paths.csv",
+        "--models", "report", "--systematic", "base_error",
+    )  # fmt: skip
+    assert status == 2
+    assert "base_error of report on the limit" in err
+    assert not (tmp_path / "out" / "noise.yaml").exists()
 
 
 def test_the_true_noise_of_a_drive_is_that_of_the_node():

@@ -39,6 +39,14 @@ def test_two_files_belong_together_by_their_names(tmp_path, truth, odometry):
     assert_truth_first(found)
 
 
+def test_velocities_in_a_file_of_the_data_set_are_an_odometry(tmp_path):
+    rows = np.column_stack((np.arange(5.0), np.ones(5), np.zeros(5)))
+    np.savetxt(tmp_path / "Robot1_Odometry.dat", rows * [1, 2, 1], header="time v omega")
+    poses = np.column_stack((rows[:, 0], line(1.0).poses))
+    np.savetxt(tmp_path / "Robot1_Groundtruth.dat", poses)
+    assert_truth_first(find_recordings([tmp_path], TOPICS))
+
+
 def test_folders_below_are_looked_through(tmp_path):
     write_pair(tmp_path / "robot1", "odom", "noisy_odom")
     write_pair(tmp_path / "robot2" / "again", "a_truth", "a_odom")

@@ -1,0 +1,251 @@
+"""How well parameters that were fitted to some steps predict where others end.
+
+The truth's path is cut into windows of some length. For each, systematic errors give the pose that
+the odometry should report at its end, and the noise gives the second moments of the difference, as
+`noisy_odom` publishes them. The parameters are not exactly known, and may change from one stretch
+to the next: with their variances V and the slopes J of the end,
+
+    M = dispersion (moments of the noise + J `OWN` V J').
+
+`OWN` is 2, as the stretch that is predicted has errors of its own. The dispersion is that for which
+95 % of the ends are within their regions (more of few ends, as in conformal prediction: of n
+windows the share 0.95 (1 + 1/n)), for the length for which it is largest: errors of a
+few metres are often larger than steps show, as they are neither independent nor Gaussian.
+
+A prediction is judged by the mean logarithm of its density at the reported end: the more, the
+better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Sequence, Tuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from bullet_lab.core import se2
+from bullet_lab.core.se2 import LEVEL
+from bullet_lab.noise.calibration import Fit, Problem, covariance
+from bullet_lab.noise.exact_moments import exact_moments
+from bullet_lab.noise.likelihood import StepPairs
+from bullet_lab.noise.noisy_paths import noisy_steps
+from bullet_lab.noise.odometry_noise import rule_of
+from bullet_lab.noise.systematic import SystematicErrors
+
+LENGTHS = (1.0, 5.0, 20.0)
+"""m, of windows."""
+
+INSIDE = float(chi2.ppf(LEVEL, 3))
+"""Square of a whitened error of the pose at the border of the region of 95 %."""
+
+OWN = 2.0
+
+FEWEST = 6
+"""Windows of a length that count."""
+
+# Windows begin at each quarter of their length, as there are few of the long ones.
+_OVERLAP = 4
+_DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Ends of windows of one length, predicted and reported, for w windows and s errors.
+
+    Attributes:
+        length: m.
+        error: reported minus predicted end (m, m, rad) in the frame of the start, (w, 3).
+        noise: second moments of the noise, (w, 3, 3).
+        slopes: of the predicted end by the systematic errors that were fitted, (w, 3, s).
+        apart: whether the window does not overlap the one before it that is, (w,).
+    """
+
+    length: float
+    error: np.ndarray
+    noise: np.ndarray
+    slopes: np.ndarray
+    apart: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.error)
+
+    def squares(self, parameters: np.ndarray, dispersion: float = 1.0):
+        """Return whitened squares, (w,), and logarithms of the density, (w,).
+
+        Args:
+            parameters: V, variances of the systematic errors, (s,).
+            dispersion: see the module.
+        """
+        spread = OWN * (self.slopes * parameters) @ self.slopes.swapaxes(1, 2)
+        moments = dispersion * (self.noise + spread)
+        solved = np.linalg.solve(moments, self.error[..., np.newaxis])[..., 0]
+        squares = np.einsum("wi,wi->w", self.error, solved)
+        size = np.linalg.slogdet(2.0 * np.pi * moments)[1]
+        return squares, -0.5 * (squares + size)
+
+
+@dataclass(frozen=True)
+class Score:
+    """How windows of one length were predicted.
+
+    Attributes:
+        length: m.
+        windows: number of those that do not overlap.
+        density: mean logarithm of the density at the ends, of all windows.
+        held: share of the ends within the region of 95 %, of all windows.
+    """
+
+    length: float
+    windows: int
+    density: float
+    held: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """How well a model predicts each half of the steps by a fit of the other.
+
+    Attributes:
+        dispersion: factor of all variances, >= 1.
+        scores: of each length of which there are enough windows.
+    """
+
+    dispersion: float
+    scores: Tuple[Score, ...]
+
+    @property
+    def density(self) -> float:
+        """Sum of the mean logarithms of all lengths: the more, the better."""
+        return sum(score.density for score in self.scores)
+
+
+def judged(found: Sequence[Tuple[Windows, np.ndarray]]) -> Prediction:
+    """Return the dispersion and the scores of windows, each with a fit's variances V."""
+    lengths = sorted({one.length for one, _ in found})
+    groups = [[(one, v) for one, v in found if one.length == length] for length in lengths]
+    groups = [group for group in groups if sum(len(one) for one, _ in group) >= FEWEST]
+    dispersion = 1.0
+    for group in groups:
+        squares = np.concatenate([one.squares(v)[0] for one, v in group])
+        # With few windows the next one is more often beyond their quantile than 1 - LEVEL.
+        apart = sum(int(one.apart.sum()) for one, _ in group)
+        level = min(1.0, LEVEL * (1.0 + 1.0 / apart))
+        dispersion = max(dispersion, float(np.quantile(squares, level)) / INSIDE)
+    return Prediction(dispersion, tuple(_score(group, dispersion) for group in groups))
+
+
+def _score(group: Sequence[Tuple[Windows, np.ndarray]], dispersion: float) -> Score:
+    both = [one.squares(v, dispersion) for one, v in group]
+    squares, densities = (np.concatenate(columns) for columns in zip(*both))
+    apart = sum(int(one.apart.sum()) for one, _ in group)
+    held = float(np.mean(squares <= INSIDE))
+    return Score(group[0][0].length, apart, float(densities.mean()), held)
+
+
+def predicted(problem: Problem, found: Fit, pairs: StepPairs, follows, length: float) -> Windows:
+    """Predict windows of other steps by a fit.
+
+    Args:
+        problem: that was fitted; one odometry.
+        found: its fit.
+        pairs: short steps to predict, one odometry.
+        follows: whether each begins where the one before it ended, (n,).
+        length: of the windows, m of the truth.
+    """
+    values = found.values()
+    rule = rule_of(found.model, values)
+    wrong = {name: values[name] for name in problem.systematic}
+    known = SystematicErrors(**wrong, wheel_base=problem.wheel_base)
+    bent = [
+        SystematicErrors(
+            **{**wrong, name: wrong[name] + _DIFFERENCE}, wheel_base=problem.wheel_base
+        )
+        for name in problem.systematic
+    ]
+    begins, ends = windows(pairs.true, follows, length)
+    reported = path_of(pairs.odometry[0])
+    paths = [path_of(one.steps(pairs.true)) for one in (known, *bent)]
+    expected, *others = (se2.between(path[begins], path[ends]) for path in paths)
+    slopes = [se2.between(expected, other) for other in others]
+    noise = [
+        exact_moments(noisy_steps(paths[0][begin : end + 1], rule)).about_perfect()[-1]
+        for begin, end in zip(begins, ends)
+    ]
+    turned = paths[0][begins, 2]
+    error = se2.between(reported[begins], reported[ends]) - expected
+    error[:, 2] = se2.wrap(error[:, 2])
+    size = np.array([pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad])
+    floor = np.diag(2.0 * size * size + 1e-12)
+    shape = (len(begins), 3, 3)
+    return Windows(
+        length,
+        error,
+        _turned(np.array(noise).reshape(shape), -turned) + floor,
+        _slopes(slopes, expected),
+        _apart(begins, ends),
+    )
+
+
+def parameter_variances(problem: Problem, found: Fit) -> np.ndarray:
+    """Return the variances of the systematic errors by the information of a fit, (s,)."""
+    inverse, scale = covariance(found.information)
+    units = problem.values(np.ones((1, len(problem.names))))[0]
+    variances = np.diagonal(inverse[0]) * np.square(units / scale[0])
+    return variances[~problem.logarithmic]
+
+
+def windows(true: np.ndarray, follows: np.ndarray, length: float):
+    """Return indices of the poses at begin and end of windows, which go over no gap, (w,), (w,).
+
+    Args:
+        true: steps (dx m, dy m, dyaw rad), (n, 3).
+        follows: whether each begins where the one before it ended, (n,).
+        length: m.
+    """
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(true[:, 0], true[:, 1]))))
+    stretch = np.concatenate(([0], np.cumsum(~np.asarray(follows))))
+    begins = np.searchsorted(way, np.arange(0.0, way[-1] - length, length / _OVERLAP))
+    ends = np.searchsorted(way, way[begins] + length)
+    whole = ends < len(way)
+    begins, ends = begins[whole], ends[whole]
+    # Step k ends at pose k + 1.
+    whole = stretch[ends] == stretch[begins + 1]
+    return begins[whole], ends[whole]
+
+
+def _apart(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    last, apart = -1, np.zeros(len(begins), dtype=bool)
+    for index, (begin, end) in enumerate(zip(begins, ends)):
+        if begin >= last:
+            apart[index], last = True, end
+    return apart
+
+
+def path_of(steps: np.ndarray) -> np.ndarray:
+    """Return the poses that steps lead to, the start included: (n, 3) to (n + 1, 3)."""
+    heading = np.concatenate(([0.0], np.cumsum(steps[:, 2])))
+    moves = (steps[:, 0] + 1j * steps[:, 1]) * np.exp(1j * heading[:-1])
+    places = np.concatenate(([0j], np.cumsum(moves)))
+    return np.column_stack((places.real, places.imag, se2.wrap(heading)))
+
+
+def _slopes(moved: Sequence[np.ndarray], expected: np.ndarray) -> np.ndarray:
+    """Return slopes (w, 3, s) from the changes of ends as seen from the expected ones."""
+    if not moved:
+        return np.zeros((*expected.shape, 0))
+    return _rotations(expected[:, 2]) @ np.stack(moved, axis=-1) / _DIFFERENCE
+
+
+def _rotations(angles: np.ndarray) -> np.ndarray:
+    matrices = np.zeros((len(angles), 3, 3))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(angles)
+    matrices[:, 1, 0] = np.sin(angles)
+    matrices[:, 0, 1] = -matrices[:, 1, 0]
+    matrices[:, 2, 2] = 1.0
+    return matrices
+
+
+def _turned(matrices: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    rotations = _rotations(angles)
+    return rotations @ matrices @ rotations.swapaxes(1, 2)

@@ -1,0 +1,105 @@
+"""Where steps end by a fit of others: regions that hold, and dispersions that make them."""
+
+import numpy as np
+import pytest
+
+from bullet_lab.noise.calibration import Problem, fit
+from bullet_lab.noise.goodness import drawn_pairs
+from bullet_lab.noise.likelihood import LongErrors, Shares, StepPairs
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
+from bullet_lab.noise.odometry_noise import rule_of
+from bullet_lab.noise.prediction import (
+    INSIDE,
+    judged,
+    parameter_variances,
+    path_of,
+    predicted,
+    windows,
+)
+from bullet_lab.noise.random_walk import RandomWalkRule
+from bullet_lab.noise.systematic import SystematicErrors, end_of
+
+RULE = RandomWalkRule(0.02, 0.03, 0.05)
+ERRORS = SystematicErrors(0.02, -0.03, 0.01, way_per_turn=0.03)
+NAMES = ("scale_error", "base_error", "diameter_error", "way_per_turn")
+LAP = [(0.05, 0.0, 0.0)] * 20 + [(0.04, 0.0, 0.06)] * 25 + [(0.04, 0.0, -0.05)] * 15
+STEPS = np.array(LAP * 14)
+
+
+def reported(seed):
+    true = StepPairs(STEPS, STEPS[np.newaxis])
+    return drawn_pairs(true, RULE, np.random.default_rng(seed), 1, ERRORS.steps(STEPS))
+
+
+def halves_of(pairs):
+    every = np.ones(len(pairs.true), dtype=bool)
+    for own in (slice(None, len(every) // 2), slice(len(every) // 2, None)):
+        other = np.setdiff1d(np.arange(len(every)), np.arange(len(every))[own])
+        mine = StepPairs(pairs.true[own], pairs.odometry[:, own])
+        problem = Problem(mine, "random_walk", NAMES)
+        found = fit(problem)
+        yours = StepPairs(pairs.true[other], pairs.odometry[:, other])
+        for length in (1.0, 5.0):
+            yield (
+                predicted(problem, found, yours, every[other], length),
+                parameter_variances(problem, found),
+            )
+
+
+def test_the_right_model_predicts_the_other_half():
+    squares = []
+    for seed in range(8):
+        found = list(halves_of(reported(seed)))
+        squares += [np.stack((*one.squares(v), one.apart)) for one, v in found]
+    for first in (0, 1):
+        rows = np.concatenate(squares[first::2], axis=1)
+        held = np.mean(rows[0, rows[2] > 0] <= INSIDE)
+        # Of 48 windows of 5 m, 41 or fewer at 95 % have a probability of 1 %.
+        assert held > 0.87
+
+
+def test_noise_that_is_larger_than_steps_show_disperses():
+    calm = judged(list(halves_of(reported(3))))
+    assert 1.0 <= calm.dispersion < 1.6
+    slow = np.repeat(np.random.default_rng(1).normal(0.0, 0.01, 42), 20)
+    pairs = reported(3)
+    drifting = pairs.odometry + slow[:, np.newaxis] * [0.0, 0.0, 1.0]
+    more = judged(list(halves_of(StepPairs(pairs.true, drifting))))
+    assert more.dispersion > 1.5 * calm.dispersion
+    assert more.density < calm.density
+
+
+def test_windows_go_over_no_gap_and_have_their_length():
+    steps = np.tile([0.1, 0.0, 0.0], (100, 1))
+    follows = np.arange(100) != 40
+    begins, ends = windows(steps, follows, 2.0)
+    way = path_of(steps)[:, 0]
+    assert len(begins) > 5
+    np.testing.assert_allclose(way[ends] - way[begins], 2.0, atol=0.1 + 1e-9)
+    assert not ((begins < 40) & (ends > 40)).any()
+
+
+def test_shares_of_a_long_step_are_the_moments_of_many_paths():
+    within = STEPS[15:40]
+    errors = LongErrors(np.zeros((1, 1, 3)), Shares.of(within[np.newaxis]), np.zeros(3))
+    said = errors.covariance(RULE)[0]
+    steps = noisy_steps(path_of(within), RULE)
+    (block,) = noisy_blocks(steps, np.random.default_rng(2), 20000, 10**7)
+    ends = block.position[:, -1] - steps.position[-1]
+    seen = np.cov(np.stack((ends.imag, ends.real, block.heading_error[:, -1])))
+    scale = np.sqrt(np.diagonal(seen))
+    # 20000 paths determine a variance to 1 %, and the moments are of first order.
+    size = np.outer(scale, scale)
+    np.testing.assert_allclose(said / size, seen / size, atol=0.04)
+
+
+def test_long_steps_give_the_parameters_that_short_ones_have():
+    pairs = reported(5)
+    groups = STEPS.reshape(-1, 10, 3)
+    odometry = end_of(pairs.odometry.reshape(-1, 10, 3))
+    long = StepPairs(end_of(groups), odometry[np.newaxis], within=groups)
+    found = fit(Problem(long, "random_walk", NAMES)).values()
+    rule = rule_of("random_walk", found)
+    assert rule.way_std == pytest.approx(RULE.way_std, rel=0.35)
+    for name in NAMES:
+        assert found[name] == pytest.approx(getattr(ERRORS, name), abs=0.02)
