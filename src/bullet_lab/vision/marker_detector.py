@@ -234,10 +234,10 @@ class MarkerDetector:
         for match in matches:
             add_match(match, found)
         for outer in found[:]:
-            pattern, size = self.dictionary.pattern(outer.marker), mean_side(outer.corners)
-            smaller = [one.corners for one in found if mean_side(one.corners) < size]
-            least = self.settings.min_side
-            inner = _quads_in_cells(picture, outer.corners, pattern, least, smaller)
+            pattern = self.dictionary.pattern(outer.marker)
+            inner = _quads_in_cells(
+                picture, outer.corners, pattern, self.settings.min_side, found
+            )
             for match in self._decoded(picture, inner).values():
                 add_match(match, found)
         return found
@@ -305,7 +305,7 @@ def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
 
 
 def _quads_in_cells(
-    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: Sequence[ndarray]
+    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: Sequence[Match]
 ) -> ndarray:
     """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
 
@@ -317,7 +317,7 @@ def _quads_in_cells(
         corners: (4, 2) of the marker, ideal px, clockwise from its top left.
         pattern: (n, n) its cells with the border, 1 for white.
         min_side: px, least mean length of the sides that are looked for.
-        known: (4, 2) corners of other markers, ideal px; a cell with one in it is left out.
+        known: markers; a cell with a smaller one in it is left out.
 
     Returns:
         (m, 4, 2) corners u, v in px of the image, clockwise.
@@ -336,13 +336,18 @@ def _quads_in_cells(
     dark = int(_DARK_SHARE * levels.shape[1])
     darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
     darkness[~is_white] = 0.0
-    for other in known:
-        column, row = (cells * mapped(other.mean(axis=0)[None], cv2.invert(to_image)[1]))[0]
-        if 0.0 <= column < cells and 0.0 <= row < cells:
-            darkness[cells * int(row) + int(column)] = 0.0
-    darkest = np.argsort(-darkness, kind="stable")[:_MOST_CELLS]
+    darkest = np.argsort(-darkness, kind="stable")
+    darkest = darkest[: np.count_nonzero(darkness > _DARKER)]
+    if not len(darkest):
+        return _NONE
+    others = np.array([one.corners for one in known])
+    others = others[mean_side(others) < mean_side(corners)].mean(axis=1)
+    column, row = (cells * mapped(others, cv2.invert(to_image)[1])).T
+    within = (np.minimum(column, row) >= 0.0) & (np.maximum(column, row) < cells)
+    taken = cells * row[within].astype(int) + column[within].astype(int)
+    darkest = darkest[~np.isin(darkest, taken)][:_MOST_CELLS]
     found = [_NONE]
-    for index in darkest[darkness[darkest] > _DARKER].tolist():
+    for index in darkest.tolist():
         row, column = divmod(index, cells)
         outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
         found.append(_quads_within(picture.levels, outline, black, contrast, min_side))
@@ -408,10 +413,11 @@ def add_match(match: Match, found: list[Match]) -> None:
 
 
 def _is_same_marker(first: Match, second: Match) -> bool:
+    if first.marker != second.marker:
+        return False
     small, large = sorted((mean_side(first.corners), mean_side(second.corners)))
     away = np.linalg.norm(first.corners.mean(axis=0) - second.corners.mean(axis=0))
-    is_near = large < _ONE_MARKER * small and away < _BESIDE * small
-    return first.marker == second.marker and bool(is_near)
+    return bool(large < _ONE_MARKER * small and away < _BESIDE * small)
 
 
 def _prepare(grey: ndarray, low: float, high: float, noise: float) -> tuple[ndarray, float]:

@@ -365,10 +365,10 @@ class _Judged:
             at_side = self._linear.pixels.own(points)
             others = self._equations(self._own & ~at_side)
             across = right_of(along[side]) / lengths_of(along[side])
-            to_ends = np.einsum("k,ekm->em", across, to_corners[[side, NEXT[side]]])
-            off = np.abs(to_ends @ others.solution()[_SHAPE])
-            by_shape = others.inverse()[_SHAPE, _SHAPE]
-            variances = self._square * np.einsum("ek,kl,el->e", to_ends, by_shape, to_ends)
+            to_ends = across @ to_corners[[side, NEXT[side]]]
+            inverse = others.inverse()[_SHAPE]
+            off = np.abs(to_ends @ (inverse @ others.right))
+            variances = self._square * ((to_ends @ inverse[:, _SHAPE]) * to_ends).sum(axis=1)
             deviations = off / np.sqrt(np.maximum(variances, 1e-12))
             if ((off > _ODD) & (deviations > _ODD_DEVIATIONS)).any():
                 odd.append((float(deviations.max()), at_side))
@@ -427,7 +427,7 @@ class _Equations:
         rows = np.concatenate((columns, levels[None]))
         rows *= np.sqrt(weights)
         squares = cv2.mulTransposed(rows, False)
-        self._normal, self._right = squares[:-1, :-1].copy(), squares[:-1, -1]
+        self._normal, self.right = squares[:-1, :-1].copy(), squares[:-1, -1]
         diagonal = np.einsum("ii->i", self._normal)
         diagonal[-_SPREAD:] += prior
         # Scaled, as the numbers are of unlike size, and some of the light's may be undetermined.
@@ -437,8 +437,8 @@ class _Equations:
 
     def solution(self) -> ndarray:
         """Return the numbers (m,); NaN if there are none."""
-        solved, found = cv2.solve(self._normal, self._size * self._right)
-        return self._size * found.ravel() if solved else np.full(len(self._right), np.nan)
+        solved, found = cv2.solve(self._normal, self._size * self.right)
+        return self._size * found.ravel() if solved else np.full(len(self.right), np.nan)
 
     def inverse(self) -> ndarray:
         """Return the inverse (m, m) of the equations' matrix."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -172,7 +173,7 @@ def _moved(
     across = np.array([-along[1], along[0]])
     length = math.sqrt(24.0 * longer)
     count = min(_MOST_POSITIONS, 1 + math.ceil(length / _POSITION_STEP))
-    positions, weights = np.polynomial.legendre.leggauss(count)
+    positions, weights = _legendre(count)
     positions, weights = 0.5 * length * positions, 0.5 * weights
     # The variance of the Gaussian blur beside the motion.
     rest = mean - longer
@@ -196,6 +197,9 @@ def _moved(
         2.0 * (eu * ev * by_length + fu * fv * by_rest) + (eu * fv + ev * fu) * by_turn,
     )
     return means[0], means[1:3], np.stack(by_blur)
+
+
+_legendre = lru_cache(maxsize=None)(np.polynomial.legendre.leggauss)
 
 
 def _blurred(
