@@ -42,8 +42,8 @@ _LEAST_SHARED = -0.1
 _LEAST_BEND = -0.5
 _MOST_BEND = 0.75
 _MOST_SHARED = 0.25
-# Least certainty of the blur's numbers beforehand: variances to a px² or so. The bend is 0 to 0.5 or
-# so, which matters in a dark image, where noise hides it.
+# Least certainty of the blur's numbers beforehand: variances to a px² or so. The bend is 0 to 0.5,
+# which matters in a dark image, where noise hides it.
 _BLUR_PRIOR = np.array((1.0, 1.0, 1.0, 4.0, 1.0))
 _BEND = -2
 
@@ -396,9 +396,9 @@ class _Judged:
         These are the pixels of each group: what the model does not know, a blur that is no
         Gaussian, is alike on both sides of an edge. It makes the residuals of a group large, and
         hardly moves the edge. And they are the pixels along each line of edges: where a camera has
-        left out rows or sharpened, all edges of a line are off together. Those of the outline do not
-        tell: there may be something before a side. Of independent residuals both are 1, so that of
-        lines counts only if it is clearly larger.
+        left out rows or sharpened, all edges of a line are off together. Those of the outline do
+        not tell: there may be something before a side. Of independent residuals both are 1, so that
+        of lines counts only if it is clearly larger.
 
         Args:
             inverse: (m, m) of the fit's normal equations.

@@ -236,7 +236,7 @@ def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
         wall = Layer(np.array([[grey]]), 2.0, (left + 1.0, 0.0))
         image = image_of([marker(quiet=2), wall], view, samples=16, blur=0.6, noise=2.0)
         (found,) = detected(image)
-        assert off_by(found, view) < 0.35
+        assert off_by(found, view) < 0.45
         assert normalised_square(found, view) < 8 * 5.0
 
 
