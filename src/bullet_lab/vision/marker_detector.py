@@ -20,7 +20,13 @@ from bullet_lab.vision.candidates import (
     outlines_of,
     sound_quads,
 )
-from bullet_lab.vision.dictionaries import Match, decode, dictionary_named, may_be_markers
+from bullet_lab.vision.dictionaries import (
+    Match,
+    decode,
+    dictionary_named,
+    may_be_markers,
+    refined,
+)
 from bullet_lab.vision.images import (
     NEXT,
     UNIT_SQUARE,
@@ -64,6 +70,10 @@ _BRIGHT = 243.0
 # Standard deviation of corners that follow from the outline alone: px, and part of a side.
 _UNSURE = 0.3
 _UNSURE_PART = 0.05
+# How corners are refined, and the standard deviation of corners that are not fitted to the pattern,
+# px. That of the corners of boards before a real camera is 0.2 and 0.6.
+REFINEMENTS = ("pattern", "corners", "none")
+_DEVIATIONS = {"corners": 0.15, "none": 0.5}
 # Samples of a cell along each edge, and the part of the edge that they cover.
 _SAMPLES = 7
 _COVERED = 0.8
@@ -107,6 +117,7 @@ class DetectorSettings:
     correction: float = 0.5  #: share of the correctable bits that is corrected
     inverted: bool = False  #: find white markers on black as well
     second_pass: bool = True  #: search again with other thresholds if nothing was found
+    refine: str = REFINEMENTS[0]  #: what the corners follow from, one of `REFINEMENTS`
 
     def __post_init__(self) -> None:
         """Raise VisionError if a setting is not allowed."""
@@ -114,6 +125,8 @@ class DetectorSettings:
             value = getattr(self, name)
             if not math.isfinite(value) or not low <= value <= high:
                 raise VisionError(f"{name} is {value}; it must be from {low:g} to {high:g}")
+        if self.refine not in REFINEMENTS:
+            raise VisionError(f"refine is '{self.refine}'; it must be one of {REFINEMENTS}")
         count = len(dictionary_named(self.dictionary).codes)
         wrong = [marker for marker in self.ids if not 0 <= marker < count]
         if wrong:
@@ -275,10 +288,25 @@ class MarkerDetector:
         """Return the markers among (n, 4, 2) quadrilaterals, px, by their indices."""
         if not len(quads):
             return {}
+        if self.settings.refine != "none":
+            quads = refined(picture, quads, self.dictionary.cells + 2)
+        else:
+            quads = picture.ideal(quads)
         found = decode(picture, quads, self.dictionary, self._correction, self._border_errors)
         return {index: match for index, match in found if match.likeness >= _LEAST_LIKENESS}
 
     def _measured(self, match: Match, picture: Picture) -> DetectedMarker:
+        fit = self._fit(match, picture)
+        by_ideal = picture.derivatives(fit.corners)
+        covariance = by_ideal @ fit.covariance @ by_ideal.T
+        seen = picture.seen(fit.corners)
+        return DetectedMarker(match.marker, seen, match.errors, match.likeness, covariance)
+
+
+    def _fit(self, match: Match, picture: Picture) -> PatternFit:
+        if self.settings.refine != "pattern":
+            spread = _DEVIATIONS[self.settings.refine]
+            return PatternFit(match.corners, spread**2 * np.eye(8), 0.0)
         pattern = self.dictionary.pattern(match.marker)
         corners = without_hidden_side(picture, match.corners, pattern)
         fit = fit_pattern(picture, corners, pattern)
@@ -286,10 +314,7 @@ class MarkerDetector:
             # The pattern does not explain the image, so the outline is not reliable either.
             spread = max(_UNSURE, _UNSURE_PART * mean_side(corners))
             fit = PatternFit(corners, spread**2 * np.eye(8), 1.0)
-        by_ideal = picture.derivatives(fit.corners)
-        covariance = by_ideal @ fit.covariance @ by_ideal.T
-        seen = picture.seen(fit.corners)
-        return DetectedMarker(match.marker, seen, match.errors, match.likeness, covariance)
+        return fit
 
 
 def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:

@@ -186,6 +186,20 @@ def test_a_marker_with_a_corner_behind_what_is_as_grey_as_the_ground(distance, c
     assert (off < np.maximum(0.5, 3.0 * found.deviations))[others].all()
 
 
+@pytest.mark.parametrize(
+    "refine, least, most", [("pattern", 0.0, 0.05), ("corners", 0.0, 0.2), ("none", 0.2, 2.0)]
+)
+def test_corners_are_as_good_as_their_refinement(refine, least, most):
+    view = View(1.5, yaw=20.0, roll=7.0)
+    (found,) = detect(image_of([marker()], view, blur=0.6, noise=1.0), refine=refine).markers
+    assert least < np.abs(found.corners - true_corners(view)).max() < most
+
+
+def test_an_unknown_refinement_is_refused():
+    with pytest.raises(VisionError, match="refine is 'all'"):
+        DetectorSettings(refine="all")
+
+
 def test_only_ids_that_were_asked_for():
     image = image_of([marker(5), marker(6, centre=(0.3, 0.0))], View(1.5), samples=4)
     detections = detect(image, ids=(6, 8))
