@@ -1,11 +1,12 @@
-"""Compares three detectors of 36h11 on the same pictures; scripts/bench.sh detectors.
+"""Compares detectors of 36h11 on the same pictures; scripts/bench.sh detectors.
 
 Ours, OpenCV's ArUco and AprilTag 3 (pupil-apriltags), each with the best of a few settings, on
 renderings of a marker before photographs: found, corners, poses, time; for ours also whether the
 covariance is right. False detections are counted in crops of the photographs. Prints a table,
 writes JSON and heat maps. What was done before it was stopped is not done again.
 --scenes N: for each condition. --crops N: of photographs. --seed S: of all that is random.
---workers N: processes; 0: one for each core.
+--workers N: processes; 0: one for each core. --photos DIR: photographs instead of renderings;
+what two detectors find is there.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from common import options, write
 from detectors.backgrounds import photographs
 from detectors.contestants import CONTESTANTS, Find, described
 from detectors.measures import ANGLES, CROPS_AT_ONCE, DISTANCES, Plan, cells, do, measured, scene
+from detectors.photos import on_photos
 from detectors.rates import rate_of
 from tqdm import tqdm
 
@@ -164,9 +166,16 @@ def print_table(report: Mapping[str, Any]) -> None:
 
 def main() -> None:
     """Measure, print and write."""
-    wanted = options(__doc__, scenes=50, crops=50_000, workers=0, seed=1)
+    wanted = options(__doc__, scenes=50, crops=50_000, workers=0, seed=1, photos="")
     warnings.simplefilter("ignore")
     cv2.setNumThreads(1)
+    if wanted.photos:
+        finders = {name: one.make(one.grid[0]) for name, one in CONTESTANTS.items()}
+        figures = on_photos(Path(wanted.photos), finders)
+        for name, row in figures.items():
+            print(name, json.dumps(row))
+        write(wanted.out, figures)
+        return
     plan = Plan(wanted.scenes, wanted.crops, wanted.seed, tuned(wanted.seed))
     report = compare(plan, wanted.out.with_suffix(".jsonl"), wanted.workers)
     print_table(report)

@@ -23,7 +23,12 @@ from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_area, draw_marker, draw_points, draw_text
 from bullet_lab.vision.features import canny_edges, good_features, harris_corners
 from bullet_lab.vision.images import VisionError, grey
-from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector, why_nothing
+from bullet_lab.vision.marker_detector import (
+    REFINEMENTS,
+    DetectorSettings,
+    MarkerDetector,
+    why_nothing,
+)
 
 WALL = "package://bullet_lab/models/docking_station/meshes/back_wall.png"
 
@@ -37,6 +42,9 @@ class PictureSettings(Settings):
         DetectorSettings().dictionary,
         "dictionary of the markers",
         [name[5:].lower() for name in DICTIONARY_NAMES],
+    )
+    refine: str = choice(
+        REFINEMENTS[0], "what markers' corners follow from, as ~refine of aruco", REFINEMENTS
     )
 
 
@@ -59,7 +67,7 @@ def run_detectors(folder: Path, settings: PictureSettings) -> VisionReport:
     path = ResourceFinder.anywhere().find(settings.picture)
     report = VisionReport(folder)
     report.about = {"job": "detectors", "picture": path.name, "tags": settings.tags}
-    for topic, detail in _answers(read_picture(path), settings.tags).items():
+    for topic, detail in _answers(read_picture(path), settings).items():
         report.take(topic, Reading(0, (), detail))
     save_all(report, True)
     return report
@@ -73,16 +81,16 @@ def read_picture(path: Path) -> np.ndarray:
     return picture
 
 
-def _answers(picture: np.ndarray, tags: str) -> Dict[str, Any]:
+def _answers(picture: np.ndarray, settings: PictureSettings) -> Dict[str, Any]:
     """Return the detail of each reading of VisionReport by its topic."""
-    levels = grey(picture)
+    levels, tags = grey(picture), settings.tags
     drawn = {name: picture.copy() for name in PICTURES}
     drawn["canny_edges"] = cv2.cvtColor(canny_edges(levels), cv2.COLOR_GRAY2BGR)
     good = good_features(levels)
     draw_points(drawn["good_features"], good)
     area, corners = harris_corners(levels)
     draw_area(drawn["harris_corners"], area)
-    found = MarkerDetector(DetectorSettings(tags)).detect(levels)
+    found = MarkerDetector(DetectorSettings(tags, refine=settings.refine)).detect(levels)
     for marker in found.markers:
         draw_marker(drawn["aruco"], marker, f"id {marker.id}")
     if not found.markers:

@@ -229,7 +229,7 @@ def _half_planes(cells: int) -> ndarray:
     return 0.5 * np.concatenate([places @ np.linalg.pinv(ring) for ring in rings], axis=1)
 
 
-def _refined(picture: Picture, quads: ndarray, cells: int) -> ndarray:
+def refined(picture: Picture, quads: ndarray, cells: int) -> ndarray:
     """Return the corners of dark quadrilaterals where the lines along their sides meet.
 
     Each side is crossed at many places; the edge is where the grey level rises, on average. The
@@ -312,7 +312,7 @@ def _robust_lines(heights: ndarray, weights: ndarray) -> tuple[ndarray, ndarray]
 
 def decode(
     picture: Picture,
-    quads: ndarray,
+    corners: ndarray,
     dictionary: MarkerDictionary,
     correction: int,
     border_errors: int,
@@ -321,12 +321,11 @@ def decode(
 
     Args:
         picture: the image.
-        quads: (n, 4, 2) corners in px of the image, clockwise, to about two pixels.
+        corners: (n, 4, 2) ideal px, clockwise.
         dictionary: of the markers.
         correction: most bits that are corrected.
         border_errors: most cells of the border that are not black.
     """
-    corners = _refined(picture, quads, dictionary.cells + 2)
     side, each = dictionary.cells + 4, len(_OFFSETS)
     samples = _levels(picture, corners, _cell_places(dictionary.cells))
     # Data cells, border and one ring around.

@@ -20,7 +20,13 @@ from bullet_lab.vision.candidates import (
     outlines_of,
     sound_quads,
 )
-from bullet_lab.vision.dictionaries import Match, decode, dictionary_named, may_be_markers
+from bullet_lab.vision.dictionaries import (
+    Match,
+    decode,
+    dictionary_named,
+    may_be_markers,
+    refined,
+)
 from bullet_lab.vision.images import (
     NEXT,
     UNIT_SQUARE,
@@ -64,6 +70,10 @@ _BRIGHT = 243.0
 # Standard deviation of corners that follow from the outline alone: px, and part of a side.
 _UNSURE = 0.3
 _UNSURE_PART = 0.05
+# How corners are refined, and the standard deviation of corners that are not fitted to the pattern,
+# px. That of the corners of boards before a real camera is 0.2 and 0.6.
+REFINEMENTS = ("pattern", "corners", "none")
+_DEVIATIONS = {"corners": 0.15, "none": 0.5}
 # Samples of a cell along each edge, and the part of the edge that they cover.
 _SAMPLES = 7
 _COVERED = 0.8
@@ -107,6 +117,7 @@ class DetectorSettings:
     correction: float = 0.5  #: share of the correctable bits that is corrected
     inverted: bool = False  #: find white markers on black as well
     second_pass: bool = True  #: search again with other thresholds if nothing was found
+    refine: str = REFINEMENTS[0]  #: what the corners follow from, one of `REFINEMENTS`
 
     def __post_init__(self) -> None:
         """Raise VisionError if a setting is not allowed."""
@@ -114,6 +125,8 @@ class DetectorSettings:
             value = getattr(self, name)
             if not math.isfinite(value) or not low <= value <= high:
                 raise VisionError(f"{name} is {value}; it must be from {low:g} to {high:g}")
+        if self.refine not in REFINEMENTS:
+            raise VisionError(f"refine is '{self.refine}'; it must be one of {REFINEMENTS}")
         count = len(dictionary_named(self.dictionary).codes)
         wrong = [marker for marker in self.ids if not 0 <= marker < count]
         if wrong:
@@ -234,10 +247,10 @@ class MarkerDetector:
         for match in matches:
             add_match(match, found)
         for outer in found[:]:
-            pattern, size = self.dictionary.pattern(outer.marker), mean_side(outer.corners)
-            smaller = [one.corners for one in found if mean_side(one.corners) < size]
-            least = self.settings.min_side
-            inner = _quads_in_cells(picture, outer.corners, pattern, least, smaller)
+            pattern = self.dictionary.pattern(outer.marker)
+            inner = _quads_in_cells(
+                picture, outer.corners, pattern, self.settings.min_side, found
+            )
             for match in self._decoded(picture, inner).values():
                 add_match(match, found)
         return found
@@ -275,10 +288,25 @@ class MarkerDetector:
         """Return the markers among (n, 4, 2) quadrilaterals, px, by their indices."""
         if not len(quads):
             return {}
+        if self.settings.refine != "none":
+            quads = refined(picture, quads, self.dictionary.cells + 2)
+        else:
+            quads = picture.ideal(quads)
         found = decode(picture, quads, self.dictionary, self._correction, self._border_errors)
         return {index: match for index, match in found if match.likeness >= _LEAST_LIKENESS}
 
     def _measured(self, match: Match, picture: Picture) -> DetectedMarker:
+        fit = self._fit(match, picture)
+        by_ideal = picture.derivatives(fit.corners)
+        covariance = by_ideal @ fit.covariance @ by_ideal.T
+        seen = picture.seen(fit.corners)
+        return DetectedMarker(match.marker, seen, match.errors, match.likeness, covariance)
+
+
+    def _fit(self, match: Match, picture: Picture) -> PatternFit:
+        if self.settings.refine != "pattern":
+            spread = _DEVIATIONS[self.settings.refine]
+            return PatternFit(match.corners, spread**2 * np.eye(8), 0.0)
         pattern = self.dictionary.pattern(match.marker)
         corners = without_hidden_side(picture, match.corners, pattern)
         fit = fit_pattern(picture, corners, pattern)
@@ -286,10 +314,7 @@ class MarkerDetector:
             # The pattern does not explain the image, so the outline is not reliable either.
             spread = max(_UNSURE, _UNSURE_PART * mean_side(corners))
             fit = PatternFit(corners, spread**2 * np.eye(8), 1.0)
-        by_ideal = picture.derivatives(fit.corners)
-        covariance = by_ideal @ fit.covariance @ by_ideal.T
-        seen = picture.seen(fit.corners)
-        return DetectedMarker(match.marker, seen, match.errors, match.likeness, covariance)
+        return fit
 
 
 def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
@@ -305,7 +330,7 @@ def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
 
 
 def _quads_in_cells(
-    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: Sequence[ndarray]
+    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: Sequence[Match]
 ) -> ndarray:
     """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
 
@@ -317,7 +342,7 @@ def _quads_in_cells(
         corners: (4, 2) of the marker, ideal px, clockwise from its top left.
         pattern: (n, n) its cells with the border, 1 for white.
         min_side: px, least mean length of the sides that are looked for.
-        known: (4, 2) corners of other markers, ideal px; a cell with one in it is left out.
+        known: markers; a cell with a smaller one in it is left out.
 
     Returns:
         (m, 4, 2) corners u, v in px of the image, clockwise.
@@ -336,13 +361,18 @@ def _quads_in_cells(
     dark = int(_DARK_SHARE * levels.shape[1])
     darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
     darkness[~is_white] = 0.0
-    for other in known:
-        column, row = (cells * mapped(other.mean(axis=0)[None], cv2.invert(to_image)[1]))[0]
-        if 0.0 <= column < cells and 0.0 <= row < cells:
-            darkness[cells * int(row) + int(column)] = 0.0
-    darkest = np.argsort(-darkness, kind="stable")[:_MOST_CELLS]
+    darkest = np.argsort(-darkness, kind="stable")
+    darkest = darkest[: np.count_nonzero(darkness > _DARKER)]
+    if not len(darkest):
+        return _NONE
+    others = np.array([one.corners for one in known])
+    others = others[mean_side(others) < mean_side(corners)].mean(axis=1)
+    column, row = (cells * mapped(others, cv2.invert(to_image)[1])).T
+    within = (np.minimum(column, row) >= 0.0) & (np.maximum(column, row) < cells)
+    taken = cells * row[within].astype(int) + column[within].astype(int)
+    darkest = darkest[~np.isin(darkest, taken)][:_MOST_CELLS]
     found = [_NONE]
-    for index in darkest[darkness[darkest] > _DARKER].tolist():
+    for index in darkest.tolist():
         row, column = divmod(index, cells)
         outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
         found.append(_quads_within(picture.levels, outline, black, contrast, min_side))
@@ -408,10 +438,11 @@ def add_match(match: Match, found: list[Match]) -> None:
 
 
 def _is_same_marker(first: Match, second: Match) -> bool:
+    if first.marker != second.marker:
+        return False
     small, large = sorted((mean_side(first.corners), mean_side(second.corners)))
     away = np.linalg.norm(first.corners.mean(axis=0) - second.corners.mean(axis=0))
-    is_near = large < _ONE_MARKER * small and away < _BESIDE * small
-    return first.marker == second.marker and bool(is_near)
+    return bool(large < _ONE_MARKER * small and away < _BESIDE * small)
 
 
 def _prepare(grey: ndarray, low: float, high: float, noise: float) -> tuple[ndarray, float]:

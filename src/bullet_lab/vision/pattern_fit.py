@@ -26,20 +26,26 @@ from bullet_lab.vision.pattern_pixels import (
 )
 
 # The blur's numbers: variances along u and v and their covariance beside a pixel's own extent, px²,
-# and the part of each neighbour that a pixel has in it. They are the last ones of a fit.
-_FIRST_SPREAD = (0.1, 0.1, 0.0, 0.05)
+# the bend of the camera's response, and the part of each neighbour that a pixel has in it. They are
+# the last ones of a fit.
+_FIRST_SPREAD = (0.1, 0.1, 0.0, 0.0, 0.05)
 _SPREAD = len(_FIRST_SPREAD)
 # Before them are the coefficients of `moves_of`.
 _SHAPE = slice(-8 - _SPREAD, -_SPREAD)
 # The contrast's numbers, the last ones of the light.
 _OF_CONTRAST = 3
-# Limits of the variances, px², and of what is shared: negative where an image was sharpened.
+# Limits of the variances, px², of what is shared: negative where an image was sharpened, and of the
+# bend: 0.5 for a gamma of 2 and white that has 9 times the light of black.
 _LEAST_VARIANCE = 0.005
 _MOST_VARIANCE = 40.0
 _LEAST_SHARED = -0.1
+_LEAST_BEND = -0.5
+_MOST_BEND = 0.75
 _MOST_SHARED = 0.25
-# Least certainty of the blur's numbers beforehand: variances to a px² or so.
-_BLUR_PRIOR = 1.0
+# Least certainty of the blur's numbers beforehand: variances to a px² or so. The bend is 0 to 0.5,
+# which matters in a dark image, where noise hides it.
+_BLUR_PRIOR = np.array((1.0, 1.0, 1.0, 4.0, 1.0))
+_BEND = -2
 
 _MOST_ROUNDS = 12
 # Pixels in groups show only edges, for which the blur's equations are far from linear and may
@@ -67,6 +73,11 @@ _TUKEY = 6.0
 _OUTLYING = 3.5
 # A contrast of so many standard deviations of its noise is seen.
 _SHOWN = 2.0
+# Residuals along a line of edges are alike if their mean square is so many times that of others.
+# Then the lines are not independent either: on four boards before real cameras, corners were off by
+# twice the variance that the lines have.
+_TOGETHER = 1.7
+_ALIKE = 2.0
 # Standard deviation of grey levels that were rounded to whole ones.
 _LEAST_NOISE = 0.3
 # Least number of pixels that must be the marker's, beside their share of all.
@@ -211,14 +222,15 @@ def _next_spread(spread: ndarray, step: ndarray, grouped: bool, is_late: bool) -
     low, high = np.clip(spread[:2], least, _MOST_VARIANCE).tolist()
     # The variance in any direction is no less than the least.
     most = math.sqrt((low - 0.99 * _LEAST_VARIANCE) * (high - 0.99 * _LEAST_VARIANCE))
-    shared = min(max(spread[3], _LEAST_SHARED), _MOST_SHARED)
-    return np.array([low, high, min(max(spread[2], -most), most), shared])
+    bend = min(max(spread[3], _LEAST_BEND), _MOST_BEND)
+    shared = min(max(spread[4], _LEAST_SHARED), _MOST_SHARED)
+    return np.array([low, high, min(max(spread[2], -most), most), bend, shared])
 
 
 def _is_same_blur(before: ndarray, after: ndarray) -> bool:
     changed = np.abs(after - before)
     is_same = changed.max() - _SAME_PART * after.max() < _SAME_BLUR
-    return is_same and changed[3] < _SAME_SHARED
+    return is_same and changed[-1] < _SAME_SHARED
 
 
 class _Linearised:
@@ -251,7 +263,7 @@ class _Linearised:
         self.pixels = pixels
         self.model = model = PatternModel(pixels.points, corners, spread, pattern)
         self.to_corners = moves_of(corners, model.to_image)
-        shared, value = spread[3], model.value
+        shared, value, self._bend = spread[-1], model.value, spread[_BEND]
         of_light = self._columns_of_light()
         columns, levels = pixels.seen(of_light, shared, value), pixels.seen_levels(value)
         if light is None:
@@ -307,7 +319,9 @@ class _Linearised:
 
     def step(self) -> ndarray:
         """Return the step (m,) of least squares."""
-        return _Equations(self.columns, self.residuals, self.weights, _BLUR_PRIOR).solution()
+        equations = _Equations(self.columns, self.residuals, self.weights, _BLUR_PRIOR)
+        equations.right[_BEND] -= _BLUR_PRIOR[_BEND] * self._bend
+        return equations.solution()
 
 
 def _shown(pixels: Pixels, value: ndarray, contrast: ndarray, noise: ndarray) -> ndarray:
@@ -348,12 +362,11 @@ class _Judged:
         if count < max(_LEAST_PIXELS, LEAST_SHARE * valid):
             return None
         inverse = self._equations(self._own).inverse()
-        if pixels.group > 1:
-            self._square = self._square_of_groups(inverse)
-        else:
-            squares = float(np.square(self._residuals[self._own]).sum())
-            self._square = squares / max(1.0, count - len(self._columns))
-        covariance = self._square * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
+        own, of_lines = self._mean_squares(inverse)
+        alike = of_lines > _TOGETHER * own
+        self._square = of_lines if alike else own
+        square = _ALIKE * self._square if alike else self._square
+        covariance = square * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
         return PatternFit(self._corners, 0.5 * (covariance + covariance.T), 1.0 - count / valid)
 
     def odd_sides(self) -> tuple[_OddSide, ...]:
@@ -365,10 +378,10 @@ class _Judged:
             at_side = self._linear.pixels.own(points)
             others = self._equations(self._own & ~at_side)
             across = right_of(along[side]) / lengths_of(along[side])
-            to_ends = np.einsum("k,ekm->em", across, to_corners[[side, NEXT[side]]])
-            off = np.abs(to_ends @ others.solution()[_SHAPE])
-            by_shape = others.inverse()[_SHAPE, _SHAPE]
-            variances = self._square * np.einsum("ek,kl,el->e", to_ends, by_shape, to_ends)
+            to_ends = across @ to_corners[[side, NEXT[side]]]
+            inverse = others.inverse()[_SHAPE]
+            off = np.abs(to_ends @ (inverse @ others.right))
+            variances = self._square * ((to_ends @ inverse[:, _SHAPE]) * to_ends).sum(axis=1)
             deviations = off / np.sqrt(np.maximum(variances, 1e-12))
             if ((off > _ODD) & (deviations > _ODD_DEVIATIONS)).any():
                 odd.append((float(deviations.max()), at_side))
@@ -377,26 +390,54 @@ class _Judged:
     def _equations(self, used: ndarray) -> _Equations:
         return _Equations(self._columns, self._residuals, used.astype(float), _BLUR_PRIOR)
 
-    def _square_of_groups(self, inverse: ndarray) -> float:
-        """Return the mean square of what the residuals of each group together move the corners by.
+    def _mean_squares(self, inverse: ndarray) -> list[float]:
+        """Return the mean squares of the residuals of two kinds of pixels that may err together.
 
-        What the model does not know, a blur that is no Gaussian, is alike on both sides of an edge:
-        it makes the residuals of a group large, and hardly moves the edge. The sum of squares is
-        divided by its expectation for independent residuals of 1, less what the fit took.
+        These are the pixels of each group: what the model does not know, a blur that is no
+        Gaussian, is alike on both sides of an edge. It makes the residuals of a group large, and
+        hardly moves the edge. And they are the pixels along each line of edges: where a camera has
+        left out rows or sharpened, all edges of a line are off together. Those of the outline do
+        not tell: there may be something before a side. Of independent residuals both are 1, so that
+        of lines counts only if it is clearly larger.
 
         Args:
             inverse: (m, m) of the fit's normal equations.
         """
-        group, columns = self._linear.pixels.group, self._columns * self._own
-        residuals = self._residuals * self._own
+        pixels, lines = self._linear.pixels, self._linear.model.lines()
+        lines = pixels.own(lines)
+        if pixels.group == 1:
+            squares = float(np.square(self._residuals[self._own]).sum())
+            own = squares / max(1.0, np.count_nonzero(self._own) - len(self._columns))
+            return [own, *self._squares_of(inverse, lines)]
+        groups = np.arange(len(lines) // pixels.group)
+        lines = lines.reshape(pixels.group, -1)[pixels.group // 2]
+        sets = (np.tile(labels, pixels.group) for labels in (groups, lines))
+        return self._squares_of(inverse, *sets)
+
+    def _squares_of(self, inverse: ndarray, *sets: ndarray) -> list[float]:
+        """Return the mean square of what the residuals of a set together move the corners by.
+
+        The sum of squares is divided by its expectation for independent residuals of 1, less what
+        the fit took.
+
+        Args:
+            inverse: (m, m) of the fit's normal equations.
+            sets: (n,) each, the number of each pixel's set; -1: none.
+        """
+        rows = np.concatenate((self._columns, self._residuals[None])) * self._own
         _, values, vectors = cv2.eigen(np.ascontiguousarray(inverse[_SHAPE, _SHAPE]))
         scales = np.sqrt(np.maximum(values, 1e-12 * values.max()))
-        pulls = (vectors / scales) @ inverse[_SHAPE] @ columns
-        of_groups = pulls.reshape(len(pulls), group, -1)
-        found = np.square((pulls * residuals).reshape(of_groups.shape).sum(axis=1)).sum()
-        taken = np.einsum("qgk,mgk->kqm", of_groups, columns.reshape(len(columns), group, -1))
-        expected = np.square(pulls).sum() - ((taken @ inverse) * taken).sum()
-        return float(found / max(expected, 1.0))
+        pulls = (vectors / scales) @ inverse[_SHAPE] @ rows[:-1]
+        products = pulls[:, None] * rows
+        squares = []
+        for labels in sets:
+            order = np.argsort(labels, kind="stable")[np.count_nonzero(labels < 0) :]
+            starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
+            sums = np.add.reduceat(products[..., order], starts, axis=2)
+            taken = sums[:, :-1]
+            expected = np.square(pulls[:, order]).sum() - ((inverse @ taken) * taken).sum()
+            squares.append(float(np.square(sums[:, -1]).sum() / max(expected, 1.0)))
+        return squares
 
 
 def _without_odd_side(first: _Fitted, picture: Picture, pattern: ndarray) -> PatternFit:
@@ -422,12 +463,12 @@ class _Equations:
     """Normal equations of weighted least squares of columns (m, n) to levels (n,)."""
 
     def __init__(
-        self, columns: ndarray, levels: ndarray, weights: ndarray, prior: float = 0.0
+        self, columns: ndarray, levels: ndarray, weights: ndarray, prior: float | ndarray = 0.0
     ):
         rows = np.concatenate((columns, levels[None]))
         rows *= np.sqrt(weights)
         squares = cv2.mulTransposed(rows, False)
-        self._normal, self._right = squares[:-1, :-1].copy(), squares[:-1, -1]
+        self._normal, self.right = squares[:-1, :-1].copy(), squares[:-1, -1]
         diagonal = np.einsum("ii->i", self._normal)
         diagonal[-_SPREAD:] += prior
         # Scaled, as the numbers are of unlike size, and some of the light's may be undetermined.
@@ -437,8 +478,8 @@ class _Equations:
 
     def solution(self) -> ndarray:
         """Return the numbers (m,); NaN if there are none."""
-        solved, found = cv2.solve(self._normal, self._size * self._right)
-        return self._size * found.ravel() if solved else np.full(len(self._right), np.nan)
+        solved, found = cv2.solve(self._normal, self._size * self.right)
+        return self._size * found.ravel() if solved else np.full(len(self.right), np.nan)
 
     def inverse(self) -> ndarray:
         """Return the inverse (m, m) of the equations' matrix."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -34,11 +35,12 @@ class PatternModel:
     Args:
         points: (2, n) ideal px.
         corners: (4, 2) ideal px.
-        spread: variances of the blur along u and v and their covariance, px².
+        spread: variances of the blur along u and v and their covariance, px², and the bend of
+            the camera's response, see `_response`.
         pattern: (cells, cells), 1 for white.
 
     Attributes:
-        value: (n,) of the blurred pattern, B.
+        value: (n,) of the blurred pattern as the camera renders it, B.
         to_image: (3, 3), from the unit square to ideal px.
     """
 
@@ -54,8 +56,10 @@ class PatternModel:
         # A motion makes a blur longer than wide.
         longer = math.hypot(0.5 * (spread[0] - spread[1]), spread[2])
         blurred = _blurred if math.sqrt(24.0 * longer) < _LEAST_MOTION else _moved
-        self.value, slopes, self._by_blur = blurred(cells * unit, self._by_pixel, spread, pattern)
-        self._slopes = cells * slopes
+        light, slopes, by_blur = blurred(cells * unit, self._by_pixel, spread, pattern)
+        self.value, by_light = _response(light, spread[3])
+        self._slopes, self._by_blur = by_light * (cells * slopes), by_light * by_blur
+        self._by_bend = self.value * (1.0 - self.value) * by_light
 
     def light(
         self,
@@ -99,6 +103,15 @@ class PatternModel:
         inner = 0.5 - 0.75 / self._cells
         return np.stack((below < -inner, right > inner, below > inner, right < -inner))
 
+    def lines(self) -> ndarray:
+        """Return the number (n,) of the line between cells nearest to each pixel; outline: -1."""
+        places = self._cells * (self._away + 0.5)
+        nearest = np.rint(places)
+        off = np.abs(places - nearest)
+        line = np.where(off[1] < off[0], nearest[1], nearest[0])
+        numbers = line + self._cells * (off[1] < off[0])
+        return np.where((line > 0) & (line < self._cells), numbers, -1)
+
     def margin(self) -> ndarray:
         """Return how far pixels are within the quiet zone's outer edge, (n,) px."""
         within = self._cells * (0.5 - np.abs(self._away)) + 1.0
@@ -124,8 +137,20 @@ class PatternModel:
         return by_shape(-contrast * self._slopes, self._away)
 
     def blur(self, contrast: ndarray) -> ndarray:
-        """Return derivatives (3, n) of the grey levels by the blur's variances and covariance."""
-        return contrast * self._by_blur
+        """Return derivatives (4, n) of the grey levels by the numbers of `spread`."""
+        return contrast * np.concatenate((self._by_blur, self._by_bend[None]))
+
+
+def _response(light: ndarray, bend: float) -> tuple[ndarray, ndarray]:
+    """Return the grey level (n,), black 0 and white 1, of light (n,) likewise, and its derivative.
+
+    Most cameras render half the light brighter than half way between black and white. The inverse
+    is modelled: light = grey - bend · grey (1 - grey). It is exact for a gamma of 2, whatever the
+    level of black, and off by less than 0.02 for 1.8 and 2.2.
+    """
+    linear = 1.0 - bend
+    slope = np.sqrt(np.maximum(linear * linear + 4.0 * bend * light, 0.01))
+    return 2.0 * light / (linear + slope), 1.0 / slope
 
 
 def _planes(away: ndarray) -> ndarray:
@@ -172,7 +197,7 @@ def _moved(
     across = np.array([-along[1], along[0]])
     length = math.sqrt(24.0 * longer)
     count = min(_MOST_POSITIONS, 1 + math.ceil(length / _POSITION_STEP))
-    positions, weights = np.polynomial.legendre.leggauss(count)
+    positions, weights = _legendre(count)
     positions, weights = 0.5 * length * positions, 0.5 * weights
     # The variance of the Gaussian blur beside the motion.
     rest = mean - longer
@@ -196,6 +221,9 @@ def _moved(
         2.0 * (eu * ev * by_length + fu * fv * by_rest) + (eu * fv + ev * fu) * by_turn,
     )
     return means[0], means[1:3], np.stack(by_blur)
+
+
+_legendre = lru_cache(maxsize=None)(np.polynomial.legendre.leggauss)
 
 
 def _blurred(

@@ -1,4 +1,4 @@
-"""Three detectors behind one call, each with a small grid of settings."""
+"""Detectors behind one call, each with a small grid of settings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ import numpy as np
 from pupil_apriltags import Detector as AprilTagDetector
 
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
+
+try:
+    import locus
+except ImportError:
+    locus = None
 
 # Of an image (h, w) grey levels: ids, and (4, 2) corners from the top left clockwise.
 Find = Callable[[np.ndarray], List[Tuple[int, np.ndarray]]]
@@ -66,6 +71,19 @@ def _april(settings: Mapping[str, Any]) -> Find:
     return find
 
 
+def _locus(settings: Mapping[str, Any]) -> Find:
+    families = [locus.TagFamily.AprilTag36h11]
+    detector = locus.Detector(threads=1, families=families, **settings)
+
+    def find(image: np.ndarray) -> List[Tuple[int, np.ndarray]]:
+        # Its pixels are numbered at their corners.
+        found = detector.detect(image)
+        corners = np.asarray(found.corners, dtype=float) - 0.5
+        return list(zip(np.asarray(found.ids).tolist(), corners))
+
+    return find
+
+
 _SUBPIX, _CONTOUR = cv2.aruco.CORNER_REFINE_SUBPIX, cv2.aruco.CORNER_REFINE_CONTOUR
 _APRILTAG = cv2.aruco.CORNER_REFINE_APRILTAG
 _SMALL = {"minMarkerPerimeterRate": 0.01, "adaptiveThreshWinSizeStep": 4}
@@ -96,6 +114,12 @@ CONTESTANTS = {
         ),
     )
 }  # fmt: skip
+# A detector that is compared only where it is installed. Another one is a function like these and
+# an entry: from settings to what finds ids and corners in an image.
+if locus is not None:
+    CONTESTANTS["locus"] = Contestant(
+        "locus", _locus, [{"profile": "standard"}, {"profile": "high_accuracy"}]
+    )
 
 
 def described(settings: Mapping[str, Any]) -> Dict[str, Any]:

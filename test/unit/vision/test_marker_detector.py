@@ -182,7 +182,22 @@ def test_a_marker_with_a_corner_behind_what_is_as_grey_as_the_ground(distance, c
     image = image_of(layers, view, background=10.0, blur=0.8, noise=2.7, seed=corner)
     (found,) = detect(image).markers
     others = np.arange(4) != corner
-    assert np.abs(found.corners - true_corners(view))[others].max() < 0.5
+    off = np.abs(found.corners - true_corners(view))
+    assert (off < np.maximum(0.5, 3.0 * found.deviations))[others].all()
+
+
+@pytest.mark.parametrize(
+    "refine, least, most", [("pattern", 0.0, 0.05), ("corners", 0.0, 0.2), ("none", 0.2, 2.0)]
+)
+def test_corners_are_as_good_as_their_refinement(refine, least, most):
+    view = View(1.5, yaw=20.0, roll=7.0)
+    (found,) = detect(image_of([marker()], view, blur=0.6, noise=1.0), refine=refine).markers
+    assert least < np.abs(found.corners - true_corners(view)).max() < most
+
+
+def test_an_unknown_refinement_is_refused():
+    with pytest.raises(VisionError, match="refine is 'all'"):
+        DetectorSettings(refine="all")
 
 
 def test_only_ids_that_were_asked_for():

@@ -44,7 +44,9 @@ def noisy(image, sigma, chance):
     return np.rint(np.clip(image + chance.normal(0.0, sigma, image.shape), 0, 255))
 
 
-@pytest.mark.parametrize("spread", [(0.3, 0.3, 0.0), (1.5, 0.4, 0.3), (2.5, 1.0, 1.5)])
+@pytest.mark.parametrize(
+    "spread", [(0.3, 0.3, 0.0, 0.0), (1.5, 0.4, 0.3, 0.5), (2.5, 1.0, 1.5, -0.3)]
+)
 def test_derivatives_are_those_of_the_model(spread):
     """But for second orders, and for how wide a pixel is in cells."""
     corners, spread, step = true_corners(VIEW), np.array(spread), 1e-2
@@ -60,7 +62,7 @@ def test_derivatives_are_those_of_the_model(spread):
         ends = (levels(*np.split(sign * move, [8])) for sign in (step, -step))
         return np.subtract(*ends) / (2 * step)
 
-    numbers = np.array([derivative(move) for move in np.eye(11)])
+    numbers = np.array([derivative(move) for move in np.eye(12)])
     model = PatternModel(points, corners, spread, PATTERN)
     contrast = model.contrast(light)
     by_corners = np.linalg.inv(moves_of(corners, model.to_image)).T @ model.shape(contrast)
@@ -68,6 +70,35 @@ def test_derivatives_are_those_of_the_model(spread):
     np.testing.assert_allclose(
         model.blur(contrast), numbers[8:], atol=0.05 * np.abs(numbers[8:]).max()
     )
+
+
+@pytest.mark.parametrize("distance", [1.0, 2.5, 4.0])
+@pytest.mark.parametrize("gamma", [1.0, 1.8, 2.2])
+def test_a_camera_with_a_gamma_sees_corners_where_they_are(gamma, distance):
+    squares, errors = [], []
+    for seed in range(6):
+        view = View(distance, yaw=20.0, roll=7.0 * seed, shift=(0.01 * seed, 0.02))
+        image = image_of([marker(black=20.0, white=190.0)], view, background=90.0, blur=0.6)
+        image = noisy(255.0 * (image / 255.0) ** (1.0 / gamma), 2.0, np.random.default_rng(seed))
+        found = fit(image, view)
+        errors.append(off_by(found, view))
+        squares.append(normalised_square(found, view) / 8.0)
+    assert np.median(errors) < 0.05
+    assert np.mean(squares) < 2.0
+
+
+@pytest.mark.parametrize("distance", [1.0, 2.0, 3.0])
+def test_corners_are_less_certain_where_a_camera_leaves_out_rows(distance):
+    squares = []
+    for seed in range(8):
+        view = View(distance, yaw=20.0, roll=3.0, shift=(0.01 * seed, 0.02))
+        image = image_of([marker()], view, blur=0.6, noise=1.0, seed=seed)
+        image = image[np.rint(np.arange(0.0, len(image) - 1.0, 1.13)).astype(int)]
+        corners = true_corners(view) / (1.0, 1.13)
+        found = fit_pattern(Picture(image.astype(np.float32)), corners, PATTERN)
+        off = (found.corners - corners).ravel()
+        squares.append(off @ np.linalg.solve(found.covariance, off) / 8.0)
+    assert np.median(squares) < 3.0
 
 
 @pytest.mark.parametrize("right, down, length", [(0.8, 0.6, 12.0), (1.0, 0.0, 7.0)])
@@ -205,7 +236,7 @@ def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
         wall = Layer(np.array([[grey]]), 2.0, (left + 1.0, 0.0))
         image = image_of([marker(quiet=2), wall], view, samples=16, blur=0.6, noise=2.0)
         (found,) = detected(image)
-        assert off_by(found, view) < 0.35
+        assert off_by(found, view) < 0.45
         assert normalised_square(found, view) < 8 * 5.0
 
 

@@ -27,7 +27,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from bullet_lab.core.parameters import ParameterError, boolean, checked, number
+from bullet_lab.core.parameters import ParameterError, boolean, checked, choice, number
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.msg import MarkerDetectionArray
 from bullet_lab.ros.messages.images import (
@@ -44,7 +44,12 @@ from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParamet
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.images import VisionError
-from bullet_lab.vision.marker_detector import Detections, DetectorSettings, why_nothing
+from bullet_lab.vision.marker_detector import (
+    REFINEMENTS,
+    Detections,
+    DetectorSettings,
+    why_nothing,
+)
 from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, PoseMemory
 
 DEFAULTS = DetectorSettings()
@@ -125,11 +130,16 @@ class ArucoParameters(ImageParameters):
         DEFAULTS.second_pass, "search once more if no marker is found"
     )
 
+    refine: str = choice(
+        DEFAULTS.refine, "what corners follow from: all edges, sides, or thresholds", REFINEMENTS
+    )
+
     def settings(self) -> DetectorSettings:
         """Return the detector's settings; raises ParameterError."""
         limits = self.border, self.min_side, self.contrast, self.correction
         try:
-            return DetectorSettings(self.tags, self.ids, *limits, self.inverted, self.second_pass)
+            search = self.inverted, self.second_pass, self.refine
+            return DetectorSettings(self.tags, self.ids, *limits, *search)
         except VisionError as error:
             raise ParameterError(f"~ids: {error}") from error
 
