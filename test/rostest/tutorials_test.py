@@ -90,6 +90,8 @@ def spawn_model(line, stdin=None):
     lines = [text for text in (out + err).splitlines() if text]
     return status, lines[-1] if lines else ""
 
+# A shape that has a name in a URDF.
+POST = "post_fixed_joint_lump__post_collision_collision"
 
 class Process:
     """Something that runs until it is ended, with what it says in a file."""
@@ -295,7 +297,7 @@ class TutorialsTest(unittest.TestCase):
         expect = self.check("bumper_and_sonar.py")
         expect("sonar", "1", 1e-2)
         expect("ultrasound", "True")
-        expect("touches", "post::post::post_fixed_joint_lump__post_collision_collision ground_plane::link::collision")
+        expect("touches", f"post::post::{POST} ground_plane::link::collision")
         expect("weight", "98", 5.0)
 
     def test_differential_drive_and_joint_states(self):
