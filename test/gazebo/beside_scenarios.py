@@ -285,7 +285,7 @@ DRIVES = (
     Drive("rover", f"{_TUTORIALS}/rover.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
     _four_wheels("four_wheels"),
     _four_wheels("four_wheels_soft", _SOFT),
-    # Friction along and across balance: chance decides how far it turns.
+    # Friction along and across balance, so that how far it turns proves nothing.
     _four_wheels("four_wheels_square", *_SQUARE, judged=1),
     Drive(
         "husky",
