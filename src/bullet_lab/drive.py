@@ -33,6 +33,9 @@ CLOSED_LOOP_RATE = 20.0
 SLOWING_GAIN = 2.0
 SLOWEST_DRIVE = 0.02
 SLOWEST_TURN = 0.1
+# A robot that turned by less than this (rad) between this many commands in a row is held.
+HELD_TURN = 5e-4
+HELD_COMMANDS = 5
 DRIVE_TOLERANCE = 0.001
 # Allowed undershoot and overshoot of a turn. Together they are larger than the slowest turn between
 # two odometry messages without friction, 0.29°, so that the robot cannot oscillate for ever.
@@ -115,6 +118,27 @@ def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_
     return min(fastest, max(slowest, gain * left))
 
 
+class SlowestTurn:
+    """The slowest speed that turns a robot on the spot, in rad/s.
+
+    The friction of a robot that planar_move drives takes some of its turn in each step, and all
+    of a slow one. So the speed grows while the robot should turn and does not.
+    """
+
+    def __init__(self) -> None:
+        self.speed = SLOWEST_TURN
+        self._before = math.inf
+        self._held = 0
+
+    def now(self, left: float) -> float:
+        """Return the speed with an angle (rad) left to go."""
+        self._held = self._held + 1 if abs(left - self._before) < HELD_TURN else 0
+        self._before = left
+        if self._held >= HELD_COMMANDS:
+            self.speed *= 1.1
+        return self.speed
+
+
 _Commands = Generator[Command, Optional[PlanarPose], None]
 
 
@@ -149,6 +173,7 @@ class SquareDriver:
         self.sides_done = 0
         self.distance = 0.0
         self._commands: Optional[_Commands] = None
+        self._slowest_turn = SlowestTurn()
 
     def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
         """Return the next command (m/s, rad/s), or None at the end.
@@ -197,7 +222,7 @@ class SquareDriver:
         turn_speed = self._square.turn_speed
         if -TURN_EXCESS <= math.copysign(left, left * turn_speed) <= TURN_TOLERANCE:
             return True, STANDSTILL
-        speed = approach(abs(left), abs(turn_speed), SLOWEST_TURN)
+        speed = approach(abs(left), abs(turn_speed), self._slowest_turn.now(left))
         return False, (0.0, math.copysign(speed, left))
 
     def _note(self, progress: float) -> None:
@@ -264,6 +289,7 @@ class GoalDriver:
         self._limits = limits
         self.moving = command
         self._on_the_spot = False
+        self._slowest_turn = SlowestTurn()
 
     def distance(self, pose: PlanarPose) -> float:
         """Return the distance (m) of a pose from the goal."""
@@ -324,7 +350,7 @@ class GoalDriver:
     def _turn_speed(self, left: float) -> float:
         limits = self._limits
         fastest = min(limits.turn_speed, math.sqrt(2.0 * limits.turn_acceleration * abs(left)))
-        return approach(abs(left), fastest, SLOWEST_TURN, limits.turn_gain)
+        return approach(abs(left), fastest, self._slowest_turn.now(left), limits.turn_gain)
 
 
 def _clip(value: float, limit: float) -> float:

@@ -16,6 +16,7 @@ from bullet_lab.drive import (
     GoalDriver,
     GoalLimits,
     Square,
+    SlowestTurn,
     SquareDriver,
     open_loop_side,
 )
@@ -273,3 +274,12 @@ def test_both_robots_of_the_course_stop_at_the_goal(robot, goal):
 
 def planar(pose: Pose):
     return (*pose.position[:2], pose.yaw)
+
+
+def test_a_robot_that_friction_holds_is_turned_faster():
+    slowest, left = SlowestTurn(), 0.05
+    for _ in range(60):
+        speed = slowest.now(left)
+        left -= PERIOD * max(0.0, speed - 0.2)
+    assert 0.2 < slowest.speed < 0.25
+    assert left < 0.02
