@@ -66,7 +66,8 @@ class SensorsJobTest(unittest.TestCase):
 
     def test_gravity_and_turns(self):
         self.assertAlmostEqual(9.8, self.summary["mean_upward_acceleration_mps2"], delta=0.01)
-        self.assertAlmostEqual(0.52, self.summary["greatest_turn_rate_radps"], delta=0.05)
+        # What friction leaves of 0.52 rad/s.
+        self.assertAlmostEqual(0.39, self.summary["greatest_turn_rate_radps"], delta=0.05)
 
     def test_the_picture(self):
         self.assertTrue((self.out / "sensors.png").is_file())

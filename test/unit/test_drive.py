@@ -15,8 +15,8 @@ from bullet_lab.drive import (
     DriverError,
     GoalDriver,
     GoalLimits,
-    Square,
     SlowestTurn,
+    Square,
     SquareDriver,
     open_loop_side,
 )
