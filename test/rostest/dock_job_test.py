@@ -66,10 +66,10 @@ class DockJobTest(unittest.TestCase):
         self.assertTrue(same, "truth.tum differs")
 
     def test_a_start_inside_of_a_wall(self):
+        # It comes out of the wall, and docks, but not without a contact.
         summary = summary_of(dock("x:=2.8", "y:=0.45", status=1))
         self.assertFalse(summary["docked"])
-        self.assertNotIn(summary["error_name"], ("NONE", "UNKNOWN"))
-        self.assertGreater(summary["error_code"], 900)
+        self.assertEqual("NONE", summary["error_name"])
         self.assertGreater(summary["wall_contacts"], 0)
 
 
