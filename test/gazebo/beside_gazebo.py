@@ -54,7 +54,7 @@ HOLDS = (
     "camera_robot",
     "burger",
     "rover",
-    "four_wheels_soft",
+    "four_wheels",
 )
 """Beginnings of scenarios' names. The tests demand that each figure is within its limit."""
 
