@@ -281,17 +281,19 @@ step_debian() {
 # ---- Python packages ----
 
 # uv installs them in a tenth of pip's time, and its cache serves all clones of a user.
-get_uv() {
-  local from=() made
+get_uv() (
+  from=() made=""
   [[ ! -x $UV ]] || return 0
   [[ -z $OFFLINE ]] || from=(--no-index --find-links "$OFFLINE/wheels")
-  mkdir -p "${UV_FOLDER%/*}" && made=$(mktemp -d "$UV_FOLDER.XXXX") || return 1
+  mkdir -p "${UV_FOLDER%/*}" || return 1
+  # Also after Ctrl-C.
+  trap 'rm -rf "$made"' EXIT
+  made=$(mktemp -d "$UV_FOLDER.XXXX") || return 1
   # Another clone may do the same now: the second one's stays unused.
   ! debians_pip install "${from[@]}" --only-binary :all: --target "$made" uv \
     || mv -T "$made" "$UV_FOLDER" || true
-  rm -rf "$made"
   [[ -x $UV ]]
-}
+)
 
 # pip as python3-venv brings it, without a virtual environment.
 debians_pip() {
