@@ -40,6 +40,7 @@ INSIDE = float(chi2.ppf(LEVEL, 3))
 """Square of a whitened error of the pose at the border of the region of 95 %."""
 
 OWN = 2.0
+"""Factor of the covariance of fitted parameters: the path that is predicted has its own errors."""
 
 FEWEST = 6
 """Windows of a length that count."""

@@ -125,9 +125,10 @@ def test_it_does_not_nod(world, robot):
         for _ in range(500):
             world.run_until(world.step + 1)
             roll, pitch, _ = robot.pose().rpy()
-            assert max(abs(roll), abs(pitch)) < math.radians(0.02)
-            # Round wheels: it neither bumps nor sinks.
-            assert abs(robot.pose().position[2]) < 1e-4
+            # On its springs it leans by 0.014° under full torque.
+            assert max(abs(roll), abs(pitch)) < math.radians(0.016)
+            # Round wheels: it neither bumps nor sinks by more than its springs.
+            assert abs(robot.pose().position[2]) < 6e-5
 
 
 def test_it_pushes_a_kerb_with_the_torque_of_its_wheels(world, robot):

@@ -141,7 +141,7 @@ class Body:
         moves: whether its root can move.
         weight: the share of its mass that gravity pulls.
         settling: the number of steps for which `settle` still limits its speed.
-        traction: the `Traction` of its skidding wheels, if it has any.
+        traction: the `Traction` of wheels whose friction Bullet cannot compute, if it has any.
         commanded_velocity: function of a plugin that sets the velocity before each step: returns
             it (m/s, of all centres of mass, and rad/s), as it is before friction acts; or None.
     """

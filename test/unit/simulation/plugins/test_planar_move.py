@@ -269,4 +269,5 @@ def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_
     for turning in (truth[0].angular, imu[0].angular_velocity):
         assert turning == pytest.approx((0.0, 0.0, 0.5), abs=1e-4)
     assert math.hypot(*imu[0].specific_force) == pytest.approx(10.0, abs=0.01)
-    assert math.hypot(*robot.frame().velocity()[0]) < 0.199
+    # While it sets out with 0.2 m/s, friction leaves 0.19 m/s on average.
+    assert math.dist(robot.pose().position, (0.0, 0.0, 0.0)) == pytest.approx(0.019, abs=1e-4)
