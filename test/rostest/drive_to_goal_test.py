@@ -209,8 +209,10 @@ class DriveToGoalTest(GoalTest):
         for number, (why, message) in enumerate(bad.items(), 1):
             self.goals.publish(message)
             self.assertIn(why, self.wait_for_status(GoalStatus.REJECTED, number).text)
-        self.assertEqual([], self.statuses(GoalStatus.PREEMPTED))
-        self.assertGreater(self.velocity()[0], 0.1)
+        self.assertEqual([], self.statuses(*ENDS))
+        # On a busy machine the robot may stand for a moment: its odometry came late.
+        self.wait_until_driving()
+        self.assertEqual([], self.statuses(*ENDS))
         self.assertIn("move_base_simple/goal: refused:", self.driver.err)
         self.assertNotIn("Traceback", self.driver.err)
 
