@@ -56,16 +56,24 @@ class ArucoTest(ImageNodeTest):
         return self.topics["detections"].wait(number)
 
     def send_until_said(self, words, pixels, **options):
-        """Go on sending an image until the diagnostics have some words; return the status."""
-        diagnosis = self.diagnosis("aruco")
-        stamps = iter(range(1, 10**6))
+        """Go on sending an image until the diagnostics have some words; return the status.
+
+        It returns after the answer to the last image, which the next test shall not receive.
+        """
+        diagnosis, answers = self.diagnosis("aruco"), self.topics["detections"]
+        stamp = rospy.Time(0)
 
         def send():
-            self.seen.send(0.05 * next(stamps), pixels, **options)
+            nonlocal stamp
+            stamp += rospy.Duration(0, 50_000_000)
+            self.seen.send(stamp.to_sec(), pixels, **options)
             rospy.rostime.wallsleep(0.05)
             return diagnosis.found(words)
 
-        return wait_for(send, lambda: f"'{words}'; had {diagnosis.said()}")
+        status = wait_for(send, lambda: f"'{words}'; had {diagnosis.said()}")
+        if self.seen.infos is not None:
+            wait_for(lambda: stamp.to_nsec() in answers.stamps(), "the answer to the last image")
+        return status
 
     # Answers
 

@@ -198,7 +198,8 @@ class DockFailuresTest(NodeTest):
         self.assertAlmostEqual(0.0, y, delta=0.01)
         self.assertAlmostEqual(0.4, result.distance, delta=0.01)
         self.undock.send_goal(UndockGoal(0.5))
-        self.assertTrue(self.result_of(self.undock).success)
+        result = self.result_of(self.undock)
+        self.assertTrue(result.success, result.message)
         self.robot.assert_stands()
         self.assertAlmostEqual(x - 0.5, self.robot.pose[0], delta=0.03)
 
