@@ -30,9 +30,15 @@ LOG = logging.getLogger(__name__)
 STANDING = 0.01
 # A rim at this distance (m/s) from its wanted speed, or nearer, gets that speed at once.
 NEAR = 0.01
-# How fast a hard wheel creeps in Gazebo under friction as large as its load, as a share of g·dt:
-# its solver has not converged. From five robots of 10 to 26 kg at three headings each.
-CREEP = 0.8
+# How fast hard wheels creep in Gazebo, whose solver does not converge, as fitted to 92 robots; see
+# `docs/contact_model.md`. As a share of g·dt, at the rim speed below and friction at its limit:
+CREEP = 1.9
+# The same for each time that the body has the mass of its wheels.
+CREEP_BY_MASS = 0.4
+# m/s, and the exponent of the rim speed.
+CREEP_SPEED, CREEP_EXPONENT = 0.1, 0.7
+# Wheels with less than this share of the friction that they can have do not creep.
+CREEP_SHARE = 0.4
 # Of the left and the right wheels.
 Pair = Tuple[float, float]
 WHEEL_JOINTS = ("continuous", "revolute")
@@ -330,31 +336,42 @@ class SkidSteer(WheelDrive):
             where = mount.where("rightRearJoint")
             raise PluginError(f"{where}: the four joints must be different, but one is named twice")
         self.wheels = tuple(Wheel(self._body, name, torque) for name in names)
-        self._weight = 0.0 if mount.simulation.world.coulomb else self._weight_on_hard_wheels()
+        self._creep, self._most_friction = 0.0, 0.0
+        if not mount.simulation.world.coulomb:
+            self._find_creep()
         x, y = (mount.coefficient(f"covariance_{axis}", 1e-4) for axis in "xy")
         yaw = mount.coefficient("covariance_yaw", 1e-2)
         self._variances = (x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw)
         self.transform = self.output("/tf", TransformSample, mount.boolean("broadcastTF", False))
 
-    def _weight_on_hard_wheels(self) -> float:
-        """Return the weight (N) of the robot; 0 if a wheel names how soft its contact is."""
+    def _find_creep(self) -> None:
+        """Set the creep (m/s) and a side's largest friction (N), unless a wheel names a softness."""
         links = {link.joint.name: link.link for link in self._body.bullet_links if link.joint}
-        shapes = [s for wheel in self.wheels for s in links[wheel.joint].collisions]
-        if any(s.stiffness is not None or s.damping is not None for s in shapes):
-            return 0.0
-        masses = [link.inertia.mass for link in self._body.links if link.inertia is not None]
-        return GRAVITY * sum(masses)
+        wheels = [links[wheel.joint] for wheel in self.wheels]
+        shapes = [shape for wheel in wheels for shape in wheel.collisions]
+        soft = any(s.stiffness is not None or s.damping is not None for s in shapes)
+        if soft or not shapes:
+            return
+        mass = sum(link.inertia.mass for link in self._body.links if link.inertia is not None)
+        of_wheels = sum(wheel.inertia.mass for wheel in wheels if wheel.inertia is not None)
+        self._creep = (CREEP + CREEP_BY_MASS * (mass / of_wheels - 1.0)) * GRAVITY * STEP_SECONDS
+        self._most_friction = 0.5 * mass * GRAVITY * min(shape.friction for shape in shapes)
 
     def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
-        if not self._weight:
+        if not self._most_friction:
             return wanted
         half = len(self.wheels) // 2
-        creeps = []
-        for wheels, radius in zip((self.wheels[:half], self.wheels[half:]), self.radii):
-            friction = sum(wheel.state().effort for wheel in wheels) / radius
-            share = 2.0 * friction / self._weight
-            creeps.append(CREEP * GRAVITY * STEP_SECONDS * max(-1.0, min(1.0, share)))
-        return wanted[0] - creeps[0], wanted[1] - creeps[1]
+        sides = (self.wheels[:half], self.wheels[half:])
+        left, right = map(self._rim_speed, wanted, sides, self.radii)
+        return left, right
+
+    def _rim_speed(self, wanted: float, wheels: tuple[Wheel, ...], radius: float) -> float:
+        """Return the wanted speed of a side's rim less its creep (m/s)."""
+        friction = sum(wheel.state().effort for wheel in wheels) / radius
+        share = min(1.0, abs(friction) / self._most_friction)
+        slip = max(0.0, share - CREEP_SHARE) / (1.0 - CREEP_SHARE)
+        creep = self._creep * (abs(wanted) / CREEP_SPEED) ** CREEP_EXPONENT * slip
+        return wanted - math.copysign(creep, friction)
 
     def _report(self, step: int, seconds: float) -> None:
         pose = self._pose()
