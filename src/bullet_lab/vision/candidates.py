@@ -30,8 +30,6 @@ _FEW_PIECES = 10
 _COARSE_SIDE = 20.0
 # Most points of a contour, by the width and height of the box around it. A convex one has 2.
 _RAGGED = 2.2
-# Pieces of up to so many px are looked at in their middle row and column; even.
-_ACROSS = 48
 # The first pass leaves out weak edges where so much of the image has stronger ones, but none of so
 # many grey levels. The time that it takes is for edges.
 _MOST_EDGES = 0.15
@@ -214,7 +212,6 @@ class _DarkPieces(NamedTuple):
         fits &= np.minimum(u, v) > 0
         fits &= (u + width < self.labels.shape[1]) & (v + height < self.labels.shape[0])
         numbers = numbers[fits]
-        numbers = numbers if is_open else numbers[self._are_around(numbers)]
         longest, labels = _OPEN_RAGGED if is_open else _RAGGED, self.labels
         for number, box in zip(numbers.tolist(), self.boxes[numbers].tolist()):
             u, v, width, height, _ = box
@@ -224,21 +221,6 @@ class _DarkPieces(NamedTuple):
             )
             if len(contour) <= longest * (width + height):
                 yield contour
-
-    def _are_around(self, numbers: ndarray) -> ndarray:
-        """Return which pieces (n,) are on all four sides of the middle of their box.
-
-        Most pieces of a texture are not, and this is quicker to tell than a contour. Large ones are
-        not looked at.
-        """
-        u, v, width, height, _ = self.boxes[numbers].T[:, :, None]
-        places = np.arange(_ACROSS)
-        across, down = width * places // _ACROSS, height * places // _ACROSS
-        own = numbers[:, None]
-        in_row = self.labels[v + height // 2, u + across] == own
-        in_column = self.labels[v + down, u + width // 2] == own
-        halves = np.stack((in_row, in_column)).reshape(2, -1, 2, _ACROSS // 2).any(axis=3)
-        return halves.all(axis=(0, 2)) | (np.maximum(width, height)[:, 0] > _ACROSS)
 
 
 def _usual_rise(grey: ndarray) -> float:
