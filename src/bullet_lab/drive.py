@@ -102,6 +102,15 @@ def open_loop_side(square: Square) -> Iterator[Command]:
         yield 0.0, square.turn_speed
 
 
+def clip(value: float, limit: float) -> float:
+    """Return a value, at most `limit` away from 0.
+
+    >>> clip(-3.0, 2.0)
+    -2.0
+    """
+    return max(-limit, min(limit, value))
+
+
 def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
     """Return the speed for the remaining distance or angle.
 
@@ -308,8 +317,8 @@ class GoalDriver:
         """
         v_goal, w_goal = self._control(pose)
         limits, (v, w) = self._limits, self.moving
-        v += _clip(v_goal - v, limits.acceleration * seconds)
-        w += _clip(w_goal - w, limits.turn_acceleration * seconds)
+        v += clip(v_goal - v, limits.acceleration * seconds)
+        w += clip(w_goal - w, limits.turn_acceleration * seconds)
         # On arrival the speed is so low that no braking is needed.
         self.moving = STANDSTILL if self.phase is DrivePhase.ARRIVED else (v, w)
         return self.moving
@@ -338,7 +347,7 @@ class GoalDriver:
         self._on_the_spot = False
         fastest = min(limits.speed, math.sqrt(2.0 * limits.acceleration * left))
         speed = approach(left, fastest, SLOWEST_DRIVE, limits.gain)
-        return speed * math.cos(off), _clip(limits.turn_gain * off, limits.turn_speed)
+        return speed * math.cos(off), clip(limits.turn_gain * off, limits.turn_speed)
 
     def _turn(self, left: float) -> Command:
         if abs(left) <= self._limits.yaw_tolerance:
@@ -351,8 +360,3 @@ class GoalDriver:
         limits = self._limits
         fastest = min(limits.turn_speed, math.sqrt(2.0 * limits.turn_acceleration * abs(left)))
         return approach(abs(left), fastest, self._slowest_turn.now(left), limits.turn_gain)
-
-
-def _clip(value: float, limit: float) -> float:
-    """Return a value, at most `limit` away from 0."""
-    return max(-limit, min(limit, value))

@@ -227,7 +227,7 @@ class ArucoParametersTest(ImageNodeTest):
         node = self.node("aruco.py", tags="apriltag_37h10")
         self.assert_bad_parameter(node, "~tags")
         with self.assertRaisesRegex(ParameterError, "no marker 50"):
-            ArucoParameters(tags="DICT_4X4_50", ids=(50,)).settings()
+            ArucoParameters(tags="DICT_4X4_50", ids=(50,))
 
 
 def assert_place(found, view):

@@ -6,7 +6,6 @@ import contextlib
 import json
 import math
 import os
-import secrets
 import tempfile
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
@@ -19,9 +18,6 @@ from bullet_lab.errors import LabError
 NANOSECONDS = 1_000_000_000
 PART = ".part_"
 """Prefix of the names of incomplete files."""
-
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
-_NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 
 
 class FileError(LabError):
@@ -225,58 +221,23 @@ class Join:
             self._complete(stamp, waiting)
 
 
-class ConfinedFolder:
-    """A folder below which files are written under names from outside, and nowhere else.
+def place_within(folder: Path, name: str) -> Path:
+    """Return the path, without symbolic links, of a file of that name below a folder.
 
-    `place` resolves symbolic links, and refuses those that lead out of the folder. `write` follows
-    no link, as one may have been made since.
+    Args:
+        folder: that the file has to be in, without links; it is made if need be.
+        name: of the file, from outside.
 
-    Attributes:
-        path: of the folder, without links.
+    Raises:
+        FileError: the file is outside the folder, is a folder, or its folder does not exist.
+        OSError, RuntimeError: the name is too long, or its links form a cycle.
     """
-
-    def __init__(self, path: Path):
-        self.path = path.expanduser().resolve()
-
-    def place(self, name: str) -> Path:
-        """Return the path of a file of that name, without links, below the folder.
-
-        Raises:
-            FileError: it is outside the folder, is a folder, or its folder does not exist.
-            OSError, RuntimeError: the name is too long, or its links form a cycle.
-        """
-        path = (self.path / name).resolve()
-        if path != self.path and self.path not in path.parents:
-            raise FileError(f"{path} is not in {self.path}")
-        if path.is_dir() or path == self.path:
-            raise FileError(f"{path} is a folder")
-        make_folder(self.path)
-        if not path.parent.is_dir():
-            raise FileError(f"there is no folder {path.parent}")
-        return path
-
-    def write(self, path: Path, text: str) -> None:
-        """Write a text to a path from `place`, whole or not at all; raises FileError."""
-        with file_errors(f"cannot write {path}"), contextlib.ExitStack() as opened:
-            _put(self._open(opened, path.parent), path.name, text)
-
-    def _open(self, opened: contextlib.ExitStack, folder: Path) -> int:
-        """Open a folder below this one, part by part without links; return its descriptor."""
-        inner = os.open(self.path, _FOLDER)
-        opened.callback(os.close, inner)
-        for part in folder.relative_to(self.path).parts:
-            inner = os.open(part, _FOLDER, dir_fd=inner)
-            opened.callback(os.close, inner)
-        return inner
-
-
-def _put(folder: int, name: str, text: str) -> None:
-    part = f"{PART}{secrets.token_hex(8)}"
-    try:
-        with open(os.open(part, _NEW_FILE, 0o666, dir_fd=folder), "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(part, name, src_dir_fd=folder, dst_dir_fd=folder)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(part, dir_fd=folder)
-        raise
+    path = (folder / name).resolve()
+    if path != folder and folder not in path.parents:
+        raise FileError(f"{path} is not in {folder}")
+    if path.is_dir() or path == folder:
+        raise FileError(f"{path} is a folder")
+    make_folder(folder)
+    if not path.parent.is_dir():
+        raise FileError(f"there is no folder {path.parent}")
+    return path

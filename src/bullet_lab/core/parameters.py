@@ -108,6 +108,11 @@ def declarations(kind: type) -> Dict[str, Declaration]:
     }
 
 
+def part_of(kind: Type[T], parameters: Any) -> T:
+    """Return the parameters that a dataclass declares, from another one that has them, too."""
+    return kind(**{name: getattr(parameters, name) for name in declarations(kind)})
+
+
 def declared(name: str, entry: Field) -> Declaration:
     """Return a parameter outside a dataclass, from the field that a function below returns."""
     factory: Any = entry.default_factory  # type: ignore[misc]

@@ -194,20 +194,12 @@ def integrated(stamps: np.ndarray, speed: np.ndarray, turn_rate: np.ndarray) -> 
     return np.column_stack((places.real, places.imag, wrap(np.concatenate(([0.0], heading)))))
 
 
-class MetricsError(LabError):
-    """Two trajectories cannot be compared."""
-
-
 @dataclass(frozen=True, eq=False)
 class PathError:
     """The absolute pose error (APE) of an estimate, estimate minus reference at each stamp.
 
     Attributes:
         ape_rmse_m: root mean square of the distances between the two positions.
-        ape_mean_m: their mean.
-        ape_median_m: their median.
-        ape_std_m: their standard deviation, that of a whole population as in evo.
-        ape_min_m: the smallest.
         ape_max_m: the largest.
         heading_rmse_deg: root mean square of the heading errors.
         final_error_m: distance at the last stamp.
@@ -218,10 +210,6 @@ class PathError:
     """
 
     ape_rmse_m: float
-    ape_mean_m: float
-    ape_median_m: float
-    ape_std_m: float
-    ape_min_m: float
     ape_max_m: float
     heading_rmse_deg: float
     final_error_m: float
@@ -235,7 +223,7 @@ def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
     """Compare an estimate with the reference, pose by pose.
 
     Raises:
-        MetricsError: the stamps are not exactly the same.
+        TrajectoryError: the stamps are not exactly the same.
 
     >>> perfect = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     >>> noisy = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.5, 0.0)])
@@ -243,15 +231,11 @@ def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
     0.5
     """
     if not np.array_equal(reference.stamps, estimate.stamps):
-        raise MetricsError("only trajectories with the same stamps can be compared")
+        raise TrajectoryError("only trajectories with the same stamps can be compared")
     dx, dy, dyaw = (estimate.poses - reference.poses).T
     error, heading_error = hypot(dx, dy), wrap(dyaw)
     return PathError(
         ape_rmse_m=_rms(error),
-        ape_mean_m=float(np.mean(error)),
-        ape_median_m=float(np.median(error)),
-        ape_std_m=float(np.std(error)),
-        ape_min_m=float(np.min(error)),
         ape_max_m=float(np.max(error)),
         heading_rmse_deg=math.degrees(_rms(heading_error)),
         final_error_m=float(error[-1]),
@@ -260,16 +244,6 @@ def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
         error=error,
         heading_error=heading_error,
     )
-
-
-def closure_error(trajectory: Trajectory) -> float:
-    """Return the distance (m) from the first to the last position.
-
-    >>> closure_error(Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (3.0, 4.0, 1.0)]))
-    5.0
-    """
-    dx, dy, _ = trajectory.poses[-1] - trajectory.poses[0]
-    return hypot(dx, dy)
 
 
 def _rms(values: np.ndarray) -> float:

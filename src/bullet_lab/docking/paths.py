@@ -18,13 +18,8 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import QUIET_ZONE, clearance, wall_boxes
-from bullet_lab.docking.types import (
-    STANDSTILL,
-    TURNING_RADIUS,
-    Command,
-    DockingSettings,
-    Point,
-)
+from bullet_lab.docking.types import TURNING_RADIUS, DockingSettings, Point
+from bullet_lab.drive import STANDSTILL, Command, clip
 
 # Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
 CELL = 0.1
@@ -367,15 +362,6 @@ class PathFollower:
         braking = math.sqrt(0.6 * ACCELERATION * (length - done))
         speed = min(settings.drive_speed, braking)
         return speed * math.cos(off), clip(2.0 * off, 0.7 * settings.turn_speed)
-
-
-def clip(value: float, limit: float) -> float:
-    """Return a value, at most `limit` away from 0.
-
-    >>> clip(-3.0, 2.0)
-    -2.0
-    """
-    return max(-limit, min(limit, value))
 
 
 def turn_command(left: float, fastest: float, tolerance: float = _TURNED) -> Command:

@@ -15,9 +15,10 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.paths import PathFollower, clip, turn_command
+from bullet_lab.docking.paths import PathFollower, turn_command
 from bullet_lab.docking.progress import MEASURE_FRAMES, DockingFailureError, DockingProgress
-from bullet_lab.docking.types import STANDSTILL, Command, DockingError, DockingState, Point
+from bullet_lab.docking.types import DockingError, DockingState, Point
+from bullet_lab.drive import STANDSTILL, Command, clip
 
 _CHECK_SECONDS = 0.5
 # Images of a look, and at rest for the confirmation.
@@ -70,10 +71,10 @@ class LookForMarker(State):
     def __init__(self):
         self._since: int | None = None
 
-    def wants_images(self, docking: DockingProgress) -> bool:  # noqa: D102 - inherited
+    def wants_images(self, docking: DockingProgress) -> bool:
         return docking.is_settled()
 
-    def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
+    def step(self, docking: DockingProgress) -> Step:
         belief = docking.belief
         if belief.best() is not None:
             return Outcome("seen")
@@ -107,10 +108,10 @@ class DriveAlong(State):
         self._way = PathFollower(way)
         self._checked = -math.inf
 
-    def plan(self) -> tuple[Point, ...]:  # noqa: D102 - inherited
+    def plan(self) -> tuple[Point, ...]:
         return self._way.left
 
-    def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
+    def step(self, docking: DockingProgress) -> Step:
         if docking.now - self._checked >= _CHECK_SECONDS:
             self._checked = docking.now
             if not docking.paths.is_safe(self._way.left):
@@ -126,10 +127,10 @@ class DriveToView(DriveAlong):
         super().__init__(way)
         self._heading = heading
 
-    def wants_images(self, docking: DockingProgress) -> bool:  # noqa: D102 - inherited
+    def wants_images(self, docking: DockingProgress) -> bool:
         return docking.search.chance_to_see() > 0.05
 
-    def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
+    def step(self, docking: DockingProgress) -> Step:
         if docking.belief.best() is not None:
             return Outcome("seen")
         result = super().step(docking)
@@ -145,10 +146,10 @@ class DriveToStaging(DriveAlong):
 
     state = DockingState.STAGING
 
-    def wants_images(self, docking: DockingProgress) -> bool:  # noqa: D102 - inherited
+    def wants_images(self, docking: DockingProgress) -> bool:
         return docking.search.expects_marker()
 
-    def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
+    def step(self, docking: DockingProgress) -> Step:
         return Outcome("lost") if docking.belief.estimate() is None else super().step(docking)
 
 
@@ -162,7 +163,7 @@ class ProbeSize(State):
         self._way, self._searching = way, searching
         self._start: np.ndarray | None = None
 
-    def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
+    def step(self, docking: DockingProgress) -> Step:
         pose = np.asarray(docking.belief.pose)
         if self._start is None:
             self._start = pose
@@ -177,7 +178,7 @@ class ProbeSize(State):
 class TrackedState(State):
     """A phase in which the marker is seen, or was lately; without a track of it, it is lost."""
 
-    def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
+    def step(self, docking: DockingProgress) -> Step:
         estimate = docking.belief.estimate()
         if estimate is None:
             return Outcome("lost")
@@ -199,12 +200,10 @@ class Measure(TrackedState):
         self._turned = False
         self._waited = 0.0
 
-    def wants_images(self, docking: DockingProgress) -> bool:  # noqa: D102 - inherited
+    def wants_images(self, docking: DockingProgress) -> bool:
         return docking.is_settled()
 
-    def follow(  # noqa: D102 - inherited
-        self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
-    ) -> Step:
+    def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         x, y, _ = estimate.mean
         off = math.atan2(y, x - docking.belief.mount.x)
         if not self._turned and abs(off) > _FACING:
@@ -301,9 +300,7 @@ class Approach(TrackedState):
         self._held: float | None = None
         self._entered = False
 
-    def follow(  # noqa: D102 - inherited
-        self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
-    ) -> Step:
+    def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         robot = estimate.robot
         missing = docking.unseen(track) > _UNSEEN and docking.is_in_reach(robot)
         if missing and not docking.may_drive_blind(track):
@@ -344,9 +341,7 @@ class Retreat(TrackedState):
         self._target, self._in_sight = left, in_sight
         self._since: float | None = None
 
-    def follow(  # noqa: D102 - inherited
-        self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
-    ) -> Step:
+    def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         target = docking.limit_to_sight(self._target) if self._in_sight else self._target
         left = target - docking.left
         self._since = docking.now if self._since is None else self._since
@@ -376,9 +371,7 @@ class Confirm(TrackedState):
         self._correction: Command | None = None
         self._corrections = 0
 
-    def follow(  # noqa: D102 - inherited
-        self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose
-    ) -> Step:
+    def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         _, _, turned = estimate.robot
         if self._correction is not None:
             # Turn or creep until the estimate is there.
@@ -432,7 +425,7 @@ class Docked(State):
 
     state = DockingState.DOCKED
 
-    def step(self, docking: DockingProgress) -> Step:  # noqa: D102 - inherited
+    def step(self, docking: DockingProgress) -> Step:
         return STANDSTILL
 
 

@@ -15,14 +15,12 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.geometry import misfit
-from bullet_lab.docking.paths import ACCELERATION, clip
+from bullet_lab.docking.paths import ACCELERATION
 from bullet_lab.docking.progress import DockAxis, DockingFailureError, DockingProgress
 from bullet_lab.docking.states import TRANSITIONS, LookForMarker, Outcome, State
 from bullet_lab.docking.types import (
     HALF_WIDTH,
-    STANDSTILL,
     CameraMount,
-    Command,
     DockingError,
     DockingResult,
     DockingSettings,
@@ -32,6 +30,7 @@ from bullet_lab.docking.types import (
     Point,
     motion_step,
 )
+from bullet_lab.drive import STANDSTILL, Command, clip
 
 USUAL = DockingSettings()
 """The settings by default."""

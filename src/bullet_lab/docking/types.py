@@ -20,8 +20,6 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 
 Point = Tuple[float, float]
-Command = Tuple[float, float]
-STANDSTILL: Command = (0.0, 0.0)
 
 HALF_WIDTH = 0.20
 """Half the edge of the robot, a square about the middle of its axle, m."""

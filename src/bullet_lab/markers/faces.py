@@ -18,8 +18,7 @@ from PIL import Image
 from bullet_lab.core.files import make_folder, replace_file
 from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
-from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named, simple_name
-from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.dictionaries import dictionary_named
 
 PIXELS_PER_CELL = 32
 """Of a plate. A power of two: a renderer that filters with halved copies of a picture then finds
@@ -112,47 +111,6 @@ class MarkerError(LabError):
     """A marker that does not exist or cannot be printed as asked."""
 
 
-def dictionary_names() -> tuple[str, ...]:
-    """Return the names of all dictionaries of this OpenCV, without the prefix, in lower case."""
-    return tuple(sorted(simple_name(name).lower() for name in DICTIONARY_NAMES))
-
-
-def marker_cells(dictionary: str, identifier: int) -> np.ndarray:
-    """Return the cells of a marker as one sees it: (n, n) of bool, True is white.
-
-    The black border of one cell is included; row 0 is the upper one. The dictionary is one of
-    OpenCV's, such as apriltag_36h10; `DICT_` before it and capitals make no difference.
-
-    Raises:
-        MarkerError: no such dictionary, or no such marker in it.
-
-    >>> marker_cells("4x4_50", 0).astype(int)[:3]
-    array([[0, 0, 0, 0, 0, 0],
-           [0, 1, 0, 1, 1, 0],
-           [0, 0, 1, 0, 1, 0]])
-    """
-    try:
-        known = dictionary_named(dictionary)
-    except VisionError:
-        names = ", ".join(dictionary_names())
-        raise MarkerError(f"no dictionary '{dictionary}'; there are {names}") from None
-    count = len(known.codes)
-    if not 0 <= identifier < count:
-        raise MarkerError(f"{dictionary} has the ids 0 to {count - 1}, not {identifier}")
-    return known.pattern(identifier) > 0
-
-
-def marker_image(cells: np.ndarray, pixels: int, quiet: int = 1) -> np.ndarray:
-    """Return the picture of a marker with its quiet zone, (side, side) of uint8.
-
-    Its `cells` are as of `marker_cells`, `pixels` wide, with `quiet` white ones on each side. A
-    marker whose border touches something dark has no outline that a detector could find.
-    """
-    framed = np.pad(np.asarray(cells, dtype=bool), quiet, constant_values=True)
-    picture = np.where(framed, WHITE, BLACK).astype(np.uint8)
-    return np.kron(picture, np.ones((pixels, pixels), dtype=np.uint8))
-
-
 def paste(canvas: np.ndarray, patch: np.ndarray, column: int, row: int) -> None:
     """Draw a picture over another, its upper left pixel at a column and row.
 
@@ -221,7 +179,7 @@ class Print:
     quiet: int = 1  #: width of the white quiet zone, in cells
 
     def __post_init__(self) -> None:
-        """Raise MarkerError where there is no such marker."""
+        """Raise MarkerError or VisionError where there is no such marker."""
         if not 0.001 <= self.size <= 100.0:
             raise MarkerError(f"a marker's size is from 0.001 to 100 m, not {self.size:g}")
         if not 1 <= self.quiet <= LARGEST_QUIET:
@@ -230,8 +188,14 @@ class Print:
         self.cells()
 
     def cells(self) -> np.ndarray:
-        """Return the cells, see `marker_cells`."""
-        return marker_cells(self.dictionary, self.identifier)
+        """Return the cells as one sees them, with the border: (n, n) of bool, True is white.
+
+        >>> Print("4x4_50", 0).cells().astype(int)[:3]
+        array([[0, 0, 0, 0, 0, 0],
+               [0, 1, 0, 1, 1, 0],
+               [0, 0, 1, 0, 1, 0]])
+        """
+        return dictionary_named(self.dictionary).pattern(self.identifier) > 0
 
     def face_size(self) -> float:
         """Return the edge of the marker with its quiet zone, m."""
@@ -239,8 +203,13 @@ class Print:
         return self.size * (count + 2 * self.quiet) / count
 
     def image(self, pixels: int) -> np.ndarray:
-        """Return the picture with the quiet zone, `pixels` for each cell."""
-        return marker_image(self.cells(), pixels, self.quiet)
+        """Return the picture with the quiet zone, uint8, `pixels` for each cell.
+
+        A marker whose border touches something dark has no outline that a detector could find.
+        """
+        framed = np.pad(self.cells(), self.quiet, constant_values=True)
+        picture = np.where(framed, WHITE, BLACK).astype(np.uint8)
+        return np.kron(picture, np.ones((pixels, pixels), dtype=np.uint8))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from bullet_lab.markers.faces import (
     PLATE_THICKNESS,
     MarkerError,
     Print,
-    dictionary_names,
     dots_face,
     nested_face,
     plate_face,
@@ -29,6 +28,7 @@ from bullet_lab.markers.faces import (
     write_panel,
     write_plate,
 )
+from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, simple_name
 
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130
@@ -72,8 +72,8 @@ def make(values: argparse.Namespace) -> str:
 
 def parser() -> ArgumentParser:
     """Return the parser of the command line."""
-    names = argparse.RawDescriptionHelpFormatter
-    made = ArgumentParser(prog="make_marker.py", description=__doc__, formatter_class=names)
+    form = argparse.RawDescriptionHelpFormatter
+    made = ArgumentParser(prog="make_marker.py", description=__doc__, formatter_class=form)
     made.add_argument("out", type=Path, help="folder that is written to; its name is the model's")
 
     def option(name: str, default: Any, about: str, **more: Any) -> None:
@@ -81,7 +81,8 @@ def parser() -> ArgumentParser:
             about += " [%(default)s]"
         made.add_argument(name, default=default, help=about.strip(), **more)
 
-    option("--dictionary", Print.dictionary, f"of OpenCV: {', '.join(dictionary_names())}")
+    names = ", ".join(simple_name(name).lower() for name in DICTIONARY_NAMES)
+    option("--dictionary", Print.dictionary, f"of OpenCV: {names}")
     option("--id", Print.identifier, "", type=int)
     option("--size", Print.size, "edge of the black square, m", type=float)
     option("--quiet", Print.quiet, "white cells around it", type=int)

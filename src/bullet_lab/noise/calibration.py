@@ -26,18 +26,7 @@ from typing import Dict, Iterator, List, Sequence, Tuple
 import numpy as np
 from scipy.stats import chi2
 
-from bullet_lab.noise.likelihood import SYSTEMATIC, Problem
-
-__all__ = [
-    "SYSTEMATIC",
-    "Fit",
-    "Problem",
-    "covariance",
-    "fit",
-    "intervals",
-    "on_limit",
-    "profile",
-]
+from bullet_lab.noise.likelihood import Problem
 
 INTERVAL = 0.95
 ROOT = math.sqrt(chi2.ppf(INTERVAL, 1))

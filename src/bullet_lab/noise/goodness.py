@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from bullet_lab.noise.calibration import Fit, Problem, fit
-from bullet_lab.noise.likelihood import PARTS, LongErrors, Shares, StepPairs, part_errors
+from bullet_lab.noise.likelihood import PARTS, LongErrors, StepPairs, part_errors, walk_shares
 from bullet_lab.noise.odometry_noise import NoiseRule, line_of_travel, rule_of
 
 SIGNIFICANCE = 0.05
@@ -132,7 +132,7 @@ def drawn_pairs(
     """
     expected = pairs.true if expected is None else expected
     if pairs.within is not None:
-        errors = LongErrors.of(pairs, expected[np.newaxis], Shares.of(pairs.within))
+        errors = LongErrors.of(pairs, expected[np.newaxis], walk_shares(pairs.within))
         roots = np.linalg.cholesky(errors.covariance(rule))
         draws = generator.standard_normal((count, len(expected), 3, 1))
         added = (roots @ draws)[..., 0]

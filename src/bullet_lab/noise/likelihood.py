@@ -40,30 +40,13 @@ from bullet_lab.noise.odometry_noise import (
     line_of_travel,
     model_named,
 )
-from bullet_lab.noise.systematic import (
-    LARGEST_BIAS,
-    LARGEST_ERROR,
-    LARGEST_LOSS,
-    SystematicErrors,
-    end_of,
-)
+from bullet_lab.noise.systematic import LARGEST_ERRORS, SYSTEMATIC, SystematicErrors, end_of
 
 RESOLUTION = 1e-9
 """m and rad; standard deviation of the truth's poses by default."""
 
 PARTS = ("rot1", "trans", "rot2")
 
-SYSTEMATIC = (
-    *("scale_error", "base_error", "diameter_error"),
-    *("gyro_bias_per_metre", "way_per_turn"),
-)
-"""Those of `SystematicErrors` that a path determines; its wheel_base has to be known."""
-
-_LARGEST = {
-    **dict.fromkeys(SYSTEMATIC, LARGEST_ERROR),
-    "gyro_bias_per_metre": LARGEST_BIAS,
-    "way_per_turn": LARGEST_LOSS,
-}
 # The limit of an estimate is the largest multiple that is less than the largest parameter.
 _LIMIT_STEP = 1e6 / 2.0**60
 _LEVELS = np.geomspace(1e-6, 10.0, 36)
@@ -180,36 +163,27 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Shares:
-    """What each unit of a random walk's variances does to the end of a long step, (n, 3, 3).
+def walk_shares(within: np.ndarray) -> np.ndarray:
+    """Return what a random walk's variances do to the ends of long steps of shorter ones.
 
-    Order and frame are those of `LongErrors`.
+    Args:
+        within: the shorter steps, (n, m, 3).
 
-    Attributes:
-        ways: by the variance of 1 m² per metre of the translations.
-        headings: by the variance of 1 rad² per metre of the headings.
-        turns: by the variance of 1 rad² per radian of the headings.
+    Returns:
+        Covariances by 1 m² per metre of the translations, by 1 rad² per metre of the headings and
+        by 1 rad² per radian of the headings, in order and frame of `LongErrors`, (3, n, 3, 3).
     """
-
-    ways: np.ndarray
-    headings: np.ndarray
-    turns: np.ndarray
-
-    @classmethod
-    def of(cls, within: np.ndarray) -> Shares:
-        """Return those of long steps that consist of shorter ones, (n, m, 3)."""
-        heading = np.cumsum(within[..., 2], axis=1) - within[..., 2]
-        moves = (within[..., 0] + 1j * within[..., 1]) * np.exp(1j * heading)
-        way, angle = np.abs(moves), np.abs(within[..., 2])
-        places = np.cumsum(moves, axis=1)
-        # A turn in the middle of a short step swings the rest of the long one.
-        rest = places[:, -1:] - (places - 0.5 * moves)
-        levers = np.stack((rest.real, -rest.imag, np.ones(rest.shape)), axis=-1)
-        along = moves / np.where(way > 0.0, way, 1.0)
-        along = np.stack((along.imag, along.real, np.zeros(along.shape)), axis=-1)
-        pairs = ((along, way), (levers, way), (levers, angle))
-        return cls(*(np.einsum("nmi,nmj,nm->nij", one, one, size) for one, size in pairs))
+    heading = np.cumsum(within[..., 2], axis=1) - within[..., 2]
+    moves = (within[..., 0] + 1j * within[..., 1]) * np.exp(1j * heading)
+    way, angle = np.abs(moves), np.abs(within[..., 2])
+    places = np.cumsum(moves, axis=1)
+    # A turn in the middle of a short step swings the rest of the long one.
+    rest = places[:, -1:] - (places - 0.5 * moves)
+    levers = np.stack((rest.real, -rest.imag, np.ones(rest.shape)), axis=-1)
+    along = moves / np.where(way > 0.0, way, 1.0)
+    along = np.stack((along.imag, along.real, np.zeros(along.shape)), axis=-1)
+    pairs = ((along, way), (levers, way), (levers, angle))
+    return np.stack([np.einsum("nmi,nmj,nm->nij", one, one, size) for one, size in pairs])
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,16 +192,16 @@ class LongErrors:
 
     Attributes:
         error: aside (m), ahead (m) and turned (rad), in the frame of the begin, (b, n, 3).
-        shares: of the variances.
+        shares: of the variances, as of `walk_shares`, (3, n, 3, 3).
         floor: variances of these errors from the truth's own, (3,).
     """
 
     error: np.ndarray
-    shares: Shares
+    shares: np.ndarray
     floor: np.ndarray
 
     @classmethod
-    def of(cls, pairs: StepPairs, expected: np.ndarray, shares: Shares) -> LongErrors:
+    def of(cls, pairs: StepPairs, expected: np.ndarray, shares: np.ndarray) -> LongErrors:
         """Compare odometries with steps without noise, (b, n, 3)."""
         difference = pairs.odometry - expected
         turned = wrap(difference[..., 2])
@@ -238,11 +212,7 @@ class LongErrors:
     def covariance(self, rule: NoiseRule) -> np.ndarray:
         """Return the covariances by a random walk with parameters of shape (b, 1), (b, n, 3, 3)."""
         (on_ways, moved), (in_turns, _) = rule.walked(1.0, 0.0), rule.walked(0.0, 1.0)
-        rows = (
-            (moved, self.shares.ways),
-            (on_ways, self.shares.headings),
-            (in_turns, self.shares.turns),
-        )
+        rows = zip((moved, on_ways, in_turns), self.shares)
         every = (np.asarray(size)[..., np.newaxis, np.newaxis] * share for size, share in rows)
         return sum(every) + np.diag(self.floor)
 
@@ -296,8 +266,8 @@ class Problem:
         self.logarithmic = np.arange(len(self.names)) < len(own)
         self.longest = np.where(self.logarithmic, 4.0, 30.0)
         self._true = part_errors(pairs)
-        self._shares = None if pairs.within is None else Shares.of(pairs.within)
-        largest = [_LARGEST.get(name, LARGEST_PARAMETER) for name in self.names]
+        self._shares = None if pairs.within is None else walk_shares(pairs.within)
+        largest = [LARGEST_ERRORS.get(name, LARGEST_PARAMETER) for name in self.names]
         self.high = self.coordinates(np.array(largest) // _LIMIT_STEP * _LIMIT_STEP)
         self.known = start is not None
         self.start = self._start() if start is None else np.tile(start, (len(self), 1))

@@ -31,7 +31,6 @@ from bullet_lab.noise.exact_moments import exact_moments
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import rule_of
-from bullet_lab.noise.systematic import SystematicErrors
 
 LENGTHS = (1.0, 5.0, 20.0)
 """m, of windows."""
@@ -154,19 +153,12 @@ def predicted(problem: Problem, found: Fit, pairs: StepPairs, follows, length: f
         follows: whether each begins where the one before it ended, (n,).
         length: of the windows, m of the truth.
     """
-    values = found.values()
-    rule = rule_of(found.model, values)
-    wrong = {name: values[name] for name in problem.systematic}
-    known = SystematicErrors(**wrong, wheel_base=problem.wheel_base)
-    bent = [
-        SystematicErrors(
-            **{**wrong, name: wrong[name] + _DIFFERENCE}, wheel_base=problem.wheel_base
-        )
-        for name in problem.systematic
-    ]
+    rule = rule_of(found.model, found.values())
+    moved = _DIFFERENCE * np.eye(len(found.names))[~problem.logarithmic]
+    values = found.estimates + np.vstack((np.zeros(len(found.names)), moved))
     begins, ends = windows(pairs.true, follows, length)
     reported = path_of(pairs.odometry[0])
-    paths = [path_of(one.steps(pairs.true)) for one in (known, *bent)]
+    paths = [path_of(steps) for steps in problem.errors(values, 1).steps(pairs.true)]
     expected, *others = (se2.between(path[begins], path[ends]) for path in paths)
     slopes = [se2.between(expected, other) for other in others]
     noise = [

@@ -18,12 +18,17 @@ if the middle of the axle goes less than half the loss, the wheels roll s.
 
 The diameters are given by their mean and their ratio, as by Borenstein and Feng, Measurement and
 correction of systematic odometry errors in mobile robots (1996).
+
+The errors may differ from path to path, drawn from independent Gaussians about the given ones. What
+that does to the reported pose is followed by one more path for each error, with the error one
+standard deviation larger: to first order, the covariance is the sum of the squares of their
+distances.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Optional, Tuple
 
 import numpy as np
@@ -32,18 +37,31 @@ from bullet_lab.core.parameters import number
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.noise.odometry_noise import body_step
 
-LARGEST_ERROR = 0.5
-"""Of the diameters and of the base."""
+LARGEST_ERRORS = {
+    "scale_error": 0.5,
+    "base_error": 0.5,
+    "diameter_error": 0.5,
+    # rad/m; more than a turn on each metre.
+    "gyro_bias_per_metre": 10.0,
+    # m/rad; more than wheels of a robot roll as it turns.
+    "way_per_turn": 0.5,
+}
+"""Limits of the errors by their names."""
 
-LARGEST_BIAS = 10.0
-"""rad/m; more than a turn on each metre."""
+SYSTEMATIC = tuple(LARGEST_ERRORS)
+"""Those of `SystematicErrors` that a path determines; its wheel_base has to be known."""
 
-LARGEST_LOSS = 0.5
-"""m/rad; more than wheels of a robot roll as it turns."""
+# Keeps the draws of errors apart from those of the noise.
+_STREAM = 5
 
 
-def _error(doc: str, largest: float = LARGEST_ERROR) -> Any:
-    return number(0.0, doc, minimum=-largest, maximum=largest)
+def _error(name: str, doc: str) -> Any:
+    return number(0.0, doc, minimum=-LARGEST_ERRORS[name], maximum=LARGEST_ERRORS[name])
+
+
+def _spread(name: str) -> Any:
+    doc = f"standard deviation of {name}, from path to path"
+    return number(0.0, doc, minimum=0.0, maximum=LARGEST_ERRORS[name])
 
 
 @dataclass(frozen=True)
@@ -68,23 +86,23 @@ class SystematicErrors:
            [1., 0., 0.]])
     """
 
-    scale_error: float = _error("mean diameter of the wheels / what odometry believes - 1")
-    base_error: float = _error("distance of the wheels / what odometry believes - 1")
-    diameter_error: float = _error("right diameter / left diameter of the wheels - 1")
-    gyro_bias_per_metre: float = _error("rad that the heading gains on each metre", LARGEST_BIAS)
+    scale_error: float = _error(
+        "scale_error", "mean diameter of the wheels / what odometry believes - 1"
+    )
+    base_error: float = _error("base_error", "distance of the wheels / what odometry believes - 1")
+    diameter_error: float = _error(
+        "diameter_error", "right diameter / left diameter of the wheels - 1"
+    )
+    gyro_bias_per_metre: float = _error(
+        "gyro_bias_per_metre", "rad that the heading gains on each metre"
+    )
     wheel_base: float = number(0.38, "m, distance of the wheels that diameter_error is for", 0.01)
-    way_per_turn: float = _error("m of way that is lost in each radian of a turn", LARGEST_LOSS)
-
-    @classmethod
-    def of(cls, parameters) -> SystematicErrors:
-        """Return those among the parameters of a node or a study."""
-        return cls(**{entry.name: getattr(parameters, entry.name) for entry in fields(cls)})
+    way_per_turn: float = _error("way_per_turn", "m of way that is lost in each radian of a turn")
 
     @property
     def none(self) -> bool:
         """Whether all errors are 0."""
-        wheels = (self.scale_error, self.base_error, self.diameter_error)
-        return not any((*wheels, self.gyro_bias_per_metre, self.way_per_turn))
+        return not any(getattr(self, name) for name in SYSTEMATIC)
 
     @property
     def diameters(self) -> Tuple[float, float]:
@@ -240,6 +258,76 @@ class SystematicPath:
 
 def _sinc(angle: float) -> float:
     return math.sin(angle) / angle if angle else 1.0
+
+
+@dataclass(frozen=True)
+class SystematicSpread:
+    """Standard deviations of the systematic errors from path to path; 0 if they are known.
+
+    Attributes:
+        scale_error_std: of scale_error, and so on.
+        base_error_std: likewise.
+        diameter_error_std: likewise.
+        gyro_bias_per_metre_std: rad/m.
+        way_per_turn_std: m/rad.
+    """
+
+    scale_error_std: float = _spread("scale_error")
+    base_error_std: float = _spread("base_error")
+    diameter_error_std: float = _spread("diameter_error")
+    gyro_bias_per_metre_std: float = _spread("gyro_bias_per_metre")
+    way_per_turn_std: float = _spread("way_per_turn")
+
+
+class SpreadPath:
+    """Makes reported paths from true ones, each with errors of its own; like `SystematicPath`.
+
+    >>> path = SpreadPath(SystematicErrors(), SystematicSpread(scale_error_std=0.1), seed=1)
+    >>> for x in (0.0, 1.0):
+    ...     step = path.update(x, 0.0, 0.0)
+    >>> path.covariance.round(4)[0]
+    array([0.0083, 0.    , 0.    ])
+
+    Args:
+        errors: their means.
+        spread: their standard deviations.
+        seed: of the draws, >= 0.
+    """
+
+    def __init__(self, errors: SystematicErrors, spread: SystematicSpread, seed: int):
+        self._errors = errors
+        stds = {name: getattr(spread, f"{name}_std") for name in SYSTEMATIC}
+        self._stds = {name: std for name, std in stds.items() if std > 0.0}
+        self._generator = np.random.default_rng([seed, _STREAM])
+        self._known = SystematicPath(errors)
+        self._others = [
+            SystematicPath(replace(errors, **{name: getattr(errors, name) + std}))
+            for name, std in self._stds.items()
+        ]
+        self.restart()
+
+    def restart(self) -> None:
+        """Start a new path, with errors of its own, with the next pose."""
+        drawn = {}
+        for name, std in self._stds.items():
+            value = getattr(self._errors, name) + std * self._generator.standard_normal()
+            drawn[name] = float(np.clip(value, -LARGEST_ERRORS[name], LARGEST_ERRORS[name]))
+        self._own = SystematicPath(replace(self._errors, **drawn))
+        for path in (self._known, *self._others):
+            path.restart()
+        self.covariance = np.zeros((3, 3))
+
+    def update(self, x: float, y: float, yaw: float) -> SystematicStep:
+        """Return the report for the next true pose (m, m, rad), which is finite.
+
+        `covariance` is then that of its x (m), y (m) and yaw (rad) from path to path, (3, 3).
+        """
+        if self._others:
+            known = self._known.update(x, y, yaw).pose
+            rows = np.array([path.update(x, y, yaw).pose for path in self._others]) - known
+            rows[:, 2] = wrap(rows[:, 2])
+            self.covariance = rows.T @ rows
+        return self._own.update(x, y, yaw)
 
 
 def end_of(steps) -> np.ndarray:

@@ -15,7 +15,7 @@ from bullet_lab.core.figures import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_f
 from bullet_lab.core.files import Join, PathSeries, Series, Values, make_folder, move_file
 from bullet_lab.core.parameters import declarations
 from bullet_lab.core.se2 import ellipse_points, hypot
-from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, closure_error, path_error
+from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, path_error
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.reports import Reading, Report
@@ -86,7 +86,7 @@ def analyse(trajectory: Trajectory) -> SquarePath:
         float(np.degrees(abs(headings[min(end + 1, last)] - headings[start - 1])))
         for start, end in turns
     ]
-    return SquarePath(sides, angles, closure_error(trajectory))
+    return SquarePath(sides, angles, float(hypot(*(positions[-1] - positions[0]))))
 
 
 def _cut(positions: np.ndarray, headings: np.ndarray):

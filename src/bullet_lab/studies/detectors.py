@@ -21,7 +21,7 @@ from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.studies.study import Settings, Tell, run_from
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_area, draw_marker, draw_points, draw_text
-from bullet_lab.vision.features import canny_edges, good_features, harris_corners
+from bullet_lab.vision.features import good_features, harris_corners
 from bullet_lab.vision.images import VisionError, grey
 from bullet_lab.vision.marker_detector import (
     REFINEMENTS,
@@ -39,7 +39,7 @@ class PictureSettings(Settings):
 
     picture: str = text(WALL, "picture file, of any kind that OpenCV reads")
     tags: str = choice(
-        DetectorSettings().dictionary,
+        "apriltag_36h10",
         "dictionary of the markers",
         [name[5:].lower() for name in DICTIONARY_NAMES],
     )
@@ -85,7 +85,7 @@ def _answers(picture: np.ndarray, settings: PictureSettings) -> Dict[str, Any]:
     """Return the detail of each reading of VisionReport by its topic."""
     levels, tags = grey(picture), settings.tags
     drawn = {name: picture.copy() for name in PICTURES}
-    drawn["canny_edges"] = cv2.cvtColor(canny_edges(levels), cv2.COLOR_GRAY2BGR)
+    drawn["canny_edges"] = cv2.cvtColor(cv2.Canny(levels, 100.0, 200.0), cv2.COLOR_GRAY2BGR)
     good = good_features(levels)
     draw_points(drawn["good_features"], good)
     area, corners = harris_corners(levels)

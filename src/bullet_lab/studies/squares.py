@@ -13,15 +13,14 @@ from typing import Any, Callable, Iterator, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.parameters import boolean, check_parameters, choice, integer
+from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, part_of
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_parameters, rule_of
 from bullet_lab.noise.presets import preset, with_preset
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.noise.spread import SpreadPath, SystematicSpread
-from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.noise.systematic import SpreadPath, SystematicErrors, SystematicSpread
 from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
@@ -154,8 +153,8 @@ def _noise(
     With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
     """
     settings = with_preset(settings)
-    spread = SystematicSpread.of(settings)
-    errors = SpreadPath(SystematicErrors.of(settings), spread, settings.seed)
+    spread = part_of(SystematicSpread, settings)
+    errors = SpreadPath(part_of(SystematicErrors, settings), spread, settings.seed)
     path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 

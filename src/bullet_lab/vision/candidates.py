@@ -30,36 +30,27 @@ _FEW_PIECES = 10
 _COARSE_SIDE = 20.0
 # Most points of a contour, by the width and height of the box around it. A convex one has 2.
 _RAGGED = 2.2
-# Pieces of up to so many px are looked at in their middle row and column; even.
-_ACROSS = 48
 # The first pass leaves out weak edges where so much of the image has stronger ones, but none of so
 # many grey levels. The time that it takes is for edges.
 _MOST_EDGES = 0.15
 _STRONG = 30
-# Most labels of 16 bits: OpenCV writes out of bounds with one more.
-_MOST_LABELS = 65534
-
-# Borders with a gap: least width and height together, px.
-_LEAST_OPEN = 40
-# A border with a gap has an inner side as well, and the cells beside it may hang on it.
+# Borders with a gap have an inner side as well, and the cells beside it may hang on it.
 _OPEN_RAGGED = 8.0
-# At most so many contours of a mask are tried, the largest first.
+# Their least width and height together, px, and how many of a mask are tried, the largest first.
+_LEAST_OPEN = 40
 _MOST_OPEN = 12
 # A hull is simplified by up to this share of its length and then has so many corners.
 _HULL_TOLERANCE = 0.02
 _HULL_CORNERS = (4, 5, 6)
 # Most area of a quadrilateral over that of the hull, which lacks a corner.
 _WITH_CORNER = 1.15
-# Rounds of the line fit: half width of the strip in which points are used, as a share of the side,
-# and iterations of the fit. Many iterations make it robust.
-_STRIPS = ((0.06, 1), (0.03, 1), (0.015, 15))
-# Share of a side that is left out at either end.
+# Half widths of the strips in which points of a side are used, as shares of it, and how its line is
+# fitted to them; and the share of it that is left out at either end.
+_STRIPS = ((0.06, cv2.DIST_L2), (0.03, cv2.DIST_L2), (0.015, cv2.DIST_L1))
 _OPEN_TRIM = 0.16
-# Points nearer to the line than this have the same weight, px.
-_ON_LINE = 0.05
-# Least points of a line, and most of a contour.
 _LEAST_POINTS = 8
-_MOST_POINTS = 256
+# Most labels of 16 bits: OpenCV writes out of bounds with one more.
+_MOST_LABELS = 65534
 
 
 class _Mask(NamedTuple):
@@ -120,10 +111,8 @@ class CandidateSearch:
         self._grey, self._min_side = grey, min_side
         size = (grey.shape[1] // 2, grey.shape[0] // 2)
         self._half = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        self._contours = 0
+        self._count = 0
         self._is_clear = False
-        # The third pass uses masks of the second one again.
-        self._pieces: dict[_Mask, _DarkPieces] = {}
 
     def first_pass(self, contrast: float) -> ndarray:
         """Return the outlines with four corners that the usual masks show.
@@ -134,8 +123,8 @@ class CandidateSearch:
 
     def second_pass(self, contrast: float) -> ndarray:
         """Return those of other masks, of more of them in an image with few pieces."""
-        self._is_clear = self._contours < _FEW_PIECES
-        masks = _SECOND_PASS + _MORE_MASKS if self._is_clear else _SECOND_PASS
+        self._is_clear = self._count < _FEW_PIECES
+        masks = _SECOND_PASS + (_MORE_MASKS if self._is_clear else ())
         return self._outlines(masks, contrast, _SECOND_TRIM)
 
     def open_pass(self, contrast: float) -> ndarray:
@@ -144,31 +133,30 @@ class CandidateSearch:
         Something before a corner that is as dark as the wall behind joins the two: no threshold
         shows four corners then. The hull of the border still has four long sides.
         """
-        hulls, coarse = [], []
-        for mask in _OPEN_PASS if self._is_clear else ():
-            least = max(0.5 * _LEAST_OPEN, self._least_side(mask)) + 1.0
-            hulls += _hulls(self._dark(mask, contrast).contours(least, is_open=True))
-            coarse += [mask.coarse] * (len(hulls) - len(coarse))
-        return self._full_size(_open_quads(hulls), coarse)
+        if not self._is_clear:
+            return np.empty((0, 4, 2))
+        quads, coarse = [], []
+        for mask in _OPEN_PASS:
+            contours = self._contours(mask, contrast, is_open=True)
+            contours.sort(key=lambda contour: -np.ptp(contour[:, 0], axis=0).sum())
+            quads += map(_hull_quad, contours[:_MOST_OPEN])
+            coarse += [mask.coarse] * (len(quads) - len(coarse))
+        return self._full_size(np.array(quads).reshape(-1, 4, 2), coarse)
 
     def _outlines(self, masks: Sequence[_Mask], contrast: float, trim: float) -> ndarray:
         outlines, coarse = [], []
         for mask in masks:
-            least = self._least_side(mask)
-            contours = list(self._dark(mask, contrast).contours(least))
-            self._contours += len(contours)
-            outlines += outlines_of(contours, least)
+            contours = self._contours(mask, contrast)
+            self._count += len(contours)
+            outlines += outlines_of(contours, self._least_side(mask))
             coarse += [mask.coarse] * (len(outlines) - len(coarse))
         return self._full_size(outlined_quads(outlines, trim), coarse)
 
-    def _dark(self, mask: _Mask, contrast: float) -> _DarkPieces:
-        """Return the pieces that are dark by a mask."""
-        if mask not in self._pieces:
-            grey = self._half if mask.coarse else self._grey
-            if mask.ceiling < 255:
-                grey = cv2.min(grey, mask.ceiling)
-            self._pieces[mask] = _dark_pieces(grey, mask, contrast)
-        return self._pieces[mask]
+    def _contours(self, mask: _Mask, contrast: float, is_open: bool = False) -> list[ndarray]:
+        """Return the contours of the pieces that are dark by a mask, px of the mask."""
+        grey, least = self._half if mask.coarse else self._grey, self._least_side(mask)
+        least = max(0.5 * _LEAST_OPEN, least) + 1.0 if is_open else least
+        return list(_dark_contours(cv2.min(grey, mask.ceiling), mask, contrast, least, is_open))
 
     def _least_side(self, mask: _Mask) -> float:
         """Return the least side to look for in a mask, px of the mask."""
@@ -183,64 +171,6 @@ class CandidateSearch:
         return sound_quads(quads)
 
 
-class _DarkPieces(NamedTuple):
-    """The dark pieces of an image.
-
-    Attributes:
-        labels: (h, w) number of each pixel's piece; 0 is the background.
-        boxes: (n, 5) u, v, width, height, area by that number.
-    """
-
-    labels: ndarray
-    boxes: ndarray
-
-    def contours(self, min_side: float, is_open: bool = False) -> Iterator[ndarray]:
-        """Yield the outer contours (n, 1, 2) of the pieces that are large and broad enough.
-
-        If `is_open`, a piece may be a line, of which the contour has two sides.
-        """
-        # Most pieces are too small.
-        large = self.boxes[:, 2] + self.boxes[:, 3] >= math.ceil(2.0 * min_side)
-        # The background is no piece.
-        large[0] = False
-        numbers = large.nonzero()[0]
-        u, v, width, height, area = self.boxes[numbers].T
-        extent = width + height
-        # A convex outline is no longer than that of the box around it; a border is some pixels
-        # wide.
-        fits = area >= extent * (1.5 if is_open else np.clip(extent / 20.0, 1.5, 3.0))
-        fits &= 8 * np.minimum(width, height) >= np.maximum(width, height)
-        # A piece that reaches the edge of the image is cut off by it.
-        fits &= np.minimum(u, v) > 0
-        fits &= (u + width < self.labels.shape[1]) & (v + height < self.labels.shape[0])
-        numbers = numbers[fits]
-        numbers = numbers if is_open else numbers[self._are_around(numbers)]
-        longest, labels = _OPEN_RAGGED if is_open else _RAGGED, self.labels
-        for number, box in zip(numbers.tolist(), self.boxes[numbers].tolist()):
-            u, v, width, height, _ = box
-            piece = (labels[v : v + height, u : u + width] == number).view(np.uint8)
-            (contour, *_), _ = cv2.findContours(
-                piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(u, v)
-            )
-            if len(contour) <= longest * (width + height):
-                yield contour
-
-    def _are_around(self, numbers: ndarray) -> ndarray:
-        """Return which pieces (n,) are on all four sides of the middle of their box.
-
-        Most pieces of a texture are not, and this is quicker to tell than a contour. Large ones are
-        not looked at.
-        """
-        u, v, width, height, _ = self.boxes[numbers].T[:, :, None]
-        places = np.arange(_ACROSS)
-        across, down = width * places // _ACROSS, height * places // _ACROSS
-        own = numbers[:, None]
-        in_row = self.labels[v + height // 2, u + across] == own
-        in_column = self.labels[v + down, u + width // 2] == own
-        halves = np.stack((in_row, in_column)).reshape(2, -1, 2, _ACROSS // 2).any(axis=3)
-        return halves.all(axis=(0, 2)) | (np.maximum(width, height)[:, 0] > _ACROSS)
-
-
 def _usual_rise(grey: ndarray) -> float:
     """Return the grey levels that edges rise by at most in most of an image; at most `_STRONG`."""
     last = len(grey) - 2
@@ -250,8 +180,14 @@ def _usual_rise(grey: ndarray) -> float:
     return float(min(_STRONG, np.searchsorted(rises, (1.0 - _MOST_EDGES) * rises[-1])))
 
 
-def _dark_pieces(grey: ndarray, mask: _Mask, contrast: float) -> _DarkPieces:
-    """Return the pieces of (h, w) grey levels that are dark by a mask."""
+def _dark_contours(
+    grey: ndarray, mask: _Mask, contrast: float, min_side: float, is_open: bool
+) -> Iterator[ndarray]:
+    """Yield the outer contours (n, 1, 2) of the pieces of (h, w) grey levels that a mask shows.
+
+    Those are large and broad enough. If `is_open`, a piece may be a line, of which the contour has
+    two sides.
+    """
     square = np.ones((mask.window, mask.window), np.uint8)
     darkest, brightest = cv2.erode(grey, square), cv2.dilate(grey, square)
     limit = cv2.addWeighted(darkest, 1.0 - mask.part, brightest, mask.part, 0.0)
@@ -265,7 +201,29 @@ def _dark_pieces(grey: ndarray, mask: _Mask, contrast: float) -> _DarkPieces:
     _, labels, boxes, _ = cv2.connectedComponentsWithStats(
         dark, connectivity=neighbours, ltype=kind
     )
-    return _DarkPieces(labels, boxes)
+    # Most pieces are too small.
+    large = boxes[:, 2] + boxes[:, 3] >= math.ceil(2.0 * min_side)
+    # The background is no piece.
+    large[0] = False
+    numbers = large.nonzero()[0]
+    u, v, width, height, area = boxes[numbers].T
+    extent = width + height
+    # A convex outline is no longer than that of the box around it; a border is some pixels wide.
+    fits = area >= extent * (1.5 if is_open else np.clip(extent / 20.0, 1.5, 3.0))
+    fits &= 8 * np.minimum(width, height) >= np.maximum(width, height)
+    # A piece that reaches the edge of the image is cut off by it.
+    fits &= np.minimum(u, v) > 0
+    fits &= (u + width < labels.shape[1]) & (v + height < labels.shape[0])
+    numbers = numbers[fits]
+    longest = _OPEN_RAGGED if is_open else _RAGGED
+    for number, box in zip(numbers.tolist(), boxes[numbers].tolist()):
+        u, v, width, height, _ = box
+        piece = (labels[v : v + height, u : u + width] == number).view(np.uint8)
+        (contour, *_), _ = cv2.findContours(
+            piece, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(u, v)
+        )
+        if len(contour) <= longest * (width + height):
+            yield contour
 
 
 def sound_quads(quads: ndarray) -> ndarray:
@@ -320,12 +278,13 @@ def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
     places += (np.cumsum(lengths) - lengths)[:, None]
     trims = (trim * steps).astype(int)
     starts, counts = places + trims, steps - 2 * trims + 1
-    means = (sums[:, starts + counts] - sums[:, starts]) / counts
-    normals = right_of(_directions(*means))
+    x, y, xx, xy, yy = (sums[:, starts + counts] - sums[:, starts]) / counts
+    angles = 0.5 * np.arctan2(2.0 * (xy - x * y), (xx - x * x) - (yy - y * y))
+    normals = np.stack((np.sin(angles), -np.cos(angles)), axis=-1)
     corners = points.T[places]
     normals[cross(corners[:, NEXT] - corners, normals) > 0.0] *= -1.0
     # The contour runs through the centres of the outermost dark pixels.
-    middles = np.stack(means[:2], axis=-1) + np.stack(firsts)[:, None]
+    middles = np.stack((x, y), axis=-1) + np.stack(firsts)[:, None]
     return intersections(middles + 0.5 * normals, normals)
 
 
@@ -348,114 +307,36 @@ def _outline(contour: ndarray, min_side: float) -> _Outline | None:
     return _Outline(points[0], np.tile(points - points[0], (2, 1)), places)
 
 
-def _directions(
-    x: ndarray, y: ndarray, x_squares: ndarray, products: ndarray, y_squares: ndarray
-) -> ndarray:
-    """Return the unit vectors (..., 2) of lines by the means of points' x, y, x², x y and y²."""
-    x_variance, y_variance = x_squares - x * x, y_squares - y * y
-    angle = 0.5 * np.arctan2(2.0 * (products - x * y), x_variance - y_variance)
-    return np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-
-
-class _HullSides(NamedTuple):
-    """The four longest sides of a contour's hull.
-
-    Attributes:
-        points: (n, 2) some of the contour's points.
-        first: (4, 2) where the sides begin.
-        along: (4, 2) from there to where they end.
-        area: of the hull.
-    """
-
-    points: ndarray
-    first: ndarray
-    along: ndarray
-    area: float
-
-
-def _hulls(contours: Iterable[ndarray]) -> list[_HullSides]:
-    """Return the sides of the largest contours whose hull may be square but for a corner."""
-    by_size = sorted(contours, key=lambda contour: -np.ptp(contour[:, 0], axis=0).sum())
-    hulls = map(_hull_sides, by_size[:_MOST_OPEN])
-    return [hull for hull in hulls if hull is not None]
-
-
-def _open_quads(hulls: Sequence[_HullSides]) -> ndarray:
-    """Return (n, 4, 2) where the lines along four sides meet; NaN where that is no marker."""
-    if not hulls:
-        return np.empty((0, 4, 2))
-    quads = intersections(*_lines_along(hulls))
-    for quad, hull in zip(quads, hulls):
-        corners = quad.astype(np.float32)
-        is_convex = np.isfinite(quad).all() and cv2.isContourConvex(corners)
-        if not is_convex or cv2.contourArea(corners) > _WITH_CORNER * hull.area:
-            quad[:] = np.nan
-    return quads
-
-
-def _hull_sides(contour: ndarray) -> _HullSides | None:
+def _hull_quad(contour: ndarray) -> ndarray:
+    """Return (4, 2) where the lines along the hull's four longest sides meet; NaN if no marker."""
     hull = cv2.convexHull(contour)
     area, length = cv2.contourArea(hull), cv2.arcLength(hull, True)
-    if area < _LEAST_AREA * length * length:
-        return None
     corners = cv2.approxPolyDP(hull, _HULL_TOLERANCE * length, True)[:, 0].astype(float)
-    if len(corners) not in _HULL_CORNERS:
-        return None
-    edges = np.roll(corners, -1, axis=0) - corners
-    longest = np.sort(np.argsort(-lengths_of(edges), kind="stable")[:4])
-    some = contour[:: 1 + len(contour) // _MOST_POINTS, 0].astype(float)
-    return _HullSides(some, corners[longest], edges[longest], area)
+    if area >= _LEAST_AREA * length * length and len(corners) in _HULL_CORNERS:
+        sides = np.roll(corners, -1, axis=0) - corners
+        longest = np.sort(np.argsort(-lengths_of(sides), kind="stable")[:4])
+        points = contour[:, 0].astype(float)
+        lines = [_line_along(points, corners[k], sides[k]) for k in longest]
+        quad = intersections(*np.array(lines).swapaxes(0, 1))
+        outline = quad.astype(np.float32)
+        is_convex = np.isfinite(quad).all() and cv2.isContourConvex(outline)
+        if is_convex and cv2.contourArea(outline) <= _WITH_CORNER * area:
+            return quad
+    return np.full((4, 2), np.nan)
 
 
-def _lines_along(hulls: Sequence[_HullSides]) -> tuple[ndarray, ndarray]:
-    """Return points and normals (n, 4, 2) of the lines through the contours' points beside sides.
+def _line_along(points: ndarray, first: ndarray, side: ndarray) -> tuple[ndarray, ndarray]:
+    """Return a point and the normal of the line through the points (n, 2) beside a side.
 
     A bulge at one end of a side turns its line, so points are chosen anew in narrower strips.
     """
-    contours, first, along, _ = zip(*hulls)
-    owners = np.repeat(np.arange(len(hulls)), [len(contour) for contour in contours])
-    contours, along = np.concatenate(contours), np.stack(along)
-    points = np.stack(first) + 0.5 * along
-    lengths = lengths_of(along)
-    along /= lengths[..., None]
-    for half_width, rounds in _STRIPS:
-        away, own = contours[:, None] - points[owners], along[owners]
-        ahead = away[..., 0] * own[..., 0] + away[..., 1] * own[..., 1]
-        near = np.abs(cross(away, own)) < np.maximum(1.0, half_width * lengths)[owners]
-        near &= np.abs(ahead) < ((0.5 - _OPEN_TRIM) * lengths)[owners]
-        of_point, side = near.nonzero()
-        side += 4 * owners[of_point]
-        moved, turned = _lines_through(away[near], side, lengths.size, rounds)
-        enough = np.bincount(side, minlength=lengths.size) >= _LEAST_POINTS
-        enough = enough.reshape(-1, 4, 1)
-        points = points + np.where(enough, moved.reshape(-1, 4, 2), 0.0)
-        along = np.where(enough, turned.reshape(-1, 4, 2), along)
-    return points, right_of(along)
-
-
-def _lines_through(
-    points: ndarray, line: ndarray, count: int, rounds: int
-) -> tuple[ndarray, ndarray]:
-    """Return a point and the unit vector (count, 2) of each line fitted to points (n, 2).
-
-    The first round is least squares. Each further one weights points by the inverse of their
-    distance, which approaches least distances. Lines without points are NaN.
-
-    Args:
-        points: px.
-        line: (n,) index of each point's line.
-        count: number of lines.
-        rounds: of the fit.
-    """
-    x, y = points.T
-    weights = np.ones(len(points))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for _ in range(rounds):
-            by_x, by_y = weights * x, weights * y
-            parts = (weights, by_x, by_y, by_x * x, by_x * y, by_y * y)
-            total, *sums = (np.bincount(line, part, count) for part in parts)
-            means = [part / total for part in sums]
-            middle, along = np.stack(means[:2], axis=-1), _directions(*means)
-            across = cross(points - middle[line], along[line])
-            weights = 1.0 / np.maximum(np.abs(across), _ON_LINE)
-    return middle, along
+    length = lengths_of(side)
+    middle, along = first + 0.5 * side, side / length
+    for half_width, distances in _STRIPS:
+        away = points - middle
+        near = np.abs(cross(away, along)) < max(1.0, half_width * length)
+        near &= np.abs(away @ along) < (0.5 - _OPEN_TRIM) * length
+        if np.count_nonzero(near) >= _LEAST_POINTS:
+            line = cv2.fitLine(points[near], distances, 0.0, 0.01, 0.01).ravel()
+            middle, along = line[2:], line[:2]
+    return middle, right_of(along)

@@ -41,8 +41,6 @@ _BRIGHT = 0.75  # the surroundings are nearer to white
 _FILLED = 0.1  # the data cells are nearer to white
 # Least difference of white and black, grey levels.
 _LEAST_TYPICAL_RISE = 4.0
-# A plane is fitted to at least as many levels; fewer are replaced by their mean.
-_LEAST_OF_PLANE = 8
 # Reach to either side of a line within which its edge is looked for, and sampling step, px: first
 # coarsely, then centred on the line found.
 _ROUNDS = ((2.5, 0.5), (1.5, 0.25))
@@ -390,7 +388,7 @@ def _second_ring(side: int) -> ndarray:
 
 
 def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
-    """Return the plane (n, k, k) fitted to the chosen levels of each; their mean if few."""
+    """Return the plane (n, k, k) fitted to the chosen levels of each."""
     count, side = levels.shape[:2]
     terms, products = _plane_terms(side)
     flat = levels.reshape(count, side * side)
@@ -403,13 +401,7 @@ def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
     cofactors -= after[..., [2, 0, 1]] * before[..., [1, 2, 0]]
     determinants = (matrix[:, :1] * cofactors[:, :1]).sum(axis=2)
     numbers = (cofactors * right[:, None]).sum(axis=2) / determinants
-    plane = np.einsum("nq,qp->np", numbers, terms)
-    total = matrix[:, 0, 0]
-    few = np.rint(total) < _LEAST_OF_PLANE
-    if few.any():
-        mean = np.where(total > 0.5, right[:, 0] / np.maximum(total, 1.0), flat.mean(axis=1))
-        plane[few] = mean[few, None]
-    return plane.reshape(levels.shape)
+    return np.einsum("nq,qp->np", numbers, terms).reshape(levels.shape)
 
 
 @lru_cache(maxsize=None)

@@ -1,22 +1,10 @@
-"""Edges and corners, with the defaults of the course code."""
+"""Corners, with the defaults of the course code."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 from numpy import ndarray
-
-
-def canny_edges(grey: ndarray, low: float = 100.0, high: float = 200.0, aperture: int = 3):
-    """Return the edges of a (h, w) uint8 image: (h, w) uint8, 255 on an edge.
-
-    Args:
-        grey: the image.
-        low: gradient below which there is no edge.
-        high: gradient from which there is one.
-        aperture: size of the Sobel operator, px: 3, 5 or 7.
-    """
-    return cv2.Canny(grey, low, high, apertureSize=aperture)
 
 
 def good_features(

@@ -37,6 +37,8 @@ _TO_GREY = {
 }
 # px; reach of the differences that give the derivatives of the lens.
 _STEP = 0.5
+# Most iterations, and px at which they end, of the inverse of the distortion.
+_PRECISION = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-6)
 
 
 def grey(pixels: ndarray, encoding: str = "") -> ndarray:
@@ -92,31 +94,27 @@ def sample(image: ndarray, points: ndarray) -> ndarray:
     return upper + down * (lower - upper)
 
 
-class Picture:
-    """Grey levels of an image, addressed by ideal pixels.
+class Lens:
+    """The distortion of a camera: pixels of its image, and ideal ones.
 
     Ideal pixels are those that a camera without distortion would see: straight edges are straight
     only there.
 
     Args:
-        levels: (h, w) grey levels.
         camera: the camera; None, or one without distortion: ideal pixels are those of the image.
     """
 
-    def __init__(self, levels: ndarray, camera: PinholeCamera | None = None):
-        self.levels = levels
+    def __init__(self, camera: PinholeCamera | None):
         self._camera = camera if camera is not None and any(camera.distortion) else None
-
-    def at(self, points: ndarray) -> ndarray:
-        """Return the bilinear grey levels at ideal pixels (..., 2)."""
-        return sample(self.levels, self.seen(points))
 
     def ideal(self, points: ndarray) -> ndarray:
         """Return the ideal pixels (..., 2) of pixels of the image."""
-        if self._camera is None:
+        camera = self._camera
+        if camera is None:
             return points
-        matrix = self._camera.matrix
-        return undistorted(points, self._camera, matrix, 20, 1e-6)
+        flat, distortion = points.reshape(-1, 1, 2), np.array(camera.distortion)
+        given = flat, camera.matrix, distortion, None, camera.matrix, _PRECISION
+        return cv2.undistortPointsIter(*given).reshape(points.shape)
 
     def seen(self, points: ndarray) -> ndarray:
         """Return the pixels (..., 2) of the image at ideal ones."""
@@ -135,23 +133,21 @@ class Picture:
         return block_diag(*by_axis.transpose(1, 2, 0))
 
 
-def undistorted(
-    points: ndarray, camera: PinholeCamera, matrix: ndarray | None, rounds: int, error: float
-) -> ndarray:
-    """Return pixels (..., 2) without the camera's distortion.
+class Picture(Lens):
+    """Grey levels of an image, addressed by ideal pixels.
 
     Args:
-        points: px of the image.
-        camera: that took it.
-        matrix: (3, 3), of the camera that the result is for; None: on the plane one ahead.
-        rounds: most iterations.
-        error: px at which they end.
+        levels: (h, w) grey levels.
+        camera: as of `Lens`.
     """
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, rounds, error)
-    flat = np.asarray(points, dtype=float).reshape(-1, 1, 2)
-    distortion = np.array(camera.distortion)
-    ideal = cv2.undistortPointsIter(flat, camera.matrix, distortion, None, matrix, criteria)
-    return ideal.reshape(np.shape(points))
+
+    def __init__(self, levels: ndarray, camera: PinholeCamera | None = None):
+        super().__init__(camera)
+        self.levels = levels
+
+    def at(self, points: ndarray) -> ndarray:
+        """Return the bilinear grey levels at ideal pixels (..., 2)."""
+        return sample(self.levels, self.seen(points))
 
 
 def solve_symmetric(matrix: ndarray, right: ndarray) -> ndarray:

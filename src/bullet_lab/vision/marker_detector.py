@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Iterable, Sequence
+from typing import Any, Iterable, Sequence
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
+from bullet_lab.core.parameters import (
+    ParameterError,
+    boolean,
+    check_parameters,
+    checked,
+    choice,
+    number,
+)
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
 from bullet_lab.vision.candidates import (
@@ -21,6 +28,7 @@ from bullet_lab.vision.candidates import (
     sound_quads,
 )
 from bullet_lab.vision.dictionaries import (
+    DICTIONARY_NAMES,
     Match,
     decode,
     dictionary_named,
@@ -96,42 +104,62 @@ _CONTRAST = 200.0
 # Standard deviation of the smoothing before, px.
 _SMOOTHING = 0.8
 _NONE = np.empty((0, 4, 2))
-# Limits of the settings.
-_ALLOWED = {
-    "border": (0.0, 1000.0),
-    "min_side": (5.0, 1e4),
-    "contrast": (0.0, 255.0),
-    "correction": (0.0, 1.0),
-}
+
+
+def _accept_tags(value: Any) -> str:
+    """Return the name of a dictionary in OpenCV; raises ValueError."""
+    try:
+        return dictionary_named(value if isinstance(value, str) else "").name
+    except VisionError as error:
+        raise ValueError(str(error)) from error
+
+
+def _accept_ids(value: Any) -> tuple[int, ...]:
+    """Return the ids of "0 5", [0, 5] or 0; raises ValueError or TypeError."""
+    parts = value.split() if isinstance(value, str) else value
+    parts = parts if isinstance(parts, (list, tuple)) else [parts]
+    if any(isinstance(part, (bool, float)) or int(part) < 0 for part in parts):
+        raise ValueError
+    return tuple(map(int, parts))
 
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """Settings of a detector."""
+    """Settings of a detector, which are parameters of the node aruco.
 
-    dictionary: str = "apriltag_36h10"  #: as `dictionary_named` takes it
-    ids: tuple[int, ...] = ()  #: markers to report; empty: all of the dictionary
-    border: float = 3.0  #: px; markers with a corner nearer to the edge of the image are dropped
-    min_side: float = 8.0  #: px; mean side of the smallest marker
-    contrast: float = 7.0  #: grey levels by which black is darker than white
-    correction: float = 0.5  #: share of the correctable bits that is corrected
-    inverted: bool = False  #: find white markers on black as well
-    second_pass: bool = True  #: search again with other thresholds if nothing was found
-    refine: str = REFINEMENTS[0]  #: what the corners follow from, one of `REFINEMENTS`
+    Raises:
+        ParameterError: one is not allowed, or the dictionary has no marker of an id.
+    """
+
+    tags: str = checked(
+        "DICT_APRILTAG_36h10",
+        "dictionary of the markers",
+        "one of " + ", ".join(name[5:].lower() for name in DICTIONARY_NAMES),
+        _accept_tags,
+    )
+    ids: tuple[int, ...] = checked(
+        (), "markers to report; none: all", "ids with spaces between them", _accept_ids
+    )
+    border: float = number(3.0, "px to the edge of the image; nearer markers are cropped", 0.0)
+    min_side: float = number(8.0, "edge of the smallest marker, px", 5.0)
+    contrast: float = number(
+        7.0, "least difference of black and white in grey levels", 0.0, maximum=255.0
+    )
+    correction: float = number(0.5, "share of the correctable bits to correct", 0.0, maximum=1.0)
+    inverted: bool = boolean(False, "find white markers on black as well")
+    second_pass: bool = boolean(True, "search once more if no marker is found")
+    refine: str = choice(
+        REFINEMENTS[0], "what corners follow from: all edges, sides, or thresholds", REFINEMENTS
+    )
 
     def __post_init__(self) -> None:
-        """Raise VisionError if a setting is not allowed."""
-        for name, (low, high) in _ALLOWED.items():
-            value = getattr(self, name)
-            if not math.isfinite(value) or not low <= value <= high:
-                raise VisionError(f"{name} is {value}; it must be from {low:g} to {high:g}")
-        if self.refine not in REFINEMENTS:
-            raise VisionError(f"refine is '{self.refine}'; it must be one of {REFINEMENTS}")
-        count = len(dictionary_named(self.dictionary).codes)
-        wrong = [marker for marker in self.ids if not 0 <= marker < count]
+        """Check the values."""
+        check_parameters(self)
+        count = len(dictionary_named(self.tags).codes)
+        wrong = [marker for marker in self.ids if marker >= count]
         if wrong:
             known = f"its ids are 0 to {count - 1}"
-            raise VisionError(f"{self.dictionary} has no marker {wrong[0]}; {known}")
+            raise ParameterError(f"{self.tags} has no marker {wrong[0]}; {known}")
 
 
 @dataclass(frozen=True)
@@ -186,7 +214,7 @@ class MarkerDetector:
 
     def __init__(self, settings: DetectorSettings | None = None):
         self.settings = settings or DetectorSettings()
-        self.dictionary = dictionary_named(self.settings.dictionary)
+        self.dictionary = dictionary_named(self.settings.tags)
         self._correction = int(self.settings.correction * self.dictionary.max_correction + 1e-9)
         self._border_errors = int(_BORDER_RATE * 4 * (self.dictionary.cells + 1))
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.vision.images import VisionError, cross, homography, solve_symmetric, undistorted
+from bullet_lab.core.pose import Pose, Quaternion
+from bullet_lab.vision.images import Lens, VisionError, cross, homography, solve_symmetric
 from bullet_lab.vision.marker_detector import (
     DetectedMarker,
     Detections,
@@ -57,17 +58,14 @@ class MarkerPose:
 
     rotation: ndarray  #: (3, 3), from the marker's frame to the optical frame
     translation: ndarray  #: (3,) m, the marker's middle
-    error: float  #: root mean square of the corners' distances from where the pose puts them, px
+    #: root mean square of the corners' distances from where the pose puts them, ideal px
+    error: float
     covariance: ndarray
 
     @property
-    def quaternion(self) -> tuple[float, float, float, float]:
+    def quaternion(self) -> Quaternion:
         """The rotation as x, y, z, w."""
-        vector = cv2.Rodrigues(self.rotation)[0].ravel()
-        angle = float(np.linalg.norm(vector))
-        scale = np.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-        x, y, z = (vector * scale).tolist()
-        return x, y, z, float(np.cos(0.5 * angle))
+        return Pose.from_matrix(tuple(self.translation), self.rotation).quaternion
 
     @property
     def distance(self) -> float:
@@ -132,7 +130,10 @@ def estimate_pose(
     # The area of a quadrilateral, from its diagonals.
     if 0.5 * abs(cross(corners[2] - corners[0], corners[3] - corners[1])) < _LEAST_AREA:
         raise VisionError(f"the corners of a marker span less than {_LEAST_AREA:g} px²")
-    square = _SquareFit(corners, size, camera, total)
+    lens = Lens(camera)
+    ideal = lens.ideal(corners)
+    _, by_seen = cv2.invert(lens.derivatives(ideal))
+    square = _SquareFit(ideal, size, camera, by_seen @ total @ by_seen.T)
     refined = [square.refined(*start) for start in square.starts()]
     fits = sorted((fit for fit in refined if fit is not None), key=lambda fit: fit[0])
     if not fits:
@@ -149,9 +150,9 @@ class _SquareFit:
     """Fits the pose of a square marker to its corners.
 
     Args:
-        corners: (4, 2) px.
+        corners: (4, 2) ideal px.
         size: edge of the black square, m.
-        camera: geometry of the image.
+        camera: geometry of the image; its distortion does not matter.
         covariance: (8, 8) of the corners, px².
     """
 
@@ -168,7 +169,8 @@ class _SquareFit:
         (OpenCV's IPPE_SQUARE uses rotation vectors and fails at half turns, which is how a level
         camera sees an upright marker.)
         """
-        rays = self._rays()
+        camera = self._camera
+        rays = (self._corners - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         size = self._points[1, 0] - self._points[0, 0]
         from_plane = np.array([[1.0 / size, 0.0, 0.5], [0.0, -1.0 / size, 0.5], [0.0, 0.0, 1.0]])
         plane = homography(rays) @ from_plane
@@ -176,11 +178,13 @@ class _SquareFit:
         middle = plane[:2, 2]
         # How the image moves with the plane about its middle.
         by_plane = plane[:2, :2] - np.outer(middle, plane[2, :2])
-        to_middle = _rotation_to(np.array([*middle, 1.0]))
+        # The least rotation that turns the line of sight to the middle.
+        away = float(np.hypot(*middle))
+        turn = math.atan(away) / max(away, 1e-12) * np.array([-middle[1], middle[0], 0.0])
+        to_middle = cv2.Rodrigues(turn)[0]
         by_space = np.column_stack((np.eye(2), -middle)) @ to_middle
-        (xx, xy), (yx, yy) = by_space[:, :2]
-        scaled = np.array([[yy, -xy], [-yx, xx]]) @ by_plane / (xx * yy - xy * yx)
-        upper = scaled / _largest_singular_value(scaled)
+        scaled = cv2.invert(by_space[:, :2])[1] @ by_plane
+        upper = scaled / cv2.SVDecomp(scaled)[0].max()
         rest = np.eye(2) - upper.T @ upper
         lower = np.sqrt(np.maximum(0.0, np.diag(rest)))
         if rest[0, 1] < 0.0:
@@ -300,34 +304,6 @@ class _SquareFit:
         residuals = (pixels - self._corners).ravel()
         return residuals, self._whitening @ residuals, self._whitening @ jacobian
 
-    def _rays(self) -> ndarray:
-        """Return the (4, 2) corners on the plane one ahead of an ideal camera."""
-        camera = self._camera
-        if any(camera.distortion):
-            return undistorted(self._corners, camera, None, 30, 1e-8)
-        return (self._corners - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-
-
-def _largest_singular_value(matrix: ndarray) -> float:
-    """Return the largest singular value of a (2, 2) matrix."""
-    (xx, xy), (yx, yy) = matrix
-    square, determinant = float(xx * xx + xy * xy + yx * yx + yy * yy), float(xx * yy - xy * yx)
-    rest = max(0.0, square * square - 4.0 * determinant * determinant)
-    return float(np.sqrt(0.5 * (square + np.sqrt(rest))))
-
-
-def _rotation_to(direction: ndarray) -> ndarray:
-    """Return the least rotation that turns the z axis to a direction with z > 0."""
-    x, y, z = direction / np.linalg.norm(direction)
-    across = -x * y / (1.0 + z)
-    return np.array(
-        [
-            [1.0 - x * x / (1.0 + z), across, x],
-            [across, 1.0 - y * y / (1.0 + z), y],
-            [-x, -y, z],
-        ]
-    )
-
 
 def _translation(turned: ndarray, rays: ndarray) -> ndarray:
     """Return the translation (least squares) that puts turned points on their rays."""
@@ -337,21 +313,14 @@ def _translation(turned: ndarray, rays: ndarray) -> ndarray:
 
 
 def _projected(seen: ndarray, camera: PinholeCamera) -> tuple[ndarray, ndarray]:
-    """Return the pixels (n, 2) of points of the optical frame and their (n, 2, 3) derivatives."""
-    if not any(camera.distortion):
-        x, y = seen[:, 0], seen[:, 1]
-        z = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
-        u, v = camera.fx * x / z, camera.fy * y / z
-        by_point = np.zeros((len(seen), 2, 3))
-        by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -u / z
-        by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -v / z
-        return np.column_stack((u + camera.cx, v + camera.cy)), by_point
-    # By central differences through the lens.
-    step = 1e-6 * float(np.abs(seen[:, 2]).mean())
-    shifts = step * np.vstack((np.zeros(3), np.eye(3), -np.eye(3)))
-    pixels = camera.project((seen[:, None] + shifts).reshape(-1, 3)).reshape(len(seen), 7, 2)
-    by_point = np.swapaxes((pixels[:, 1:4] - pixels[:, 4:]) / (2.0 * step), 1, 2)
-    return pixels[:, 0], by_point
+    """Return ideal pixels (n, 2) of points of the optical frame and their (n, 2, 3) derivatives."""
+    x, y = seen[:, 0], seen[:, 1]
+    z = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
+    u, v = camera.fx * x / z, camera.fy * y / z
+    by_point = np.zeros((len(seen), 2, 3))
+    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -u / z
+    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -v / z
+    return np.column_stack((u + camera.cx, v + camera.cy)), by_point
 
 
 @dataclass(frozen=True, eq=False)

@@ -302,15 +302,10 @@ def _percentiles(values: ndarray, shares: tuple[float, ...]) -> ndarray:
 
 
 def _valid_in_groups(levels: ndarray) -> ndarray:
-    """Return which levels (n,) count: those of groups without over-exposed pixels.
-
-    Where there are few such groups, all pixels that are not over-exposed count.
-    """
+    """Return which levels (n,) count: those that are not over-exposed, where many are."""
     if (levels >= _BRIGHTEST).mean() < _CLIPPED:
         return np.ones(len(levels), dtype=bool)
-    valid = levels < _over_exposed(levels)
-    whole = np.tile(valid.reshape(_GROUP, -1).all(axis=0), _GROUP)
-    return whole if whole.mean() >= LEAST_SHARE else valid
+    return levels < _over_exposed(levels)
 
 
 def _is_uneven(levels: ndarray) -> bool:

@@ -13,7 +13,8 @@ from bullet_lab.docking.database import DockTolerance
 from bullet_lab.docking.progress import DockingFailureError, DockingProgress
 from bullet_lab.docking.states import TRANSITIONS, Confirm, Docked, LookForMarker, Outcome, State
 from bullet_lab.docking.task import DockingTask
-from bullet_lab.docking.types import STANDSTILL, DockingSettings
+from bullet_lab.docking.types import DockingSettings
+from bullet_lab.drive import STANDSTILL
 
 
 def reached(start):

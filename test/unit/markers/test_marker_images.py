@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from bullet_lab.errors import LabError
 from bullet_lab.markers.faces import (
     CLOSEST,
     DOT_RADIUS,
@@ -13,11 +14,8 @@ from bullet_lab.markers.faces import (
     WALL_PIXELS,
     MarkerError,
     Print,
-    dictionary_names,
     dots_face,
     draw_dots,
-    marker_cells,
-    marker_image,
     nested_face,
     paste,
     plate_face,
@@ -25,6 +23,7 @@ from bullet_lab.markers.faces import (
     wall_face,
     write_plate,
 )
+from bullet_lab.vision.dictionaries import DICTIONARY_NAMES
 
 
 def detections(image, dictionary="DICT_APRILTAG_36h10"):
@@ -52,20 +51,19 @@ def side(corners):
     return float(np.linalg.norm(corners[0] - corners[1]))
 
 
-@pytest.mark.parametrize("name", dictionary_names())
+@pytest.mark.parametrize("name", DICTIONARY_NAMES)
 def test_every_dictionary_has_markers_that_are_found_again(name):
-    attribute = next(a for a in dir(cv2.aruco) if a.lower() == f"dict_{name}")
-    last = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, attribute)).bytesList) - 1
+    last = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) - 1
     for identifier in (0, last):
-        ids, _ = detections(marker_image(marker_cells(name, identifier), 12), attribute)
+        ids, _ = detections(Print(name, identifier).image(12), name)
         assert ids == [identifier]
 
 
 @pytest.mark.parametrize(
     "make, said",
     [
-        (lambda: marker_cells("apriltag_99", 0), "no dictionary 'apriltag_99'; there are 4x4_100"),
-        (lambda: marker_cells("4x4_50", 50), "4x4_50 has the ids 0 to 49, not 50"),
+        (lambda: Print("apriltag_99"), "no dictionary 'apriltag_99', only DICT_4X4_100"),
+        (lambda: Print("4x4_50", 50), "4X4_50 has markers 0 to 49, not 50"),
         (lambda: Print(quiet=0), "1 to 20 cells wide, not 0"),
         (lambda: Print(size=0.0), "size is from 0.001"),
         (lambda: wall_face(Print(size=0.201)), "multiple of 0.00625 m"),
@@ -77,7 +75,7 @@ def test_every_dictionary_has_markers_that_are_found_again(name):
     ],
 )
 def test_what_cannot_be_printed_is_refused(make, said):
-    with pytest.raises(MarkerError) as caught:
+    with pytest.raises(LabError) as caught:
         make()
     assert said in str(caught.value)
 

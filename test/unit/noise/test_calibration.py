@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from bullet_lab.noise.calibration import SYSTEMATIC, Problem, fit, intervals, profile
+from bullet_lab.noise.calibration import Problem, fit, intervals, profile
 from bullet_lab.noise.goodness import drawn_pairs, goodness
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.odometry_noise import (
@@ -13,7 +13,7 @@ from bullet_lab.noise.odometry_noise import (
     RateInvariantRule,
     ReportRule,
 )
-from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors
 
 STRAIGHT = np.tile([0.1, 0.0, 0.0], (50, 1))
 

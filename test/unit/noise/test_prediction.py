@@ -5,7 +5,7 @@ import pytest
 
 from bullet_lab.noise.calibration import Problem, fit
 from bullet_lab.noise.goodness import drawn_pairs
-from bullet_lab.noise.likelihood import LongErrors, Shares, StepPairs
+from bullet_lab.noise.likelihood import LongErrors, StepPairs, walk_shares
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import rule_of
 from bullet_lab.noise.prediction import (
@@ -81,7 +81,7 @@ def test_windows_go_over_no_gap_and_have_their_length():
 
 def test_shares_of_a_long_step_are_the_moments_of_many_paths():
     within = STEPS[15:40]
-    errors = LongErrors(np.zeros((1, 1, 3)), Shares.of(within[np.newaxis]), np.zeros(3))
+    errors = LongErrors(np.zeros((1, 1, 3)), walk_shares(within[np.newaxis]), np.zeros(3))
     said = errors.covariance(RULE)[0]
     steps = noisy_steps(path_of(within), RULE)
     (block,) = noisy_blocks(steps, np.random.default_rng(2), 20000, 10**7)

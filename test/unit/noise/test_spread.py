@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from bullet_lab.noise.spread import SpreadPath, SystematicSpread
-from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
+from bullet_lab.noise.systematic import (
+    SpreadPath,
+    SystematicErrors,
+    SystematicPath,
+    SystematicSpread,
+    chords,
+)
 
 ERRORS = SystematicErrors(0.01, -0.02, 0.005, 0.01, 0.4, 0.05)
 SPREAD = SystematicSpread(0.01, 0.02, 0.004, 0.01, 0.02)

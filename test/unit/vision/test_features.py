@@ -1,11 +1,11 @@
-"""Edges and corners, and how they are drawn."""
+"""Corners, and how they are drawn."""
 
 import numpy as np
 import pytest
 from marker_images import CAMERA, View, image_of, marker, true_corners
 
 from bullet_lab.vision import drawing
-from bullet_lab.vision.features import canny_edges, good_features, harris_corners
+from bullet_lab.vision.features import good_features, harris_corners
 from bullet_lab.vision.images import VisionError, grey
 from bullet_lab.vision.marker_detector import DetectedMarker
 from bullet_lab.vision.marker_pose import estimate_pose
@@ -24,14 +24,6 @@ def square():
 def distances(points):
     """From each corner to the nearest point, px."""
     return np.linalg.norm(points[:, None, :2] - CORNERS, axis=2).min(axis=0)
-
-
-def test_edges(square):
-    edges = canny_edges(square)
-    assert set(np.unique(edges)) == {0, 255}
-    assert edges[250, 195:206].max() == edges[145:156, 300].max() == 255
-    assert edges[160:340, 210:390].max() == 0
-    assert canny_edges(square, 5000.0, 5000.0).max() == 0
 
 
 def test_good_features_strongest_first_and_apart(square):

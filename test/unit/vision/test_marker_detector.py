@@ -16,6 +16,7 @@ from marker_images import (
     true_corners,
 )
 
+from bullet_lab.core.parameters import ParameterError
 from bullet_lab.vision import marker_detector
 from bullet_lab.vision.candidates import CandidateSearch, sound_quads
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, Match, dictionary_named
@@ -98,7 +99,7 @@ def test_a_lens_does_not_bend_what_is_found():
 def test_markers_of_every_dictionary(name):
     number = 7
     image = picture(View(1.0, yaw=15.0), marker(number, tags=name))
-    assert ids_of(detect(image, dictionary=name)) == [number]
+    assert ids_of(detect(image, tags=name)) == [number]
 
 
 @pytest.mark.parametrize("yaw, farthest", [(0.0, 6.0), (30.0, 5.5), (60.0, 3.5)])
@@ -193,11 +194,6 @@ def test_corners_are_as_good_as_their_refinement(refine, least, most):
     view = View(1.5, yaw=20.0, roll=7.0)
     (found,) = detect(image_of([marker()], view, blur=0.6, noise=1.0), refine=refine).markers
     assert least < np.abs(found.corners - true_corners(view)).max() < most
-
-
-def test_an_unknown_refinement_is_refused():
-    with pytest.raises(VisionError, match="refine is 'all'"):
-        DetectorSettings(refine="all")
 
 
 def test_only_ids_that_were_asked_for():
@@ -368,7 +364,8 @@ def test_images_that_are_none():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"dictionary": "x"},
+        {"tags": "x"},
+        {"refine": "all"},
         {"ids": (2320,)},
         {"ids": (-1,)},
         {"border": -1.0},
@@ -379,7 +376,7 @@ def test_images_that_are_none():
     ids=str,
 )
 def test_settings_that_are_not_allowed(wrong):
-    with pytest.raises(VisionError):
+    with pytest.raises(ParameterError):
         DetectorSettings(**wrong)
 
 

@@ -20,7 +20,7 @@ from geometry_msgs.msg import Point
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from bullet_lab.core.files import ConfinedFolder, FileError
+from bullet_lab.core.files import FileError, place_within, replace_file
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription, PluginDescription
@@ -72,7 +72,7 @@ class WorldSaver:
 
     def __init__(self, world: RunningWorld, folder: Path):
         self._world = world
-        self._folder = ConfinedFolder(folder)
+        self._folder = folder.expanduser().resolve()
         self._lock = threading.Lock()
         self._service = offer("/bullet_lab/save_world", SaveWorld, self._save)
 
@@ -82,7 +82,7 @@ class WorldSaver:
             raise InputError("no file is named")
         try:
             if request.return_text:
-                values = self._describe(self._folder.path / request.path)
+                values = self._describe(self._folder / request.path)
             else:
                 # One at a time: the file of the later request replaces that of the earlier one.
                 with self._lock:
@@ -94,12 +94,13 @@ class WorldSaver:
 
     def _write(self, name: str) -> Dict[str, Any]:
         try:
-            path = self._folder.place(name)
+            path = place_within(self._folder, name)
         except FileError as error:
             hint = "~save_folder is the bridge's; save_world.py writes anywhere"
             raise InputError(f"{error}; {hint}") from error
         values = self._describe(path)
-        self._folder.write(path, values.pop("text"))
+        text = values.pop("text")
+        replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
         return values
 
     def _describe(self, path: Path) -> Dict[str, Any]:

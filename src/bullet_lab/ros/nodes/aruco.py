@@ -27,7 +27,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from bullet_lab.core.parameters import ParameterError, boolean, checked, choice, number
+from bullet_lab.core.parameters import boolean, checked, number
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.msg import MarkerDetectionArray
 from bullet_lab.ros.messages.images import (
@@ -41,38 +41,9 @@ from bullet_lab.ros.messages.images import (
 from bullet_lab.ros.node.odometry import own_tf_prefix
 from bullet_lab.ros.node.publishers import Health, publisher
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
-from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
-from bullet_lab.vision.images import VisionError
-from bullet_lab.vision.marker_detector import (
-    REFINEMENTS,
-    Detections,
-    DetectorSettings,
-    why_nothing,
-)
+from bullet_lab.vision.marker_detector import Detections, DetectorSettings, why_nothing
 from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, PoseMemory
-
-DEFAULTS = DetectorSettings()
-
-
-def accept_tags(value: Any) -> str:
-    """Return the name of a dictionary in OpenCV; raises ValueError."""
-    try:
-        return dictionary_named(value if isinstance(value, str) else "").name
-    except VisionError as error:
-        raise ValueError(str(error)) from error
-
-
-def accept_ids(value: Any) -> tuple[int, ...]:
-    """Return the ids of "0 5", [0, 5] or 0; raises ValueError or TypeError."""
-    parts = value.split() if isinstance(value, str) else value
-    parts = parts if isinstance(parts, list) else [parts]
-    if any(isinstance(part, (bool, float)) for part in parts):
-        raise ValueError
-    ids = tuple(int(part) for part in parts)
-    if any(number < 0 for number in ids):
-        raise ValueError
-    return ids
 
 
 def accept_sizes(value: Any) -> Mapping[int, float]:
@@ -86,19 +57,10 @@ def accept_sizes(value: Any) -> Mapping[int, float]:
 
 
 @dataclass(frozen=True)
-class ArucoParameters(ImageParameters):
+class ArucoParameters(ImageParameters, DetectorSettings):
     """Private parameters of aruco."""
 
-    tags: str = checked(
-        "DICT_APRILTAG_36h10",
-        "dictionary of the markers",
-        "one of " + ", ".join(name[5:].lower() for name in DICTIONARY_NAMES),
-        accept_tags,
-    )
     width: float = number(0.2, "edge of the black square of the markers, m", above=0.0)
-    ids: tuple[int, ...] = checked(
-        (), "markers to report; none: all", "ids with spaces between them", accept_ids
-    )
     sizes: Mapping[int, float] | None = checked(
         None,
         "edges of markers with another size than ~width, m",
@@ -113,35 +75,6 @@ class ArucoParameters(ImageParameters):
     pixel_sigma: float = number(
         0.02, "standard deviation of corners in addition to that of the image's noise, px", 0.0
     )
-    border: float = number(
-        DEFAULTS.border, "px to the edge of the image; nearer markers are cropped", 0.0
-    )
-    min_side: float = number(
-        DEFAULTS.min_side, "edge of the smallest marker, px", 5.0
-    )
-    contrast: float = number(
-        DEFAULTS.contrast, "least difference of black and white in grey levels", 0.0, maximum=255.0
-    )
-    correction: float = number(
-        DEFAULTS.correction, "share of the correctable bits to correct", 0.0, maximum=1.0
-    )
-    inverted: bool = boolean(DEFAULTS.inverted, "find white markers on black as well")
-    second_pass: bool = boolean(
-        DEFAULTS.second_pass, "search once more if no marker is found"
-    )
-
-    refine: str = choice(
-        DEFAULTS.refine, "what corners follow from: all edges, sides, or thresholds", REFINEMENTS
-    )
-
-    def settings(self) -> DetectorSettings:
-        """Return the detector's settings; raises ParameterError."""
-        limits = self.border, self.min_side, self.contrast, self.correction
-        try:
-            search = self.inverted, self.second_pass, self.refine
-            return DetectorSettings(self.tags, self.ids, *limits, *search)
-        except VisionError as error:
-            raise ParameterError(f"~ids: {error}") from error
 
 
 class Aruco(ImageNode):
@@ -156,7 +89,7 @@ class Aruco(ImageNode):
 
     def __init__(self, parameters: ArucoParameters):
         self._observer = MarkerObserver(
-            parameters.settings(), parameters.width, parameters.sizes, parameters.pixel_sigma
+            parameters, parameters.width, parameters.sizes, parameters.pixel_sigma
         )
         self._memory = PoseMemory(parameters.upright)
         self._health = Health(DiagnosticStatus.OK, "")

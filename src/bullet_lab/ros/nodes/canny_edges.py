@@ -19,7 +19,6 @@ from bullet_lab.core.parameters import number, odd
 from bullet_lab.ros.messages.images import image_message
 from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
 from bullet_lab.vision.drawing import draw_area
-from bullet_lab.vision.features import canny_edges
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class CannyEdges(ImageNode):
     def process(self, image: CameraImage) -> Mapping[str, Any]:
         """Publish the edges."""
         given = self.parameters
-        edges = canny_edges(image.grey, given.low, given.high, given.aperture)
+        edges = cv2.Canny(image.grey, given.low, given.high, apertureSize=given.aperture)
         if self.has_listeners("edges"):
             self.publish("edges", image_message(image.header, edges, "mono8"))
         self.annotate(image, lambda canvas: draw_area(canvas, edges > 0))

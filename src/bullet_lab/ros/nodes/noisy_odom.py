@@ -23,7 +23,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number
+from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number, part_of
 from bullet_lab.core.se2 import PlanarPose, ellipse_points, quaternion_from_yaw
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import (
@@ -38,8 +38,12 @@ from bullet_lab.noise.odometry_noise import (
 )
 from bullet_lab.noise.presets import preset, with_preset
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.noise.spread import SpreadPath, SystematicSpread
-from bullet_lab.noise.systematic import SystematicErrors, SystematicStep
+from bullet_lab.noise.systematic import (
+    SpreadPath,
+    SystematicErrors,
+    SystematicSpread,
+    SystematicStep,
+)
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers
@@ -90,8 +94,9 @@ class NoisyOdometry:
         self._model = parameters.model
         self._noise = asdict(parameters)
         self._path = NoisyPath(rule_of(self._model, self._noise), parameters.seed)
-        spread = SystematicSpread.of(parameters)
-        self._systematic = SpreadPath(SystematicErrors.of(parameters), spread, parameters.seed)
+        errors = part_of(SystematicErrors, parameters)
+        spread = part_of(SystematicSpread, parameters)
+        self._systematic = SpreadPath(errors, spread, parameters.seed)
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)

@@ -12,7 +12,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.parameters import choice, integer, name_list, number, text
+from bullet_lab.core.parameters import choice, integer, name_list, number, part_of, text
 from bullet_lab.core.trajectory import Trajectory, TrajectoryError
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.likelihood import StepPairs
@@ -231,7 +231,7 @@ def calibration_drive(settings: DriveSettings) -> Trajectory:
 def made_up(settings: DriveSettings, seed: int) -> Recording:
     """Return the drive with an odometry as `noisy_odom` would make it."""
     truth = calibration_drive(settings)
-    errors = SystematicPath(SystematicErrors.of(settings))
+    errors = SystematicPath(part_of(SystematicErrors, settings))
     noise = NoisyPath(settings.rule(settings.model), seed)
     poses = [noise.update(*errors.update(*pose).pose).pose for pose in truth.poses.tolist()]
     return Recording("a drive that was made up", truth, Trajectory(truth.stamps, np.array(poses)))

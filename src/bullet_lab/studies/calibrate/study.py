@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 from bullet_lab.core.parameters import choices, integer
-from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import MODELS
+from bullet_lab.noise.systematic import SYSTEMATIC
 from bullet_lab.studies.calibrate.lengths import short_steps
 from bullet_lab.studies.calibrate.recordings import (
     Coverage,

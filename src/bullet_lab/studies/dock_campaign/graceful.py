@@ -27,19 +27,18 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.paths import PathFollower, PathPlanner, clip, turn_command
+from bullet_lab.docking.paths import PathFollower, PathPlanner, turn_command
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.task import USUAL, DockingTask, WatchedTask
 from bullet_lab.docking.types import (
     HALF_WIDTH,
-    STANDSTILL,
     CameraMount,
-    Command,
     DockingError,
     DockingResult,
     Observation,
     Odometry,
 )
+from bullet_lab.drive import STANDSTILL, Command, clip
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_pose import MarkerPose, estimate_pose
 

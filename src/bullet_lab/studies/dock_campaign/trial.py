@@ -284,7 +284,7 @@ class _SimulatedDocking:
         self._reported = StressedOdometry(stress, np.random.default_rng((stress.seed, 1)))
         self._mount = self._known_mount()
         name = dictionary_named(dock.marker.dictionary).name
-        self._detector = MarkerDetector(DetectorSettings(dictionary=name, ids=(dock.marker.id,)))
+        self._detector = MarkerDetector(DetectorSettings(name, ids=(dock.marker.id,)))
         self._task = CONTROLLERS[scenario.controller](
             stress.known_dock(dock), dock.pose, self._mount, seed=scenario.odometry_seed
         )

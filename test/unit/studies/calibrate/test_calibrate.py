@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.core.parameters import read_parameters
+from bullet_lab.core.parameters import part_of, read_parameters
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
-from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.noise.prediction import path_of
+from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors, SystematicSpread
 from bullet_lab.studies.calibrate import study
 from bullet_lab.studies.calibrate.recordings import (
     DriveSettings,
@@ -78,8 +78,6 @@ def test_the_made_up_drive_is_recovered(done):
 def test_noisy_odom_loads_the_noise(done):
     rosparam = pytest.importorskip("rosparam")
     pytest.importorskip("bullet_lab.srv")
-    from bullet_lab.noise.spread import SystematicSpread
-    from bullet_lab.noise.systematic import SystematicErrors
     from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 
     folder, summary, _ = done
@@ -88,9 +86,10 @@ def test_noisy_odom_loads_the_noise(done):
         ((given, _),) = rosparam.load_file(str(folder / f"noise_{entry['model']}.yaml"))
         values = {f"~{name}": value for name, value in given.items()}
         found = read_parameters(NoisyOdomParameters, values.get, given)
-        rule, errors = rule_of(found.model, asdict(found)), SystematicErrors.of(found)
+        rule, errors = rule_of(found.model, asdict(found)), part_of(SystematicErrors, found)
         assert rule.name == entry["model"]
-        said = {**asdict(rule), **asdict(errors), **asdict(SystematicSpread.of(found))}
+        spread = part_of(SystematicSpread, found)
+        said = {**asdict(rule), **asdict(errors), **asdict(spread)}
         assert set(entry["published"]) < set(said)
         for name, value in said.items():
             assert value == pytest.approx(entry["published"].get(name, 0.38), rel=1e-8)
