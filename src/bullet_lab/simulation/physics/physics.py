@@ -5,8 +5,7 @@ Each `Physics` has a client of its own, so several simulations can live in one p
 PyBullet's limits: 16 shapes in one call; a mesh by its corners alone; one friction and softness
 for a link. So a link carries the first such group of its shapes, and helper links without mass,
 fixed to it, carry one more group each. PyBullet frees shapes only with the whole world, so equal
-shapes are made once. PyBullet also keeps 0.8 kB or more of each removed body; so the last removed
-static bodies wait far away, for models that come back.
+shapes are made once.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ from bullet_lab.simulation.world.shapes import (
     hull_corners,
     triangle_corners,
 )
-from bullet_lab.simulation.world.tree import FARTHEST, FASTEST, top_down
+from bullet_lab.simulation.world.tree import FASTEST, top_down
 
 STEP_SECONDS = 1e-3
 # PyBullet's limit of shapes in one call.
@@ -91,11 +90,6 @@ KEPT_CONTACTS = 0.1
 MESH_MARGIN = 1e-4
 # Bullet's collision group and mask of static links: they touch everything but each other.
 STATIC_FILTER = (2, ~2)
-# The same of removed bodies: nothing touches them, and no ray meets them.
-REMOVED_FILTER = (0, 0)
-REMOVED_PLACE: Vector = (0.0, 0.0, -FARTHEST)
-# Removed bodies that are kept: each takes 0.3 us of a step, which takes 5 us for a small robot.
-KEPT_BODIES = 6
 
 
 class ShapeMaker:
@@ -200,8 +194,6 @@ class Physics:
         )
         self._shapes = ShapeMaker(self.client)
         self.bodies: dict[int, Body] = {}
-        # The kinds of removed bodies that are kept, by their ids, the oldest first.
-        self._removed: dict[int, Hashable] = {}
 
     def close(self) -> None:
         """Disconnect from PyBullet; the object cannot be used afterwards."""
@@ -236,16 +228,7 @@ class Physics:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
             del self.bodies[body.unique_id]
-            kind = _kind(body.bullet_links)
-            if kind is None:
-                pybullet.removeBody(body.unique_id, self.client)
-            else:
-                self._place(body.unique_id, Pose(REMOVED_PLACE), REMOVED_FILTER)
-                self._removed[body.unique_id] = kind
-        while len(self._removed) > KEPT_BODIES:
-            oldest = next(iter(self._removed))
-            del self._removed[oldest]
-            pybullet.removeBody(oldest, self.client)
+            pybullet.removeBody(body.unique_id, self.client)
         for body in self.bodies.values():
             if body.traction is not None:
                 body.traction.forget_others()
@@ -302,9 +285,7 @@ class Physics:
             if len(made) - 1 > MOST_LINKS:
                 need = f"its joints and shapes need {len(made) - 1} links beside the root"
                 raise PhysicsError(f"{need}; the engine allows {MOST_LINKS}")
-            body = self._restored(_kind(made), pose)
-            if body is None:
-                body = self._create(made, pose)
+            body = self._create(made, pose)
             self._set_dynamics(body, made, static)
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet cannot make it: {error}") from error
@@ -329,20 +310,6 @@ class Physics:
             found.append(BulletLink(link, joint, parent, *first, origin))
             helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]
         return found + helpers
-
-    def _restored(self, kind: Hashable | None, pose: Pose) -> int | None:
-        """Return a removed body of a kind, now at a pose; None if there is none."""
-        for body, removed in self._removed.items():
-            if removed == kind:
-                del self._removed[body]
-                self._place(body, pose, STATIC_FILTER)
-                return body
-        return None
-
-    def _place(self, body: int, pose: Pose, groups: tuple[int, int]) -> None:
-        pybullet.resetBasePositionAndOrientation(body, *astuple(pose), physicsClientId=self.client)
-        # This also drops the contacts of the place before.
-        pybullet.setCollisionFilterGroupMask(body, ROOT, *groups, self.client)
 
     def _create(self, links: Sequence[BulletLink], pose: Pose) -> int:
         (mass, _, centre), *masses = [link.mass_properties() for link in links]
@@ -386,15 +353,6 @@ class Physics:
             change(index, localInertiaDiagonal=moments, **surface, **joint)
             if static and index > ROOT:
                 pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self.client)
-
-
-def _kind(links: Sequence[BulletLink]) -> Hashable | None:
-    """Return what bodies that can replace each other share; None for those that no other can.
-
-    Only bodies with one link that does not move can be replaced.
-    """
-    root = links[0]
-    return (root.shape, root.surface) if len(links) == 1 and root.link.inertia is None else None
 
 
 def _set_self_collisions(body: Body) -> None:
