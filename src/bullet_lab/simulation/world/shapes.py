@@ -147,7 +147,8 @@ class Mesh(Shape):
         return {"scale": self.scale}
 
     def bounds(self) -> np.ndarray:
-        return _bounds(self, file_version(self))
+        vertices = load_triangles(self).vertices
+        return np.array((vertices.min(axis=0), vertices.max(axis=0)))
 
 
 SHAPES = {kind.tag: kind for kind in (Box, Cylinder, Sphere, Plane, Mesh)}
@@ -207,14 +208,6 @@ def middle_of(parts: Sequence[np.ndarray], mesh: Mesh) -> np.ndarray:
         return np.zeros(3)
     points = np.concatenate([part.reshape(-1, 3) for part in parts])
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
-
-
-@functools.lru_cache(maxsize=64)
-def _bounds(mesh: Mesh, _version: tuple[int, int]) -> np.ndarray:
-    vertices = load_triangles(mesh).vertices
-    bounds = np.array((vertices.min(axis=0), vertices.max(axis=0)))
-    bounds.setflags(write=False)
-    return bounds
 
 
 def hull_corners(mesh: Mesh) -> np.ndarray:
