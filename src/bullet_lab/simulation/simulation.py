@@ -212,21 +212,20 @@ class Simulation:
         Raises:
             SimulationError: there is no such model.
         """
-        bodies = self._instance(name).bodies.values()
-        points = [point for body in bodies for point in body.touching_points()]
-        return {self._bodies[point[2]].model for point in points} - {name}
+        return {other for _, other, _, _ in self.touches(name)}
 
-    def touches(self, name: str) -> Iterator[tuple[str, str, float]]:
-        """Yield a model's contacts in the last step: its own link, and the other's model::link.
+    def touches(self, name: str) -> Iterator[tuple[str, str, str, float]]:
+        """Yield a model's contacts in the last step: its link, the other model and its link.
 
-        The third value is the z of the unit normal towards the model: 1 on level ground.
+        The last value is the z of the unit normal towards the model: 1 on level ground. Raises
+        SimulationError for an unknown name.
         """
-        for body in self.models[name].bodies.values():
+        for body in self._instance(name).bodies.values():
             for _, _, second, index, other_index, _, _, normal, *_ in body.touching_points():
                 other = self._bodies[second]
                 if other.model != name:
-                    touched = f"{other.model}::{other.link_at(other_index).link.name}"
-                    yield body.link_at(index).link.name, touched, normal[2]
+                    ends = body.link_at(index), other.link_at(other_index)
+                    yield ends[0].link.name, other.model, ends[1].link.name, normal[2]
 
     def shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         """Return the full name of the shape at a place (m) on a link of a body."""
