@@ -191,7 +191,7 @@ class ImuSensor(InertialUnit):
         self.place = tag.place(_offset(mount))
         if mount.boolean("initialOrientationAsReference", False):
             self.reference = self.place.pose().inverse().quaternion
-        self.schedule = tag.schedule("updateRateHZ", 1.0)
+        self.schedule = tag.slower("updateRateHZ", 1.0)
         for index, quantity in enumerate(QUANTITIES):
             if tag.element.find(f"imu/{quantity}") is not None:
                 self.axis_noise[index] = AxisNoise(mount, tag, quantity)

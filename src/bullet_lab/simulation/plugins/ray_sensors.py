@@ -152,7 +152,7 @@ class Laser(Sensor):
         self._frame = mount.frame(mount.text("frameName", "/world"))
         super().__init__(mount, mount.text("topicName", "/world"), LaserSample)
         self._scanner = RayScan(mount, tag)
-        self.schedule = tag.schedule()
+        self.schedule = tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> LaserSample:
         scanner, angles = self._scanner, self._scanner.horizontal
@@ -178,7 +178,7 @@ class RangeSensor(Sensor):
         self._kind = (frame, infrared, mount.number("fov", 0.05))
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
         self._scanner = RayScan(mount, tag)
-        self.schedule = tag.schedule("updateRate")
+        self.schedule = tag.slower("updateRate", 0.0)
 
     def measure(self, step: int) -> RangeSample:
         least, greatest = self._scanner.least, self._scanner.greatest
@@ -206,7 +206,7 @@ class Bumper(Sensor):
         self._watched = _watched(mount, tag, self._place.link)
         self._frame = mount.frame(mount.text("frameName", "/world"))
         super().__init__(mount, mount.text("bumperTopicName", "bumper_states"), ContactsSample)
-        self.schedule = tag.schedule()
+        self.schedule = tag.schedule("update_rate", 0.0)
         self._steps: deque[list[ShapeContact]] = deque(maxlen=LONGEST_MEMORY)
 
     def before_step(self, step: int) -> None:

@@ -187,7 +187,7 @@ class ControllerManager:
             for controller in running:
                 controller.update(step, seconds)
         for joint in self.joints.values():
-            joint.write(STEP_SECONDS, stopped)
+            joint.write(stopped)
 
     def _read(self) -> None:
         for joint in self.joints.values():

@@ -20,6 +20,7 @@ import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
 
 from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.errors import LabError
 
 LOG = logging.getLogger(__name__)
@@ -294,6 +295,16 @@ class TagReader(ABC):
         except XmlError as error:
             self.doubt(error)
             return default
+
+    def schedule(
+        self, key: str, default: float, kind: Callable[[float], Schedule] = Schedule
+    ) -> Schedule:
+        """Return the schedule for a rate (Hz, 0: every step)."""
+        try:
+            return kind(self.number(key, default))
+        except ScheduleError as error:
+            self.doubt(XmlError(f"{self.where(key)}: {error}"))
+            return kind(default)
 
     def boolean(self, key: str, default: bool) -> bool:
         """Return the truth value of true, false, 1 or 0."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Dict, Mapping, Optional, Tuple, Type
 
 from bullet_lab.simulation.physics.bodies import Body
+from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.plugins.controllers.description import (
     EFFORT,
     POSITION,
@@ -108,7 +109,7 @@ class JointHandle(ABC):
         self.effort = state.effort if by_motor else self._applied
 
     @abstractmethod
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         """Act on the coming step; `stopped` is the emergency stop."""
 
     def placed(self) -> None:
@@ -140,7 +141,7 @@ class EffortJoint(JointHandle):
 
     interface = EFFORT
 
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         self.command = _between(self.command, *self._effort_limits())
         self._apply(0.0 if stopped else self.command)
 
@@ -175,20 +176,20 @@ class PositionJoint(JointHandle):
     def placed(self) -> None:
         self._before = None
 
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         if stopped:
             self.command = self._held
         self._held = self.command if stopped else self.position
         before = self.position if self._before is None else self._before
         slowest, fastest = self._speed_limits(before)
-        least = max(before + slowest * seconds, self.limits.lower)
-        most = min(before + fastest * seconds, self.limits.upper)
+        least = max(before + slowest * STEP_SECONDS, self.limits.lower)
+        most = min(before + fastest * STEP_SECONDS, self.limits.upper)
         self.command = self._before = _between(self.command, least, most)
         if self.pid is None:
             self.body.hold_joint(self.name, self.command, STRONGEST, AT_ONCE)
         else:
             error = self.described.error(self.position, self.command)
-            self._apply(self.pid.command(error, seconds))
+            self._apply(self.pid.command(error, STEP_SECONDS))
 
 
 class VelocityJoint(JointHandle):
@@ -211,16 +212,16 @@ class VelocityJoint(JointHandle):
         if self._wheel is not None:
             self._wheel.stop()
 
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         slowest, fastest = self._speed_limits(self.position)
         if math.isfinite(self.limits.acceleration):
             before = self._before if self.limits.soft is None else self.velocity
-            change = self.limits.acceleration * seconds
+            change = self.limits.acceleration * STEP_SECONDS
             slowest, fastest = max(slowest, before - change), min(fastest, before + change)
         self.command = self._before = _between(self.command, slowest, fastest)
         speed = 0.0 if stopped else self.command
         if self._wheel is None:
-            self._apply(self.pid.command(speed - self.velocity, seconds))
+            self._apply(self.pid.command(speed - self.velocity, STEP_SECONDS))
         elif speed == 0.0 or speed != self._driven:
             # A motor keeps its speed, but at 0 the wheel must check whether to hold the joint.
             self._driven = speed
