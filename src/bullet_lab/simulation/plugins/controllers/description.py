@@ -10,7 +10,11 @@ from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Vector
 from bullet_lab.simulation.plugins import PluginError
-from bullet_lab.simulation.world.xml import XmlError, child_text, number, numbers, parse_text
+from bullet_lab.simulation.world.description import LIMITS
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.tags import Document
+from bullet_lab.simulation.world.urdf import UrdfTag
+from bullet_lab.simulation.world.xml import XmlError, child_text, parse_text
 
 LOG = logging.getLogger(__name__)
 
@@ -21,6 +25,7 @@ EFFORT = "EffortJointInterface"
 INTERFACES = (POSITION, VELOCITY, EFFORT)
 # What a parameter of a kind has to be.
 EXPECTED = {float: "a finite number", bool: "true or false", str: "a text"}
+SOFT_LIMITS = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
 # Tags of shapes that have a radius.
 ROUND = ("cylinder", "sphere")
 
@@ -188,51 +193,31 @@ class RobotDescription:
 
         As in Gazebo, an invalid transmission is ignored with a warning.
         """
-        robot = parse_text(urdf, source)
-        radii = {link.get("name"): _radius(link) for link in robot.findall("link")}
-        joints = [_joint(element, radii, source) for element in robot.findall("joint")]
-        return cls({joint.name: joint for joint in joints}, _interfaces(robot, source))
+        robot = UrdfTag(parse_text(urdf, source), source, Document(ResourceFinder()))
+        element = robot.element
+        radii = {link.name: _radius(link) for link in map(robot.below, element.findall("link"))}
+        joints = [_joint(joint, radii) for joint in map(robot.below, element.findall("joint"))]
+        return cls({joint.name: joint for joint in joints}, _interfaces(element, source))
 
 
-def _joint(
-    element: Element, radii: Mapping[Optional[str], Optional[float]], source: str
-) -> DescribedJoint:
-    name, kind = element.get("name", ""), element.get("type", "")
-    where = f"{source}: joint '{name}'"
-    limits, limit = JointLimits(), element.find("limit")
-    if limit is not None:
-        keys = ("lower", "upper", "velocity", "effort")
-        values = {key: _attribute(limit, key, where) for key in keys}
+def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint:
+    kind, limits = tag.text("type"), JointLimits()
+    if tag.element.find("limit") is not None:
+        soft = None
+        if tag.element.find("safety_controller") is not None:
+            soft = SoftLimits(*(tag.number(f"safety_controller/{key}", 0.0) for key in SOFT_LIMITS))
+        limits = JointLimits(**{key: tag.bound(f"limit/{key}") for key in LIMITS}, soft=soft)
         if kind == "continuous":
-            values.update(lower=-math.inf, upper=math.inf)
-        limits = JointLimits(**values, soft=_soft(element, where))
-    origin, child = element.find("origin"), element.find("child")
-    text = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
-    place = numbers(text, 3, f"{where}: <origin>")
-    radius = None if child is None else radii.get(child.get("link"))
-    return DescribedJoint(name, kind, place, limits, radius)
+            limits = replace(limits, lower=-math.inf, upper=math.inf)
+    radius = radii.get(tag.text("child/link"))
+    return DescribedJoint(tag.name, kind, tag.pose().position, limits, radius)
 
 
-def _soft(joint: Element, where: str) -> Optional[SoftLimits]:
-    safety = joint.find("safety_controller")
-    if safety is None:
-        return None
-    keys = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
-    return SoftLimits(*(_attribute(safety, key, where) for key in keys))
-
-
-def _attribute(element: Element, key: str, where: str) -> float:
-    text = element.get(key, "0")
-    # Infinity is a valid limit.
-    return math.inf if text.strip() == "inf" else number(text, f"{where}: <{element.tag}> {key}")
-
-
-def _radius(link: Element) -> Optional[float]:
+def _radius(link: UrdfTag) -> Optional[float]:
     """Return the radius (m) of the first collision, if it is a cylinder or a sphere."""
-    shape = link.find("collision[1]/geometry/*")
-    if shape is None or shape.tag not in ROUND:
-        return None
-    return number(shape.get("radius"), f"link '{link.get('name')}': <{shape.tag}> radius")
+    shape = link.element.find("collision[1]/geometry/*")
+    is_round = shape is not None and shape.tag in ROUND
+    return link.other(shape).sizes("radius", 1)[0] if is_round else None
 
 
 def _interfaces(robot: Element, source: str) -> Dict[str, str]:
