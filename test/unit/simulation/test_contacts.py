@@ -92,4 +92,4 @@ def test_what_carries_a_model_and_what_is_beside_it(world):
     world.run_for(0.05)
     touches = {(own, other, round(up)) for own, other, _, up in world.touches("cube")}
     assert touches == {("link", "ground_plane", 1), ("link", "wall", 0)}
-    assert "wall::brick" in {other for _, other, _ in world.touches("cube")}
+    assert ("wall", "brick") in {touch[1:3] for touch in world.touches("cube")}

@@ -209,8 +209,7 @@ class Physics:
         """Make the bodies of a model at its pose; return them by the names of their root links.
 
         Raises:
-            PhysicsError: a moving link has no mass, a body has too many links, or PyBullet
-                refuses it.
+            PhysicsError: a body has too many links, or PyBullet refuses it.
             MeshError: a mesh is not usable.
         """
         bodies: dict[str, Body] = {}
@@ -242,9 +241,6 @@ class Physics:
         # is that of its root link.
         held = len(links) if model.static else int(root.anchored)
         links[:held] = [replace(link, inertia=None) for link in links[:held]]
-        for link in links[held:]:
-            if link.inertia is None or link.inertia.mass == 0.0:
-                raise PhysicsError(f"link '{link.name}' moves and has no mass")
         pose = model.pose * root.pose
         skidding = [] if held else skidding_wheels(links, joints)
         slipping = skidding if self._coulomb or held else directed_wheels(links, joints)

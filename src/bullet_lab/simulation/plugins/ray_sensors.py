@@ -118,8 +118,6 @@ def _angles(tag: SensorTag, path: str) -> Angles:
     resolution = tag.positive(f"{path}/resolution", 1.0)
     # As in Gazebo, there is at least one.
     number = max(1, round(samples * resolution))
-    if number > MOST_RAYS:
-        raise PluginError(f"{tag.where(f'{path}/resolution')}: {resolution:g} makes {number} rays")
     least = tag.number(f"{path}/min_angle", 0.0)
     greatest = tag.number(f"{path}/max_angle", 0.0)
     if greatest < least:

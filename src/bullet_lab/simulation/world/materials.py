@@ -42,6 +42,7 @@ from bullet_lab.simulation.world.xml import (
     ElementReader,
     ReportOnce,
     file_bytes,
+    finite,
 )
 
 # The limit for a folder that is searched for scripts or pictures.
@@ -192,7 +193,7 @@ class MaterialLibrary:
         rgb = (diffuse if lit else _manual_colour(shown))[:3]
         colour = (*rgb, diffuse[3] if _blends(shown) else 1.0)
         # Of highlights, only wide ones are drawn: those with an exponent of 1.
-        specular = _finite(shown.words("specular"))
+        specular = finite(shown.words("specular"))
         shine = specular[0] if specular[-1:] == (1.0,) else 0.0
         return colour, Material(ambient, emissive, texture, lit, True, name, tuple(scripts), shine)
 
@@ -201,7 +202,7 @@ class MaterialLibrary:
         words = block.words(*keys)
         if not words or words == ("vertexcolour",):
             return None
-        found = _finite(words)
+        found = finite(words)
         if len(found) not in (3, 4):
             self._report(f"{where}: {keys[0]} '{' '.join(words)[:80]}' is not a colour")
             return None
@@ -267,12 +268,12 @@ def _shown_pass(technique: Block) -> Block:
 
 def _placed(unit: Block, path: Path, blends: bool) -> Texture:
     """Return a picture as a texture unit places it."""
-    scale = _finite(unit.words("scale"))
-    turn = _finite(unit.words("rotate"))
+    scale = finite(unit.words("scale"))
+    turn = finite(unit.words("rotate"))
     return Texture(
         path,
         scale if len(scale) == 2 and all(scale) else Texture.scale,
-        (*_finite(unit.words("scroll")), 0.0, 0.0)[:2],
+        (*finite(unit.words("scroll")), 0.0, 0.0)[:2],
         math.radians(turn[0]) if turn else 0.0,
         unit.words("tex_address_mode")[:1] not in (("clamp",), ("border",)),
         blends,
@@ -286,7 +287,7 @@ def _manual_colour(shown: Block) -> Colour:
     for unit in shown.all("texture_unit"):
         operation, source, _, *words = (*unit.words("colour_op_ex"), "", "", "")
         if (operation, source) == ("source1", "src_manual"):
-            return _finite(words[:3]) or WHITE
+            return finite(words[:3]) or WHITE
     return WHITE
 
 
@@ -294,15 +295,6 @@ def _blends(shown: Block) -> bool:
     blending = (("alpha_blend",), ("src_alpha", "one_minus_src_alpha"))
     rejects = shown.words("alpha_rejection")[:1] not in ((), ("always_pass",))
     return shown.words("scene_blend") in blending or rejects
-
-
-def _finite(words: Iterable[str]) -> tuple[float, ...]:
-    """Return the numbers in words; empty if one of them is not a finite number."""
-    try:
-        found = tuple(float(word) for word in words)
-    except ValueError:
-        return ()
-    return found if all(map(math.isfinite, found)) else ()
 
 
 def _clipped(values: Sequence[float]) -> Colour:

@@ -34,6 +34,7 @@ from bullet_lab.simulation.world.meshes import (
 )
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import load_triangles, middle_of
+from bullet_lab.simulation.world.xml import finite
 
 LOG = logging.getLogger(__name__)
 # The word by which a file with own materials is recognised.
@@ -165,12 +166,8 @@ def _wavefront_look(statements: dict[str, str], path: Path, report: Report) -> A
     """Return the look of a material in a .mtl file."""
     def numbers(key: str, count: int) -> Sequence[float]:
         """Return numbers within [0, 1]; empty unless there are as many."""
-        try:
-            words = statements.get(key, "").split()
-            found = [min(max(float(word), 0.0), 1.0) for word in words]
-        except ValueError:
-            return []
-        return found if len(found) == count else []
+        found = finite(statements.get(key, "").split())
+        return np.clip(found, 0.0, 1.0).tolist() if len(found) == count else []
 
     diffuse, ambient, emissive = numbers("Kd", 3), numbers("Ka", 3), numbers("Ke", 3)
     (opacity,) = numbers("d", 1) or [1.0 - share for share in numbers("Tr", 1)] or [1.0]

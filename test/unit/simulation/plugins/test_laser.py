@@ -289,7 +289,7 @@ def in_range(tag, value):
     [
         (in_range("samples", "0"), "<samples>: 0 is not a whole number in 1"),
         (in_range("samples", "1000000000"), "<samples>"),
-        (in_range("resolution", "1e9"), "<resolution>"),
+        (in_range("resolution", "1e9"), "<samples>: more than 100000 rays"),
         (in_range("max", "0.05"), "<max>: 0.05 is not beyond <min>"),
         (in_range("min", "-1"), "<min>: -1 is negative"),
         (in_range("max_angle", "-4"), "<max_angle>: -4 is less than <min_angle>"),
