@@ -82,7 +82,11 @@ class RayScan:
         yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
         level = np.cos(pitch)
         directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
-        self._rays = tag.place().rays(directions.reshape(-1, 3))
+        self._place, directions = tag.place(), directions.reshape(-1, 3)
+        # The points of the rays at their origin, and at the least and the greatest distance.
+        distances = (0.0, self.least, self.greatest)
+        origins, self._near, self._far = (self._place.ends(directions, d) for d in distances)
+        self._whole = (origins.tolist(), self._far.tolist())
 
     def distances(self) -> np.ndarray:
         """Return exact distances in m, row by row from below, shape (rays,).
@@ -90,13 +94,16 @@ class RayScan:
         As in REP 117, they are +inf without a hit within the greatest range, and -inf for a hit
         within the least range that is not the robot itself.
         """
-        distances, bodies = self._rays.cast(0.0, self.greatest)
+        shares, bodies = self._place.hits(*self._whole)
+        distances = self.greatest * shares
         near = (bodies >= 0) & (distances <= self.least)
         if near.any():
             own = near & np.isin(bodies, self._own)
             distances[near] = -np.inf
             if own.any():
-                behind, _ = self._rays.select(own).cast(self.least, self.greatest)
+                ends = (points[own].tolist() for points in (self._near, self._far))
+                shares, _ = self._place.hits(*ends)
+                behind = self.least + (self.greatest - self.least) * shares
                 distances[own] = np.where(behind <= self.least, -np.inf, behind)
         distances[distances >= self.greatest] = np.inf
         return distances
