@@ -228,9 +228,6 @@ class Physics:
         for body in bodies.values():
             del self.bodies[body.unique_id]
             pybullet.removeBody(body.unique_id, self.client)
-        for body in self.bodies.values():
-            if body.traction is not None:
-                body.traction.forget_others()
 
     def _add_tree(self, model: Model, root: Link) -> Body:
         by_name = model.links_by_name()
