@@ -186,11 +186,12 @@ class Physics:
         self.step = partial(pybullet.stepSimulation, self.client)
         self.set_gravity(gravity)
         pybullet.setTimeStep(STEP_SECONDS, self.client)
-        self._set_engine(
+        pybullet.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1,
             # Without cones, friction has a limit along each of two axes of the world, as in ODE.
             enableConeFriction=int(coulomb),
             contactBreakingThreshold=KEPT_CONTACTS,
+            physicsClientId=self.client,
         )
         self._shapes = ShapeMaker(self.client)
         self.bodies: dict[int, Body] = {}
@@ -216,10 +217,8 @@ class Physics:
         try:
             for root in model.root_links():
                 bodies[root.name] = self._add_tree(model, root)
-        except LabError as error:
+        except LabError:
             self.remove(bodies)
-            if isinstance(error, PhysicsError):
-                raise PhysicsError(f"model '{model.name}': {error}") from error
             raise
         return bodies
 
@@ -247,7 +246,13 @@ class Physics:
         if not model.static:
             skids = set() if self._coulomb else {wheel.link for wheel in skidding}
             footing = Footing.of(links, joints, skids)
-        body = self._make(links, joints, model.static, pose, footing)
+        try:
+            with hidden_native_output():
+                made = self._bullet_links(links, joints, model.static, footing)
+                body = self._made(made, model, pose)
+        except pybullet.error as error:
+            what = f"model '{model.name}': PyBullet cannot make it: {error}"
+            raise PhysicsError(what) from error
         body.model = model.name
         self.bodies[body.unique_id] = body
         if slipping:
@@ -257,32 +262,15 @@ class Physics:
         body.place(pose)
         return body
 
-    def _set_engine(self, **parameters: float) -> None:
-        pybullet.setPhysicsEngineParameter(**parameters, physicsClientId=self.client)
-
-    @hidden_native_output()
-    def _make(
-        self,
-        links: Sequence[Link],
-        joints: Sequence[Joint],
-        static: bool,
-        pose: Pose,
-        footing: Footing,
-    ) -> Body:
-        """Make a body of links, the root first, and each link after its parent.
-
-        The meshes of a static body keep their hollows. `pose` is that of the root link's frame.
-        """
-        try:
-            made = self._bullet_links(links, joints, static, footing)
-            if len(made) - 1 > MOST_LINKS:
-                need = f"its joints and shapes need {len(made) - 1} links beside the root"
-                raise PhysicsError(f"{need}; the engine allows {MOST_LINKS}")
-            body = self._create(made, pose)
-            self._set_dynamics(body, made, static)
-        except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot make it: {error}") from error
-        return Body(self.client, body, made)
+    def _made(self, links: Sequence[BulletLink], model: Model, pose: Pose) -> Body:
+        """Make a body of a model at a pose of its root link's frame."""
+        if len(links) - 1 > MOST_LINKS:
+            need = f"its joints and shapes need {len(links) - 1} links beside the root"
+            what = f"model '{model.name}': {need}; the engine allows {MOST_LINKS}"
+            raise PhysicsError(what)
+        body = self._create(links, pose)
+        self._set_dynamics(body, links, model.static)
+        return Body(self.client, body, links)
 
     def _bullet_links(
         self,
@@ -291,7 +279,10 @@ class Physics:
         static: bool,
         footing: Footing,
     ) -> list[BulletLink]:
-        """Return PyBullet's links, all helpers last."""
+        """Return PyBullet's links, the root first, each after its parent, and all helpers last.
+
+        The meshes of a static body keep their hollows.
+        """
         above = {joint.child: joint for joint in joints}
         places = {link.name: place for place, link in enumerate(links)}
         found, helpers = [], []
