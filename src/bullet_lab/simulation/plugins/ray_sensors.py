@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import re
 from collections import deque
-from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -36,26 +35,6 @@ LONGEST_MEMORY = 100
 ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
 
 
-@dataclass(frozen=True)
-class Angles:
-    """Angles in rad, evenly spaced from the least to the greatest, both included."""
-
-    least: float
-    greatest: float
-    number: int
-
-    @property
-    def increment(self) -> float:
-        """Angle between two neighbours in rad; 0 for a single one."""
-        return (self.greatest - self.least) / (self.number - 1) if self.number > 1 else 0.0
-
-    def all(self) -> np.ndarray:
-        """Return the angles, shape (number,); as in Gazebo, a single one is 0."""
-        if self.number == 1:
-            return np.zeros(1)
-        return np.linspace(self.least, self.greatest, self.number)
-
-
 class RayScan:
     """Casts the rays of a sensor from its origin.
 
@@ -63,23 +42,24 @@ class RayScan:
     it; a shape that contains the origin is always invisible.
 
     Attributes:
-        horizontal: angles of the rays about the sensor's z axis.
+        angles: of the rays about the sensor's z axis in rad: the least, the greatest, and the
+            increment from one to the next, 0 for a single one.
         least: least measured distance in m.
         greatest: greatest measured distance in m.
     """
 
     def __init__(self, mount: Mount, tag: SensorTag):
         self._own = np.array([body.unique_id for body in mount.bodies.values()])
-        self.horizontal = _angles(tag, "ray/scan/horizontal")
-        vertical = _angles(tag, "ray/scan/vertical")
-        if self.horizontal.number * vertical.number > MOST_RAYS:
+        self.angles, columns = _angles(tag, "ray/scan/horizontal")
+        vertical, rows = _angles(tag, "ray/scan/vertical")
+        if columns * rows > MOST_RAYS:
             raise PluginError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
         self.least = tag.coefficient("ray/range/min", 0.0)
         self.greatest = tag.coefficient("ray/range/max", 0.0)
         if self.greatest <= self.least:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
         self._mean, self._deviation = _noise(tag)
-        yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
+        yaw, pitch = np.meshgrid(_spread(self.angles, columns), _spread(vertical, rows))
         level = np.cos(pitch)
         directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
         self._place, directions = tag.place(), directions.reshape(-1, 3)
@@ -120,7 +100,8 @@ class RayScan:
         return distances
 
 
-def _angles(tag: SensorTag, path: str) -> Angles:
+def _angles(tag: SensorTag, path: str) -> tuple[Vector, int]:
+    """Return the least and the greatest angle and their increment in rad, and their number."""
     samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
     resolution = tag.positive(f"{path}/resolution", 1.0)
     # As in Gazebo, there is at least one.
@@ -129,7 +110,13 @@ def _angles(tag: SensorTag, path: str) -> Angles:
     greatest = tag.number(f"{path}/max_angle", 0.0)
     if greatest < least:
         raise PluginError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
-    return Angles(least, greatest, number)
+    increment = (greatest - least) / (number - 1) if number > 1 else 0.0
+    return (least, greatest, increment), number
+
+
+def _spread(angles: Vector, number: int) -> np.ndarray:
+    """Return evenly spaced angles, shape (number,); as in Gazebo, a single one is 0."""
+    return np.zeros(1) if number == 1 else np.linspace(*angles[:2], number)
 
 
 def _noise(tag: SensorTag) -> tuple[float, float]:
@@ -160,9 +147,9 @@ class Laser(Sensor):
         self.schedule = tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> LaserSample:
-        scanner, angles = self._scanner, self._scanner.horizontal
+        scanner = self._scanner
         ranges = scanner.measure(self._noise.at(step))
-        seen = (angles.least, angles.greatest, angles.increment, scanner.least, scanner.greatest)
+        seen = (*scanner.angles, scanner.least, scanner.greatest)
         return LaserSample(step, self._frame, *seen, ranges, np.zeros(len(ranges)))
 
 
