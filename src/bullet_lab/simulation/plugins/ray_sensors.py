@@ -229,23 +229,15 @@ class Bumper(Sensor):
                 second = name(*point.other, point.place_on_other)
                 pairs.setdefault((first, second), []).append(point)
         centre = self._place.centre_of_mass()
-        return [_contact(step, *names, points, centre) for names, points in pairs.items()]
-
-
-def _contact(
-    step: int, first: str, second: str, points: list[ContactPoint], centre: Vector
-) -> ShapeContact:
-    """Return the contact of two shapes; torques are about `centre`, in the world."""
-    return ShapeContact(
-        step,
-        first,
-        second,
-        tuple(point.force for point in points),
-        tuple(cross(subtract(point.place, centre), point.force) for point in points),
-        tuple(point.place for point in points),
-        tuple(point.normal for point in points),
-        tuple(point.depth for point in points),
-    )
+        contacts = []
+        for names, points in pairs.items():
+            arms = (subtract(point.place, centre) for point in points)
+            torques = tuple(cross(arm, point.force) for arm, point in zip(arms, points))
+            forces, places, normals, depths = zip(
+                *((point.force, point.place, point.normal, point.depth) for point in points)
+            )
+            contacts.append(ShapeContact(step, *names, forces, torques, places, normals, depths))
+        return contacts
 
 
 def _watched(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
