@@ -26,7 +26,7 @@ from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
-from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
+from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose, find_model
 from bullet_lab.simulation.physics.attached_frame import shape_name
 from bullet_lab.simulation.physics.bodies import Body
 from bullet_lab.simulation.physics.physics import Physics
@@ -189,8 +189,8 @@ class Simulation:
         return instance
 
     def remove(self, name: str) -> None:
-        """Take a model out of the world; raises SimulationError for an unknown name."""
-        instance = self._instance(name)
+        """Take a model out of the world; raises EntityError for an unknown name."""
+        instance = find_model(self.models, name)
         del self.models[name]
         self._physics.remove(instance.bodies)
         self.forces.clear(target=(instance,))
@@ -199,18 +199,10 @@ class Simulation:
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
-    def _instance(self, name: str) -> ModelInstance:
-        if name not in self.models:
-            raise SimulationError(f"there is no model '{name}'")
-        return self.models[name]
-
     def contacts(self, name: str) -> set[str]:
         """Return the names of the models that a model touched in the last step.
 
-        A robot on the floor touches the floor.
-
-        Raises:
-            SimulationError: there is no such model.
+        A robot on the floor touches the floor. Raises EntityError for an unknown name.
         """
         return {other for _, other, _, _ in self.touches(name)}
 
@@ -218,9 +210,9 @@ class Simulation:
         """Yield a model's contacts in the last step: its link, the other model and its link.
 
         The last value is the z of the unit normal towards the model: 1 on level ground. Raises
-        SimulationError for an unknown name.
+        EntityError for an unknown name.
         """
-        for body in self._instance(name).bodies.values():
+        for body in find_model(self.models, name).bodies.values():
             for _, _, second, index, other_index, _, _, normal, *_ in body.touching_points():
                 other = self._bodies[second]
                 if other.model != name:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.simulation import SimulationError
+from bullet_lab.simulation.models import EntityError
 from bullet_lab.simulation.world.description import Box, Collision, Inertia, Link, Model
 
 SIDE = 0.2
@@ -43,7 +43,7 @@ def test_models_that_went_are_not_named(world):
     world.run_for(0.1)
     assert world.contacts("cube") == set()
     world.remove("cube")
-    with pytest.raises(SimulationError, match="^there is no model 'cube'$"):
+    with pytest.raises(EntityError, match="cube"):
         world.contacts("cube")
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Dict, Iterable, Iterator, Mapping, Sequence, Tuple
 
@@ -101,13 +102,9 @@ class MaterialLibrary:
         """
         folders = [path if os.path.isdir(path) else path.parent for _, path in scripts]
         self._folders += [folder for folder in folders if folder not in self._folders]
-        own = package_share() / GAZEBO_SCRIPT
-        places = [*(path for _, path in scripts), *self._folders, own]
-        block, folder = self._block("material", name, places)
-        if block is None:
-            media = gazebo_media_folders()
-            places = [path for folder in media for path in sorted(folder.glob("*.material"))]
-            block, folder = self._block("material", name, places)
+        own = (*(path for _, path in scripts), *self._folders, package_share() / GAZEBO_SCRIPT)
+        media = (sorted(folder.glob("*.material")) for folder in gazebo_media_folders())
+        block, folder = self._block("material", name, chain(own, chain.from_iterable(media)))
         if block is not None:
             return self._look(name, block, [*folders, folder], scripts)
         what = "is in none of the named scripts; the default is drawn"
