@@ -74,9 +74,8 @@ class Wrench:
         mass.
 
         Raises:
-            ForceError: a number is not finite or too large.
+            ForceError: the point is too far away.
         """
-        _check(force + torque)
         if not max(map(abs, point)) <= FARTHEST:
             raise ForceError(f"force at {point} m: not within {FARTHEST:g} m")
         torque = add(torque, cross(point, force))

@@ -5,6 +5,7 @@ Clients name models, and links as "model::link".
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -24,7 +25,6 @@ from bullet_lab.simulation.world.description import (
     Inertia,
     Model,
     ModelState,
-    PluginTag,
 )
 from bullet_lab.simulation.world.tree import FARTHEST, FASTEST, check_proportions
 
@@ -59,7 +59,7 @@ class ModelInstance:
     bodies: Mapping[str, Body]
     plugins: tuple[Plugin, ...]
     moves: int = 0
-    _frames: dict[str, AttachedFrame] = field(default_factory=dict)
+    _frames: dict[str | None, AttachedFrame] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -116,7 +116,7 @@ class ModelInstance:
 
     def state(self) -> ModelState:
         """Return pose and velocity of all links and joints."""
-        links = {entity.link: entity.state() for entity in link_entities(self)}
+        links = {entity.frame.link: entity.state() for entity in link_entities(self)}
         if WORLD_LINK in self.bodies:
             links[WORLD_LINK] = FrameState(self.bodies[WORLD_LINK].pose())
         joints = {}
@@ -143,16 +143,11 @@ class ModelInstance:
                 return body
         raise SimulationError(f"model '{self.name}' has no movable joint '{name}'")
 
-    def keeper(self, link: str) -> str | None:
-        """Return the link that a link was merged into, or itself; None for an unknown one."""
-        name, _ = self.model.frames.get(link, (link, None))
-        return name if name in self.model.links_by_name() else None
-
-    def frame(self, link: str = "") -> AttachedFrame:
+    def frame(self, link: str | None = None) -> AttachedFrame:
         """Return the frame of a link, merged or not, or of the model; raises KeyError."""
         if link not in self._frames:
             own = self.model.canonical_link()
-            place = (link,) if link else (own.name, own.pose.inverse())
+            place = (own.name, own.pose.inverse()) if link is None else (link,)
             self._frames[link] = AttachedFrame.of(self.model, self.bodies.values(), *place)
         return self._frames[link]
 
@@ -196,14 +191,10 @@ def check_pose(pose: Pose, model: str) -> None:
 
 @dataclass(frozen=True)
 class Entity:
-    """A frame of a model: the model's own, or that of a link.
-
-    `link` names the link that carries the frame, after merging.
-    """
+    """A frame of a model: the model's own, or that of a link."""
 
     instance: ModelInstance
     frame: AttachedFrame
-    link: str
 
     def state(self) -> FrameState:
         """Return pose and velocity in the world."""
@@ -225,9 +216,10 @@ def find_link(models: Mapping[str, ModelInstance], name: str) -> Entity:
         EntityError: no model or several models have it.
     """
     owner, own = _split(models, name)
-    candidates = [models[owner]] if owner else models.values()
-    keepers = [(instance, instance.keeper(own)) for instance in candidates]
-    found = [Entity(i, i.frame(own), keeper) for i, keeper in keepers if keeper is not None]
+    found = []
+    for instance in [models[owner]] if owner else models.values():
+        with contextlib.suppress(KeyError):
+            found.append(Entity(instance, instance.frame(own)))
     if not found:
         hint = "did you forget to scope the link by model name?"
         raise EntityError(f"link [{name}] does not exist; {hint}")
@@ -262,13 +254,12 @@ def find_entity(models: Mapping[str, ModelInstance], name: str) -> Entity:
 
 def model_entity(instance: ModelInstance) -> Entity:
     """Return a model's own frame."""
-    return Entity(instance, instance.frame(), instance.model.canonical_link().name)
+    return Entity(instance, instance.frame())
 
 
 def link_entities(instance: ModelInstance) -> list[Entity]:
     """Return the links of a model."""
-    names = [link.name for link in instance.model.own_links()]
-    return [Entity(instance, instance.frame(name), name) for name in names]
+    return [Entity(instance, instance.frame(link.name)) for link in instance.model.own_links()]
 
 
 def find_joint(models: Mapping[str, ModelInstance], name: str) -> tuple[ModelInstance, str]:
@@ -355,7 +346,7 @@ def change_link(entity: Entity, inertia: Inertia, gravity: bool) -> None:
         LabError: the link never moves or was merged into another one; the inertia is not
             physical; or its centre of mass or its principal axes would move.
     """
-    instance, name = entity.instance, entity.link
+    instance, name = entity.instance, entity.frame.link
     link = instance.model.links_by_name()[name]
     if instance.model.static or link.inertia is None:
         raise SimulationError(f"link '{instance.name}::{name}' never moves")
@@ -365,46 +356,6 @@ def change_link(entity: Entity, inertia: Inertia, gravity: bool) -> None:
     check_proportions(model)
     entity.frame.body.change_link(name, inertia, gravity)
     instance.model = model
-
-
-@dataclass(frozen=True)
-class PluginSurvey:
-    """The topics and tags of a `<plugin>` tag.
-
-    Attributes:
-        tag: the tag.
-        acts: whether the plugin is simulated.
-        rate: of its samples in Hz; 0 for none.
-        inputs: topics with commands.
-        outputs: topics with samples.
-        unread: tags that it ignores.
-        refused: controllers that it could not load.
-    """
-
-    tag: PluginTag
-    acts: bool
-    rate: float = 0.0
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-    unread: tuple[str, ...] = ()
-    refused: tuple[str, ...] = ()
-
-
-def survey(instance: ModelInstance) -> tuple[PluginSurvey, ...]:
-    """Return a survey of the model's plugins, in the order of their tags."""
-    acting = {id(plugin.mount.plugin): plugin for plugin in instance.plugins}
-    found = []
-    for tag in instance.model.plugins:
-        plugin = acting.get(id(tag))
-        if plugin is None:
-            found.append(PluginSurvey(tag, False))
-            continue
-        rate = 0.0 if plugin.schedule is None else 1.0 / plugin.schedule.period
-        inputs = tuple(entry.topic for entry in plugin.inputs)
-        outputs = tuple(dict.fromkeys(entry.topic for entry in plugin.outputs))
-        unread, refused = plugin.mount.unread_tags(), tuple(plugin.refused.values())
-        found.append(PluginSurvey(tag, True, rate, inputs, outputs, unread, refused))
-    return tuple(found)
 
 
 def bounds(instance: ModelInstance) -> tuple[Vector, Vector]:

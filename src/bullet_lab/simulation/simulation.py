@@ -26,7 +26,7 @@ from bullet_lab.core.pose import Pose, Vector, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.forces import Forces
-from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose
+from bullet_lab.simulation.models import ModelInstance, SimulationError, check_pose, find_model
 from bullet_lab.simulation.physics.attached_frame import shape_name
 from bullet_lab.simulation.physics.bodies import Body
 from bullet_lab.simulation.physics.physics import Physics
@@ -189,8 +189,8 @@ class Simulation:
         return instance
 
     def remove(self, name: str) -> None:
-        """Take a model out of the world; raises SimulationError for an unknown name."""
-        instance = self._instance(name)
+        """Take a model out of the world; raises EntityError for an unknown name."""
+        instance = find_model(self.models, name)
         del self.models[name]
         self._physics.remove(instance.bodies)
         self.forces.clear(target=(instance,))
@@ -199,34 +199,25 @@ class Simulation:
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
-    def _instance(self, name: str) -> ModelInstance:
-        if name not in self.models:
-            raise SimulationError(f"there is no model '{name}'")
-        return self.models[name]
-
     def contacts(self, name: str) -> set[str]:
         """Return the names of the models that a model touched in the last step.
 
-        A robot on the floor touches the floor.
-
-        Raises:
-            SimulationError: there is no such model.
+        A robot on the floor touches the floor. Raises EntityError for an unknown name.
         """
-        bodies = self._instance(name).bodies.values()
-        points = [point for body in bodies for point in body.touching_points()]
-        return {self._bodies[point[2]].model for point in points} - {name}
+        return {other for _, other, _, _ in self.touches(name)}
 
-    def touches(self, name: str) -> Iterator[tuple[str, str, float]]:
-        """Yield a model's contacts in the last step: its own link, and the other's model::link.
+    def touches(self, name: str) -> Iterator[tuple[str, str, str, float]]:
+        """Yield a model's contacts in the last step: its link, the other model and its link.
 
-        The third value is the z of the unit normal towards the model: 1 on level ground.
+        The last value is the z of the unit normal towards the model: 1 on level ground. Raises
+        EntityError for an unknown name.
         """
-        for body in self.models[name].bodies.values():
+        for body in find_model(self.models, name).bodies.values():
             for _, _, second, index, other_index, _, _, normal, *_ in body.touching_points():
                 other = self._bodies[second]
                 if other.model != name:
-                    touched = f"{other.model}::{other.link_at(other_index).link.name}"
-                    yield body.link_at(index).link.name, touched, normal[2]
+                    ends = body.link_at(index), other.link_at(other_index)
+                    yield ends[0].link.name, other.model, ends[1].link.name, normal[2]
 
     def shape_name(self, unique_id: int, index: int, place: Vector) -> str:
         """Return the full name of the shape at a place (m) on a link of a body."""

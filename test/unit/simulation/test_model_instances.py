@@ -85,7 +85,7 @@ def test_models_links_and_merged_links_are_found(space, robot):
     }
     for name, place in expected.items():
         assert close(find_entity(space.models, name).state().pose, TILTED * place), name
-    assert find_link(space.models, "left::tool").link == "upper"
+    assert find_link(space.models, "left::tool").frame.link == "upper"
 
 
 def test_a_name_that_several_models_have_must_be_scoped(space, robot):

@@ -36,8 +36,8 @@ from bullet_lab.ros.messages.poses import InputError
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
-from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.motion_sensors import Imu
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import ImageSample

@@ -12,7 +12,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List
+from typing import Any, Callable, Dict, Iterator, List, Optional
 
 import numpy as np
 import rospy
@@ -40,16 +40,16 @@ from bullet_lab.ros.messages.poses import (
 from bullet_lab.simulation.models import (
     Entity,
     ModelInstance,
-    PluginSurvey,
     bounds,
     find_model,
     link_entities,
     model_entity,
-    survey,
 )
+from bullet_lab.simulation.plugins import Plugin
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import take_picture
 from bullet_lab.simulation.video import overview
+from bullet_lab.simulation.world.description import PluginTag
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.srv import DescribeModels, SaveWorld
 
@@ -162,7 +162,7 @@ def _model(instance: ModelInstance) -> Dict[str, Entity]:
 
 
 def _links(instance: ModelInstance) -> Dict[str, Entity]:
-    return {f"{instance.name}::{link.link}": link for link in link_entities(instance)}
+    return {f"{instance.name}::{link.frame.link}": link for link in link_entities(instance)}
 
 
 class _Performance:
@@ -198,7 +198,7 @@ class _Performance:
                 tag = plugin.mount.plugin
                 if tag.sensor is None or plugin.schedule is None:
                     continue
-                link = instance.keeper(tag.link) or instance.model.canonical_link().name
+                link = instance.frame(tag.link or None).link
                 name = f"{world}::{instance.name}::{link}::{tag.sensor.get('name', '')}"
                 rate = 1.0 / plugin.schedule.period
                 drawn = any(output.wanted for output in plugin.outputs)
@@ -251,6 +251,7 @@ class ModelDescriptions:
         for instance in [find_model(models, name)] if name else models.values():
             model = instance.model
             least, greatest = bounds(instance)
+            acting = {id(plugin.mount.plugin): plugin for plugin in instance.plugins}
             touches = list(simulation.touches(model.name))
             description = ModelDescription(
                 name=model.name,
@@ -258,28 +259,28 @@ class ModelDescriptions:
                 of_world_file=model.name in of_world_file,
                 links=[link.name for link in model.own_links()],
                 joints=[joint.name for joint in model.joints],
-                plugins=[_described_plugin(one) for one in survey(instance)],
+                plugins=[_described_plugin(tag, acting.get(id(tag))) for tag in model.plugins],
                 least=Point(*least),
                 greatest=Point(*greatest),
-                stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
-                touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
+                stands_on=sorted({own for own, _, _, up in touches if up > STEEPEST}),
+                touches=sorted({f"{m}::{link}" for _, m, link, up in touches if up <= STEEPEST}),
             )
             descriptions.append(description)
         return descriptions
 
 
-def _described_plugin(plugin: PluginSurvey) -> PluginDescription:
-    return PluginDescription(
-        name=plugin.tag.name,
-        filename=plugin.tag.filename,
-        link=plugin.tag.link,
-        acts=plugin.acts,
-        rate=plugin.rate,
-        inputs=[rospy.resolve_name(topic) for topic in plugin.inputs],
-        outputs=[rospy.resolve_name(topic) for topic in plugin.outputs],
-        tags_not_simulated=plugin.unread,
-        refused=plugin.refused,
-    )
+def _described_plugin(tag: PluginTag, plugin: Optional[Plugin]) -> PluginDescription:
+    """Describe a `<plugin>` tag, and the plugin that simulates it, if one does."""
+    described = PluginDescription(name=tag.name, filename=tag.filename, link=tag.link)
+    if plugin is not None:
+        described.acts = True
+        described.rate = 0.0 if plugin.schedule is None else 1.0 / plugin.schedule.period
+        described.inputs = [rospy.resolve_name(entry.topic) for entry in plugin.inputs]
+        topics = dict.fromkeys(entry.topic for entry in plugin.outputs)
+        described.outputs = [rospy.resolve_name(topic) for topic in topics]
+        described.tags_not_simulated = plugin.mount.unread_tags()
+        described.refused = tuple(plugin.refused.values())
+    return described
 
 
 def offer_all(

@@ -206,7 +206,7 @@ def _apply_wrench(world: RunningWorld, request: Any) -> None:
 
 def _clear_wrenches(world: RunningWorld, request: Any) -> None:
     link = find_link(world.models, request.body_name)
-    world.simulation.forces.clear(Wrench, (link.instance, link.link))
+    world.simulation.forces.clear(Wrench, (link.instance, link.frame.link))
 
 
 def _apply_effort(world: RunningWorld, request: Any) -> None:
@@ -257,7 +257,7 @@ def _set_joint_properties(world: RunningWorld, request: Any) -> Answer:
 def _link_properties(world: RunningWorld, request: Any) -> Answer:
     link = find_link(world.models, request.link_name)
     model = link.instance.model
-    description = model.links_by_name()[link.link]
+    description = model.links_by_name()[link.frame.link]
     inertia = description.inertia
     if inertia is None:
         return {"com": pose_message(Pose())}
@@ -273,7 +273,7 @@ def _set_link_properties(world: RunningWorld, request: Any) -> None:
     if not all(map(math.isfinite, (request.mass, *elements.values()))):
         raise InputError("mass or inertia is not finite")
     centre = vector_of(request.com.position, "the centre of mass")
-    before = link.instance.model.links_by_name()[link.link].inertia
+    before = link.instance.model.links_by_name()[link.frame.link].inertia
     pose = Pose(centre, Pose.quaternion if before is None else before.axes)
     inertia = inertia_at(pose, request.mass, **elements)
     change_link(link, inertia, request.gravity_mode)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from typing import Iterable, Sequence
 
@@ -94,9 +93,33 @@ class AttachedFrame:
         """Return the position of the link's centre of mass in the world, in m."""
         return self._principal_pose().position
 
-    def rays(self, directions: np.ndarray) -> Rays:
-        """Return rays from the frame's origin along unit vectors in the frame, shape (n, 3)."""
-        return Rays(self.body, self.index, self._in_principal, directions)
+    def ends(self, directions: np.ndarray, distance: float) -> np.ndarray:
+        """Return the points at a distance (m) from the origin, in the axes that `hits` wants.
+
+        `directions` are unit vectors in the frame; both are of shape (n, 3).
+        """
+        frame = self._in_principal
+        return np.array(frame.position) + distance * (directions @ frame.rotation_matrix().T)
+
+    def hits(self, starts: list, ends: list) -> tuple[np.ndarray, np.ndarray]:
+        """Cast rays between points of `ends`; one does not see a shape that contains its start.
+
+        Returns:
+            Where each ray hits, as a share of its way, 1 without a hit, and the unique id of the
+            body there, -1 without a hit; each of shape (n,).
+        """
+        found: list = []
+        for first in range(0, len(starts), RAYS_AT_A_TIME):
+            part = slice(first, first + RAYS_AT_A_TIME)
+            found += pybullet.rayTestBatch(
+                starts[part],
+                ends[part],
+                numThreads=1,
+                parentObjectUniqueId=self.body.unique_id,
+                parentLinkIndex=self.index,
+                physicsClientId=self.body.client,
+            )
+        return np.array([hit[2] for hit in found]), np.array([hit[0] for hit in found])
 
     def contact_points(self) -> list[ContactPoint]:
         """Return the contact points of the link."""
@@ -114,54 +137,6 @@ class AttachedFrame:
 
     def _principal_pose(self) -> Pose:
         return Pose(*self.body.link_place(self.index))
-
-
-class Rays:
-    """Rays that start in one point of a link and move with it.
-
-    A ray does not see a shape that contains its start.
-    """
-
-    def __init__(self, body: Body, index: int, frame: Pose, directions: np.ndarray):
-        self._body = body
-        self._index = index
-        self._origin = np.array(frame.position)
-        self._directions = directions @ frame.rotation_matrix().T
-        self._limits: tuple[float, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self._directions)
-
-    def select(self, chosen: np.ndarray) -> Rays:
-        """Return the chosen rays: an array of indices, or of bool."""
-        rays = copy(self)
-        rays._directions, rays._limits = self._directions[chosen], ()
-        return rays
-
-    def cast(self, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Cast the rays between two distances (m) from their origin.
-
-        Returns:
-            Distances in m, `end` without a hit, and unique ids of the bodies that were hit, -1
-            without a hit; each of shape (n,).
-        """
-        if (start, end) != self._limits:
-            self._limits = (start, end)
-            self._starts = (self._origin + start * self._directions).tolist()
-            self._ends = (self._origin + end * self._directions).tolist()
-        hits: list = []
-        for first in range(0, len(self), RAYS_AT_A_TIME):
-            part = slice(first, first + RAYS_AT_A_TIME)
-            hits += pybullet.rayTestBatch(
-                self._starts[part],
-                self._ends[part],
-                numThreads=1,
-                parentObjectUniqueId=self._body.unique_id,
-                parentLinkIndex=self._index,
-                physicsClientId=self._body.client,
-            )
-        fractions = np.array([hit[2] for hit in hits])
-        return start + (end - start) * fractions, np.array([hit[0] for hit in hits])
 
 
 def _seen_from(point: tuple, end: int) -> ContactPoint:

@@ -5,8 +5,7 @@ Each `Physics` has a client of its own, so several simulations can live in one p
 PyBullet's limits: 16 shapes in one call; a mesh by its corners alone; one friction and softness
 for a link. So a link carries the first such group of its shapes, and helper links without mass,
 fixed to it, carry one more group each. PyBullet frees shapes only with the whole world, so equal
-shapes are made once. PyBullet also keeps 0.8 kB or more of each removed body; so the last removed
-static bodies wait far away, for models that come back.
+shapes are made once.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ from bullet_lab.simulation.world.shapes import (
     hull_corners,
     triangle_corners,
 )
-from bullet_lab.simulation.world.tree import FARTHEST, FASTEST, top_down
+from bullet_lab.simulation.world.tree import FASTEST, top_down
 
 STEP_SECONDS = 1e-3
 # PyBullet's limit of shapes in one call.
@@ -91,11 +90,6 @@ KEPT_CONTACTS = 0.1
 MESH_MARGIN = 1e-4
 # Bullet's collision group and mask of static links: they touch everything but each other.
 STATIC_FILTER = (2, ~2)
-# The same of removed bodies: nothing touches them, and no ray meets them.
-REMOVED_FILTER = (0, 0)
-REMOVED_PLACE: Vector = (0.0, 0.0, -FARTHEST)
-# Removed bodies that are kept: each takes 0.3 us of a step, which takes 5 us for a small robot.
-KEPT_BODIES = 6
 
 
 class ShapeMaker:
@@ -192,16 +186,15 @@ class Physics:
         self.step = partial(pybullet.stepSimulation, self.client)
         self.set_gravity(gravity)
         pybullet.setTimeStep(STEP_SECONDS, self.client)
-        self._set_engine(
+        pybullet.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1,
             # Without cones, friction has a limit along each of two axes of the world, as in ODE.
             enableConeFriction=int(coulomb),
             contactBreakingThreshold=KEPT_CONTACTS,
+            physicsClientId=self.client,
         )
         self._shapes = ShapeMaker(self.client)
         self.bodies: dict[int, Body] = {}
-        # The kinds of removed bodies that are kept, by their ids, the oldest first.
-        self._removed: dict[int, Hashable] = {}
 
     def close(self) -> None:
         """Disconnect from PyBullet; the object cannot be used afterwards."""
@@ -217,18 +210,15 @@ class Physics:
         """Make the bodies of a model at its pose; return them by the names of their root links.
 
         Raises:
-            PhysicsError: a moving link has no mass, a body has too many links, or PyBullet
-                refuses it.
+            PhysicsError: a body has too many links, or PyBullet refuses it.
             MeshError: a mesh is not usable.
         """
         bodies: dict[str, Body] = {}
         try:
             for root in model.root_links():
                 bodies[root.name] = self._add_tree(model, root)
-        except LabError as error:
+        except LabError:
             self.remove(bodies)
-            if isinstance(error, PhysicsError):
-                raise PhysicsError(f"model '{model.name}': {error}") from error
             raise
         return bodies
 
@@ -236,19 +226,7 @@ class Physics:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
             del self.bodies[body.unique_id]
-            kind = _kind(body.bullet_links)
-            if kind is None:
-                pybullet.removeBody(body.unique_id, self.client)
-            else:
-                self._place(body.unique_id, Pose(REMOVED_PLACE), REMOVED_FILTER)
-                self._removed[body.unique_id] = kind
-        while len(self._removed) > KEPT_BODIES:
-            oldest = next(iter(self._removed))
-            del self._removed[oldest]
-            pybullet.removeBody(oldest, self.client)
-        for body in self.bodies.values():
-            if body.traction is not None:
-                body.traction.forget_others()
+            pybullet.removeBody(body.unique_id, self.client)
 
     def _add_tree(self, model: Model, root: Link) -> Body:
         by_name = model.links_by_name()
@@ -259,9 +237,6 @@ class Physics:
         # is that of its root link.
         held = len(links) if model.static else int(root.anchored)
         links[:held] = [replace(link, inertia=None) for link in links[:held]]
-        for link in links[held:]:
-            if link.inertia is None or link.inertia.mass == 0.0:
-                raise PhysicsError(f"link '{link.name}' moves and has no mass")
         pose = model.pose * root.pose
         skidding = [] if held else skidding_wheels(links, joints)
         slipping = skidding if self._coulomb or held else directed_wheels(links, joints)
@@ -271,7 +246,13 @@ class Physics:
         if not model.static:
             skids = set() if self._coulomb else {wheel.link for wheel in skidding}
             footing = Footing.of(links, joints, skids)
-        body = self._make(links, joints, model.static, pose, footing)
+        try:
+            with hidden_native_output():
+                made = self._bullet_links(links, joints, model.static, footing)
+                body = self._made(made, model, pose)
+        except pybullet.error as error:
+            what = f"model '{model.name}': PyBullet cannot make it: {error}"
+            raise PhysicsError(what) from error
         body.model = model.name
         self.bodies[body.unique_id] = body
         if slipping:
@@ -281,34 +262,15 @@ class Physics:
         body.place(pose)
         return body
 
-    def _set_engine(self, **parameters: float) -> None:
-        pybullet.setPhysicsEngineParameter(**parameters, physicsClientId=self.client)
-
-    @hidden_native_output()
-    def _make(
-        self,
-        links: Sequence[Link],
-        joints: Sequence[Joint],
-        static: bool,
-        pose: Pose,
-        footing: Footing,
-    ) -> Body:
-        """Make a body of links, the root first, and each link after its parent.
-
-        The meshes of a static body keep their hollows. `pose` is that of the root link's frame.
-        """
-        try:
-            made = self._bullet_links(links, joints, static, footing)
-            if len(made) - 1 > MOST_LINKS:
-                need = f"its joints and shapes need {len(made) - 1} links beside the root"
-                raise PhysicsError(f"{need}; the engine allows {MOST_LINKS}")
-            body = self._restored(_kind(made), pose)
-            if body is None:
-                body = self._create(made, pose)
-            self._set_dynamics(body, made, static)
-        except pybullet.error as error:
-            raise PhysicsError(f"PyBullet cannot make it: {error}") from error
-        return Body(self.client, body, made)
+    def _made(self, links: Sequence[BulletLink], model: Model, pose: Pose) -> Body:
+        """Make a body of a model at a pose of its root link's frame."""
+        if len(links) - 1 > MOST_LINKS:
+            need = f"its joints and shapes need {len(links) - 1} links beside the root"
+            what = f"model '{model.name}': {need}; the engine allows {MOST_LINKS}"
+            raise PhysicsError(what)
+        body = self._create(links, pose)
+        self._set_dynamics(body, links, model.static)
+        return Body(self.client, body, links)
 
     def _bullet_links(
         self,
@@ -317,7 +279,10 @@ class Physics:
         static: bool,
         footing: Footing,
     ) -> list[BulletLink]:
-        """Return PyBullet's links, all helpers last."""
+        """Return PyBullet's links, the root first, each after its parent, and all helpers last.
+
+        The meshes of a static body keep their hollows.
+        """
         above = {joint.child: joint for joint in joints}
         places = {link.name: place for place, link in enumerate(links)}
         found, helpers = [], []
@@ -329,20 +294,6 @@ class Physics:
             found.append(BulletLink(link, joint, parent, *first, origin))
             helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]
         return found + helpers
-
-    def _restored(self, kind: Hashable | None, pose: Pose) -> int | None:
-        """Return a removed body of a kind, now at a pose; None if there is none."""
-        for body, removed in self._removed.items():
-            if removed == kind:
-                del self._removed[body]
-                self._place(body, pose, STATIC_FILTER)
-                return body
-        return None
-
-    def _place(self, body: int, pose: Pose, groups: tuple[int, int]) -> None:
-        pybullet.resetBasePositionAndOrientation(body, *astuple(pose), physicsClientId=self.client)
-        # This also drops the contacts of the place before.
-        pybullet.setCollisionFilterGroupMask(body, ROOT, *groups, self.client)
 
     def _create(self, links: Sequence[BulletLink], pose: Pose) -> int:
         (mass, _, centre), *masses = [link.mass_properties() for link in links]
@@ -386,15 +337,6 @@ class Physics:
             change(index, localInertiaDiagonal=moments, **surface, **joint)
             if static and index > ROOT:
                 pybullet.setCollisionFilterGroupMask(body, index, *STATIC_FILTER, self.client)
-
-
-def _kind(links: Sequence[BulletLink]) -> Hashable | None:
-    """Return what bodies that can replace each other share; None for those that no other can.
-
-    Only bodies with one link that does not move can be replaced.
-    """
-    root = links[0]
-    return (root.shape, root.surface) if len(links) == 1 and root.link.inertia is None else None
 
 
 def _set_self_collisions(body: Body) -> None:

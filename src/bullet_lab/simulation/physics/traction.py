@@ -223,7 +223,7 @@ class Traction:
             pybullet.changeDynamics(
                 body.unique_id, index, lateralFriction=0.0, physicsClientId=body.client
             )
-        self._partners: dict[tuple[int, int, int], Partner] = {}
+        self._partners: dict[tuple[int, Body, int], Partner] = {}
         self._points_are_valid = False
         indices = [wheel.index for wheel in self._wheels]
         self._states = partial(pybullet.getLinkStates, body.unique_id, indices, 1, 0, body.client)
@@ -239,10 +239,6 @@ class Traction:
         gains = (STEPS_PER_SECOND / np.abs(mobility).sum(axis=1)).tolist()
         for wheel, along, across in zip(self._wheels, gains[::2], gains[1::2]):
             wheel.gains = (along, across)
-
-    def forget_others(self) -> None:
-        """Forget the properties of other bodies: one was removed, and its id may come back."""
-        self._partners.clear()
 
     def reset(self) -> None:
         """Start without friction after the body was placed somewhere."""
@@ -320,14 +316,13 @@ class Traction:
                 other.push_at(index, (-force[0], -force[1], -force[2]), place)
 
     def _partner(self, point: tuple) -> Partner:
-        key = (point[3], point[2], point[4])
+        key = (point[3], self._others[point[2]], point[4])
         partner = self._partners.get(key)
         if partner is None:
             partner = self._partners[key] = self._new_partner(*key)
         return partner
 
-    def _new_partner(self, index: int, unique_id: int, other_index: int) -> Partner:
-        other = self._others[unique_id]
+    def _new_partner(self, index: int, other: Body, other_index: int) -> Partner:
         own, theirs = self._body.link_at(index).surface, other.link_at(other_index).surface
         # The axis of a wheel's surface with two coefficients is its axle.
         along = min(own.across * own.friction, theirs.friction)

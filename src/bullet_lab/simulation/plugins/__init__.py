@@ -22,7 +22,7 @@ from zlib import crc32
 import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.core.schedule import Schedule, ScheduleError
+from bullet_lab.core.schedule import Schedule
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.attached_frame import ORIGIN, AttachedFrame
 from bullet_lab.simulation.physics.bodies import Body
@@ -116,12 +116,6 @@ class Mount(TagReader):
         """Return the tags that the plugin has not read, without those that have no effect."""
         return tuple(tag for tag in self.plugin.tags if tag not in self._read | QUIET_TAGS)
 
-    def schedule(
-        self, tag: str, default: float, kind: Callable[[float], Schedule] = Schedule
-    ) -> Schedule:
-        """Return the schedule for the rate (Hz, 0: every step) in a tag; raises LabError."""
-        return _schedule(self, tag, default, kind)
-
     def topic(self, name: str) -> str:
         """Return a topic's name within the plugin's namespace; raises PluginError if invalid."""
         absolute = name.startswith("/") or not self.namespace
@@ -171,16 +165,6 @@ class Mount(TagReader):
             raise PluginError(f"{self.name()} needs a model that can move, but it is static")
 
 
-def _schedule(
-    tags: TagReader, key: str, default: float, kind: Callable[[float], Schedule] = Schedule
-) -> Schedule:
-    try:
-        return kind(tags.number(key, default))
-    except ScheduleError as error:
-        tags.doubt(PluginError(f"{tags.where(key)}: {error}"))
-        return kind(default)
-
-
 class SensorTag(ElementReader):
     """The `<sensor>` element around a plugin, which URDF and SDF share.
 
@@ -214,13 +198,9 @@ class SensorTag(ElementReader):
         link = self._mount.plugin.link or self._mount.model.canonical_link().name
         return self._mount.attached(link, self.pose() * offset)
 
-    def schedule(self, tag: str = "", default: float = 0.0) -> Schedule:
-        """Return the schedule for the sensor's update_rate (Hz, 0: every step).
-
-        If a tag of the plugin is named, the slower of the two rates counts.
-        """
-        own = _schedule(self, "update_rate", 0.0)
-        other = self._mount.schedule(tag, default) if tag else own
+    def slower(self, tag: str, default: float) -> Schedule:
+        """Return the slower of the schedules for the sensor's update_rate and a plugin's tag."""
+        own, other = self.schedule("update_rate", 0.0), self._mount.schedule(tag, default)
         return max(other, own, key=lambda schedule: schedule.period)
 
 

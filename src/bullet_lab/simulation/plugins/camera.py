@@ -18,7 +18,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
-from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError, check_samples
+from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError
 from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 
 LOG = logging.getLogger(__name__)
@@ -74,7 +74,6 @@ class CameraSettings:
         """Raise RendererError for a number that is not finite or out of its range."""
         if not all(map(math.isfinite, astuple(self))):
             raise RendererError("a camera setting is not finite")
-        check_samples(self.samples)
         if min(self.exposure, self.blur, self.noise_stddev) < 0.0:
             raise RendererError("exposure, blur and noise_stddev must not be negative")
         if abs(self.noise_mean) > 1.0 or self.noise_stddev > 1.0:
@@ -334,7 +333,7 @@ def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
     asked = tag.number("camera/image/anti_aliasing", CameraSettings.samples)
     default = max(number for number in SAMPLES if number <= max(asked, SAMPLES[0]))
     samples = mount.number("samples", default)
-    # `CameraSettings` refuses all numbers that are not among SAMPLES.
+    # `Shot` refuses all numbers that are not among SAMPLES.
     return CameraSettings(int(samples) if samples in SAMPLES else samples, **given)
 
 

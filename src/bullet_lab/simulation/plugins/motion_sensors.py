@@ -61,29 +61,21 @@ class Accelerometer:
         return tuple((now - then) / seconds for now, then in zip(velocity, before))
 
 
-class AxisNoise:
-    """Noise of three axes by SDF's `<imu>`: gaussian with a mean, and a constant bias.
+def _axis_noise(mount: Mount, tag: SensorTag, quantity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the constant errors of three axes by SDF's `<imu>`, and the deviations of others.
 
     `quantity` is one of QUANTITIES.
     """
-
-    def __init__(self, mount: Mount, tag: SensorTag, quantity: str):
-        paths = [f"imu/{quantity}/{axis}/noise" for axis in AXES]
-        self.deviations = np.array([tag.coefficient(f"{path}/stddev", 0.0) for path in paths])
-        random = mount.noise(f"/{quantity}").at(0)
-        self._offsets = np.array([self._offset(tag, path, random) for path in paths])
-
-    def draw(self, random: np.random.Generator) -> np.ndarray:
-        """Return errors of the three axes."""
-        return self._offsets + random.normal(size=3) * self.deviations
-
-    @staticmethod
-    def _offset(tag: SensorTag, path: str, random: np.random.Generator) -> float:
-        deviation = tag.coefficient(f"{path}/bias_stddev", 0.0)
-        bias = random.normal(tag.number(f"{path}/bias_mean", 0.0), deviation)
+    random = mount.noise(f"/{quantity}").at(0)
+    offsets, deviations = [], []
+    for path in (f"imu/{quantity}/{axis}/noise" for axis in AXES):
+        spread = tag.coefficient(f"{path}/bias_stddev", 0.0)
+        bias = random.normal(tag.number(f"{path}/bias_mean", 0.0), spread)
         # As in Gazebo, a bias is as likely to be negative.
         sign = 1.0 if random.random() < 0.5 else -1.0
-        return tag.number(f"{path}/mean", 0.0) + sign * bias
+        offsets.append(tag.number(f"{path}/mean", 0.0) + sign * bias)
+        deviations.append(tag.coefficient(f"{path}/stddev", 0.0))
+    return np.array(offsets), np.array(deviations)
 
 
 class InertialUnit(Sensor):
@@ -98,7 +90,7 @@ class InertialUnit(Sensor):
     Attributes:
         place: of the sensor.
         reference: the quaternion that turns the world's axes into those of the orientation.
-        axis_noise: noise by the index of a quantity in QUANTITIES.
+        axis_noise: constant errors and deviations by the index of a quantity in QUANTITIES.
     """
 
     feels_gravity: ClassVar[bool] = True
@@ -109,7 +101,7 @@ class InertialUnit(Sensor):
         super().__init__(mount, topic, ImuSample)
         self._frame = frame
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
-        self.axis_noise: dict[int, AxisNoise] = {}
+        self.axis_noise: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._accelerometer = Accelerometer()
         self._step = 0
 
@@ -145,9 +137,9 @@ class InertialUnit(Sensor):
             orientation = _turned(orientation, random.normal(0.0, self._deviation, 3))
             for reading in readings:
                 reading += random.normal(0.0, self._deviation, 3)
-        for index, noise in self.axis_noise.items():
-            readings[index] += noise.draw(random)
-            variances[index] += float(noise.deviations.max()) ** 2
+        for index, (offsets, deviations) in self.axis_noise.items():
+            readings[index] += offsets + random.normal(size=3) * deviations
+            variances[index] += float(deviations.max()) ** 2
         rate, force = (tuple(reading.tolist()) for reading in readings)
         return ImuSample(step, self._frame, orientation, rate, force, variance, *variances)
 
@@ -191,10 +183,10 @@ class ImuSensor(InertialUnit):
         self.place = tag.place(_offset(mount))
         if mount.boolean("initialOrientationAsReference", False):
             self.reference = self.place.pose().inverse().quaternion
-        self.schedule = tag.schedule("updateRateHZ", 1.0)
+        self.schedule = tag.slower("updateRateHZ", 1.0)
         for index, quantity in enumerate(QUANTITIES):
             if tag.element.find(f"imu/{quantity}") is not None:
-                self.axis_noise[index] = AxisNoise(mount, tag, quantity)
+                self.axis_noise[index] = _axis_noise(mount, tag, quantity)
 
 
 def _turned(quaternion: Quaternion, turn: np.ndarray) -> Quaternion:

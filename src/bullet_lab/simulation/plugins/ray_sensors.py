@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import re
 from collections import deque
-from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -36,26 +35,6 @@ LONGEST_MEMORY = 100
 ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
 
 
-@dataclass(frozen=True)
-class Angles:
-    """Angles in rad, evenly spaced from the least to the greatest, both included."""
-
-    least: float
-    greatest: float
-    number: int
-
-    @property
-    def increment(self) -> float:
-        """Angle between two neighbours in rad; 0 for a single one."""
-        return (self.greatest - self.least) / (self.number - 1) if self.number > 1 else 0.0
-
-    def all(self) -> np.ndarray:
-        """Return the angles, shape (number,); as in Gazebo, a single one is 0."""
-        if self.number == 1:
-            return np.zeros(1)
-        return np.linspace(self.least, self.greatest, self.number)
-
-
 class RayScan:
     """Casts the rays of a sensor from its origin.
 
@@ -63,26 +42,31 @@ class RayScan:
     it; a shape that contains the origin is always invisible.
 
     Attributes:
-        horizontal: angles of the rays about the sensor's z axis.
+        angles: of the rays about the sensor's z axis in rad: the least, the greatest, and the
+            increment from one to the next, 0 for a single one.
         least: least measured distance in m.
         greatest: greatest measured distance in m.
     """
 
     def __init__(self, mount: Mount, tag: SensorTag):
         self._own = np.array([body.unique_id for body in mount.bodies.values()])
-        self.horizontal = _angles(tag, "ray/scan/horizontal")
-        vertical = _angles(tag, "ray/scan/vertical")
-        if self.horizontal.number * vertical.number > MOST_RAYS:
+        self.angles, columns = _angles(tag, "ray/scan/horizontal")
+        vertical, rows = _angles(tag, "ray/scan/vertical")
+        if columns * rows > MOST_RAYS:
             raise PluginError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
         self.least = tag.coefficient("ray/range/min", 0.0)
         self.greatest = tag.coefficient("ray/range/max", 0.0)
         if self.greatest <= self.least:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
         self._mean, self._deviation = _noise(tag)
-        yaw, pitch = np.meshgrid(self.horizontal.all(), vertical.all())
+        yaw, pitch = np.meshgrid(_spread(self.angles, columns), _spread(vertical, rows))
         level = np.cos(pitch)
         directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
-        self._rays = tag.place().rays(directions.reshape(-1, 3))
+        self._place, directions = tag.place(), directions.reshape(-1, 3)
+        # The points of the rays at their origin, and at the least and the greatest distance.
+        distances = (0.0, self.least, self.greatest)
+        origins, self._near, self._far = (self._place.ends(directions, d) for d in distances)
+        self._whole = (origins.tolist(), self._far.tolist())
 
     def distances(self) -> np.ndarray:
         """Return exact distances in m, row by row from below, shape (rays,).
@@ -90,13 +74,16 @@ class RayScan:
         As in REP 117, they are +inf without a hit within the greatest range, and -inf for a hit
         within the least range that is not the robot itself.
         """
-        distances, bodies = self._rays.cast(0.0, self.greatest)
+        shares, bodies = self._place.hits(*self._whole)
+        distances = self.greatest * shares
         near = (bodies >= 0) & (distances <= self.least)
         if near.any():
             own = near & np.isin(bodies, self._own)
             distances[near] = -np.inf
             if own.any():
-                behind, _ = self._rays.select(own).cast(self.least, self.greatest)
+                ends = (points[own].tolist() for points in (self._near, self._far))
+                shares, _ = self._place.hits(*ends)
+                behind = self.least + (self.greatest - self.least) * shares
                 distances[own] = np.where(behind <= self.least, -np.inf, behind)
         distances[distances >= self.greatest] = np.inf
         return distances
@@ -113,18 +100,23 @@ class RayScan:
         return distances
 
 
-def _angles(tag: SensorTag, path: str) -> Angles:
+def _angles(tag: SensorTag, path: str) -> tuple[Vector, int]:
+    """Return the least and the greatest angle and their increment in rad, and their number."""
     samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
     resolution = tag.positive(f"{path}/resolution", 1.0)
     # As in Gazebo, there is at least one.
     number = max(1, round(samples * resolution))
-    if number > MOST_RAYS:
-        raise PluginError(f"{tag.where(f'{path}/resolution')}: {resolution:g} makes {number} rays")
     least = tag.number(f"{path}/min_angle", 0.0)
     greatest = tag.number(f"{path}/max_angle", 0.0)
     if greatest < least:
         raise PluginError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
-    return Angles(least, greatest, number)
+    increment = (greatest - least) / (number - 1) if number > 1 else 0.0
+    return (least, greatest, increment), number
+
+
+def _spread(angles: Vector, number: int) -> np.ndarray:
+    """Return evenly spaced angles, shape (number,); as in Gazebo, a single one is 0."""
+    return np.zeros(1) if number == 1 else np.linspace(*angles[:2], number)
 
 
 def _noise(tag: SensorTag) -> tuple[float, float]:
@@ -152,12 +144,12 @@ class Laser(Sensor):
         self._frame = mount.frame(mount.text("frameName", "/world"))
         super().__init__(mount, mount.text("topicName", "/world"), LaserSample)
         self._scanner = RayScan(mount, tag)
-        self.schedule = tag.schedule()
+        self.schedule = tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> LaserSample:
-        scanner, angles = self._scanner, self._scanner.horizontal
+        scanner = self._scanner
         ranges = scanner.measure(self._noise.at(step))
-        seen = (angles.least, angles.greatest, angles.increment, scanner.least, scanner.greatest)
+        seen = (*scanner.angles, scanner.least, scanner.greatest)
         return LaserSample(step, self._frame, *seen, ranges, np.zeros(len(ranges)))
 
 
@@ -178,7 +170,7 @@ class RangeSensor(Sensor):
         self._kind = (frame, infrared, mount.number("fov", 0.05))
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
         self._scanner = RayScan(mount, tag)
-        self.schedule = tag.schedule("updateRate")
+        self.schedule = tag.slower("updateRate", 0.0)
 
     def measure(self, step: int) -> RangeSample:
         least, greatest = self._scanner.least, self._scanner.greatest
@@ -206,7 +198,7 @@ class Bumper(Sensor):
         self._watched = _watched(mount, tag, self._place.link)
         self._frame = mount.frame(mount.text("frameName", "/world"))
         super().__init__(mount, mount.text("bumperTopicName", "bumper_states"), ContactsSample)
-        self.schedule = tag.schedule()
+        self.schedule = tag.schedule("update_rate", 0.0)
         self._steps: deque[list[ShapeContact]] = deque(maxlen=LONGEST_MEMORY)
 
     def before_step(self, step: int) -> None:
@@ -237,23 +229,15 @@ class Bumper(Sensor):
                 second = name(*point.other, point.place_on_other)
                 pairs.setdefault((first, second), []).append(point)
         centre = self._place.centre_of_mass()
-        return [_contact(step, *names, points, centre) for names, points in pairs.items()]
-
-
-def _contact(
-    step: int, first: str, second: str, points: list[ContactPoint], centre: Vector
-) -> ShapeContact:
-    """Return the contact of two shapes; torques are about `centre`, in the world."""
-    return ShapeContact(
-        step,
-        first,
-        second,
-        tuple(point.force for point in points),
-        tuple(cross(subtract(point.place, centre), point.force) for point in points),
-        tuple(point.place for point in points),
-        tuple(point.normal for point in points),
-        tuple(point.depth for point in points),
-    )
+        contacts = []
+        for names, points in pairs.items():
+            arms = (subtract(point.place, centre) for point in points)
+            torques = tuple(cross(arm, point.force) for arm, point in zip(arms, points))
+            forces, places, normals, depths = zip(
+                *((point.force, point.place, point.normal, point.depth) for point in points)
+            )
+            contacts.append(ShapeContact(step, *names, forces, torques, places, normals, depths))
+        return contacts
 
 
 def _watched(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:

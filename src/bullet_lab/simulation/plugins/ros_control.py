@@ -9,13 +9,13 @@ from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.plugins import Input, Mount, Plugin
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller
-from bullet_lab.simulation.plugins.controllers.description import (
-    ControlError,
-    ControlParameters,
-    RobotDescription,
+from bullet_lab.simulation.plugins.controllers.joints import (
+    JointHandle,
+    described_joints,
+    joint_handles,
 )
-from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, joint_handles
 from bullet_lab.simulation.plugins.samples import Stop
 
 LOG = logging.getLogger(__name__)
@@ -77,9 +77,8 @@ class RosControl(Plugin):
             XmlError: the description is invalid.
         """
         where = f"model '{self.mount.model.name}': {self.description}"
-        description = RobotDescription.read(urdf, where)
         given = ControlParameters(parameters, self.namespace.rstrip("/"))
-        joints = joint_handles(self.mount.bodies, description, given)
+        joints = joint_handles(self.mount.bodies, described_joints(urdf, where), given)
         self.manager = ControllerManager(joints, self.namespace, self._period, self._step)
         return self.manager
 
@@ -187,7 +186,7 @@ class ControllerManager:
             for controller in running:
                 controller.update(step, seconds)
         for joint in self.joints.values():
-            joint.write(STEP_SECONDS, stopped)
+            joint.write(stopped)
 
     def _read(self) -> None:
         for joint in self.joints.values():

@@ -32,8 +32,8 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.mesh_parts import Part, Report, mesh_parts
-from bullet_lab.simulation.world.meshes import file_version, read_bytes
+from bullet_lab.simulation.world.mesh_parts import Report, mesh_parts
+from bullet_lab.simulation.world.meshes import file_version, flat_normals, read_bytes, unit
 from bullet_lab.simulation.world.xml import ReportOnce
 
 LOG = logging.getLogger(__name__)
@@ -149,7 +149,8 @@ def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> list[Surfac
     `report` gets a line for each missing file.
     """
     if isinstance(geometry, Mesh):
-        return [_part(part) for part in mesh_parts(geometry, report)]
+        parts = mesh_parts(geometry, report)
+        return [Surface(p.corners, p.normals, p.picture, p.material) for p in parts]
     return [SURFACES[type(geometry)](geometry)]
 
 
@@ -178,7 +179,7 @@ def _cylinder(cylinder: Cylinder) -> Surface:
     turns = _turns(np.where(middle, np.nan, np.arctan2(x, y)))
     picture = np.stack((turns, 0.5 - z / cylinder.length), axis=2)
     picture[middle] = (0.0, 1.0)
-    return replace(surface, normals=_unit(round_), picture=picture)
+    return replace(surface, normals=unit(round_), picture=picture)
 
 
 def _sphere(sphere: Sphere) -> Surface:
@@ -191,7 +192,7 @@ def _sphere(sphere: Sphere) -> Surface:
     at_pole = np.hypot(x, z) < 1e-6
     turns = _turns(np.where(at_pole, np.nan, np.arctan2(x, z)))
     height = 1.0 - np.arccos(np.clip(y, -1.0, 1.0)) / np.pi
-    return Surface(corners, _unit(corners), np.stack((turns, height), axis=2))
+    return Surface(corners, unit(corners), np.stack((turns, height), axis=2))
 
 
 def _turns(angles: np.ndarray) -> np.ndarray:
@@ -224,30 +225,9 @@ SURFACES: dict[type, Callable[[Any], Surface]] = {
 }
 
 
-def _part(part: Part) -> Surface:
-    normals, picture, order = flat(part.corners).normals, part.picture, slice(None)
-    if part.normals is not None:
-        # A missing normal is replaced by that of the triangle.
-        lengths = np.linalg.norm(part.normals, axis=-1, keepdims=True)
-        given = _unit(np.where(lengths > 1e-9, part.normals, normals))
-        outward = np.median(np.sum(normals * given, axis=-1))
-        # Mirrored, or with the corners in the other order: the given normals point outwards.
-        order = slice(None, None, -1 if outward < 0.0 else 1)
-        normals = given[:, order]
-    picture = None if picture is None else picture[:, order]
-    return Surface(part.corners[:, order], normals, picture, part.look)
-
-
 def flat(corners: np.ndarray) -> Surface:
     """Return triangles whose corners have the normal of the triangle."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return Surface(corners, np.repeat(_unit(normals)[:, None], 3, axis=1))
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors with length 1; zero vectors become (0, 0, 1)."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.where(lengths > 0.0, vectors / np.where(lengths > 0.0, lengths, 1.0), (0.0, 0.0, 1.0))
+    return Surface(corners, flat_normals(corners))
 
 
 class LoadedTexture:

@@ -11,6 +11,7 @@ import importlib.util
 import logging
 import os
 import threading
+from pathlib import Path
 from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
@@ -55,22 +56,6 @@ KEPT_PROGRAMS = 64
 OVERRIDE = 100
 # Major and minor version of the programs' language; Debian 11's llvmpipe has no more.
 GLSL = (1, 40)
-DEPTH_VERTEX = """#version 140
-uniform mat4 p3d_ModelViewProjectionMatrix;
-in vec4 p3d_Vertex;
-
-void main() {
-  gl_Position = p3d_ModelViewProjectionMatrix * p3d_Vertex;
-}
-"""
-# The distance along the view, by which a projection divides. Shadow maps do not use it.
-DEPTH_FRAGMENT = """#version 140
-out vec4 depth;
-
-void main() {
-  depth = vec4(1.0 / gl_FragCoord.w);
-}
-"""
 NO_DRIVER = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
 # Values of the parameter `renderer`; Panda3D draws for all of them.
 AUTO = "auto"
@@ -79,6 +64,11 @@ CHOICES = (AUTO, "egl", "tiny")
 
 class RendererError(LabError):
     """A picture cannot be drawn."""
+
+
+def program_text(file: str) -> str:
+    """Return a GLSL program beside this module."""
+    return Path(__file__).with_name(file).read_text()
 
 
 def check_samples(samples: float) -> None:
@@ -148,7 +138,7 @@ class Graphics:
         core = panda3d()
         make = functools.partial(core.Shader.make, core.Shader.SL_GLSL)
         self.program = functools.lru_cache(maxsize=KEPT_PROGRAMS)(make)
-        self.depth_program = self.program(DEPTH_VERTEX, DEPTH_FRAGMENT)
+        self.depth_program = self.program(program_text("depth.vert"), program_text("depth.frag"))
         self._lock = threading.Lock()
         self._kept: dict[tuple[int, int, int], Canvas] = {}
         try:

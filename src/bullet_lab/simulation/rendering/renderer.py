@@ -6,7 +6,7 @@ import math
 import weakref
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Mapping
+from typing import Any, Mapping
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from bullet_lab.simulation.rendering.graphics import (
     DEPTHS,
     SAMPLES,
     Canvas,
-    Graphics,
     RendererError,
     check_samples,
     panda3d,
@@ -82,7 +81,8 @@ class _LinkNode:
     """The node of a link, with its drawable."""
 
     def __init__(self, root: Any, frame: AttachedFrame, drawable: Drawable):
-        self._frame, self._drawable, self._pose = frame, drawable, Pose()
+        self._frame, self._drawable = frame, drawable
+        self._pose: Pose | None = None
         self.path = root.attach_new_node("link")
         # Corners of the boxes around shadow casters, (n, 8, 3) in m in the world.
         self.boxes = drawable.boxes
@@ -112,58 +112,63 @@ class _LinkNode:
             path.set_shader(programs[SLANTED if slanted else TEXTURED])
 
 
-class VisibleWorld:
-    """The visible objects of a world, below its `root`, a node path of Panda3D."""
+class Renderer:
+    """Draws the models that a world has at each picture, with its lights and background.
 
-    def __init__(self, world: World, models: Mapping[str, Any], graphics: Graphics):
-        self.root = panda3d().NodePath("scene")
+    `driver` is the name of the driver. All methods raise RendererError.
+    """
+
+    def __init__(self, world: World, models: Mapping[str, Any]):
+        self._graphics = shared = shared_graphics()
+        self.driver = shared.driver
         self._models = models
-        self._graphics = graphics
-        self._lighting = Lighting(world, graphics, self.root)
+        # Below it, in Panda3D, is all that is visible.
+        self._root = panda3d().NodePath("scene")
+        self._lighting = Lighting(world, shared, self._root)
+        self._background = np.asarray(world.background[:3])
+        self._states = {samples: shared.state(samples=samples) for samples in SAMPLES}
+        self._states[DEPTHS] = shared.state(shared.depth_program)
         # Equal links share a drawable as long as one of them exists. The last ones are kept for
         # models that come back: glibc before 2.38 hardly reuses the memory of released textures.
         self._maker = Drawables(world.ambient)
         self._drawables: Any = weakref.WeakValueDictionary()
         self._last: deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
-        # Each model with its links, by its name.
+        # Each model with its links, by its name, and how often it had been placed.
         self._shown: dict[str, tuple[Any, list[_LinkNode]]] = {}
+        self._moves: dict[str, int] = {}
         # How often the static and the moving models have changed.
         self._versions = {STILL: 0, MOVING: 0}
-        self._moves: dict[str, int] = {}
 
-    def update(self) -> None:
-        """Move all nodes to the poses of the models."""
-        for name in [n for n, (i, _) in self._shown.items() if self._models.get(n) is not i]:
-            self._remove(name)
-        for name, instance in self._models.items():
-            if name not in self._shown:
-                self._shown[name] = (instance, self._nodes_of(instance))
-            kind = _kind(instance)
-            if kind == STILL and self._moves.get(name) == instance.moves:
-                continue
-            is_new, self._moves[name] = name not in self._moves, instance.moves
-            moved = [link.follow() for link in self._shown[name][1]]
-            self._versions[kind] += is_new or any(moved)
+    def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
+        """Return the picture along the x axis of a pose, with its z axis up.
 
-    def prepare(self, eye: Vector, in_view: Callable[[np.ndarray], bool]) -> list[Canvas]:
-        """Choose the programs for an eye at a point, m; return the shadow maps to draw first.
+        Exposure is a factor of the brightness; brighter colours than white become white.
 
-        `in_view` returns whether any of several hulls may be visible, see `Lighting.shadows_of`.
+        Returns:
+            (height, width, 3) uint8, RGB. The same world, pose and shot give the same bytes.
         """
-        moving = self._boxes(MOVING)
-        seen = len(moving) > 0 and any(map(in_view, self._lighting.shadows_of(moving)))
-        programs = self._lighting.programs[seen]
-        self.root.set_shader(programs[PLAIN])
-        for _, links in self._shown.values():
-            for link in links:
-                link.face(eye, programs)
-        kinds = (STILL, MOVING) if seen else (STILL,)
-        return self._lighting.update({kind: self._versions[kind] for kind in kinds}, self._boxes)
+        self._root.set_shader_input("exposure", float(exposure))
+        background = np.clip(exposure * self._background, 0.0, 1.0)
+        target = self._aimed(pose, shot, shot.samples, background)
+        self._graphics.draw([*self._shadow_maps(pose, shot), target])
+        return target.pixels(np.uint8, 3)
+
+    def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
+        """Return the depth along the view at the centre of each pixel.
+
+        Returns:
+            (height, width) float32 in m, +inf where nothing is visible.
+        """
+        target = self._aimed(pose, shot, DEPTHS, np.zeros(3))
+        self._graphics.draw([target])
+        depths = target.pixels(np.float32, 1)[..., 0]
+        depths[depths == 0.0] = np.inf
+        return depths
 
     def relight(self, world: World) -> None:
         """Use the lights of a world from now on."""
         self._lighting.remove()
-        self._lighting = Lighting(world, self._graphics, self.root)
+        self._lighting = Lighting(world, self._graphics, self._root)
 
     def close(self) -> None:
         """Release everything."""
@@ -171,7 +176,41 @@ class VisibleWorld:
             self._remove(name)
         self._lighting.remove()
         # A target that drew this scene last still refers to its root.
-        self.root.set_state(panda3d().RenderState.make_empty())
+        self._root.set_state(panda3d().RenderState.make_empty())
+
+    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Canvas:
+        self._update()
+        target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
+        # Blue first: Panda3D returns red and blue exchanged.
+        target.buffer.set_clear_color((*background[::-1], 1.0))
+        target.aim(self._root, self._states[samples], BITS[PICTURE], [projection(shot)])
+        set_pose(target.cameras[0], pose * AHEAD)
+        return target
+
+    def _update(self) -> None:
+        """Move all nodes to the poses of the models."""
+        for name in [n for n, (i, _) in self._shown.items() if self._models.get(n) is not i]:
+            self._remove(name)
+        for name, instance in self._models.items():
+            if name not in self._shown:
+                self._shown[name] = (instance, self._nodes_of(instance))
+            kind = _kind(instance)
+            if kind == MOVING or self._moves.get(name) != instance.moves:
+                self._moves[name] = instance.moves
+                self._versions[kind] += sum(link.follow() for link in self._shown[name][1])
+
+    def _shadow_maps(self, pose: Pose, shot: Shot) -> list[Canvas]:
+        """Choose the programs for a view; return the shadow maps to draw before it."""
+        moving = self._boxes(MOVING)
+        hulls = self._lighting.shadows_of(moving) if len(moving) else ()
+        seen = any(in_view(hull, pose, shot) for hull in hulls)
+        programs = self._lighting.programs[seen]
+        self._root.set_shader(programs[PLAIN])
+        for _, links in self._shown.values():
+            for link in links:
+                link.face(pose.position, programs)
+        kinds = (STILL, MOVING) if seen else (STILL,)
+        return self._lighting.update({kind: self._versions[kind] for kind in kinds}, self._boxes)
 
     def _remove(self, name: str) -> None:
         instance, links = self._shown.pop(name)
@@ -197,71 +236,12 @@ class VisibleWorld:
                     where = f"model '{instance.name}': link '{link.name}'"
                     drawable = self._drawables[key] = self._maker.of(link.visuals, kind, where)
                     self._last.append(drawable)
-                nodes.append(_LinkNode(self.root, AttachedFrame(body, link.name), drawable))
+                nodes.append(_LinkNode(self._root, AttachedFrame(body, link.name), drawable))
         return nodes
 
 
 def _kind(instance: Any) -> str:
     return STILL if instance.model.static else MOVING
-
-
-class Renderer:
-    """Draws the models that a world has at each picture, with its lights and background.
-
-    `driver` is the name of the driver. All methods raise RendererError.
-    """
-
-    def __init__(self, world: World, models: Mapping[str, Any]):
-        self._graphics = shared = shared_graphics()
-        self.driver = shared.driver
-        self._scene = VisibleWorld(world, models, shared)
-        self._background = np.asarray(world.background[:3])
-        self._states = {samples: shared.state(samples=samples) for samples in SAMPLES}
-        self._states[DEPTHS] = shared.state(shared.depth_program)
-
-    def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
-        """Return the picture along the x axis of a pose, with its z axis up.
-
-        Exposure is a factor of the brightness; brighter colours than white become white.
-
-        Returns:
-            (height, width, 3) uint8, RGB. The same world, pose and shot give the same bytes.
-        """
-        self._scene.root.set_shader_input("exposure", float(exposure))
-        background = np.clip(exposure * self._background, 0.0, 1.0)
-        target = self._aimed(pose, shot, shot.samples, background)
-        maps = self._scene.prepare(pose.position, lambda hulls: in_view(hulls, pose, shot))
-        self._graphics.draw([*maps, target])
-        return target.pixels(np.uint8, 3)
-
-    def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
-        """Return the depth along the view at the centre of each pixel.
-
-        Returns:
-            (height, width) float32 in m, +inf where nothing is visible.
-        """
-        target = self._aimed(pose, shot, DEPTHS, np.zeros(3))
-        self._graphics.draw([target])
-        depths = target.pixels(np.float32, 1)[..., 0]
-        depths[depths == 0.0] = np.inf
-        return depths
-
-    def relight(self, world: World) -> None:
-        """Use the lights of a world from now on."""
-        self._scene.relight(world)
-
-    def close(self) -> None:
-        """Release everything."""
-        self._scene.close()
-
-    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Canvas:
-        self._scene.update()
-        target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
-        # Blue first: Panda3D returns red and blue exchanged.
-        target.buffer.set_clear_color((*background[::-1], 1.0))
-        target.aim(self._scene.root, self._states[samples], BITS[PICTURE], [projection(shot)])
-        set_pose(target.cameras[0], pose * AHEAD)
-        return target
 
 
 def projection(shot: Shot) -> np.ndarray:

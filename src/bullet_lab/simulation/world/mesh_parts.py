@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Callable, Sequence
 from urllib.parse import unquote
@@ -27,13 +25,16 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.meshes import (
     MeshError,
-    file_version,
+    MeshPart,
+    flat_normals,
     read_bytes,
     read_parts,
     readable,
+    unit,
 )
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import load_triangles, middle_of
+from bullet_lab.simulation.world.xml import finite
 
 LOG = logging.getLogger(__name__)
 # The word by which a file with own materials is recognised.
@@ -42,59 +43,49 @@ OWN_LOOKS = {".obj": b"usemtl", ".dae": b"instance_material"}
 Report = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class Part:
-    """Triangles that look alike, three corners each, in m: arrays of shape (n, 3, …).
+def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> list[MeshPart]:
+    """Return the parts of a scaled mesh, with unit normals, and with looks as their materials.
 
-    Attributes:
-        corners: (n, 3, 3) positions.
-        normals: (n, 3, 3) at the corners, of any length; None for flat ones.
-        picture: (n, 3, 2) coordinates in a picture, from its lower left; None without any.
-        look: colour and material of its own; None without any.
-    """
-
-    corners: np.ndarray
-    normals: np.ndarray | None = None
-    picture: np.ndarray | None = None
-    look: Appearance | None = None
-
-
-def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> list[Part]:
-    """Return the parts of a scaled mesh; `report` gets a line for each missing file.
-
-    Raises as `load_triangles`.
+    `report` gets a line for each missing file. Raises as `load_triangles`.
     """
     # Checks the mesh.
     load_triangles(mesh)
     materials = _Materials(mesh.path, report)
     with readable(mesh.path):
         raw = list(read_parts(mesh.path, mesh.submesh, materials))
-        corners = [part.vertices[part.faces] for part in raw]
+        middle, scale = middle_of([part.corners for part in raw], mesh), np.asarray(mesh.scale)
         looks = [materials.look(part.material) for part in raw]
-    middle, scale = middle_of(corners, mesh), np.asarray(mesh.scale)
-    # Mirrored triangles are turned over, so that they still face outwards.
-    order = slice(None, None, -1 if np.prod(mesh.scale) < 0.0 else 1)
     return [
-        Part(
-            ((points - middle) * scale)[:, order],
-            None if part.normals is None else (part.normals / scale)[:, order],
-            None if part.picture is None else part.picture[:, order],
-            look,
-        )
-        for points, part, look in zip(corners, raw, looks)
+        _outward(part._replace(vertices=(part.vertices - middle) * scale, material=look), scale)
+        for part, look in zip(raw, looks)
     ]
+
+
+def _outward(part: MeshPart, scale: np.ndarray) -> MeshPart:
+    """Return a part that was scaled with all its normals, and its triangles turned outwards."""
+    part = _turned_over(part) if np.prod(scale) < 0.0 else part
+    flat = flat_normals(part.corners)
+    if part.normals is None:
+        return part._replace(normals=flat)
+    given = part.normals / scale
+    # A missing normal is replaced by that of the triangle.
+    lengths = np.linalg.norm(given, axis=-1, keepdims=True)
+    given = unit(np.where(lengths > 1e-9, given, flat))
+    part = part._replace(normals=given)
+    # Mirrored, or with the corners in the other order: the given normals point outwards.
+    return _turned_over(part) if np.median(np.sum(flat * given, axis=-1)) < 0.0 else part
+
+
+def _turned_over(part: MeshPart) -> MeshPart:
+    vertices, *arrays, look = part
+    return MeshPart(vertices, *(a if a is None else a[:, ::-1] for a in arrays), look)
 
 
 def has_own_looks(mesh: Mesh) -> bool:
     """Return whether a mesh file has its own materials; False if it is unreadable."""
-    return _has_own_looks(mesh.path, file_version(mesh))
-
-
-@lru_cache(maxsize=256)
-def _has_own_looks(path: Path, _version: tuple[int, int]) -> bool:
-    word = OWN_LOOKS.get(path.suffix.lower())
+    word = OWN_LOOKS.get(mesh.path.suffix.lower())
     try:
-        return word is not None and word in read_bytes(path)
+        return word is not None and word in read_bytes(mesh.path)
     except MeshError:
         return False
 
@@ -175,12 +166,8 @@ def _wavefront_look(statements: dict[str, str], path: Path, report: Report) -> A
     """Return the look of a material in a .mtl file."""
     def numbers(key: str, count: int) -> Sequence[float]:
         """Return numbers within [0, 1]; empty unless there are as many."""
-        try:
-            words = statements.get(key, "").split()
-            found = [min(max(float(word), 0.0), 1.0) for word in words]
-        except ValueError:
-            return []
-        return found if len(found) == count else []
+        found = finite(statements.get(key, "").split())
+        return np.clip(found, 0.0, 1.0).tolist() if len(found) == count else []
 
     diffuse, ambient, emissive = numbers("Kd", 3), numbers("Ka", 3), numbers("Ke", 3)
     (opacity,) = numbers("d", 1) or [1.0 - share for share in numbers("Tr", 1)] or [1.0]

@@ -34,7 +34,7 @@ class MeshError(LabError):
 
 
 class MeshPart(NamedTuple):
-    """Triangles that look alike, as they are in a file but for its unit.
+    """Triangles that look alike.
 
     Attributes:
         vertices: (n, 3), m.
@@ -49,6 +49,23 @@ class MeshPart(NamedTuple):
     normals: np.ndarray | None
     picture: np.ndarray | None
     material: Any
+
+    @property
+    def corners(self) -> np.ndarray:
+        """The corners of the triangles, (m, 3, 3) in m."""
+        return self.vertices[self.faces]
+
+
+def flat_normals(corners: np.ndarray) -> np.ndarray:
+    """Return the normal of each triangle at its corners; both are of shape (n, 3, 3)."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.repeat(unit(normals)[:, None], 3, axis=1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (…, 3) with length 1; zero vectors become (0, 0, 1)."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(lengths > 0.0, vectors / np.where(lengths > 0.0, lengths, 1.0), (0.0, 0.0, 1.0))
 
 
 @contextlib.contextmanager
@@ -80,7 +97,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_parts(path: Path, submesh: str, resolver: Any = None) -> Iterator[MeshPart]:
-    """Yield the parts of a mesh file, or of one submesh.
+    """Yield the parts of a mesh file, or of one submesh, unscaled but for the file's unit.
 
     A `resolver` gives trimesh the other files that the file names. Without one, it gets none, and
     the parts of an .obj have no normals.

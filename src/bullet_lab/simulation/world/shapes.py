@@ -17,7 +17,13 @@ from typing import ClassVar, Sequence
 import numpy as np
 
 from bullet_lab.core.pose import Vector
-from bullet_lab.simulation.world.meshes import MeshError, file_version, read_parts, readable
+from bullet_lab.simulation.world.meshes import (
+    MeshError,
+    MeshPart,
+    file_version,
+    read_parts,
+    readable,
+)
 
 KNOWN_SUFFIXES = (".dae", ".stl", ".obj")
 # Meshes that are kept in memory, since many models may share one.
@@ -147,22 +153,17 @@ class Mesh(Shape):
         return {"scale": self.scale}
 
     def bounds(self) -> np.ndarray:
-        return _bounds(self, file_version(self))
+        vertices = load_triangles(self).vertices
+        return np.array((vertices.min(axis=0), vertices.max(axis=0)))
 
 
 SHAPES = {kind.tag: kind for kind in (Box, Cylinder, Sphere, Plane, Mesh)}
 
 
-@dataclass(frozen=True)
-class Triangles:
-    """A triangle mesh: `vertices` (n, 3) in metres, `faces` (m, 3) indices of vertices."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-
-
-def load_triangles(mesh: Mesh) -> Triangles:
+def load_triangles(mesh: Mesh) -> MeshPart:
     """Read a mesh, with the transforms of its file and the scale of the description applied.
+
+    All of it is one part, without normals and looks.
 
     The transforms matter: Blender writes the size into the `<matrix>` of a COLLADA node. So does
     the `<unit>` of a COLLADA file. As in Gazebo, its `<up_axis>` does not.
@@ -176,7 +177,7 @@ def load_triangles(mesh: Mesh) -> Triangles:
 
 
 @functools.lru_cache(maxsize=CACHED_MESHES)
-def _load(mesh: Mesh, _version: tuple[int, int]) -> Triangles:
+def _load(mesh: Mesh, _version: tuple[int, int]) -> MeshPart:
     path = mesh.path
     if path.suffix.lower() not in KNOWN_SUFFIXES:
         raise MeshError(f"{path}: unknown kind of mesh; use {', '.join(KNOWN_SUFFIXES)}")
@@ -190,7 +191,7 @@ def _load(mesh: Mesh, _version: tuple[int, int]) -> Triangles:
             count += len(part.vertices)
     vertices = np.concatenate(arrays)
     vertices = (vertices - middle_of([vertices], mesh)) * np.asarray(mesh.scale)
-    triangles = Triangles(vertices, np.concatenate(faces))
+    triangles = MeshPart(vertices, np.concatenate(faces), None, None, None)
     if len(triangles.faces) == 0 or not np.isfinite(vertices).all():
         raise MeshError(f"{path}: no triangles with finite corners")
     if triangles.faces.min() < 0 or triangles.faces.max() >= count:
@@ -207,14 +208,6 @@ def middle_of(parts: Sequence[np.ndarray], mesh: Mesh) -> np.ndarray:
         return np.zeros(3)
     points = np.concatenate([part.reshape(-1, 3) for part in parts])
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
-
-
-@functools.lru_cache(maxsize=64)
-def _bounds(mesh: Mesh, _version: tuple[int, int]) -> np.ndarray:
-    vertices = load_triangles(mesh).vertices
-    bounds = np.array((vertices.min(axis=0), vertices.max(axis=0)))
-    bounds.setflags(write=False)
-    return bounds
 
 
 def hull_corners(mesh: Mesh) -> np.ndarray:
@@ -240,8 +233,7 @@ def hull_corners(mesh: Mesh) -> np.ndarray:
 
 def triangle_corners(mesh: Mesh) -> list[np.ndarray]:
     """Return a mesh in pieces for PyBullet: corners (n, 3), three for each triangle."""
-    triangles = load_triangles(mesh)
-    corners = triangles.vertices[triangles.faces.ravel()]
+    corners = load_triangles(mesh).corners.reshape(-1, 3)
     piece = MOST_CORNERS // 3 * 3
     return [corners[start : start + piece] for start in range(0, len(corners), piece)]
 

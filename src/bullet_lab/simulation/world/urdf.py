@@ -139,29 +139,29 @@ def read_urdf_element(root: Element, source: str, document: Document) -> Model:
     """Read a robot from the root element of a URDF document; as `read_urdf`."""
     if root.tag != "robot":
         raise XmlError(f"{source}: the root element is <{root.tag}>, not <robot>")
-    model = with_sound_inertias(_model(_UrdfTag(root, source, document)), source)
+    model = with_sound_inertias(_model(UrdfTag(root, source, document)), source)
     return replace(model, links=tuple(map(_with_collision_names, model.links)))
 
 
-class _UrdfTag(Tag):
+class UrdfTag(Tag):
     """Reads attributes by their paths, such as "inertial/mass/value"."""
 
     file_key = "filename"
 
-    def text(self, key: str, default: str = "") -> str:
+    def text(self, key: str, default: str = "") -> str:  # noqa: D102
         path, _, name = key.rpartition("/")
         element = self.element.find(path or ".")
         return default if element is None else element.get(name, default)
 
-    def where(self, key: str) -> str:
+    def where(self, key: str) -> str:  # noqa: D102
         path, _, name = key.rpartition("/")
         return f"{self.source}: {path.rpartition('/')[2] or self.element.tag} {name}"
 
-    def pose(self) -> Pose:
+    def pose(self) -> Pose:  # noqa: D102
         xyz, rpy = (self.numbers(f"origin/{key}", 3, "0 0 0") for key in ("xyz", "rpy"))
         return Pose.from_rpy(xyz, rpy)
 
-    def shape(self, element: Element, where: str) -> Shape:
+    def shape(self, element: Element, where: str) -> Shape:  # noqa: D102
         shape = None if element.tag == "plane" else super().shape(element, self.source)
         if shape is None:
             raise XmlError(f"{self.source}: unknown geometry <{element.tag}>")
@@ -172,7 +172,7 @@ class _UrdfTag(Tag):
         return self.numbers("color/rgba", 4)
 
 
-def _model(root: _UrdfTag) -> Model:
+def _model(root: UrdfTag) -> Model:
     """Return a robot, with links on fixed joints merged into their parents."""
     element, source = root.element, root.source
     colours: dict[str, Colour] = {}
@@ -211,8 +211,8 @@ def _shorten_numbers(element: Element) -> None:
         element.text = " ".join(f"{number:.{SENSOR_DIGITS}g}" for number in numbers)
 
 
-def _link(tag: _UrdfTag, colours: Mapping[str, Colour]) -> Link:
-    def visual(tag: _UrdfTag, shape: Shape) -> Visual:
+def _link(tag: UrdfTag, colours: Mapping[str, Colour]) -> Link:
+    def visual(tag: UrdfTag, shape: Shape) -> Visual:
         material = tag.element.find("material")
         if material is None or material.find("color") is None:
             colour = colours.get(tag.text("material/name"), WHITE)
@@ -220,7 +220,7 @@ def _link(tag: _UrdfTag, colours: Mapping[str, Colour]) -> Link:
             colour = tag.other(material).colour()
         return Visual(shape, tag.pose(), colour, tag.name)
 
-    def collision(inner: _UrdfTag, shape: Shape) -> Collision:
+    def collision(inner: UrdfTag, shape: Shape) -> Collision:
         return Collision(shape, inner.pose(), name=inner.name or tag.name)
 
     inertial = tag.element.find("inertial")
@@ -233,7 +233,7 @@ def _link(tag: _UrdfTag, colours: Mapping[str, Colour]) -> Link:
     )
 
 
-def _joint(tag: _UrdfTag) -> Joint:
+def _joint(tag: UrdfTag) -> Joint:
     kind = tag.text("type")
     if kind not in SIMULATED_JOINTS:
         is_free = kind in LOOSE_JOINTS
@@ -305,7 +305,7 @@ class _GazeboTags:
     `static` is that of the whole robot.
     """
 
-    def __init__(self, root: _UrdfTag, names: Collection[str]):
+    def __init__(self, root: UrdfTag, names: Collection[str]):
         self._source, self._document = root.source, root.document
         # For each link: fields of its collisions, and its `look`, `gravity` and `self_collide`.
         self._fields: dict[str, dict[str, Any]] = {}

@@ -13,13 +13,14 @@ import re
 import stat
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Callable, Iterator, Match, Sequence
+from typing import Any, Callable, Iterable, Iterator, Match, Sequence
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
 
 from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.errors import LabError
 
 LOG = logging.getLogger(__name__)
@@ -147,17 +148,22 @@ def read_text(path: Path) -> str:
 def numbers(text: str | None, count: int, what: str) -> tuple[float, ...]:
     """Return the `count` finite numbers in a text; raise XmlError that begins with `what`."""
     parts = (text or "").split()
-    try:
-        values = tuple(float(part) for part in parts)
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
+    values = finite(parts)
+    if len(values) != count:
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
         raise XmlError(f"{what}: '{' '.join(parts)[:80]}' is not {expected}")
     for value in values:
         if abs(value) > LARGEST_NUMBER:
             raise XmlError(f"{what}: {value:g} is not within ±{LARGEST_NUMBER:g}")
     return values
+
+
+def finite(words: Iterable[str]) -> tuple[float, ...]:
+    """Return the numbers in words; empty if one of them is not a finite number."""
+    with contextlib.suppress(ValueError):
+        found = tuple(float(word) for word in words)
+        return found if all(map(math.isfinite, found)) else ()
+    return ()
 
 
 def number(text: str | None, what: str) -> float:
@@ -294,6 +300,16 @@ class TagReader(ABC):
         except XmlError as error:
             self.doubt(error)
             return default
+
+    def schedule(
+        self, key: str, default: float, kind: Callable[[float], Schedule] = Schedule
+    ) -> Schedule:
+        """Return the schedule for a rate (Hz, 0: every step)."""
+        try:
+            return kind(self.number(key, default))
+        except ScheduleError as error:
+            self.doubt(XmlError(f"{self.where(key)}: {error}"))
+            return kind(default)
 
     def boolean(self, key: str, default: bool) -> bool:
         """Return the truth value of true, false, 1 or 0."""

@@ -19,7 +19,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, derived_seed
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.models import ModelInstance
-from bullet_lab.simulation.plugins.controllers.description import ControlParameters
+from bullet_lab.simulation.plugins.controllers import ControlParameters
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand

@@ -13,7 +13,6 @@ from wheeled_robots import write_stl
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import PhysicsError, pybullet
 from bullet_lab.simulation.physics.physics import MOST_LINKS
-from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import (
     Box,
@@ -30,7 +29,6 @@ from bullet_lab.simulation.world.description import (
 )
 from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.simulation.world.tree import principal_axes
-from bullet_lab.simulation.world.urdf import read_urdf_file
 
 UNIT = Inertia(2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
 G = 9.8
@@ -571,7 +569,7 @@ def test_what_touched_is_not_remembered_of_another_body(space):
 # Shapes are made once
 
 
-def test_beacons_one_after_another_leave_no_memory_behind(package):
+def test_beacons_one_after_another_leave_little_memory_behind(package):
     beacons = read_world_file(package / "worlds" / "beacons.world").models
     beacon = next(model for model in beacons if model.name == "beacon_0")
 
@@ -580,8 +578,8 @@ def test_beacons_one_after_another_leave_no_memory_behind(package):
         space.remove("beacon_0")
 
     with Simulation(World("space")) as space:
-        # With its shapes made anew each time, it leaves 170 kB, with its body 0.9 kB.
-        assert bytes_kept(come_and_go, 300) < 100.0
+        # PyBullet keeps 0.9 kB of a body; with its shapes made anew each time, 170 kB.
+        assert bytes_kept(come_and_go, 300) < 2000.0
 
 
 def test_what_was_static_and_is_away_is_nowhere(hall):
@@ -594,67 +592,6 @@ def test_what_was_static_and_is_away_is_nowhere(hall):
     assert hits(hall, 0.5, 0.5) == pytest.approx(0.0)
     hall.run_for(1.0)
     assert ball.pose().position[2] == pytest.approx(0.1, abs=1e-3)
-
-
-def test_a_wall_without_end_that_is_away_is_nowhere(space):
-    space.add(thing(Plane((1.0, 0.0, 0.0)), static=True))
-    ends = ((5.0, 0.0, 0.0), (-5.0, 0.0, 0.0))
-    assert pybullet.rayTest(*ends, physicsClientId=space.client)[0][0] >= 0
-    space.remove("thing")
-    assert pybullet.rayTest(*ends, physicsClientId=space.client)[0][0] < 0
-
-
-def test_a_box_that_is_away_is_far_away(space):
-    space.add(thing(Box((2.0, 2.0, 2.0)), static=True))
-    corners = ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0))
-    assert pybullet.getOverlappingObjects(*corners, space.client)
-    space.remove("thing")
-    assert not pybullet.getOverlappingObjects(*corners, space.client)
-
-
-def test_what_comes_back_is_as_if_it_were_new(package, monkeypatch):
-    """To the last bit, in a world that robots bump into things that come and go in."""
-    panel = read_world_file(package / "worlds" / "marker_panel.world").models[-1]
-    robot = read_urdf_file(package / "urdf" / "sensor_robot.urdf")
-
-    def bumped(kept):
-        monkeypatch.setattr("bullet_lab.simulation.physics.physics.KEPT_BODIES", kept)
-        with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
-            driven = simulation.add(robot)
-            driven.command("cmd_vel", PlanarCommand(vx=0.5))
-            touched, states = set(), []
-            for number in range(12):
-                x, y, _ = driven.pose().position
-                simulation.add(panel, f"panel{number}", Pose((x + 0.25, y + 0.02 * number, 0.0)))
-                simulation.run_for(0.2)
-                touched.update(simulation.contacts(driven.name))
-                simulation.remove(f"panel{number}")
-                simulation.run_for(0.1)
-                states.append(repr(driven.state()))
-            assert len(touched) > 3
-            return states, pybullet.getNumBodies(simulation.client)
-
-    (one, most), (other, few) = bumped(6), bumped(0)
-    assert one == other
-    assert most == few + 1
-
-
-def test_of_what_is_static_and_away_the_last_ones_are_kept(hall, monkeypatch):
-    monkeypatch.setattr("bullet_lab.simulation.physics.physics.KEPT_BODIES", 3)
-    before = pybullet.getNumBodies(hall.client)
-    for number in range(10):
-        hall.add(thing(Sphere(1.0 + number), name=f"{number}", static=True))
-        hall.remove(f"{number}")
-    assert pybullet.getNumBodies(hall.client) == before + 3
-
-
-def test_what_comes_back_rubs_as_described(hall):
-    plate = thing(Box((2.0, 2.0, 0.2)), static=True)
-    (body,) = hall.add(plate).bodies.values()
-    body.remove_sliding_friction()
-    hall.remove("thing")
-    (body,) = hall.add(plate).bodies.values()
-    assert pybullet.getDynamicsInfo(body.unique_id, -1, hall.client)[1] == 1.0
 
 
 def test_what_was_soft_comes_back_for_no_hard_one(space):

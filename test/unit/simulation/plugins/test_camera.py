@@ -234,7 +234,6 @@ def test_a_lens_blurs_before_white_is_cut_off(tmp_path):
     "wrong",
     [
         {"blur": -1.0},
-        {"samples": 0.0},
         {"exposure": float("nan")},
         {"noise_stddev": 2.0},
         {"exposure": -0.1},

@@ -8,7 +8,6 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Collision
-from bullet_lab.simulation.world.materials import GAZEBO_MATERIALS
 from bullet_lab.simulation.world.sdf import read_spawned
 
 FLOOR = "package://bullet_lab/worlds/empty.world"
@@ -43,15 +42,6 @@ def warnings_of(caplog, make):
 def test_named_materials_paint_the_link(name, colour):
     model = tagged(f"<material>{name}</material>")
     assert model.links[0].visuals[0].colour == colour
-
-
-def test_the_table_of_colours():
-    assert len(GAZEBO_MATERIALS) >= 60
-    for colour, look, _, plain in GAZEBO_MATERIALS.values():
-        colours = (colour, look.ambient or colour, plain)
-        assert all(0.0 <= part <= 1.0 for one in colours for part in one)
-    assert "Red" not in GAZEBO_MATERIALS
-    assert "Gazebo/Plaid" not in GAZEBO_MATERIALS
 
 
 def test_an_unknown_material_is_reported_and_the_colour_stays(caplog):

@@ -12,14 +12,14 @@ from typing import Any, ClassVar, Dict, Iterator, Mapping, Sequence, Tuple, Type
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Input, Output
-from bullet_lab.simulation.plugins.controllers.description import (
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers.joints import (
     EFFORT,
     POSITION,
     VELOCITY,
-    ControlError,
-    ControlParameters,
+    JointHandle,
+    Pid,
 )
-from bullet_lab.simulation.plugins.controllers.hardware import JointHandle, Pid
 from bullet_lab.simulation.plugins.samples import (
     JointCommand,
     JointCommands,

@@ -11,16 +11,13 @@ from typing import Any, Deque, Dict, Mapping, Optional, Tuple
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins import Input, Output
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import (
     Controller,
     Setting,
     schedule_of,
 )
-from bullet_lab.simulation.plugins.controllers.description import (
-    VELOCITY,
-    ControlError,
-    ControlParameters,
-)
+from bullet_lab.simulation.plugins.controllers.joints import VELOCITY
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     OdometrySample,

@@ -1,7 +1,7 @@
 """A robot of our own for tests of ros_control, and its plugin ready for controllers."""
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.controllers.description import ControlParameters
+from bullet_lab.simulation.plugins.controllers import ControlParameters
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.world.urdf import read_urdf
 

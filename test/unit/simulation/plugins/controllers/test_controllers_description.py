@@ -3,13 +3,13 @@ import math
 import pytest
 from control_robots import TRANSMISSION, robot_urdf
 
-from bullet_lab.simulation.plugins.controllers.description import (
+from bullet_lab.simulation.plugins.controllers import ControlParameters
+from bullet_lab.simulation.plugins.controllers.joints import (
     EFFORT,
     VELOCITY,
-    ControlParameters,
     DescribedJoint,
     JointLimits,
-    RobotDescription,
+    described_joints,
 )
 
 JOINT = '<joint name="arm"><hardwareInterface>{}</hardwareInterface></joint>'
@@ -17,14 +17,13 @@ TYPE = "<type>transmission_interface/SimpleTransmission</type>"
 MOTOR = '<actuator name="motor"/>'
 
 
-def read(content):
-    return RobotDescription.read(f'<robot name="bot">{content}</robot>', "bot")
+def interfaces(urdf):
+    return {name: joint.interface for name, joint in described_joints(urdf, "bot").items()}
 
 
 @pytest.mark.parametrize("prefix", ["", "hardware_interface/"])
 def test_interfaces_are_read_with_and_without_their_prefix(prefix):
-    found = RobotDescription.read(robot_urdf(prefix + VELOCITY, prefix + EFFORT), "bot").interfaces
-    assert found == {
+    assert interfaces(robot_urdf(prefix + VELOCITY, prefix + EFFORT)) == {
         "left_wheel_joint": VELOCITY,
         "right_wheel_joint": VELOCITY,
         "turntable_joint": EFFORT,
@@ -44,15 +43,15 @@ def test_interfaces_are_read_with_and_without_their_prefix(prefix):
 )
 def test_a_transmission_without_sense_is_named_and_the_rest_stays(caplog, content, complaint):
     good = TRANSMISSION.format(joint="wheel", interface=VELOCITY)
-    found = read(f'<transmission name="odd">{content}</transmission>{good}')
-    assert found.interfaces == {"wheel": VELOCITY}
+    odd = f'<transmission name="odd">{content}</transmission>'
+    assert interfaces(f'<robot name="bot">{odd}{good}</robot>') == {"wheel": VELOCITY}
     assert len(caplog.messages) == 1
     assert "'odd'" in caplog.text
     assert complaint in caplog.text
 
 
 def test_joints_have_limits_places_and_wheels():
-    joints = RobotDescription.read(robot_urdf(), "bot").joints
+    joints = described_joints(robot_urdf(), "bot")
     assert joints["turntable_joint"].limits == JointLimits(-2.0, 2.0, 4.0, math.inf, 3.0)
     wheel = joints["left_wheel_joint"]
     assert (wheel.radius, wheel.origin) == (0.06, (0.0, 0.15, 0.06))

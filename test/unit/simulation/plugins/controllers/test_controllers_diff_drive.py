@@ -4,7 +4,7 @@ import pytest
 from control_robots import run, spawn
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.controllers.description import ControlError
+from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.diff_drive import SpeedLimiter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 

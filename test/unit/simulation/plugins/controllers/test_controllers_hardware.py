@@ -1,7 +1,7 @@
 import pytest
 from control_robots import control_of, run, spawn
 
-from bullet_lab.simulation.plugins.controllers.description import EFFORT, POSITION, VELOCITY
+from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, VELOCITY
 from bullet_lab.simulation.plugins.samples import JointCommand, Stop
 
 GAINS = {POSITION: {"p": 0.02, "d": 0.005}, VELOCITY: {"p": 0.02}}

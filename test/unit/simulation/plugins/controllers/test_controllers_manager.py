@@ -1,13 +1,9 @@
 import pytest
 from control_robots import control_of, run, spawn
 
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS
-from bullet_lab.simulation.plugins.controllers.description import (
-    EFFORT,
-    VELOCITY,
-    ControlError,
-    ControlParameters,
-)
+from bullet_lab.simulation.plugins.controllers.joints import EFFORT, VELOCITY
 from bullet_lab.simulation.plugins.samples import JointCommand, JointCommands
 
 STATES = {"type": "joint_state_controller/JointStateController"}

@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from bullet_lab.simulation.plugins.controllers.description import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.hardware import Pid
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers.joints import Pid
 
 
 def pid_of(**told):

@@ -1,33 +1,187 @@
-"""A robot's joints as ros_control's simulated hardware: read, commanded and limited; and PIDs."""
+"""Joints of ros_control: as a URDF describes them, and as simulated hardware; and PIDs."""
 
 from __future__ import annotations
 
 import logging
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Dict, Mapping, Optional, Tuple, Type
+from xml.etree.ElementTree import Element
 
+from bullet_lab.core.pose import Vector
 from bullet_lab.simulation.physics.bodies import Body
-from bullet_lab.simulation.plugins.controllers.description import (
-    EFFORT,
-    POSITION,
-    VELOCITY,
-    ControlError,
-    ControlParameters,
-    DescribedJoint,
-    JointLimits,
-    RobotDescription,
-    SoftLimits,
-)
+from bullet_lab.simulation.physics.physics import STEP_SECONDS
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.wheel_drives import Wheel
+from bullet_lab.simulation.world.description import LIMITS
+from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.simulation.world.tags import Document
+from bullet_lab.simulation.world.urdf import UrdfTag
+from bullet_lab.simulation.world.xml import XmlError, child_text, parse_text
 
 LOG = logging.getLogger(__name__)
 
+PREFIX = "hardware_interface/"
+POSITION = "PositionJointInterface"
+VELOCITY = "VelocityJointInterface"
+EFFORT = "EffortJointInterface"
+INTERFACES = (POSITION, VELOCITY, EFFORT)
+SOFT_LIMITS = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
+# Tags of shapes that have a radius.
+ROUND = ("cylinder", "sphere")
 # Effort (N m or N) of a motor without limit.
 STRONGEST = 1e6
 # Share of its distance that a position-controlled joint moves in one step: all, as in Gazebo.
 AT_ONCE = 1.0
+
+
+@dataclass(frozen=True)
+class SoftLimits:
+    """URDF's `<safety_controller>`, which slows a joint down; gains in 1/s and N m s."""
+
+    lower: float
+    upper: float
+    k_position: float
+    k_velocity: float
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of a joint's commands, in rad or m, per s and s², and N m or N; inf for none."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+    acceleration: float = math.inf
+    effort: float = math.inf
+    soft: Optional[SoftLimits] = None
+
+    def changed_by(self, given: ControlParameters) -> JointLimits:
+        """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
+        changed: Dict[str, float] = {}
+        for kind in ("velocity", "acceleration", "effort"):
+            most = given.get(f"max_{kind}")
+            switch = given.value(f"has_{kind}_limits")
+            if switch is False:
+                changed[kind] = math.inf
+            elif switch is True and most is not None:
+                changed[kind] = most
+        switch = given.value("has_position_limits")
+        lower, upper = given.get("min_position"), given.get("max_position")
+        if switch is False:
+            changed.update(lower=-math.inf, upper=math.inf)
+        elif switch is True and None not in (lower, upper):
+            changed.update(lower=lower, upper=upper)
+        return replace(self, **changed)
+
+
+@dataclass(frozen=True)
+class DescribedJoint:
+    """A joint of the URDF.
+
+    Attributes:
+        name: of the joint.
+        kind: URDF's type.
+        origin: its place in its parent link, in m.
+        limits: of its `<limit>` and `<safety_controller>`.
+        radius: of the wheel below it in m: of the first collision of its child link; None if that
+            is neither a cylinder nor a sphere.
+        interface: of its transmission.
+    """
+
+    name: str
+    kind: str
+    origin: Vector = (0.0, 0.0, 0.0)
+    limits: JointLimits = JointLimits()
+    radius: Optional[float] = None
+    interface: str = ""
+
+    def error(self, position: float, target: float) -> float:
+        """Return the distance (rad or m) to a target: the shortest one that the limits allow."""
+        if self.kind not in ("revolute", "continuous"):
+            return target - position
+        near = math.remainder(target - position, math.tau)
+        if self.kind == "continuous":
+            return near
+        for distance in (near, near - math.copysign(math.tau, near)):
+            if self.limits.lower <= position + distance <= self.limits.upper:
+                return distance
+        return near
+
+    def within_limits(self, target: float) -> float:
+        """Return the nearest position within the described limits."""
+        if self.kind not in ("revolute", "prismatic"):
+            return target
+        return min(max(target, self.limits.lower), self.limits.upper)
+
+
+def described_joints(urdf: str, source: str) -> Dict[str, DescribedJoint]:
+    """Return the joints that have a transmission in the text of a URDF, by name; raises XmlError.
+
+    As in Gazebo, an invalid transmission is ignored with a warning.
+    """
+    robot = UrdfTag(parse_text(urdf, source), source, Document(ResourceFinder()))
+    links, joints = (map(robot.below, robot.element.findall(tag)) for tag in ("link", "joint"))
+    radii = {link.name: _radius(link) for link in links}
+    known = {joint.name: _joint(joint, radii) for joint in joints}
+    found: Dict[str, DescribedJoint] = {}
+    for element in robot.element.findall("transmission"):
+        where = f"{source}: transmission '{element.get('name', '')}'"
+        try:
+            name, interface = _transmission(element)
+        except XmlError as error:
+            LOG.warning("%s %s, and is left out", where, error)
+            continue
+        if name in found:
+            LOG.warning("%s: joint '%s' has a transmission already; ignored", where, name)
+            continue
+        found[name] = replace(known.get(name, DescribedJoint(name, "")), interface=interface)
+    return found
+
+
+def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint:
+    kind, limits = tag.text("type"), JointLimits()
+    if tag.element.find("limit") is not None:
+        soft = None
+        if tag.element.find("safety_controller") is not None:
+            soft = SoftLimits(*(tag.number(f"safety_controller/{key}", 0.0) for key in SOFT_LIMITS))
+        limits = JointLimits(**{key: tag.bound(f"limit/{key}") for key in LIMITS}, soft=soft)
+        if kind == "continuous":
+            limits = replace(limits, lower=-math.inf, upper=math.inf)
+    radius = radii.get(tag.text("child/link"))
+    return DescribedJoint(tag.name, kind, tag.pose().position, limits, radius)
+
+
+def _radius(link: UrdfTag) -> Optional[float]:
+    """Return the radius (m) of the first collision, if it is a cylinder or a sphere."""
+    shape = link.element.find("collision[1]/geometry/*")
+    is_round = shape is not None and shape.tag in ROUND
+    return link.other(shape).sizes("radius", 1)[0] if is_round else None
+
+
+def _transmission(element: Element) -> Tuple[str, str]:
+    """Return the name of the joint and its interface; raises XmlError with what is wrong."""
+    if not element.get("name"):
+        raise XmlError("has no name")
+    if not child_text(element, "type"):
+        raise XmlError("has no <type>")
+    if element.find("actuator") is None:
+        raise XmlError("has no <actuator>")
+    joints = element.findall("joint")
+    if len(joints) != 1 or not joints[0].get("name"):
+        raise XmlError(f"has {len(joints) or 'no'} joints; it needs one, with a name")
+    joint = joints[0].get("name", "")
+    texts = [(child.text or "").strip() for child in joints[0].findall("hardwareInterface")]
+    if not any(texts):
+        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
+    # As in Gazebo, the first counts; robots older than ROS Indigo have no prefix.
+    interface = next(filter(None, texts))
+    name = interface[len(PREFIX) :] if interface.startswith(PREFIX) else interface
+    if name not in INTERFACES:
+        known = ", ".join(PREFIX + one for one in INTERFACES)
+        raise XmlError(f"has the interface '{interface}'; known are {known}")
+    return joint, name
 
 
 class Pid:
@@ -108,7 +262,7 @@ class JointHandle(ABC):
         self.effort = state.effort if by_motor else self._applied
 
     @abstractmethod
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         """Act on the coming step; `stopped` is the emergency stop."""
 
     def placed(self) -> None:
@@ -140,7 +294,7 @@ class EffortJoint(JointHandle):
 
     interface = EFFORT
 
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         self.command = _between(self.command, *self._effort_limits())
         self._apply(0.0 if stopped else self.command)
 
@@ -175,20 +329,20 @@ class PositionJoint(JointHandle):
     def placed(self) -> None:
         self._before = None
 
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         if stopped:
             self.command = self._held
         self._held = self.command if stopped else self.position
         before = self.position if self._before is None else self._before
         slowest, fastest = self._speed_limits(before)
-        least = max(before + slowest * seconds, self.limits.lower)
-        most = min(before + fastest * seconds, self.limits.upper)
+        least = max(before + slowest * STEP_SECONDS, self.limits.lower)
+        most = min(before + fastest * STEP_SECONDS, self.limits.upper)
         self.command = self._before = _between(self.command, least, most)
         if self.pid is None:
             self.body.hold_joint(self.name, self.command, STRONGEST, AT_ONCE)
         else:
             error = self.described.error(self.position, self.command)
-            self._apply(self.pid.command(error, seconds))
+            self._apply(self.pid.command(error, STEP_SECONDS))
 
 
 class VelocityJoint(JointHandle):
@@ -211,16 +365,16 @@ class VelocityJoint(JointHandle):
         if self._wheel is not None:
             self._wheel.stop()
 
-    def write(self, seconds: float, stopped: bool) -> None:
+    def write(self, stopped: bool) -> None:
         slowest, fastest = self._speed_limits(self.position)
         if math.isfinite(self.limits.acceleration):
             before = self._before if self.limits.soft is None else self.velocity
-            change = self.limits.acceleration * seconds
+            change = self.limits.acceleration * STEP_SECONDS
             slowest, fastest = max(slowest, before - change), min(fastest, before + change)
         self.command = self._before = _between(self.command, slowest, fastest)
         speed = 0.0 if stopped else self.command
         if self._wheel is None:
-            self._apply(self.pid.command(speed - self.velocity, seconds))
+            self._apply(self.pid.command(speed - self.velocity, STEP_SECONDS))
         elif speed == 0.0 or speed != self._driven:
             # A motor keeps its speed, but at 0 the wheel must check whether to hold the joint.
             self._driven = speed
@@ -233,7 +387,9 @@ KINDS: Mapping[str, Type[JointHandle]] = {
 
 
 def joint_handles(
-    bodies: Mapping[str, Body], description: RobotDescription, parameters: ControlParameters
+    bodies: Mapping[str, Body],
+    described: Mapping[str, DescribedJoint],
+    parameters: ControlParameters,
 ) -> Dict[str, JointHandle]:
     """Return the joints of a robot that have a transmission, by name.
 
@@ -242,21 +398,19 @@ def joint_handles(
 
     Args:
         bodies: of the robot.
-        description: of the robot.
+        described: the joints with a transmission, by name.
         parameters: with joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
     """
     handles: Dict[str, JointHandle] = {}
     owners = {name: body for body in bodies.values() for name in body.joint_names}
-    for name, interface in description.interfaces.items():
-        described = description.joints.get(name)
-        if described is None or name not in owners:
+    for name, joint in described.items():
+        if name not in owners:
             where = f"{parameters.where}: a transmission's joint '{name}'"
             LOG.warning("%s is no movable joint of the model, and is left out", where)
             continue
-        limits = described.limits.changed_by(parameters.below(f"joint_limits/{name}"))
+        limits = joint.limits.changed_by(parameters.below(f"joint_limits/{name}"))
         gains = parameters.below(f"gazebo_ros_control/pid_gains/{name}")
-        pid = None
-        if interface != EFFORT and gains.get("p") is not None:
-            pid = Pid(gains)
-        handles[name] = KINDS[interface](owners[name], described, limits, pid)
+        has_pid = joint.interface != EFFORT and gains.get("p") is not None
+        pid = Pid(gains) if has_pid else None
+        handles[name] = KINDS[joint.interface](owners[name], joint, limits, pid)
     return handles

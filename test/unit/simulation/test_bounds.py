@@ -1,10 +1,9 @@
-"""What of a model acts is told, and what does not."""
+"""The boxes around models."""
 
 import pytest
-from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.models import bounds, survey
+from bullet_lab.simulation.models import bounds
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -13,11 +12,6 @@ ROBOT = """<robot name="r">
     <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
     <visual><origin xyz="0 0 0.5"/><geometry><box size="0.2 0.4 1"/></geometry></visual>
   </link>
-  <gazebo><plugin name="truth" filename="libgazebo_ros_p3d.so">
-    <bodyName>base</bodyName><topicName>where</topicName><updateRate>25</updateRate>
-    <strange>1</strange>
-  </plugin></gazebo>
-  <gazebo><plugin name="lost" filename="libof_somebody.so"/></gazebo>
 </robot>"""
 
 
@@ -28,23 +22,10 @@ def robot():
         yield simulation.add(read_urdf(ROBOT, "r"), pose=pose)
 
 
-def test_plugins_are_told_with_topics_rates_and_what_is_not_read(robot):
-    truth, lost = survey(robot)
-    assert (truth.acts, truth.outputs, truth.rate) == (True, ("where",), pytest.approx(25.0))
-    assert truth.unread == ("strange",)
-    assert (lost.acts, lost.tag.filename) == (False, "libof_somebody.so")
-
-
 def test_bounds_are_in_the_world(robot):
     least, greatest = bounds(robot)
     assert least == pytest.approx((1.8, -0.1, 0.0))
     assert greatest == pytest.approx((2.2, 0.1, 1.0))
-
-
-def test_what_is_listened_to_is_told():
-    with Simulation() as simulation:
-        found = survey(simulation.spawn(str(BLOCK_ROBOT)))
-    assert ("cmd_vel",) in [plugin.inputs for plugin in found]
 
 
 def test_a_plane_has_no_corners():
