@@ -38,9 +38,10 @@ from bullet_lab.ros.messages.images import (
     marker_pose_message,
     marker_transform,
 )
+from bullet_lab.ros.node.node import node
 from bullet_lab.ros.node.odometry import own_tf_prefix
 from bullet_lab.ros.node.publishers import Health, publisher
-from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
+from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.images import VisionError
@@ -271,6 +272,7 @@ def _words(ids: Iterable[int]) -> str:
     return " ".join(str(number) for number in sorted(set(ids)))
 
 
-def main() -> None:
-    """Run the node."""
-    run_image_node("aruco", ArucoParameters, Aruco)
+@node
+def aruco(parameters: ArucoParameters) -> None:
+    """Run until ROS shuts down."""
+    Aruco(parameters).run()

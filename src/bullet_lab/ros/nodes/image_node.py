@@ -4,7 +4,7 @@ A node subscribes to the image and its camera_info only while one of its results
 It processes each image once, in order.
 
 A new detector is a subclass of `ImageNode` with its parameters, and an executable in scripts/;
-`bullet_lab.ros.nodes.harris_corners` is a short example.
+`bullet_lab.ros.nodes.features` has short examples.
 
 :ROS Parameters: see `ImageParameters` and those of the node
 :ROS Subscribers, while a result has a subscriber: ~image and its camera_info
@@ -33,14 +33,8 @@ from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
-from bullet_lab.ros.node.publishers import (
-    Demand,
-    Diagnostics,
-    Health,
-    Traffic,
-    subscriber,
-)
+from bullet_lab.ros.node.node import Refusals, node
+from bullet_lab.ros.node.publishers import Demand, Diagnostics, Health, Traffic, subscriber
 from bullet_lab.vision.drawing import draw_text
 
 # Larger than an image, so that old images do not collect in the socket.
@@ -161,12 +155,13 @@ class ImageNode(ABC):
 
     # Images
 
-    def start(self) -> None:
-        """Start; images are processed while a result has a subscriber."""
+    def run(self) -> None:
+        """Process images while a result has a subscriber, until ROS shuts down."""
         self._diagnostics.start()
         self._demand.watch()
         what = f"a subscriber to a result and a publisher of {self.parameters.image}"
         join_when(self._is_connected, what)
+        rospy.spin()
 
     def _is_connected(self) -> bool:
         with self._lock:
@@ -261,16 +256,7 @@ class ViewCamera(ImageNode):
         return {"size": size, "mean grey level": f"{image.grey.mean():.0f}"}
 
 
-def run_image_node(name: str, kind: type, node: Callable[[Any], ImageNode]) -> None:
-    """Run a node that processes images; `kind` is the class of its parameters."""
-
-    def body() -> None:
-        node(private_parameters(kind)).start()
-        rospy.spin()
-
-    run_node(name, body)
-
-
-def view_camera() -> None:
-    """Run the node view_camera."""
-    run_image_node("view_camera", ImageParameters, ViewCamera)
+@node
+def view_camera(parameters: ImageParameters) -> None:
+    """Run until ROS shuts down."""
+    ViewCamera(parameters).run()
