@@ -251,9 +251,9 @@ class Trial:
         self._report.take(TRUTH, Reading(self._now(), true))
         odometry = self._newest_odometry() if self._robot.odometry else None
         if self._leg is not None:
-            self._leg.truth.add(true)
+            self._leg.truth.append(true)
             if odometry is not None:
-                self._leg.odometry.add(odometry)
+                self._leg.odometry.append(odometry)
 
     def _newest_odometry(self) -> PlanarPose | None:
         """Return the newest odometry; None while it pauses, which is waited for only once."""
