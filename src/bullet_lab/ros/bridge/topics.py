@@ -41,13 +41,8 @@ from bullet_lab.simulation.plugins.samples import STANDSTILL, PlanarCommand
 
 # Messages that wait for a slow subscriber while time follows the wall clock.
 QUEUE_SIZE = 100
-# Wall seconds to wait for commands: of a direct connection or of a relay that has passed some on,
-# and of a relay that has passed on none yet.
+# Wall seconds to wait for commands.
 PATIENCE = 2.0
-FIRST_PATIENCE = 0.5
-# Commands that a relay which has lost one must pass on in a row before it is waited for again;
-# twice as many after each further loss.
-STREAK = 10
 # Wall seconds after which a relay has passed on what was sent to it before.
 SETTLE_SECONDS = 0.05
 # Wall seconds between two searches for a route that did not exist.
@@ -57,14 +52,6 @@ SEARCH_SECONDS = 1.0
 Device = Union[Plugin, Controller]
 
 
-class Route(NamedTuple):
-    """The connection over which a member sends messages: its name, the topic, the receiver."""
-
-    member: str
-    topic: str
-    receiver: str
-
-
 class Arrival(NamedTuple):
     """The connection over which commands arrive: a topic of the bridge and the sending node."""
 
@@ -72,26 +59,31 @@ class Arrival(NamedTuple):
     sender: str
 
 
+class Route(NamedTuple):
+    """The connection over which a member sends messages: its name, the topic, the receiver."""
+
+    member: str
+    topic: str
+    receiver: str
+
+    def direct(self) -> Arrival:
+        """Return where its messages arrive if the receiver is the bridge."""
+        return Arrival(self.topic, self.member)
+
+
 @dataclass
 class _Connection:
     """The state of a member's connection whose messages arrive at the bridge.
 
     Attributes:
-        is_direct: whether no other node is in between.
         due: the number of messages that must arrive, by arrival.
         sent: messages that the member has sent so far.
-        is_proven: whether messages have arrived when they were due.
-        losses: how often messages did not arrive in time.
-        untrusted: commands that have to be passed on in a row before it is waited for again; 0
-            if it is waited for.
+        is_waited_for: false for a relay that has lost messages.
     """
 
-    is_direct: bool
     due: Dict[Arrival, int]
     sent: int
-    is_proven: bool = False
-    losses: int = 0
-    untrusted: int = 0
+    is_waited_for: bool = True
 
 
 class CommandCounter:
@@ -99,7 +91,7 @@ class CommandCounter:
 
     Through a relay, as many commands have to arrive from it as were sent to it. A relay that
     loses commands, such as a multiplexer that has selected another topic, is not waited for until
-    it passes commands on again.
+    the member joins again.
 
     Args:
         find_arrivals: returns where messages of a route arrive; empty if they do not.
@@ -145,30 +137,20 @@ class CommandCounter:
     def _wait_for(self, route: Route, count: int) -> bool:
         """Return whether the messages have arrived, or are not waited for."""
         connection = self._connection(route, count)
-        if connection is None or connection.sent == count:
+        if connection is None or not connection.is_waited_for or connection.sent == count:
             return True
         new = count - connection.sent
         connection.sent = count
         with self._changed:
             # More have arrived than were due if some were late.
             due = {a: max(n + new, self._arrived[a]) for a, n in connection.due.items()}
-            was_trusted, in_time = not connection.untrusted, self._has_arrived(due)
-            if was_trusted and not in_time:
-                is_known = connection.is_direct or connection.is_proven
-                patience = PATIENCE if is_known else FIRST_PATIENCE
-                in_time = self._changed.wait_for(lambda: self._has_arrived(due), patience)
-            connection.due = due if was_trusted and in_time else self._counts(due)
-            if not in_time and not connection.is_direct:
-                connection.losses += was_trusted
-                connection.untrusted = STREAK * 2 ** (connection.losses - 1)
-            elif was_trusted:
-                connection.is_proven = True
-            else:
-                connection.untrusted -= 1
-            return in_time or not was_trusted
-
-    def _has_arrived(self, due: Mapping[Arrival, int]) -> bool:
-        return all(self._arrived[arrival] >= count for arrival, count in due.items())
+            in_time = self._changed.wait_for(
+                lambda: all(self._arrived[arrival] >= number for arrival, number in due.items()),
+                PATIENCE,
+            )
+            connection.due = due if in_time else self._counts(due)
+            connection.is_waited_for = in_time or due.keys() == {route.direct()}
+            return in_time
 
     def _counts(self, arrivals: Iterable[Arrival]) -> Dict[Arrival, int]:
         return {arrival: self._arrived[arrival] for arrival in arrivals}
@@ -182,16 +164,16 @@ class CommandCounter:
         return known if arrivals else None
 
     def _new_connection(self, route: Route, count: int, arrivals: Set[Arrival]) -> _Connection:
-        direct = Arrival(route.topic, route.member)
+        direct = route.direct()
         if arrivals == {direct}:
             with self._changed:
                 # Messages of an earlier node of the same name do not count.
                 self._arrived[direct] = min(self._arrived[direct], count)
-            return _Connection(True, {direct: 0}, 0)
+            return _Connection({direct: 0}, 0)
         if arrivals:
             time.sleep(SETTLE_SECONDS)
         with self._changed:
-            return _Connection(False, self._counts(arrivals), count)
+            return _Connection(self._counts(arrivals), count)
 
 
 class RouteFinder:
@@ -214,8 +196,7 @@ class RouteFinder:
     def find(self, route: Route) -> Set[Arrival]:
         """Return where messages arrive that a member sends to another node on a topic."""
         if route.receiver == rospy.get_name():
-            direct = Arrival(route.topic, route.member)
-            return {direct} if route.topic in self._subscribers else set()
+            return {route.direct()} if route.topic in self._subscribers else set()
         # Topics of commands with the nodes that are connected to them.
         inbound = {
             Arrival(topic, connection.callerid_pub)
