@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Sequence
+from typing import Any, Callable
 
 import rospy
 from actionlib import ActionServer, ServerGoalHandle, SimpleActionServer
@@ -14,6 +14,8 @@ from geometry_msgs.msg import Twist
 from bullet_lab.ros.node.lock_step import in_lock_step, rate
 from bullet_lab.ros.node.odometry import FrameFinder, MessageQueue
 from bullet_lab.ros.node.publishers import Publisher, publisher
+
+REPLACED = "replaced by another goal"
 
 
 class StoppableSender:
@@ -164,15 +166,22 @@ class GoalNode(ABC):
 
     Args:
         cmd_vel: topic of the commands.
-        queues: messages that the node needs.
+        odometry: messages that are read as frame and content, see `framed`.
+        others: other messages that the node needs.
     """
 
-    def __init__(self, cmd_vel: str, queues: Sequence[MessageQueue]):
+    def __init__(self, cmd_vel: str, odometry: MessageQueue, *others: MessageQueue):
         self._commands = publisher(cmd_vel, Twist)
         self._sender = StoppableSender(self._commands)
         self._frames = FrameFinder()
-        self._queues = queues
+        self._odometry = odometry
+        self._queues = (odometry, *others)
+        # Of the odometry; empty before the first message.
+        self._frame = ""
         self._servers: list[GoalServer] = []
+        # The server of the goal that is pursued, and the goal.
+        self._server: GoalServer | None = None
+        self._goal: Any = None
 
     def run(self, hz: float, what: str) -> None:
         """Work at a rate of simulated time until ROS shuts down.
@@ -186,12 +195,36 @@ class GoalNode(ABC):
             if ticks.now < last:
                 last = ticks.now
                 self._time_was_set_back()
-            self._tick(ticks.now, (ticks.now - last).to_sec())
+            ticket = self._sender.ticket()
+            self._handle_requests(ticks.now)
+            for queue in self._queues:
+                queue.wait(ticks.now)
+            self._tick(ticks.now, (ticks.now - last).to_sec(), ticket)
             last = ticks.now
 
     def _is_connected(self) -> bool:
         queues = all(queue.is_connected() for queue in self._queues)
         return queues and self._commands.has_connections()
+
+    def _handle_requests(self, now: rospy.Time) -> None:
+        """Accept new goals, the newest last, and end a cancelled goal."""
+        new = [one for one in self._servers if one.is_new_goal_available()]
+        for server in sorted(new, key=lambda one: one.next_goal.get_goal_id().stamp):
+            if self._server is not None:
+                self._replace(now)
+            self._server, self._goal = server, server.accept_new_goal()
+            self._accept(now)
+        if self._server is not None and self._server.is_cancelled:
+            self._end(now, GoalStatus.PREEMPTED, "cancelled on request")
+
+    def _take_odometry(self, now: rospy.Time) -> list[Any]:
+        taken = self._odometry.take(now)
+        if taken:
+            self._frame, _ = taken[-1]
+        return [content for _, content in taken]
+
+    def _replace(self, now: rospy.Time) -> None:
+        self._end(now, GoalStatus.PREEMPTED, REPLACED)
 
     def _time_was_set_back(self) -> None:
         for queue in self._queues:
@@ -199,7 +232,17 @@ class GoalNode(ABC):
         for server in self._servers:
             server.forget_cancels()
         self._frames.clear()
+        if self._server is not None:
+            self._end(rospy.Time(0), GoalStatus.ABORTED, "simulated time was set back")
 
     @abstractmethod
-    def _tick(self, now: rospy.Time, seconds: float) -> None:
-        """Take requests and messages, and send a command; `seconds` are those since the last."""
+    def _accept(self, now: rospy.Time) -> None:
+        """Begin to pursue the goal."""
+
+    @abstractmethod
+    def _tick(self, now: rospy.Time, seconds: float, ticket: int) -> None:
+        """Take messages and send a command with a ticket; `seconds` are those since the last."""
+
+    @abstractmethod
+    def _end(self, now: rospy.Time, status: int, text: str) -> None:
+        """End the goal that is pursued, stop the robot, and report the outcome."""

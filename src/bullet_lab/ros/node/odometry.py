@@ -259,6 +259,21 @@ class MessageQueue(Generic[T]):
             self._new.notify_all()
 
 
+def framed(read: Callable[[Any], T]) -> Callable[[Any], tuple[str, T]]:
+    """Return a function that reads the frame of a message, without its slash, and the content.
+
+    It raises OdometryError if the message has no frame.
+    """
+
+    def read_framed(message: Any) -> tuple[str, T]:
+        frame = message.header.frame_id.lstrip("/")
+        if not frame:
+            raise OdometryError("no frame_id")
+        return frame, read(message)
+
+    return read_framed
+
+
 class FrameError(LabError):
     """There is no transform between two frames."""
 

@@ -39,9 +39,15 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive import STANDSTILL, DrivePhase, GoalDriver, GoalLimits
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.ros.node.driving import GoalNode, GoalServer
+from bullet_lab.ros.node.driving import REPLACED, GoalNode, GoalServer
 from bullet_lab.ros.node.node import Refusals, holds_within, node
-from bullet_lab.ros.node.odometry import FrameError, MessageQueue, OdometryError, planar_pose
+from bullet_lab.ros.node.odometry import (
+    FrameError,
+    MessageQueue,
+    OdometryError,
+    framed,
+    planar_pose,
+)
 from bullet_lab.ros.node.publishers import Publisher, publisher
 
 ACTION = "move_base"
@@ -181,19 +187,17 @@ class DriveToGoal(GoalNode):
 
     def __init__(self, parameters: DriveToGoalParameters):
         self._parameters = parameters
-        self._odometry: MessageQueue = MessageQueue(
-            parameters.odom, Odometry, _read_odometry, parameters.odom_rate
+        odometry = MessageQueue(
+            parameters.odom, Odometry, framed(planar_pose), parameters.odom_rate
         )
-        super().__init__(parameters.cmd_vel, [self._odometry])
+        super().__init__(parameters.cmd_vel, odometry)
         self._topics = GoalTopics(parameters.tolerance)
         self._refusals = Refusals()
-        self._frame = ""
         # The newest odometry, when it came, and whether the robot waits for the next one.
         self._pose: PlanarPose | None = None
         self._seen = rospy.Time(0)
         self._waiting = False
-        # The goal that was accepted, and the wall time until which it waits for its frame.
-        self._target: PoseStamped | None = None
+        # Wall time until which the goal that was accepted waits for its frame.
         self._deadline = 0.0
         # The command at the end of the goal before.
         self._moving = STANDSTILL
@@ -201,9 +205,9 @@ class DriveToGoal(GoalNode):
         # Goals that have come, but are not accepted yet.
         self._pending: deque[GoalID] = deque()
         self._odometry.open()
-        self._server = GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
-        self._server.start()
-        self._servers = [self._server]
+        server = GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
+        server.start()
+        self._servers.append(server)
         self._goals = rospy.Subscriber(
             SIMPLE_GOAL, PoseStamped, self._receive_simple_goal, queue_size=10
         )
@@ -224,7 +228,7 @@ class DriveToGoal(GoalNode):
             self._topics.report(goal_id, GoalStatus.REJECTED, f"refused: {error}")
             return
         goal = MoveBaseActionGoal(header=message.header, goal=MoveBaseGoal(message))
-        self._server.action_server.internal_goal_callback(goal)
+        self._servers[0].action_server.internal_goal_callback(goal)
 
     def _await_frame(self) -> str:
         """Wait for the frame of the odometry; raises OdometryError if none comes."""
@@ -239,12 +243,14 @@ class DriveToGoal(GoalNode):
 
     # The loop
 
-    def _tick(self, now: rospy.Time, seconds: float) -> None:
-        ticket = self._sender.ticket()
-        self._handle_requests(now)
-        self._odometry.wait(now)
-        self._take_odometry(now)
-        if self._driver is None and self._server.is_active():
+    def _tick(self, now: rospy.Time, seconds: float, ticket: int) -> None:
+        odometry = self._take_odometry(now)
+        if odometry:
+            self._pose, self._seen = odometry[-1], now
+            if self._waiting:
+                self._waiting = False
+                rospy.loginfo("odometry is back")
+        if self._driver is None and self._server is not None:
             self._begin(now)
         if self._driver is None or not self._has_fresh_odometry(now):
             return
@@ -257,31 +263,26 @@ class DriveToGoal(GoalNode):
             text = f"there, {left:.3f} m and {abs(turn):.1f} degrees from the goal"
             self._end(now, GoalStatus.SUCCEEDED, text)
 
-    def _handle_requests(self, now: rospy.Time) -> None:
-        if self._server.is_new_goal_available():
-            self._accept(now)
-        if self._server.is_cancelled:
-            self._end(now, GoalStatus.PREEMPTED, "cancelled on request")
+    def _replace(self, now: rospy.Time) -> None:
+        """End the goal, but not the motion: that of the next goal begins with it."""
+        moving = STANDSTILL if self._driver is None else self._driver.moving
+        self._end(now, GoalStatus.PREEMPTED, REPLACED, stop=False)
+        self._moving = moving
 
     def _accept(self, now: rospy.Time) -> None:
-        why = "replaced by another goal"
-        self._moving = STANDSTILL if self._driver is None else self._driver.moving
-        if self._server.is_active():
-            self._end(now, GoalStatus.PREEMPTED, why, stop=False)
-        self._target = self._server.accept_new_goal().target_pose
         accepted = self._server.current_goal.get_goal_id().id
         while self._pending:
             goal_id = self._pending.popleft()
             if goal_id.id == accepted:
                 break
-            self._topics.report(goal_id, GoalStatus.RECALLED, why)
+            self._topics.report(goal_id, GoalStatus.RECALLED, REPLACED)
         self._deadline = time.monotonic() + PATIENCE
 
     def _begin(self, now: rospy.Time) -> None:
         """Start to drive, once the goal is known in the frame of the odometry."""
         try:
             frame = self._known_frame()
-            goal = self._frames.planar(self._target, frame, wait=False)
+            goal = self._frames.planar(self._goal.target_pose, frame, wait=False)
         except LabError as error:
             if self._moving != STANDSTILL:
                 # The robot still moves towards the goal before.
@@ -301,15 +302,6 @@ class DriveToGoal(GoalNode):
         self._topics.report(goal_id, GoalStatus.ACTIVE, "driving")
         self._topics.begin(now, frame, goal)
 
-    def _take_odometry(self, now: rospy.Time) -> None:
-        taken = self._odometry.take(now)
-        if taken:
-            self._frame, self._pose = taken[-1]
-            self._seen = now
-            if self._waiting:
-                self._waiting = False
-                rospy.loginfo("odometry is back")
-
     def _has_fresh_odometry(self, now: rospy.Time) -> bool:
         """Return whether the odometry is recent; if not, stop the robot, or abort the goal."""
         odom, patience = self._parameters.odom, self._parameters.patience
@@ -326,34 +318,24 @@ class DriveToGoal(GoalNode):
         return False
 
     def _end(self, now: rospy.Time, status: int, text: str, stop: bool = True) -> None:
-        """End the goal, stop the robot, and report the outcome."""
-        begun = self._driver is not None
-        self._driver = None
+        begun, self._driver, self._moving = self._driver is not None, None, STANDSTILL
+        server, self._server = self._server, None
         if stop:
             self._sender.stop()
         log = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
         log("%s", text)
-        goal_id = self._server.current_goal.get_goal_id()
+        goal_id = server.current_goal.get_goal_id()
         if begun:
             self._topics.report(goal_id, status, text)
             self._topics.end(now, status, self._pose)
         else:
             self._topics.report(goal_id, NOT_BEGUN[status], text)
-        self._server.end(status, text=text)
+        server.end(status, text=text)
 
     def _time_was_set_back(self) -> None:
-        super()._time_was_set_back()
         self._pose = None
         self._seen = rospy.Time(0)
-        if self._server.is_active():
-            self._end(rospy.Time(0), GoalStatus.ABORTED, "simulated time was set back")
-
-
-def _read_odometry(message: Odometry) -> tuple[str, PlanarPose]:
-    frame = message.header.frame_id.lstrip("/")
-    if not frame:
-        raise OdometryError("no frame_id")
-    return frame, planar_pose(message)
+        super()._time_was_set_back()
 
 
 @node
