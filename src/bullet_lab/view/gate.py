@@ -6,7 +6,7 @@ import hmac
 import math
 import secrets
 from dataclasses import dataclass, field
-from typing import Any, Optional
+from typing import Any
 from urllib.parse import urlsplit
 
 # Names that a browser here, or at the other end of a forwarded port, uses for this machine.
@@ -36,7 +36,7 @@ class Gate:
 
     token: str = field(default_factory=lambda: secrets.token_urlsafe(16))
 
-    def path(self, target: str, headers: Any) -> Optional[str]:
+    def path(self, target: str, headers: Any) -> str | None:
         """Return the path below the token, without the query; None if the request is refused.
 
         Args:

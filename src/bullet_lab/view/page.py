@@ -14,7 +14,7 @@ import json
 import secrets
 import time
 from pathlib import Path
-from typing import Any, Callable, Iterator, Optional
+from typing import Any, Callable, Iterator
 
 from bullet_lab.errors import LabError
 from bullet_lab.view.gate import Gate, is_valid_message
@@ -60,7 +60,7 @@ class Page:
     def __init__(self, port: int, wheel: DriverSeat):
         self._gate = Gate()
         self._wheel = wheel
-        self._serve_page: Optional[Callable] = None
+        self._serve_page: Callable | None = None
         viser = _import_viser()
         with self._guarding(viser):
             self.server = viser(HOST, port, label=TITLE, verbose=False)

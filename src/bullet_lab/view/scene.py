@@ -8,7 +8,7 @@ RGB within [0, 1]. Not thread-safe.
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Hashable, Sequence, Tuple
 
 import numpy as np
 
@@ -38,7 +38,7 @@ GAMMA = 2.2
 Row = Tuple[Any, ...]
 
 
-def rgb(colour: Sequence[float]) -> Tuple[int, int, int]:
+def rgb(colour: Sequence[float]) -> tuple[int, int, int]:
     """Return red, green and blue within [0, 255], as viser expects a colour.
 
     >>> rgb((1.0, 0.5, 0.0, 1.0))
@@ -48,7 +48,7 @@ def rgb(colour: Sequence[float]) -> Tuple[int, int, int]:
     return red, green, blue
 
 
-def wxyz(pose: Pose) -> Tuple[float, float, float, float]:
+def wxyz(pose: Pose) -> tuple[float, float, float, float]:
     """Return the orientation of a pose as viser expects it."""
     x, y, z, w = pose.quaternion
     return w, x, y, z
@@ -62,11 +62,11 @@ class Copies:
         names: of the arrays.
     """
 
-    def __init__(self, make: Callable[[Dict[str, np.ndarray]], Any], names: Sequence[str]):
+    def __init__(self, make: Callable[[dict[str, np.ndarray]], Any], names: Sequence[str]):
         self._make = make
         self._names = names
-        self._rows: Dict[Hashable, Row] = {}
-        self._shown: List[Hashable] = []
+        self._rows: dict[Hashable, Row] = {}
+        self._shown: list[Hashable] = []
         self._changed = False
         self._node: Any = None
 
@@ -111,7 +111,7 @@ class CopyGroups:
 
     def __init__(self, make: Callable[[Any, int], Copies]):
         self._make = make
-        self._groups: Dict[Any, Copies] = {}
+        self._groups: dict[Any, Copies] = {}
 
     def group(self, name: Any) -> Copies:
         """Return the copies of a group."""
@@ -151,13 +151,13 @@ class Solids(CopyGroups):
         opacity = (colour[3],) if see_through else ()
         self.put((kind, see_through), key, pose, size, rgb(colour), *opacity)
 
-    def _copies(self, group: Tuple[str, bool], _: int) -> Copies:
+    def _copies(self, group: tuple[str, bool], _: int) -> Copies:
         kind, see_through = group
         corners = surfaces_of(UNITS[kind])[0].corners.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
 
-        def make(arrays: Dict[str, np.ndarray]) -> Any:
+        def make(arrays: dict[str, np.ndarray]) -> Any:
             arrays["batched_colors"] = arrays["batched_colors"].astype(np.uint8)
             return self._scene.add_batched_meshes_simple(name, corners, faces, lod="off", **arrays)
 
@@ -172,7 +172,7 @@ class Polyline:
         self._scene = scene
         self._name = name
         self._colour = rgb(colour)
-        self._nodes: List[Tuple[np.ndarray, Any]] = []
+        self._nodes: list[tuple[np.ndarray, Any]] = []
 
     def set(self, points: np.ndarray) -> None:
         """Draw the line through points, (n, 3) in m."""
@@ -242,7 +242,7 @@ class Labels:
     def __init__(self, scene: Any, name: str):
         self._scene = scene
         self._name = name
-        self._nodes: Dict[Hashable, Tuple[str, Vector, Any]] = {}
+        self._nodes: dict[Hashable, tuple[str, Vector, Any]] = {}
 
     def put(self, key: Hashable, text: str, position: Vector) -> None:
         """Place a text."""
@@ -271,7 +271,7 @@ class Labels:
 
 def floor_point(
     origin: Sequence[float], direction: Sequence[float]
-) -> Optional[Tuple[float, float]]:
+) -> tuple[float, float] | None:
     """Return where a ray meets the floor, x and y in m; None if it does not.
 
     >>> floor_point((0.0, 0.0, 2.0), (1.0, 0.0, -1.0))
@@ -291,7 +291,7 @@ def visual_copies(
     if not glb:
         return Copies(lambda _: None, ())
 
-    def make(arrays: Dict[str, np.ndarray]) -> Any:
+    def make(arrays: dict[str, np.ndarray]) -> Any:
         return scene.add_batched_glb(name, glb, lod="off", **arrays)
 
     return Copies(make, ("batched_positions", "batched_wxyzs"))

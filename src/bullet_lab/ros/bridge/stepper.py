@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from concurrent import futures
-from typing import Any, Callable, Deque, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, NamedTuple, Sequence
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.timing import (
@@ -80,19 +80,19 @@ class Stepper:
         is_over: Callable[[], bool],
         report_stall: Callable[[Sequence[str]], None],
         report_lag: Callable[[Lag], None],
-        watch: Optional[LoopWatch] = None,
+        watch: LoopWatch | None = None,
     ):
         self.simulation, self.pace, self.gate = simulation, pace, gate
         self.after_steps: Callable[[], None] = lambda: None
         self._tick, self.paused = tick, paused
         # Requests for steps: how many are left, and the future with the step reached.
-        self._advances: Deque[Tuple[int, futures.Future]] = deque()
+        self._advances: deque[tuple[int, futures.Future]] = deque()
         self._is_over, self._report_stall, self._report_lag = is_over, report_stall, report_lag
         self.watch = watch or LoopWatch()
         self._reached = simulation.step
         self._stride = STEPS_AT_A_TIME
-        self._stalled_since: Optional[float] = None
-        self._tasks: queue.Queue[Tuple[futures.Future, Callable[[], Any]]] = queue.Queue()
+        self._stalled_since: float | None = None
+        self._tasks: queue.Queue[tuple[futures.Future, Callable[[], Any]]] = queue.Queue()
         self._wake = threading.Condition()
         self._wakeups = 0
         self.epoch = 1

@@ -15,7 +15,7 @@ import math
 import threading
 import time
 from collections import Counter
-from typing import Callable, Dict, Iterable, Iterator, NamedTuple, Optional, Tuple
+from typing import Callable, Iterable, Iterator, NamedTuple
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 
@@ -95,7 +95,7 @@ class Lag(NamedTuple):
     wanted: float
     reached: float
     seconds: float
-    causes: Tuple[Tuple[str, float], ...]
+    causes: tuple[tuple[str, float], ...]
 
     def __str__(self) -> str:
         shares = ", ".join(f"{what} {100.0 * share:.0f} %" for what, share in self.causes)
@@ -113,7 +113,7 @@ class LoopWatch:
         self._clock = clock
         self._spent: Counter = Counter()
         # What the loop does now, and since when.
-        self._busy: Optional[Tuple[str, float]] = None
+        self._busy: tuple[str, float] | None = None
         self._stuck_reported = clock()
         self._silence, self._lag_reported = WINDOW, -math.inf
         self.restart(0)
@@ -147,7 +147,7 @@ class LoopWatch:
         """Whether the measurement is long enough."""
         return self._clock() - self._start >= WINDOW
 
-    def measure(self, step: int, wanted: float) -> Optional[Lag]:
+    def measure(self, step: int, wanted: float) -> Lag | None:
         """End the measurement at a step; return a report if simulated time was too slow.
 
         None if it was not, or if that was reported a short while ago. `wanted` is the real-time
@@ -169,7 +169,7 @@ class LoopWatch:
         self._lag_reported = now
         return lag
 
-    def stuck(self) -> Optional[Tuple[str, float]]:
+    def stuck(self) -> tuple[str, float] | None:
         """Return the activity in which the loop is stuck, and for how many wall seconds.
 
         None if it is not stuck, or if that was reported less than `WINDOW` ago.
@@ -180,7 +180,7 @@ class LoopWatch:
         self._stuck_reported = now
         return busy[0], now - busy[1]
 
-    def _causes(self, seconds: float) -> Tuple[Tuple[str, float], ...]:
+    def _causes(self, seconds: float) -> tuple[tuple[str, float], ...]:
         """Return the activities that took a large share of the time, with their shares."""
         waiting = self._spent.pop(WAITING, 0.0) / seconds
         shares = {what: spent / seconds for what, spent in self._spent.most_common()}
@@ -196,7 +196,7 @@ class TimeGate:
     """Keeps the grants of the lock step's members; time starts when all `expected` have joined."""
 
     def __init__(self, expected: Iterable[str] = ()):
-        self._granted: Dict[str, float] = dict.fromkeys(expected, NOT_YET)
+        self._granted: dict[str, float] = dict.fromkeys(expected, NOT_YET)
         self._lock = threading.Lock()
 
     def grant(self, member: str, step: float) -> None:
@@ -218,7 +218,7 @@ class TimeGate:
         with self._lock:
             return min(self._granted.values(), default=FOR_EVER)
 
-    def holding(self) -> Tuple[str, ...]:
+    def holding(self) -> tuple[str, ...]:
         """Return the members that hold time back: the missing ones, or those of the least grant."""
         with self._lock:
             least = min(self._granted.values(), default=FOR_EVER)

@@ -14,15 +14,10 @@ from dataclasses import dataclass
 from typing import (
     Any,
     Callable,
-    Dict,
     Iterable,
-    List,
     Mapping,
     NamedTuple,
-    Optional,
     Sequence,
-    Set,
-    Tuple,
     Union,
 )
 
@@ -81,7 +76,7 @@ class _Connection:
         is_waited_for: false for a relay that has lost messages.
     """
 
-    due: Dict[Arrival, int]
+    due: dict[Arrival, int]
     sent: int
     is_waited_for: bool = True
 
@@ -100,14 +95,14 @@ class CommandCounter:
 
     def __init__(
         self,
-        find_arrivals: Callable[[Route], Set[Arrival]],
-        changed: Optional[threading.Condition] = None,
+        find_arrivals: Callable[[Route], set[Arrival]],
+        changed: threading.Condition | None = None,
     ):
         self._find_arrivals = find_arrivals
         self._changed = changed or threading.Condition()
         self._arrived: Counter = Counter()
-        self._headers: Dict[Arrival, Any] = {}
-        self._connections: Dict[Route, _Connection] = {}
+        self._headers: dict[Arrival, Any] = {}
+        self._connections: dict[Route, _Connection] = {}
 
     def note(self, arrival: Arrival, header: Any = None) -> None:
         """Count a command; the count restarts with the header of a new connection."""
@@ -118,7 +113,7 @@ class CommandCounter:
             self._arrived[arrival] += 1
             self._changed.notify_all()
 
-    def heard(self, sent: Mapping[Route, int]) -> Set[str]:
+    def heard(self, sent: Mapping[Route, int]) -> set[str]:
         """Return the topics of a member that reach the bridge, and restart their counts.
 
         Called when the member joins, before it sends commands.
@@ -130,7 +125,7 @@ class CommandCounter:
             self._connections.pop(route, None)
         return {route.topic for route, count in sent.items() if self._connection(route, count)}
 
-    def wait(self, sent: Mapping[Route, int]) -> List[Route]:
+    def wait(self, sent: Mapping[Route, int]) -> list[Route]:
         """Wait until the messages of a member have arrived; return the routes that lost some."""
         return [route for route, count in sent.items() if not self._wait_for(route, count)]
 
@@ -152,10 +147,10 @@ class CommandCounter:
             connection.is_waited_for = in_time or due.keys() == {route.direct()}
             return in_time
 
-    def _counts(self, arrivals: Iterable[Arrival]) -> Dict[Arrival, int]:
+    def _counts(self, arrivals: Iterable[Arrival]) -> dict[Arrival, int]:
         return {arrival: self._arrived[arrival] for arrival in arrivals}
 
-    def _connection(self, route: Route, count: int) -> Optional[_Connection]:
+    def _connection(self, route: Route, count: int) -> _Connection | None:
         """Return the state of a connection; None if its messages do not reach the bridge."""
         arrivals = self._find_arrivals(route)
         known = self._connections.get(route)
@@ -163,7 +158,7 @@ class CommandCounter:
             known = self._connections[route] = self._new_connection(route, count, arrivals)
         return known if arrivals else None
 
-    def _new_connection(self, route: Route, count: int, arrivals: Set[Arrival]) -> _Connection:
+    def _new_connection(self, route: Route, count: int, arrivals: set[Arrival]) -> _Connection:
         direct = route.direct()
         if arrivals == {direct}:
             with self._changed:
@@ -190,10 +185,10 @@ class RouteFinder:
         self._subscribers = subscribers
         self._lock = threading.Lock()
         # Arrivals, and when they were searched for.
-        self._found: Dict[Route, Tuple[Set[Arrival], float]] = {}
-        self._inbound: Set[Arrival] = set()
+        self._found: dict[Route, tuple[set[Arrival], float]] = {}
+        self._inbound: set[Arrival] = set()
 
-    def find(self, route: Route) -> Set[Arrival]:
+    def find(self, route: Route) -> set[Arrival]:
         """Return where messages arrive that a member sends to another node on a topic."""
         if route.receiver == rospy.get_name():
             return {route.direct()} if route.topic in self._subscribers else set()
@@ -215,7 +210,7 @@ class RouteFinder:
             return found
 
 
-def _search(route: Route) -> Set[Arrival]:
+def _search(route: Route) -> set[Arrival]:
     """Return the topics that the receiver, and nodes behind it, publish with that type."""
     master = rosgraph.Master(rospy.get_name())
     try:
@@ -224,7 +219,7 @@ def _search(route: Route) -> Set[Arrival]:
     except MASTER_ERRORS:
         return set()
     listeners = dict(subscribed)
-    found: Set[Arrival] = set()
+    found: set[Arrival] = set()
     visited = {route.member, rospy.get_name()}
     nodes = [route.receiver]
     while nodes:
@@ -258,11 +253,11 @@ class DeviceTopics:
         self._stepper = stepper
         stepper.after_steps = self.flush
         self._refusals = Refusals()
-        self._publishers: Dict[str, BatchPublisher] = {}
+        self._publishers: dict[str, BatchPublisher] = {}
         self._users: Counter = Counter()
-        self._inputs: Dict[str, List[Input]] = {}
-        self._subscribers: Dict[str, rospy.Subscriber] = {}
-        self._timeouts: Dict[Arrival, threading.Timer] = {}
+        self._inputs: dict[str, list[Input]] = {}
+        self._subscribers: dict[str, rospy.Subscriber] = {}
+        self._timeouts: dict[Arrival, threading.Timer] = {}
         self.commands = CommandCounter(RouteFinder(self._subscribers).find)
 
     def publisher(self, topic: str, kind: type) -> BatchPublisher:
@@ -322,7 +317,7 @@ class DeviceTopics:
         topic: str,
         kind: type,
         receive: Callable[[Any], None],
-        queue_size: Optional[int] = None,
+        queue_size: int | None = None,
     ) -> None:
         """Subscribe to a topic, once, whose messages the lock step counts as commands.
 

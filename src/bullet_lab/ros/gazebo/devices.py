@@ -17,7 +17,7 @@ import logging
 import math
 import threading
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable
 
 import rosgraph
 import rospy
@@ -97,14 +97,14 @@ class DeviceServices:
     def __init__(self, world: RunningWorld):
         self._world = world
         # Functions to call when a model is removed.
-        self._ends: Dict[str, List[Callable[[], Any]]] = {}
+        self._ends: dict[str, list[Callable[[], Any]]] = {}
         world.follow(self._begin, self._end)
 
     def _begin(self, instance: ModelInstance) -> None:
         registrar, services = self._world.registrar, []
         ends = self._ends[instance.name] = [partial(registrar.submit, _shut_down, services)]
         for plugin in instance.plugins:
-            offers: List[Callable[[], Any]] = []
+            offers: list[Callable[[], Any]] = []
             if isinstance(plugin, RosControl):
                 ends.append(ControllerServices(self._world, plugin).end)
             elif type(plugin) in (Camera, DepthCamera):
@@ -121,10 +121,10 @@ class DeviceServices:
         for end in self._ends.pop(model):
             end()
 
-    def _camera_services(self, camera: Camera, images: CompressedImages) -> List[Callable[[], Any]]:
+    def _camera_services(self, camera: Camera, images: CompressedImages) -> list[Callable[[], Any]]:
         name = rospy.resolve_name(camera.topic("set_camera_info"))
         topic = rospy.resolve_name(images.topic)
-        offers: List[Callable[[], Any]] = [
+        offers: list[Callable[[], Any]] = [
             partial(offer, name, SetCameraInfo, partial(self._calibrate, camera)),
             partial(Reconfigurable, topic, COMPRESSION, images.set),
         ]
@@ -147,7 +147,7 @@ class DeviceServices:
         return values
 
 
-def check_calibration(calibration: Dict[str, Any]) -> None:
+def check_calibration(calibration: dict[str, Any]) -> None:
     """Raise InputError for an invalid calibration of set_camera_info."""
     for name in "DKRP":
         if not all(map(math.isfinite, calibration[name])):
@@ -159,7 +159,7 @@ def check_calibration(calibration: Dict[str, Any]) -> None:
         raise InputError(f"distortion_model has more than {LONGEST_NAME} characters")
 
 
-def _start(offers: List[Callable[[], Any]], services: List[Any], where: str) -> None:
+def _start(offers: list[Callable[[], Any]], services: list[Any], where: str) -> None:
     for start in offers:
         try:
             services.append(start())
@@ -169,7 +169,7 @@ def _start(offers: List[Callable[[], Any]], services: List[Any], where: str) -> 
                 rospy.logwarn("%s: %s", where, error)
 
 
-def _shut_down(services: List[Any]) -> None:
+def _shut_down(services: list[Any]) -> None:
     for service in services:
         service.shutdown()
 
@@ -184,8 +184,8 @@ class ControllerServices:
         self._world, self._plugin = world, plugin
         self._where = f"controller_manager in {plugin.namespace}"
         self._ended = threading.Event()
-        self._services: List[rospy.Service] = []
-        self._adjustable: Dict[str, Reconfigurable] = {}
+        self._services: list[rospy.Service] = []
+        self._adjustable: dict[str, Reconfigurable] = {}
         # Serves one client at a time.
         self._lock = threading.Lock()
         threading.Thread(target=self._begin, daemon=True).start()
@@ -214,7 +214,7 @@ class ControllerServices:
         except (LabError, *MASTER_ERRORS) as error:
             LOG.error("%s: %s; it is left out", self._where, error)
 
-    def _wait_for_description(self) -> Optional[str]:
+    def _wait_for_description(self) -> str | None:
         """Return the robot's URDF once the parameter is set; None if the robot was removed."""
         name, waited = self._plugin.description, 0.0
         while not (self._ended.is_set() or rospy.is_shutdown()):
@@ -242,7 +242,7 @@ class ControllerServices:
             ),
         }
         space = f"{self._plugin.namespace}controller_manager"
-        offers: List[Callable[[], Any]] = [
+        offers: list[Callable[[], Any]] = [
             partial(rospy.Service, f"{space}/{name}", *answer) for name, answer in answers.items()
         ]
         _start([] if self._ended.is_set() else offers, self._services, self._where)

@@ -12,7 +12,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List
+from typing import Any, Callable, Iterator
 
 import numpy as np
 import rospy
@@ -92,7 +92,7 @@ class WorldSaver:
             raise LabError(error) from error
         return {**values, "seconds": time.perf_counter() - start}
 
-    def _write(self, name: str) -> Dict[str, Any]:
+    def _write(self, name: str) -> dict[str, Any]:
         try:
             path = self._folder.place(name)
         except FileError as error:
@@ -102,7 +102,7 @@ class WorldSaver:
         self._folder.write(path, values.pop("text"))
         return values
 
-    def _describe(self, path: Path) -> Dict[str, Any]:
+    def _describe(self, path: Path) -> dict[str, Any]:
         snapshot = self._world.do(self._world.simulation.snapshot)
         text, notes = world_text(snapshot, path.parent)
         return {
@@ -126,7 +126,7 @@ class _States:
         world: RunningWorld,
         topic: str,
         kind: type,
-        entities: Callable[[ModelInstance], Dict[str, Entity]],
+        entities: Callable[[ModelInstance], dict[str, Entity]],
         rate: float,
     ):
         self._world = world
@@ -156,11 +156,11 @@ class _States:
         return message
 
 
-def _model(instance: ModelInstance) -> Dict[str, Entity]:
+def _model(instance: ModelInstance) -> dict[str, Entity]:
     return {instance.name: model_entity(instance)}
 
 
-def _links(instance: ModelInstance) -> Dict[str, Entity]:
+def _links(instance: ModelInstance) -> dict[str, Entity]:
     return {f"{instance.name}::{link.link}": link for link in link_entities(instance)}
 
 
@@ -210,7 +210,7 @@ class Warnings(logging.Handler):
 
     def __init__(self):
         super().__init__(logging.WARNING)
-        self.lines: List[str] = []
+        self.lines: list[str] = []
         logging.getLogger("bullet_lab").addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -243,7 +243,7 @@ class ModelDescriptions:
         picture = take_picture(self._world.simulation, view, samples=4)
         return image_message(Header(), picture, "rgb8")
 
-    def _describe(self, name: str) -> List[ModelDescription]:
+    def _describe(self, name: str) -> list[ModelDescription]:
         models, simulation = self._world.models, self._world.simulation
         of_world_file = {model.name for model in simulation.world.models}
         descriptions = []
@@ -288,7 +288,7 @@ def offer_all(
     states_rate: float,
     folder: Path,
     warnings: Warnings,
-) -> List[Any]:
+) -> list[Any]:
     """Offer Gazebo's services and topics on a running world, and the markers of its shapes.
 
     Args:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Any, Callable, Dict, Sequence
 
 import rospy
 from geometry_msgs.msg import Vector3
@@ -114,7 +114,7 @@ def _type_of(settings: Sequence[Setting]) -> Any:
     )
 
 
-def _described(setting: Setting) -> Dict[str, Any]:
+def _described(setting: Setting) -> dict[str, Any]:
     """Return the description of a setting for dynamic_reconfigure."""
     kind = TYPES[type(setting.default)]
     entries = [
@@ -141,7 +141,7 @@ class GazeboPhysics:
             Setting(key, value, f"as in set_physics_properties: {key}", *LIMITS[key])
             for key, value in self._reported.items()
         ]
-        self._services: List[Any] = [
+        self._services: list[Any] = [
             offer(
                 "/gazebo/get_physics_properties",
                 srv.GetPhysicsProperties,
@@ -164,7 +164,7 @@ class GazeboPhysics:
         values.update({f"gravity_{axis}": getattr(values["gravity"], axis) for axis in "xyz"})
         return {key: values[key] for key in LIMITS}
 
-    def _get(self, _request: Any) -> Dict[str, Any]:
+    def _get(self, _request: Any) -> dict[str, Any]:
         stepper = self._world.stepper
         return {
             "time_step": STEP_SECONDS,

@@ -6,7 +6,7 @@ import math
 import traceback
 from dataclasses import replace
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, Optional, Sequence
 
 import rospy
 from std_msgs.msg import ColorRGBA
@@ -75,7 +75,7 @@ def offer(
     fields = kind._response_class.__slots__
 
     def handle(request: Any) -> Any:
-        values: Dict[str, Any] = {"success": True, "status_message": done}
+        values: dict[str, Any] = {"success": True, "status_message": done}
         try:
             values.update(answer(request) or {})
         except LabError as error:
@@ -269,7 +269,7 @@ def _link_properties(world: RunningWorld, request: Any) -> Answer:
 
 def _set_link_properties(world: RunningWorld, request: Any) -> None:
     link = find_link(world.models, request.link_name)
-    elements: Dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
+    elements: dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
     if not all(map(math.isfinite, (request.mass, *elements.values()))):
         raise InputError("mass or inertia is not finite")
     centre = vector_of(request.com.position, "the centre of mass")
@@ -315,7 +315,7 @@ def _delete_light(world: RunningWorld, request: Any) -> Answer:
     return {"status_message": f"DeleteLight: {request.light_name} successfully deleted"}
 
 
-def _first(values: Sequence[float], name: str) -> Optional[float]:
+def _first(values: Sequence[float], name: str) -> float | None:
     """Return the value for a joint's first axis, None if there is none; raises InputError."""
     if not values:
         return None
@@ -359,7 +359,7 @@ SERVICES = (
 )
 
 
-def offer_services(world: RunningWorld) -> List[rospy.Service]:
+def offer_services(world: RunningWorld) -> list[rospy.Service]:
     """Offer the services on models, links, joints and lights."""
     spawn = partial(_spawn, world)
     messages = ("SpawnModel: Successfully spawned entity", "SpawnModel: Failure - ")

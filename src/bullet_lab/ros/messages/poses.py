@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Tuple
+from typing import Any
 
 import genpy
 from geometry_msgs.msg import Pose as PoseMessage
@@ -109,7 +109,7 @@ def normalised_pose(message: PoseMessage) -> Pose:
     return Pose(position, (x, y, z, w))
 
 
-def twist_of(message: Twist) -> Tuple[Vector, Vector]:
+def twist_of(message: Twist) -> tuple[Vector, Vector]:
     """Return linear and angular velocity; raises InputError if one is not finite."""
     linear = vector_of(message.linear, "the linear velocity")
     angular = vector_of(message.angular, "the angular velocity")

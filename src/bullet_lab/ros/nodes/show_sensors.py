@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Iterable, Iterator, List
+from typing import Any, Iterable, Iterator
 
 import numpy as np
 import rospy
@@ -77,7 +77,7 @@ class ShowSensors:
             self._acceleration.publish(shown)
 
 
-def last_states(message: msg.ContactsState) -> List[msg.ContactState]:
+def last_states(message: msg.ContactsState) -> list[msg.ContactState]:
     """Return the states of the last step in a bumper's message, which has those of each step.
 
     The times are in `info`; without them, all states are returned.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Callable, Optional, Tuple
+from typing import Any, Callable
 
 import cv2
 import numpy as np
@@ -48,7 +48,7 @@ class CameraDisplay:
         self._show = show
         self._period = 1.0 / rate
         self._topic = ""
-        self._subscription: Optional[Subscription] = None
+        self._subscription: Subscription | None = None
         self._last = -math.inf
 
     def follow(self, topic: str) -> None:
@@ -116,7 +116,7 @@ class PointsDisplay(Display):
         )
 
 
-def points_of(message: PointCloud2, most: int = MAX_POINTS) -> Tuple[np.ndarray, np.ndarray]:
+def points_of(message: PointCloud2, most: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
     """Return positions (n, 3) in m and colours (n, 3) uint8 of at most so many points of a cloud.
 
     Points that are not finite are left out. Raises MessageError if the cloud is invalid.
@@ -138,7 +138,7 @@ def points_of(message: PointCloud2, most: int = MAX_POINTS) -> Tuple[np.ndarray,
     return positions[chosen], colours
 
 
-def _column(message: PointCloud2, name: str) -> Optional[np.ndarray]:
+def _column(message: PointCloud2, name: str) -> np.ndarray | None:
     """Return a field of all points, by rows; None if there is no field of that name."""
     field = next((one for one in message.fields if one.name == name), None)
     if field is None:

@@ -11,7 +11,7 @@ import math
 import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Iterable, List, Optional, Set, Tuple
+from typing import Any, Callable, Iterable
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -69,7 +69,7 @@ class Display(ABC):
         self.node = f"/topics{topic}"
         self._subscription = Subscription(topic, read, large=large)
         # All that it shows, which `set` of no points hides.
-        self._parts: List[Any] = []
+        self._parts: list[Any] = []
 
     def tick(self) -> None:
         """Show the newest message; raises LabError if it cannot be shown."""
@@ -107,14 +107,14 @@ class PathDisplay(Display):
         self._waypoints = _cloud(context, f"{self.node}/points", colour, 2.0 * POINT_SIZE)
         self._parts = [self._line, self._waypoints]
 
-    def show(self, message: Tuple[str, np.ndarray]) -> None:  # noqa: D102 - inherited
+    def show(self, message: tuple[str, np.ndarray]) -> None:  # noqa: D102 - inherited
         frame, positions = message
         points = placed(self.context.pose_of(frame), positions) + (0.0, 0.0, self._height)
         self._line.set(points)
         self._waypoints.set(points if self._is_plan else NO_POINTS)
 
 
-def read_path(data: bytes) -> Tuple[str, np.ndarray]:
+def read_path(data: bytes) -> tuple[str, np.ndarray]:
     """Return frame and positions (n, 3), m, of a serialised nav_msgs/Path; raises MessageError.
 
     The positions are read from the bytes, as a path may have thousands of poses, and genpy makes
@@ -320,8 +320,8 @@ class Kind:
     """
 
     name: str
-    displays: Dict[str, Callable[[DisplayContext, str], Any]]
-    wanted: Callable[[str, Dict[str, str]], bool] = lambda topic, others: True
+    displays: dict[str, Callable[[DisplayContext, str], Any]]
+    wanted: Callable[[str, dict[str, str]], bool] = lambda topic, others: True
     every: int = 1
 
 
@@ -331,10 +331,10 @@ class Displays:
     def __init__(self, kind: Kind, context: DisplayContext):
         self.kind = kind
         self._context = context
-        self._shown: Dict[str, Any] = {}
-        self._failed: Set[str] = set()
+        self._shown: dict[str, Any] = {}
+        self._failed: set[str] = set()
 
-    def follow(self, topics: Dict[str, str]) -> None:
+    def follow(self, topics: dict[str, str]) -> None:
         """Show those of these topics, with their types, that are of the kind; none if empty."""
         found = {
             topic: self.kind.displays[type_name]
@@ -359,7 +359,7 @@ class Displays:
                     LOG.warning("%s: %s", topic, error)
 
     @property
-    def topics(self) -> List[str]:
+    def topics(self) -> list[str]:
         """Topics that are shown."""
         return sorted(self._shown)
 
@@ -370,7 +370,7 @@ def has_no_path(topic: str, others: Iterable[str]) -> bool:
     return not any(other.endswith(known) for other in others)
 
 
-def closest(options: List[str], endings: Iterable[str]) -> Optional[str]:
+def closest(options: list[str], endings: Iterable[str]) -> str | None:
     """Return the first option with the first ending that any option has, else the first option."""
     found = (option for ending in endings for option in options if option.endswith(ending))
     return next(found, next(iter(options), None))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
+from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
 from visualization_msgs.msg import Marker as MarkerMessage
@@ -92,11 +92,11 @@ def read_marker(message: MarkerMessage) -> Marker:
     )
 
 
-def _rows(values: Sequence[Tuple[float, ...]], columns: int) -> np.ndarray:
+def _rows(values: Sequence[tuple[float, ...]], columns: int) -> np.ndarray:
     return finite(np.array(values, float).reshape(-1, columns), "the marker")
 
 
-def read_markers(message: MarkerArray) -> List[Marker]:
+def read_markers(message: MarkerArray) -> list[Marker]:
     """Return the markers of an array; raises LabError if a number is not finite."""
     return [read_marker(one) for one in message.markers]
 
@@ -117,13 +117,13 @@ class MarkersDisplay:
         self,
         context: DisplayContext,
         topic: str,
-        read: Callable[[bytes], List[Marker]] = reader_of(MarkerArray, read_markers),
+        read: Callable[[bytes], list[Marker]] = reader_of(MarkerArray, read_markers),
     ):
         self._context = context
         self._node = f"/topics{topic}"
         self._subscription = Subscription(topic, read, every=True)
-        self._markers: Dict[Key, Marker] = {}
-        self._frame_poses: Dict[Key, Pose] = {}
+        self._markers: dict[Key, Marker] = {}
+        self._frame_poses: dict[Key, Pose] = {}
         self._report = ReportOnce()
         self._solids = Solids(context.scene, f"{self._node}/solids")
         self._meshes = CopyGroups(
@@ -132,13 +132,13 @@ class MarkersDisplay:
             )
         )
         self._labels = Labels(context.scene, f"{self._node}/labels")
-        self._nodes: Dict[Key, Any] = {}
+        self._nodes: dict[Key, Any] = {}
         # Number of the solids of each marker that is a list of them.
-        self._listed: Dict[Key, int] = {}
+        self._listed: dict[Key, int] = {}
 
     def tick(self) -> None:
         """Show new markers, and those that have moved with their frames."""
-        touched: Set[Key] = set()
+        touched: set[Key] = set()
         for markers in self._subscription.take():
             for marker in markers:
                 self._take(marker)
@@ -162,7 +162,7 @@ class MarkersDisplay:
         """Return whether a solid has more than its colour."""
         return False
 
-    def frames(self) -> Set[str]:
+    def frames(self) -> set[str]:
         """Return the frames of the markers."""
         return {marker.frame for marker in self._markers.values()}
 
@@ -319,13 +319,13 @@ def _visual(
 
 
 # The shape of a solid of a size.
-SHAPES: Dict[int, Callable[[Vector], Geometry]] = {
+SHAPES: dict[int, Callable[[Vector], Geometry]] = {
     MarkerMessage.CUBE: Box,
     MarkerMessage.SPHERE: lambda size: Sphere(0.5 * size[0]),
     MarkerMessage.CYLINDER: lambda size: Cylinder(0.5 * size[0], size[2]),
 }
 # How each other kind is shown.
-SHOW: Dict[int, Callable[[MarkersDisplay, Key, Marker, Pose], None]] = {
+SHOW: dict[int, Callable[[MarkersDisplay, Key, Marker, Pose], None]] = {
     MarkerMessage.ARROW: MarkersDisplay._show_arrow,
     MarkerMessage.LINE_STRIP: MarkersDisplay._show_strip,
     MarkerMessage.LINE_LIST: MarkersDisplay._show_segments,
@@ -342,7 +342,7 @@ class WorldDisplay(MarkersDisplay):
 
     def __init__(self, context: DisplayContext):
         super().__init__(context, WORLD)
-        self._robots: FrozenSet[str] = frozenset()
+        self._robots: frozenset[str] = frozenset()
 
     def is_hidden(self, marker: Marker) -> bool:  # noqa: D102 - inherited
         return marker.key[0] in self._robots
@@ -350,7 +350,7 @@ class WorldDisplay(MarkersDisplay):
     def is_textured(self, marker: Marker) -> bool:  # noqa: D102 - inherited
         return bool(marker.text)
 
-    def leave_out(self, robots: FrozenSet[str]) -> None:
+    def leave_out(self, robots: frozenset[str]) -> None:
         """Show all models but these."""
         changed = robots ^ self._robots
         self._robots = robots
@@ -358,7 +358,7 @@ class WorldDisplay(MarkersDisplay):
             if key[0] in changed:
                 self._show(key, marker)
 
-    def models(self) -> Set[str]:
+    def models(self) -> set[str]:
         """Return the names of all models, with those that are left out."""
         return {model for model, _ in self._markers}
 
@@ -372,7 +372,7 @@ def single_marker_display(context: DisplayContext, topic: str) -> MarkersDisplay
 def contacts_display(context: DisplayContext, topic: str) -> MarkersDisplay:
     """Return a display of the contacts of a bumper: points, normals and forces."""
 
-    def read(message: Any) -> List[Marker]:
+    def read(message: Any) -> list[Marker]:
         return [read_marker(one) for one in contact_markers(message, CONTACT_SCALE)]
 
     display = MarkersDisplay(context, topic, reader_of(msg.ContactsState, read))

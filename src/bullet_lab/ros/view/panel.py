@@ -10,7 +10,7 @@ from __future__ import annotations
 import html
 import math
 import threading
-from typing import Any, Callable, Collection, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Collection, Sequence
 
 import numpy as np
 import rospy
@@ -105,11 +105,11 @@ class TabControls:
         """Full turn rate, rad/s."""
         return _within(self._turn)
 
-    def offer_robots(self, topics: List[str], default: Optional[str]) -> None:
+    def offer_robots(self, topics: list[str], default: str | None) -> None:
         """Offer topics of commands."""
         _offer(self._robot, topics, NOBODY, default)
 
-    def offer_images(self, topics: List[str], default: Optional[str]) -> None:
+    def offer_images(self, topics: list[str], default: str | None) -> None:
         """Offer topics of images."""
         _offer(self._source, [*topics, NOTHING], NOTHING, default)
         if self._image.visible != bool(self.image_topic):
@@ -130,7 +130,7 @@ class Panel:
     """
 
     def __init__(self, gui: Any, kinds: Sequence[str], off: Sequence[str] = ()):
-        self._noise_services: List[str] = []
+        self._noise_services: list[str] = []
         with gui.add_folder("Simulation"):
             self._time = gui.add_html("…")
             speed = gui.add_dropdown("Speed", (AS_STARTED, *SPEEDS))
@@ -153,7 +153,7 @@ class Panel:
         """Unpause the simulation; return whether a simulator has answered."""
         return self._call(GO_ON, Empty)
 
-    def show_time(self, seconds: Optional[float], speed: float, notes: Sequence[str]) -> None:
+    def show_time(self, seconds: float | None, speed: float, notes: Sequence[str]) -> None:
         """Show the simulated time, the real-time factor (NaN if unknown), and notes."""
         if seconds is None:
             text = "no simulated time"
@@ -221,7 +221,7 @@ def _chosen(menu: Any, empty: str) -> str:
     return menu.value if menu.value in menu.options and menu.value != empty else ""
 
 
-def _offer(menu: Any, options: List[str], empty: str, default: Optional[str]) -> None:
+def _offer(menu: Any, options: list[str], empty: str, default: str | None) -> None:
     """Set the options of a menu; the choice is kept if it is still an option."""
     options = options or [empty]
     if list(menu.options) == options:
@@ -245,11 +245,11 @@ class Driver:
     """Publishes commands and goals, each on the topic chosen on the tab that drives."""
 
     def __init__(self) -> None:
-        self._publishers: Dict[Tuple[str, type], Publisher] = {}
+        self._publishers: dict[tuple[str, type], Publisher] = {}
         self._driven = ""
         self._lock = threading.Lock()
 
-    def drive(self, controls: Optional[TabControls], shares: Shares) -> None:
+    def drive(self, controls: TabControls | None, shares: Shares) -> None:
         """Drive with shares of a tab's full speeds, on its topic; from any thread.
 
         Without controls, as the tab is closed, the robot that was driven is stopped.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Collection, Dict, FrozenSet, List, Optional, Set, Tuple
+from typing import Any, Callable, Collection
 
 import rosgraph
 import rospy
@@ -87,9 +87,9 @@ SLOW = 3
 class Graph:
     """The ROS graph without the view: message types by published and subscribed topics."""
 
-    published: Dict[str, str]
-    heard: Dict[str, str]
-    services: List[str]
+    published: dict[str, str]
+    heard: dict[str, str]
+    services: list[str]
 
 
 NO_GRAPH = Graph({}, {}, [])
@@ -105,7 +105,7 @@ def read_graph() -> Graph:
     except MASTER_ERRORS:
         return NO_GRAPH
 
-    def of_others(listed: List[Any]) -> Dict[str, str]:
+    def of_others(listed: list[Any]) -> dict[str, str]:
         return {t: types[t] for t, nodes in listed if t in types and set(nodes) - {own}}
 
     return Graph(of_others(publishers), of_others(subscribers), [name for name, _ in services])
@@ -121,8 +121,8 @@ class Clock:
 
     def __init__(self) -> None:
         self._subscription = Subscription("/clock", reader_of(ClockMessage))
-        self._last: Optional[Tuple[float, float]] = None
-        self.seconds: Optional[float] = None
+        self._last: tuple[float, float] | None = None
+        self.seconds: float | None = None
         self.speed = math.nan
 
     def tick(self) -> None:
@@ -177,10 +177,10 @@ class Show:
         self.graph = NO_GRAPH
         self._clock = Clock()
         self._frames = FramesDisplay(self.context)
-        self._world: Optional[WorldDisplay] = None
-        self._robots: Optional[Robots] = None
+        self._world: WorldDisplay | None = None
+        self._robots: Robots | None = None
         self._displays = [Displays(kind, self.context) for kind in KINDS]
-        self._cameras: Dict[TabControls, CameraDisplay] = {}
+        self._cameras: dict[TabControls, CameraDisplay] = {}
         self._ticks = 0
         self._next_update = -math.inf
 
@@ -214,12 +214,12 @@ class Show:
         for part in (self._frames, self._clock, *self._cameras.values()):
             part.close()
 
-    def heading_to(self, drive_topic: str, point: Tuple[float, float]) -> float:
+    def heading_to(self, drive_topic: str, point: tuple[float, float]) -> float:
         """Return the direction, rad, from a robot to a point of the floor."""
         x, y, _ = (self.place(drive_topic) or Pose()).position
         return math.atan2(point[1] - y, point[0] - x)
 
-    def place(self, drive_topic: str) -> Optional[Pose]:
+    def place(self, drive_topic: str) -> Pose | None:
         """Return the pose of the robot with a command topic; None if it is not shown."""
         namespace = drive_topic.rpartition("/")[0].strip("/")
         return None if self._robots is None else self._robots.place_of(namespace)
@@ -251,7 +251,7 @@ class Show:
         for closed in set(self._cameras) - set(tabs):
             self._cameras.pop(closed).close()
 
-    def _notes(self) -> List[str]:
+    def _notes(self) -> list[str]:
         assumed = sorted(self.context.assumed)
         self.context.assumed.clear()
         fixed = self.context.fixed
@@ -271,7 +271,7 @@ class Show:
             self._world = None
         elif on:
             self._world = self._world or WorldDisplay(self.context)
-            robots: FrozenSet[str] = frozenset()
+            robots: frozenset[str] = frozenset()
             if self._robots is not None:
                 robots = self._robots.models(self._world.models())
             self._world.leave_out(robots)
@@ -281,7 +281,7 @@ class Show:
 
         The frame is kept while it exists.
         """
-        frames: Set[str] = set() if self._world is None else self._world.frames()
+        frames: set[str] = set() if self._world is None else self._world.frames()
         roots = self.context.frames.roots()
         if not self._frame and self.context.fixed not in (*frames, *roots):
             self.context.fixed = next(iter([*sorted(frames), *roots]), self.context.fixed)
