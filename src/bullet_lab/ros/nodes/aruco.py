@@ -40,8 +40,8 @@ from bullet_lab.ros.messages.images import (
 )
 from bullet_lab.ros.node.node import node
 from bullet_lab.ros.node.odometry import own_tf_prefix
-from bullet_lab.ros.node.publishers import Health, publisher
-from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters
+from bullet_lab.ros.node.publishers import publisher
+from bullet_lab.ros.nodes.image_node import CameraImage, Health, ImageNode, ImageParameters
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.images import VisionError
