@@ -226,12 +226,17 @@ class PointsNode:
     def set(self, points: Sequence, **properties: Any) -> None:
         """Show points; their number may change, and none removes the node."""
         points = np.asarray(points, np.float32)
-        if len(points) and self._node is None:
+        if not len(points):
+            self.remove()
+        elif self._node is None:
             self._node = self._make(points, **properties)
-        elif len(points):
+        else:
             for name, value in {"points": points, **properties}.items():
                 setattr(self._node, name, value)
-        elif self._node is not None:
+
+    def remove(self) -> None:
+        """Show nothing."""
+        if self._node is not None:
             self._node.remove()
             self._node = None
 

@@ -121,36 +121,28 @@ def points_of(message: PointCloud2, most: int = MAX_POINTS) -> tuple[np.ndarray,
 
     Points that are not finite are left out. Raises MessageError if the cloud is invalid.
     """
-    columns = [_column(message, name) for name in "xyz"]
-    if any(column is None for column in columns):
+    fields = {field.name: field for field in message.fields}
+    if not fields.keys() >= set("xyz"):
         raise MessageError("the cloud has no x, y and z; these fields are needed")
-    positions = np.column_stack(columns).astype(np.float64)
+    order = ">" if message.is_bigendian else "<"
+    try:
+        layout = {
+            "names": list(fields),
+            "formats": [order + FIELD_TYPES[field.datatype] for field in fields.values()],
+            "offsets": [field.offset for field in fields.values()],
+            "itemsize": message.point_step,
+        }
+        shape, strides = (message.height, message.width), (message.row_step, message.point_step)
+        rows = np.ndarray(shape, layout, message.data, strides=strides).reshape(-1)
+    except (KeyError, TypeError, ValueError) as error:
+        raise MessageError(f"the cloud does not match its declared layout: {error}") from error
+    positions = np.column_stack([rows[name] for name in "xyz"]).astype(np.float64)
     chosen = np.flatnonzero(np.isfinite(positions).all(axis=1))
     chosen = chosen[:: max(1, -(-len(chosen) // most))]
     colours = np.full((len(chosen), 3), GREY, np.uint8)
-    packed = _column(message, "rgb")
-    if packed is None:
-        packed = _column(message, "rgba")
+    packed = next((rows[name] for name in ("rgb", "rgba") if name in fields), None)
     if packed is not None and packed.dtype.itemsize == 4:
         # Four bytes from blue upwards, whether the field is declared as a float or an integer.
         words = np.ascontiguousarray(packed[chosen]).view(np.uint32)
         colours = np.stack([words >> shift & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
     return positions[chosen], colours
-
-
-def _column(message: PointCloud2, name: str) -> np.ndarray | None:
-    """Return a field of all points, by rows; None if there is no field of that name."""
-    field = next((one for one in message.fields if one.name == name), None)
-    if field is None:
-        return None
-    try:
-        order = ">" if message.is_bigendian else "<"
-        return np.ndarray(
-            (message.height, message.width),
-            order + FIELD_TYPES[field.datatype],
-            message.data,
-            field.offset,
-            (message.row_step, message.point_step),
-        ).reshape(-1)
-    except (KeyError, TypeError, ValueError) as error:
-        raise MessageError(f"the cloud does not match its declared layout: {error}") from error

@@ -9,7 +9,6 @@ import functools
 import logging
 import math
 import struct
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Callable, Iterable
 
@@ -52,8 +51,8 @@ ELLIPSE_POINTS = 37
 NO_POINTS = np.zeros((0, 3))
 
 
-class Display(ABC):
-    """Shows one topic; `read` and `large` are those of `Subscription`."""
+class Display:
+    """Shows one topic; `read` and `options` are those of `Subscription`."""
 
     # Whether it stays on the page after the publisher has exited.
     stays = False
@@ -63,12 +62,12 @@ class Display(ABC):
         context: DisplayContext,
         topic: str,
         read: Callable[[bytes], Any],
-        large: bool = False,
+        **options: bool,
     ):
         self.context = context
         self.node = f"/topics{topic}"
-        self._subscription = Subscription(topic, read, large=large)
-        # All that it shows, which `set` of no points hides.
+        self._subscription = Subscription(topic, read, **options)
+        # All that it shows.
         self._parts: list[Any] = []
 
     def tick(self) -> None:
@@ -77,7 +76,6 @@ class Display(ABC):
         if message is not None:
             self.show(message)
 
-    @abstractmethod
     def show(self, message: Any) -> None:
         """Show a message as `read` returns it."""
 
@@ -85,7 +83,7 @@ class Display(ABC):
         """Unsubscribe, and show nothing."""
         self._subscription.close()
         for part in self._parts:
-            part.set(NO_POINTS)
+            part.remove()
 
 
 def is_noisy(topic: str) -> bool:
@@ -237,7 +235,7 @@ class RangeDisplay(Display):
         reach = min(message.range, message.max_range)
         # A sensor that measures in all directions has no cone.
         if not (math.isfinite(reach) and reach > 0.0 and message.field_of_view > 0.0):
-            self._lines.set(NO_POINTS)
+            self._lines.remove()
             return
         half = 0.5 * min(message.field_of_view, math.pi)
         level = _directions(np.linspace(-half, half, ARC_POINTS))
@@ -253,24 +251,18 @@ class PoseDisplay(Display):
 
     def __init__(self, context: DisplayContext, topic: str):
         super().__init__(context, topic, reader_of(PoseStamped))
-        self._axes: Any = None
+        self._axes = context.scene.add_frame(
+            self.node, axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False
+        )
+        self._parts = [self._axes]
 
     def show(self, message: PoseStamped) -> None:  # noqa: D102 - inherited
         turn = message.pose.orientation
         if not any((turn.x, turn.y, turn.z, turn.w)):
             return
         pose = self.context.pose_of(message.header.frame_id) * normalised_pose(message.pose)
-        if self._axes is None:
-            self._axes = self.context.scene.add_frame(
-                self.node, axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS
-            )
-        self._axes.position = pose.position
-        self._axes.wxyz = wxyz(pose)
-
-    def close(self) -> None:  # noqa: D102 - inherited
-        super().close()
-        if self._axes is not None:
-            self._axes.remove()
+        self._axes.position, self._axes.wxyz = pose.position, wxyz(pose)
+        self._axes.visible = True
 
 
 def _cloud(context: DisplayContext, name: str, colour: Vector, size: float) -> PointsNode:

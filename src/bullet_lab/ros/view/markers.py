@@ -18,9 +18,9 @@ from bullet_lab.ros.messages.conversions import look_of
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import normalised_pose, vector_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
-from bullet_lab.ros.view.displays import finite, placed
+from bullet_lab.ros.view.displays import Display, finite, placed
 from bullet_lab.ros.view.frames import DisplayContext
-from bullet_lab.ros.view.subscription import Subscription, reader_of
+from bullet_lab.ros.view.subscription import reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
@@ -101,7 +101,7 @@ def read_markers(message: MarkerArray) -> list[Marker]:
     return [read_marker(one) for one in message.markers]
 
 
-class MarkersDisplay:
+class MarkersDisplay(Display):
     """Shows all markers of one topic, as visualization_msgs defines it.
 
     Args:
@@ -119,19 +119,17 @@ class MarkersDisplay:
         topic: str,
         read: Callable[[bytes], list[Marker]] = reader_of(MarkerArray, read_markers),
     ):
-        self._context = context
-        self._node = f"/topics{topic}"
-        self._subscription = Subscription(topic, read, every=True)
+        super().__init__(context, topic, read, every=True)
         self._markers: dict[Key, Marker] = {}
         self._frame_poses: dict[Key, Pose] = {}
         self._report = ReportOnce()
-        self._solids = Solids(context.scene, f"{self._node}/solids")
+        self._solids = Solids(context.scene, f"{self.node}/solids")
         self._meshes = CopyGroups(
             lambda visual, number: visual_copies(
-                context.scene, f"{self._node}/meshes/{number}", [visual], self._report
+                context.scene, f"{self.node}/meshes/{number}", [visual], self._report
             )
         )
-        self._labels = Labels(context.scene, f"{self._node}/labels")
+        self._labels = Labels(context.scene, f"{self.node}/labels")
         self._nodes: dict[Key, Any] = {}
         # Number of the solids of each marker that is a list of them.
         self._listed: dict[Key, int] = {}
@@ -144,13 +142,13 @@ class MarkersDisplay:
                 self._take(marker)
                 touched.add(marker.key)
         for key, marker in self._markers.items():
-            if key in touched or (marker.locked and marker.frame != self._context.fixed):
+            if key in touched or (marker.locked and marker.frame != self.context.fixed):
                 self._show(key, marker)
         self._flush()
 
     def close(self) -> None:
         """Unsubscribe, and show nothing."""
-        self._subscription.close()
+        super().close()
         self._drop_all()
         self._flush()
 
@@ -205,7 +203,7 @@ class MarkersDisplay:
             self._hide(key)
             return
         if marker.locked or key not in self._frame_poses:
-            self._frame_poses[key] = self._context.pose_of(marker.frame)
+            self._frame_poses[key] = self.context.pose_of(marker.frame)
         pose = self._frame_poses[key] * marker.pose
         try:
             if marker.kind in SOLIDS and not self.is_textured(marker):
@@ -234,12 +232,12 @@ class MarkersDisplay:
 
     def _show_strip(self, key: Key, marker: Marker, pose: Pose) -> None:
         if key not in self._nodes:
-            self._nodes[key] = Polyline(self._context.scene, self._name(key), marker.colour)
+            self._nodes[key] = Polyline(self.context.scene, self._name(key), marker.colour)
         self._nodes[key].set(placed(pose, marker.points))
 
     def _show_segments(self, key: Key, marker: Marker, pose: Pose) -> None:
         ends = placed(pose, _whole(marker.points, 2)).reshape(-1, 2, 3)
-        make = self._context.scene.add_line_segments
+        make = self.context.scene.add_line_segments
         self._replace(key, make, ends, rgb(marker.colour), thickness_units="screen")
 
     def _show_points(self, key: Key, marker: Marker, pose: Pose) -> None:
@@ -248,7 +246,7 @@ class MarkersDisplay:
         if len(marker.colours) == len(points):
             colours = np.round(255.0 * np.clip(marker.colours[:, :3], 0.0, 1.0)).astype(np.uint8)
         size = max(marker.scale[0], MIN_POINT_SIZE)
-        make = self._context.scene.add_point_cloud
+        make = self.context.scene.add_point_cloud
         self._replace(key, make, points, colours, point_size=size, precision="float32")
 
     def _show_arrow(self, key: Key, marker: Marker, pose: Pose) -> None:
@@ -263,7 +261,7 @@ class MarkersDisplay:
         reach = float(np.linalg.norm(ends[1] - ends[0]))
         self._replace(
             key,
-            self._context.scene.add_arrows,
+            self.context.scene.add_arrows,
             ends[None] if reach > 0.0 else (),
             rgb(marker.colour),
             shaft_radius=0.5 * shaft,
@@ -274,7 +272,7 @@ class MarkersDisplay:
     def _show_triangles(self, key: Key, marker: Marker, pose: Pose) -> None:
         corners = placed(pose, _whole(marker.points, 3) * marker.scale)
         faces = np.arange(len(corners)).reshape(-1, 3)
-        make = self._context.scene.add_mesh_simple
+        make = self.context.scene.add_mesh_simple
         colour = rgb(marker.colour)
         self._replace(key, make, corners, faces, color=colour, side="double", flat_shading=True)
 
@@ -289,7 +287,7 @@ class MarkersDisplay:
 
     def _name(self, key: Key) -> str:
         namespace, number = key
-        return f"{self._node}/{namespace or '_'}/{number}"
+        return f"{self.node}/{namespace or '_'}/{number}"
 
 
 def _whole(points: np.ndarray, size: int) -> np.ndarray:
