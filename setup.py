@@ -31,7 +31,7 @@ def requirements():
 options = generate_distutils_setup(
     packages=find_packages("src"),
     package_dir={"": "src"},
-    package_data={"bullet_lab.view": ["*.js"]},
+    package_data={"bullet_lab.ros.view": ["*.js"]},
 )
 # catkin reads this file under another name, and installs shared files and executables itself.
 if __name__ == "__main__" and "CATKIN_BINARY_DIR" not in os.environ:

@@ -13,8 +13,8 @@ from sensor_msgs.msg import Image, PointCloud2, PointField
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.view.displays import Display, placed
 from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.scene import PointsNode
 from bullet_lab.ros.view.subscription import MessageError, Subscription, reader_of
-from bullet_lab.view.scene import PointsNode
 
 # Encodings of depth images, with m per unit; far points are drawn darker.
 DEPTHS = {"32FC1": (np.float32, 1.0), "16UC1": (np.uint16, 0.001)}

@@ -22,8 +22,8 @@ from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import normalised_pose
 from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.scene import PointsNode, Polyline, rgb, segments, segments_node, wxyz
 from bullet_lab.ros.view.subscription import MessageError, Subscription, reader_of
-from bullet_lab.view.scene import PointsNode, Polyline, rgb, segments, segments_node, wxyz
 
 LOG = logging.getLogger(__name__)
 # The colours of all figures: perfect paths are orange, noisy ones blue, and plans green.

@@ -10,8 +10,8 @@ from tf2_msgs.msg import TFMessage
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import normalised_pose
+from bullet_lab.ros.view.scene import Copies, Labels
 from bullet_lab.ros.view.subscription import Subscription, reader_of
-from bullet_lab.view.scene import Copies, Labels
 
 # Frames between a frame and its root; more are a cycle.
 MAX_DEPTH = 200

@@ -20,12 +20,12 @@ from bullet_lab.ros.messages.poses import normalised_pose, vector_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
 from bullet_lab.ros.view.displays import Display, finite, placed
 from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.scene import CopyGroups, Labels, Polyline, Solids, rgb, visual_copies
 from bullet_lab.ros.view.subscription import reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
 from bullet_lab.simulation.world.xml import ReportOnce
-from bullet_lab.view.scene import CopyGroups, Labels, Polyline, Solids, rgb, visual_copies
 
 SOLIDS = {
     MarkerMessage.CUBE: "box",

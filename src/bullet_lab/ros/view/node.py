@@ -25,11 +25,11 @@ import rospy
 from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
+from bullet_lab.ros.view.pad import DriverSeat
+from bullet_lab.ros.view.page import Page
 from bullet_lab.ros.view.panel import Driver, Panel, TabControls
+from bullet_lab.ros.view.scene import floor_point
 from bullet_lab.ros.view.show import OFF_AT_FIRST, SWITCHES, Show
-from bullet_lab.view.pad import DriverSeat
-from bullet_lab.view.page import Page
-from bullet_lab.view.scene import floor_point
 
 # Wall seconds in which a page may be reloaded before the node unsubscribes.
 LINGER_SECONDS = 2.0

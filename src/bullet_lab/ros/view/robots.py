@@ -10,11 +10,11 @@ import rospy
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, search_parameter
 from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.scene import Copies, CopyGroups, visual_copies
 from bullet_lab.simulation.world.description import Model, Visual
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.simulation.world.xml import ReportOnce, leaving_out
 from bullet_lab.srv import DescribeModels
-from bullet_lab.view.scene import Copies, CopyGroups, visual_copies
 
 DESCRIPTION = "robot_description"
 MODELS = "/bullet_lab/describe_models"
