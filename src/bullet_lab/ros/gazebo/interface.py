@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Iterator
 
@@ -74,44 +75,40 @@ class WorldSaver:
         self._world = world
         self._folder = ConfinedFolder(folder)
         self._lock = threading.Lock()
-        self._service = offer("/bullet_lab/save_world", SaveWorld, self._save)
+        offer("/bullet_lab/save_world", SaveWorld, self._save)
 
     def _save(self, request: Any) -> Answer:
         start = time.perf_counter()
         if not request.path or "\0" in request.path:
             raise InputError("no file is named")
         try:
-            if request.return_text:
-                values = self._describe(self._folder.path / request.path)
-            else:
-                # One at a time: the file of the later request replaces that of the earlier one.
-                with self._lock:
-                    values = self._write(request.path)
+            path = self._place(request)
+            # One at a time: the file of the later request replaces that of the earlier one.
+            with self._lock:
+                snapshot = self._world.do(self._world.simulation.snapshot)
+                text, notes = world_text(snapshot, path.parent)
+                if not request.return_text:
+                    self._folder.write(path, text)
         except (OSError, RuntimeError) as error:
             # pathlib raises them for names that are too long and for circular links.
             raise LabError(error) from error
-        return {**values, "seconds": time.perf_counter() - start}
-
-    def _write(self, name: str) -> dict[str, Any]:
-        try:
-            path = self._folder.place(name)
-        except FileError as error:
-            hint = "~save_folder is the bridge's; save_world.py writes anywhere"
-            raise InputError(f"{error}; {hint}") from error
-        values = self._describe(path)
-        self._folder.write(path, values.pop("text"))
-        return values
-
-    def _describe(self, path: Path) -> dict[str, Any]:
-        snapshot = self._world.do(self._world.simulation.snapshot)
-        text, notes = world_text(snapshot, path.parent)
         return {
             "status_message": "; ".join(notes),
             "path": str(path),
-            "text": text,
+            "text": text if request.return_text else "",
             "models": len(snapshot.models),
             "saved_at": time_of(snapshot.step),
+            "seconds": time.perf_counter() - start,
         }
+
+    def _place(self, request: Any) -> Path:
+        if request.return_text:
+            return self._folder.path / request.path
+        try:
+            return self._folder.place(request.path)
+        except FileError as error:
+            hint = "~save_folder is the bridge's; save_world.py writes anywhere"
+            raise InputError(f"{error}; {hint}") from error
 
 
 class _States:
@@ -220,51 +217,44 @@ class Warnings(logging.Handler):
             self.lines.append(line)
 
 
-class ModelDescriptions:
-    """Offers /bullet_lab/describe_models: which plugins and tags are simulated, and warnings."""
+def describe_models(world: RunningWorld, warnings: Warnings, request: Any) -> Answer:
+    """Answer which plugins and tags of models are simulated, with the warnings so far."""
+    models, name = world.models, request.model_name
 
-    def __init__(self, world: RunningWorld, warnings: Warnings):
-        self._world, self._warnings = world, warnings
-        self._service = offer("/bullet_lab/describe_models", DescribeModels, self._answer)
+    def describe() -> list[ModelDescription]:
+        chosen = [find_model(models, name)] if name else models.values()
+        return [_description(world, instance) for instance in chosen]
 
-    def _answer(self, request: Any) -> Answer:
-        name = request.model_name
-        answer = {"said": self._warnings.lines}
-        answer["models"] = self._world.do(lambda: self._describe(name))
-        if request.with_picture:
-            answer["picture"] = self._world.do(lambda: self._picture(name))
-        return answer
+    answer = {"said": warnings.lines, "models": world.do(describe)}
+    if request.with_picture:
+        answer["picture"] = world.do(lambda: _picture(world, find_model(models, name)))
+    return answer
 
-    def _picture(self, name: str) -> Image:
-        """Draw a model; walls of a narrow room, between it and the eye, are left out."""
-        least, greatest = map(np.array, bounds(find_model(self._world.models, name)))
-        view = overview(least - PICTURE_MARGIN, greatest + PICTURE_MARGIN)
-        view = replace(view, near=0.5 * math.dist(view.eye, view.target))
-        picture = take_picture(self._world.simulation, view, samples=4)
-        return image_message(Header(), picture, "rgb8")
 
-    def _describe(self, name: str) -> list[ModelDescription]:
-        models, simulation = self._world.models, self._world.simulation
-        of_world_file = {model.name for model in simulation.world.models}
-        descriptions = []
-        for instance in [find_model(models, name)] if name else models.values():
-            model = instance.model
-            least, greatest = bounds(instance)
-            touches = list(simulation.touches(model.name))
-            description = ModelDescription(
-                name=model.name,
-                is_static=model.static,
-                of_world_file=model.name in of_world_file,
-                links=[link.name for link in model.own_links()],
-                joints=[joint.name for joint in model.joints],
-                plugins=[_described_plugin(one) for one in survey(instance)],
-                least=Point(*least),
-                greatest=Point(*greatest),
-                stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
-                touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
-            )
-            descriptions.append(description)
-        return descriptions
+def _picture(world: RunningWorld, instance: ModelInstance) -> Image:
+    """Draw a model; walls of a narrow room, between it and the eye, are left out."""
+    least, greatest = map(np.array, bounds(instance))
+    view = overview(least - PICTURE_MARGIN, greatest + PICTURE_MARGIN)
+    view = replace(view, near=0.5 * math.dist(view.eye, view.target))
+    return image_message(Header(), take_picture(world.simulation, view, samples=4), "rgb8")
+
+
+def _description(world: RunningWorld, instance: ModelInstance) -> ModelDescription:
+    model = instance.model
+    least, greatest = bounds(instance)
+    touches = list(world.simulation.touches(model.name))
+    return ModelDescription(
+        name=model.name,
+        is_static=model.static,
+        of_world_file=any(one.name == model.name for one in world.simulation.world.models),
+        links=[link.name for link in model.own_links()],
+        joints=[joint.name for joint in model.joints],
+        plugins=[_described_plugin(one) for one in survey(instance)],
+        least=Point(*least),
+        greatest=Point(*greatest),
+        stands_on=sorted({own for own, _, up in touches if up > STEEPEST}),
+        touches=sorted({other for _, other, up in touches if up <= STEEPEST}),
+    )
 
 
 def _described_plugin(plugin: PluginSurvey) -> PluginDescription:
@@ -288,7 +278,7 @@ def offer_all(
     states_rate: float,
     folder: Path,
     warnings: Warnings,
-) -> list[Any]:
+) -> None:
     """Offer Gazebo's services and topics on a running world, and the markers of its shapes.
 
     Args:
@@ -298,19 +288,16 @@ def offer_all(
         states_rate: messages on /gazebo/model_states and link_states per simulated second.
         folder: in which worlds are saved.
         warnings: of the world and its models so far and from now on.
-
-    Returns:
-        What has to exist as long as the services and topics.
     """
     subscribe_to_states(world)
-    return [
-        WorldMarkers(world, frame, hidden),
-        _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
-        _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
-        _Performance(world),
-        offer_services(world),
-        GazeboPhysics(world),
-        WorldSaver(world, folder),
-        DeviceServices(world),
-        ModelDescriptions(world, warnings),
-    ]
+    WorldMarkers(world, frame, hidden)
+    _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate)
+    _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate)
+    _Performance(world)
+    offer_services(world)
+    GazeboPhysics(world)
+    WorldSaver(world, folder)
+    DeviceServices(world)
+    offer(
+        "/bullet_lab/describe_models", DescribeModels, partial(describe_models, world, warnings)
+    )

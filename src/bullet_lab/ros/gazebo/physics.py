@@ -16,7 +16,7 @@ from geometry_msgs.msg import Vector3
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.gazebo.services import GOT, Answer, offer
+from bullet_lab.ros.gazebo.services import GOT, Answer, offer, offer_gazebo
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import InputError, vector_of
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
@@ -141,22 +141,10 @@ class GazeboPhysics:
             Setting(key, value, f"as in set_physics_properties: {key}", *LIMITS[key])
             for key, value in self._reported.items()
         ]
-        self._services: list[Any] = [
-            offer(
-                "/gazebo/get_physics_properties",
-                srv.GetPhysicsProperties,
-                self._get,
-                f"GetPhysicsProperties: {GOT}",
-            ),
-            offer(
-                "/gazebo/set_physics_properties",
-                srv.SetPhysicsProperties,
-                self._set,
-                failed="SetPhysicsProperties: ",
-            ),
-            offer("/bullet_lab/set_rtf", SetRtf, self._set_rtf),
-            Reconfigurable(SPACE, settings, self._reconfigure),
-        ]
+        offer_gazebo("get_physics_properties", srv.GetPhysicsProperties, self._get, GOT)
+        offer_gazebo("set_physics_properties", srv.SetPhysicsProperties, self._set)
+        offer("/bullet_lab/set_rtf", SetRtf, self._set_rtf)
+        Reconfigurable(SPACE, settings, self._reconfigure)
 
     def _current(self) -> Values:
         """Return the present values of all settings of dynamic_reconfigure."""

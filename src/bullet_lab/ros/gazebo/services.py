@@ -359,35 +359,27 @@ SERVICES = (
 )
 
 
-def offer_services(world: RunningWorld) -> list[rospy.Service]:
+def offer_services(world: RunningWorld) -> None:
     """Offer the services on models, links, joints and lights."""
     spawn = partial(_spawn, world)
     messages = ("SpawnModel: Successfully spawned entity", "SpawnModel: Failure - ")
-    return [
-        # As in Gazebo, both services accept SDF and URDF.
-        offer("/gazebo/spawn_sdf_model", srv.SpawnModel, spawn, *messages),
-        offer("/gazebo/spawn_urdf_model", srv.SpawnModel, spawn, *messages),
-        *(_offer_between_steps(world, *row) for row in SERVICES),
-    ]
+    # As in Gazebo, both services accept SDF and URDF.
+    for name in ("spawn_sdf_model", "spawn_urdf_model"):
+        offer(f"/gazebo/{name}", srv.SpawnModel, spawn, *messages)
+    for name, kind, answer, done in SERVICES:
+        offer_gazebo(name, kind, partial(_between_steps, world, answer), done)
 
 
-def _offer_between_steps(
-    world: RunningWorld,
-    name: str,
-    kind: Any,
-    answer: Callable[[RunningWorld, Any], Answer],
-    done: str,
-) -> rospy.Service:
-    """Offer a service of /gazebo that the thread of the simulation answers between two steps.
+def _between_steps(
+    world: RunningWorld, answer: Callable[[RunningWorld, Any], Answer], request: Any
+) -> Answer:
+    return world.do(lambda: answer(world, request))
 
-    Its status messages begin with the name of its type, as Gazebo's do.
-    """
+
+def offer_gazebo(name: str, kind: Any, answer: Callable[[Any], Answer], done: str = "") -> None:
+    """Offer a service of /gazebo whose status messages begin with the name of its type."""
     prefix = f"{kind.__name__}: "
-
-    def between_steps(request: Any) -> Answer:
-        return world.do(partial(answer, world, request))
-
-    return offer(f"/gazebo/{name}", kind, between_steps, done and prefix + done, prefix)
+    offer(f"/gazebo/{name}", kind, answer, done and prefix + done, prefix)
 
 
 def subscribe_to_states(world: RunningWorld) -> None:

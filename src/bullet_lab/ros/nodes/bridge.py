@@ -198,12 +198,10 @@ class PyBulletBridge:
         frame, hidden = parameters.world_frame, _add_robot(world, parameters)
         self._video = Video(simulation, Path(parameters.video)) if parameters.video else None
         folder = Path(parameters.save_folder)
-        self._interfaces = [
-            offer_all(world, frame, hidden, parameters.states_rate, folder, warnings),
-            TouchCounter(world),
-            OdometryFrames(world, frame if parameters.publish_world_tf else ""),
-            self._offer_services(),
-        ]
+        offer_all(world, frame, hidden, parameters.states_rate, folder, warnings)
+        TouchCounter(world)
+        OdometryFrames(world, frame if parameters.publish_world_tf else "")
+        self._offer_services()
 
     def spin(self) -> None:
         """Run until ROS shuts down."""
@@ -228,7 +226,7 @@ class PyBulletBridge:
         set_time(self._clock.clock, step)
         self._clock_publisher.publish(self._clock)
 
-    def _offer_services(self) -> list[rospy.Service]:
+    def _offer_services(self) -> None:
         stepper, simulation = self.stepper, self.simulation
         answers: dict[str, Callable[[Any], None]] = {
             "pause_physics": lambda _: stepper.set_paused(True),
@@ -236,11 +234,10 @@ class PyBulletBridge:
             "reset_world": lambda _: self._reset(simulation.reset_world),
             "reset_simulation": lambda _: self._reset(simulation.reset_simulation),
         }
-        return [
-            *(offer(f"/gazebo/{name}", Empty, answer) for name, answer in answers.items()),
-            offer("/bullet_lab/step", Step, self._step),
-            rospy.Service("/bullet_lab/advance", Advance, self._advance),
-        ]
+        for name, answer in answers.items():
+            offer(f"/gazebo/{name}", Empty, answer)
+        offer("/bullet_lab/step", Step, self._step)
+        rospy.Service("/bullet_lab/advance", Advance, self._advance)
 
     def _reset(self, reset: Callable[[], None]) -> None:
         self.stepper.reset(reset)
