@@ -308,22 +308,22 @@ class Kind:
         name: of the switch.
         displays: by message type.
         wanted: whether a topic is shown, from its name and all published topics with their types.
-        every: one in so many ticks updates these displays.
+        every: one in so many ticks of the view updates these displays.
     """
 
     name: str
     displays: dict[str, Callable[[DisplayContext, str], Any]]
     wanted: Callable[[str, dict[str, str]], bool] = lambda topic, others: True
-    every: int = 1
+    every: int = 3
 
 
 class Displays:
-    """The displays of a kind, one for each topic."""
+    """The displays of a kind, one for each topic: `shown`."""
 
     def __init__(self, kind: Kind, context: DisplayContext):
         self.kind = kind
         self._context = context
-        self._shown: dict[str, Any] = {}
+        self.shown: dict[str, Any] = {}
         self._failed: set[str] = set()
 
     def follow(self, topics: dict[str, str]) -> None:
@@ -333,15 +333,15 @@ class Displays:
             for topic, type_name in topics.items()
             if type_name in self.kind.displays and self.kind.wanted(topic, topics)
         }
-        for topic in set(self._shown) - set(found):
-            if not (topics and topic not in topics and self._shown[topic].stays):
-                self._shown.pop(topic).close()
-        for topic in sorted(set(found) - set(self._shown)):
-            self._shown[topic] = found[topic](self._context, topic)
+        for topic in set(self.shown) - set(found):
+            if not (topics and topic not in topics and self.shown[topic].stays):
+                self.shown.pop(topic).close()
+        for topic in sorted(set(found) - set(self.shown)):
+            self.shown[topic] = found[topic](self._context, topic)
 
     def tick(self) -> None:
         """Show new messages."""
-        for topic, display in self._shown.items():
+        for topic, display in self.shown.items():
             try:
                 display.tick()
             except LabError as error:
@@ -349,12 +349,6 @@ class Displays:
                 if topic not in self._failed:
                     self._failed.add(topic)
                     LOG.warning("%s: %s", topic, error)
-
-    @property
-    def topics(self) -> list[str]:
-        """Topics that are shown."""
-        return sorted(self._shown)
-
 
 def has_no_path(topic: str, others: Iterable[str]) -> bool:
     """Return whether no topic has the path of an odometry, which begins with the same name."""

@@ -13,7 +13,6 @@ from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
-from bullet_lab.ros.gazebo.client import WORLD
 from bullet_lab.ros.messages.conversions import look_of
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import normalised_pose, vector_of
@@ -338,8 +337,10 @@ SHOW: dict[int, Callable[[MarkersDisplay, Key, Marker, Pose], None]] = {
 class WorldDisplay(MarkersDisplay):
     """Shows the shapes of the world, except models that are shown as robots."""
 
-    def __init__(self, context: DisplayContext):
-        super().__init__(context, WORLD)
+    stays = False
+
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic)
         self._robots: frozenset[str] = frozenset()
 
     def is_hidden(self, marker: Marker) -> bool:  # noqa: D102 - inherited

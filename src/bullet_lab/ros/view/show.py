@@ -37,7 +37,6 @@ from bullet_lab.ros.view.panel import Panel, TabControls
 from bullet_lab.ros.view.robots import Robots
 from bullet_lab.ros.view.subscription import Subscription, reader_of
 
-WORLD_SHAPES = "World"
 ROBOTS = "Robots"
 FRAMES = "Frames"
 NAMES = "Names of frames"
@@ -45,14 +44,20 @@ POINTS = "Clouds of points"
 PATH = "nav_msgs/Path"
 KINDS = (
     Kind(
+        "World",
+        {"visualization_msgs/MarkerArray": WorldDisplay},
+        lambda topic, topics: topic == WORLD,
+        every=1,
+    ),
+    Kind(
         "Paths and ellipses",
         {PATH: PathDisplay, "nav_msgs/Odometry": OdometryDisplay},
         lambda topic, topics: topics[topic] == PATH or has_no_path(topic, topics),
-        every=2,
+        every=6,
     ),
     Kind("Laser", {"sensor_msgs/LaserScan": ScanDisplay}),
     Kind("Range", {"sensor_msgs/Range": RangeDisplay}),
-    Kind(POINTS, {"sensor_msgs/PointCloud2": PointsDisplay}, every=2),
+    Kind(POINTS, {"sensor_msgs/PointCloud2": PointsDisplay}, every=6),
     Kind(
         "Contacts",
         {
@@ -70,7 +75,7 @@ KINDS = (
         lambda topic, topics: topic != WORLD,
     ),
 )
-SWITCHES = (WORLD_SHAPES, ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
+SWITCHES = (ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
 # Clouds are the largest messages to the page, and a depth camera renders for each subscriber.
 OFF_AT_FIRST = (NAMES, POINTS)
 IMAGE = "sensor_msgs/Image"
@@ -79,7 +84,7 @@ TWIST = "geometry_msgs/Twist"
 BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "rgb/image_raw", "/image_raw")
 # Wall seconds between two updates of the list of topics.
 UPDATE_SECONDS = 1.0
-# One in so many ticks updates what need not be smooth.
+# One in so many ticks updates the frames.
 SLOW = 3
 
 
@@ -177,8 +182,7 @@ class Show:
         self.graph = NO_GRAPH
         self._clock = Clock()
         self._frames = FramesDisplay(self.context)
-        self._world: WorldDisplay | None = None
-        self._robots: Robots | None = None
+        self._robots = Robots(self.context)
         self._displays = [Displays(kind, self.context) for kind in KINDS]
         self._cameras: dict[TabControls, CameraDisplay] = {}
         self._ticks = 0
@@ -191,15 +195,12 @@ class Show:
         if time.monotonic() >= self._next_update:
             self._update()
             self._next_update = time.monotonic() + UPDATE_SECONDS
-        if self._robots is not None:
-            self._robots.tick()
-        if self._world is not None:
-            self._world.tick()
+        self._robots.tick()
         self._ticks += 1
+        for displays in self._displays:
+            if self._ticks % displays.kind.every == 0:
+                displays.tick()
         if self._ticks % SLOW == 0:
-            for displays in self._displays:
-                if self._ticks // SLOW % displays.kind.every == 0:
-                    displays.tick()
             self._frames.show(self._panel.is_on(FRAMES), self._panel.is_on(NAMES))
         for tab, camera in list(self._cameras.items()):
             camera.follow(tab.image_topic)
@@ -209,8 +210,7 @@ class Show:
         """Unsubscribe from all topics, and show nothing."""
         for displays in self._displays:
             displays.follow({})
-        self._show_world(False)
-        self._show_robots(False)
+        self._robots.clear()
         for part in (self._frames, self._clock, *self._cameras.values()):
             part.close()
 
@@ -222,18 +222,22 @@ class Show:
     def place(self, drive_topic: str) -> Pose | None:
         """Return the pose of the robot with a command topic; None if it is not shown."""
         namespace = drive_topic.rpartition("/")[0].strip("/")
-        return None if self._robots is None else self._robots.place_of(namespace)
+        return self._robots.place_of(namespace)
 
     def _update(self) -> None:
         """Read the graph, and follow its changes."""
         self.graph = read_graph()
         self._clock.measure()
         self._choose_frame()
-        self._show_robots(self._panel.is_on(ROBOTS))
-        self._show_world(self._panel.is_on(WORLD_SHAPES) and WORLD in self.graph.published)
+        if self._panel.is_on(ROBOTS):
+            self._robots.follow()
+        else:
+            self._robots.clear()
         for displays in self._displays:
             on = self._panel.is_on(displays.kind.name)
             displays.follow(self.graph.published if on else {})
+        for world in self._worlds():
+            world.leave_out(self._robots.models(world.models()))
         self._follow_tabs()
         self._panel.offer_noise(self.graph.services)
         self._panel.show_time(self._clock.seconds, self._clock.speed, self._notes())
@@ -257,31 +261,16 @@ class Show:
         fixed = self.context.fixed
         return [f"{name} is taken for {fixed}: TF does not connect them" for name in assumed]
 
-    def _show_robots(self, on: bool) -> None:
-        if self._robots is not None and not on:
-            self._robots.clear()
-            self._robots = None
-        elif on:
-            self._robots = self._robots or Robots(self.context)
-            self._robots.follow()
-
-    def _show_world(self, on: bool) -> None:
-        if self._world is not None and not on:
-            self._world.close()
-            self._world = None
-        elif on:
-            self._world = self._world or WorldDisplay(self.context)
-            robots: frozenset[str] = frozenset()
-            if self._robots is not None:
-                robots = self._robots.models(self._world.models())
-            self._world.leave_out(robots)
+    def _worlds(self) -> list[WorldDisplay]:
+        """Return the display of the world, if it is shown."""
+        return list(self._displays[0].shown.values())
 
     def _choose_frame(self) -> None:
         """Choose the frame of the scene: the parameter, else the world's, else the largest tree's.
 
         The frame is kept while it exists.
         """
-        frames: set[str] = set() if self._world is None else self._world.frames()
+        frames = set().union(*(world.frames() for world in self._worlds()))
         roots = self.context.frames.roots()
         if not self._frame and self.context.fixed not in (*frames, *roots):
             self.context.fixed = next(iter([*sorted(frames), *roots]), self.context.fixed)
