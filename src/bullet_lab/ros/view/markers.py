@@ -19,7 +19,7 @@ from bullet_lab.ros.messages.poses import normalised_pose, vector_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
 from bullet_lab.ros.view.displays import Display, finite, placed
 from bullet_lab.ros.view.frames import DisplayContext
-from bullet_lab.ros.view.scene import CopyGroups, Labels, Polyline, Solids, rgb, visual_copies
+from bullet_lab.ros.view.scene import Labels, Polyline, Solids, VisualCopies, rgb
 from bullet_lab.ros.view.subscription import reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -123,11 +123,7 @@ class MarkersDisplay(Display):
         self._frame_poses: dict[Key, Pose] = {}
         self._report = ReportOnce()
         self._solids = Solids(context.scene, f"{self.node}/solids")
-        self._meshes = CopyGroups(
-            lambda visual, number: visual_copies(
-                context.scene, f"{self.node}/meshes/{number}", [visual], self._report
-            )
-        )
+        self._meshes = VisualCopies(context.scene, f"{self.node}/meshes", self._report)
         self._labels = Labels(context.scene, f"{self.node}/labels")
         self._nodes: dict[Key, Any] = {}
         # Number of the solids of each marker that is a list of them.
@@ -210,7 +206,7 @@ class MarkersDisplay(Display):
                 self._solids.put_solid(key, SOLIDS[marker.kind], pose, marker.scale, marker.colour)
             elif marker.kind in SOLIDS or marker.kind == MarkerMessage.MESH_RESOURCE:
                 self._solids.drop(key)
-                self._meshes.put(_visual_of(marker), key, pose)
+                self._meshes.put((_visual_of(marker),), key, pose)
             elif marker.kind in SHOW:
                 SHOW[marker.kind](self, key, marker, pose)
         except LabError as error:

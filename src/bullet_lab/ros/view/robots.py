@@ -10,7 +10,7 @@ import rospy
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, search_parameter
 from bullet_lab.ros.view.frames import DisplayContext
-from bullet_lab.ros.view.scene import Copies, CopyGroups, visual_copies
+from bullet_lab.ros.view.scene import Copies, VisualCopies
 from bullet_lab.simulation.world.description import Model, Visual
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.simulation.world.xml import ReportOnce, leaving_out
@@ -58,11 +58,7 @@ class Robots:
         self._texts: dict[str, str] = {}
         self._robots: dict[str, Description] = {}
         self._report = ReportOnce()
-        self._copies = CopyGroups(
-            lambda visuals, number: visual_copies(
-                context.scene, f"/robots/{number}", visuals, self._report
-            )
-        )
+        self._copies = VisualCopies(context.scene, "/robots", self._report)
         self._shown: frozenset[str] = frozenset()
         self._links: list[tuple[str, Copies]] = []
         self._updates = 0

@@ -165,6 +165,22 @@ class Solids(CopyGroups):
         return Copies(make, names + ["batched_opacities"] * see_through)
 
 
+class VisualCopies(CopyGroups):
+    """Copies of what visuals show together; `report` is called as by `glb_of`."""
+
+    def __init__(self, scene: Any, name: str, report: Callable[[str], None]):
+        super().__init__(self._copies)
+        self._scene, self._name, self._report = scene, name, report
+
+    def _copies(self, visuals: tuple[Visual, ...], number: int) -> Copies:
+        glb, name = glb_of(visuals, self._report), f"{self._name}/{number}"
+
+        def make(arrays: dict[str, np.ndarray]) -> Any:
+            return self._scene.add_batched_glb(name, glb, lod="off", **arrays) if glb else None
+
+        return Copies(make, ("batched_positions", "batched_wxyzs"))
+
+
 class Polyline:
     """A line through points; when it grows, only its end is sent."""
 
@@ -286,20 +302,6 @@ def floor_point(
         return None
     share = -origin[2] / direction[2]
     return origin[0] + share * direction[0], origin[1] + share * direction[1]
-
-
-def visual_copies(
-    scene: Any, name: str, visuals: Sequence[Visual], report: Callable[[str], None]
-) -> Copies:
-    """Return copies of what visuals show together; `report` is called as by `glb_of`."""
-    glb = glb_of(visuals, report)
-    if not glb:
-        return Copies(lambda _: None, ())
-
-    def make(arrays: dict[str, np.ndarray]) -> Any:
-        return scene.add_batched_glb(name, glb, lod="off", **arrays)
-
-    return Copies(make, ("batched_positions", "batched_wxyzs"))
 
 
 def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warning) -> bytes:
