@@ -1,13 +1,15 @@
-"""Conversions of times, poses and velocities to messages and back, with checks of the input."""
+"""Conversions of times, poses and velocities to messages and back, and markers for RViz."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Iterable
 
 import genpy
+from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3
 from geometry_msgs.msg import Pose as PoseMessage
-from geometry_msgs.msg import PoseStamped, Twist, Vector3
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -128,3 +130,20 @@ def stamped_pose(stamp: genpy.Time, frame: str, pose: PlanarPose) -> PoseStamped
     message.pose.position.x, message.pose.position.y = pose[:2]
     set_quaternion(message.pose.orientation, quaternion_from_yaw(pose[2]))
     return message
+
+
+def marker(
+    header: Header,
+    name: str,
+    kind: int,
+    colour: ColorRGBA,
+    scale: Vector,
+    position: Vector = (0.0, 0.0, 0.0),
+    points: Iterable[Vector] = (),
+) -> Marker:
+    """Return marker 0 of a namespace, in the directions of its frame."""
+    made = Marker(header=header, ns=name, type=kind, color=colour)
+    made.scale = Vector3(*scale)
+    made.pose = pose_message(Pose(position))
+    made.points = [Point(*point) for point in points]
+    return made

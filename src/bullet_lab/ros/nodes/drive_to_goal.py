@@ -28,17 +28,17 @@ from dataclasses import dataclass
 import rospy
 from actionlib import GoalIDGenerator, ServerGoalHandle
 from actionlib_msgs.msg import GoalID, GoalStatus
-from geometry_msgs.msg import Point, Pose, PoseStamped, Vector3
+from geometry_msgs.msg import PoseStamped, Quaternion
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback, MoveBaseGoal
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.parameters import number, text
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, quaternion_from_yaw
 from bullet_lab.drive import STANDSTILL, DrivePhase, GoalDriver, GoalLimits
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import stamped_pose
+from bullet_lab.ros.messages.poses import marker, stamped_pose
 from bullet_lab.ros.node.driving import REPLACED, GoalNode, GoalServer
 from bullet_lab.ros.node.node import Refusals, holds_within, node
 from bullet_lab.ros.node.odometry import (
@@ -65,6 +65,7 @@ COLOURS = {
     GoalStatus.SUCCEEDED: ColorRGBA(0.0, 0.62, 0.45, 0.9),
 }
 FAILED = ColorRGBA(0.84, 0.37, 0.0, 0.9)
+WHITE = ColorRGBA(1.0, 1.0, 1.0, 1.0)
 # The final status of a goal that the robot never drove to.
 NOT_BEGUN = {
     GoalStatus.ABORTED: GoalStatus.REJECTED,
@@ -167,17 +168,16 @@ class GoalTopics:
 
     def _draw(self, header: Header, colour: ColorRGBA, left: float) -> list[Marker]:
         """Return an arrow at the goal, a disc for its tolerance and a label with the distance."""
-        pose = stamped_pose(header.stamp, header.frame_id, self._target).pose
-        arrow = Marker(header=header, ns="goal", id=0, type=Marker.ARROW, color=colour)
-        arrow.scale = Vector3(0.4, 0.05, 0.05)
-        disc = Marker(header=header, ns="goal", id=1, type=Marker.CYLINDER, color=colour)
-        disc.scale = Vector3(2.0 * self._tolerance, 2.0 * self._tolerance, 0.01)
-        label = Marker(header=header, ns="goal", id=2, type=Marker.TEXT_VIEW_FACING)
-        label.color = ColorRGBA(1.0, 1.0, 1.0, 1.0)
-        label.scale.z = 0.2
+        x, y, yaw = self._target
+        kind, size = Marker.ARROW, (0.4, 0.05, 0.05)
+        arrow = marker(header, "goal", kind, colour, size, (x, y, 0.1))
+        arrow.pose.orientation = Quaternion(*quaternion_from_yaw(yaw))
+        kind, size = Marker.CYLINDER, (2.0 * self._tolerance, 2.0 * self._tolerance, 0.01)
+        disc = marker(header, "goal", kind, colour, size, (x, y, 0.0))
+        kind, size = Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.2)
+        label = marker(header, "goal", kind, WHITE, size, (x, y, 0.4))
         label.text = "" if math.isnan(left) else f"{left:.2f} m"
-        for marker, height in ((arrow, 0.1), (disc, 0.0), (label, 0.4)):
-            marker.pose = Pose(Point(pose.position.x, pose.position.y, height), pose.orientation)
+        disc.id, label.id = 1, 2
         # RViz warns of a label without text.
         return [arrow, disc, label] if label.text else [arrow, disc]
 

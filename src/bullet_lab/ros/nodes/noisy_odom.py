@@ -18,7 +18,7 @@ from typing import Sequence
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
@@ -40,6 +40,7 @@ from bullet_lab.noise.presets import preset, with_preset
 from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
 from bullet_lab.noise.spread import SpreadPath, SystematicSpread
 from bullet_lab.noise.systematic import SystematicErrors, SystematicStep
+from bullet_lab.ros.messages.poses import marker
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers
@@ -50,6 +51,7 @@ from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 # Indices of x, y and yaw in the 6x6 covariances of ROS (REP 103).
 PLANAR_AXES = (0, 1, 5)
 QUEUE_SIZE = 100
+BLUE = ColorRGBA(0.0, 0.45, 0.7, 1.0)
 
 
 @dataclass(frozen=True)
@@ -237,13 +239,10 @@ def _add_covariance(entries: list[float], covariance, factor: float) -> None:
 
 def ellipse_marker(noisy: Odometry, covariance: np.ndarray) -> Marker:
     """Return the 95 % ellipse around a noisy pose, by its 3x3 covariance (m, m, rad)."""
-    marker = Marker(header=noisy.header, ns="noisy_odom", type=Marker.LINE_STRIP)
-    marker.pose.position = noisy.pose.pose.position
-    marker.pose.orientation.w = 1.0
-    marker.scale.x = 0.01
-    marker.color = ColorRGBA(0.0, 0.45, 0.7, 1.0)
-    marker.points = [Point(x, y, 0.0) for x, y in ellipse_points(covariance).tolist()]
-    return marker
+    place = noisy.pose.pose.position
+    points = [(x, y, 0.0) for x, y in ellipse_points(covariance).tolist()]
+    width, centre = (0.01, 0.0, 0.0), (place.x, place.y, place.z)
+    return marker(noisy.header, "noisy_odom", Marker.LINE_STRIP, BLUE, width, centre, points)
 
 
 @node

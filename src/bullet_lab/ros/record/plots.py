@@ -18,7 +18,7 @@ from typing import Any, Mapping
 
 import rospy
 from actionlib import ActionClient, ClientGoalHandle, CommState
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -35,7 +35,7 @@ from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
-from bullet_lab.ros.messages.poses import stamped_pose
+from bullet_lab.ros.messages.poses import marker, stamped_pose
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import NodeError, holds_within, node
 from bullet_lab.ros.node.odometry import own_frame
@@ -109,34 +109,22 @@ class FleetMarkers:
         for topic, frame in frames.items():
             robot, _, which = topic.rpartition("/")
             _, poses = report.robots[robot].series[which].table()
-            points = [Point(x, y, 0.0) for x, y, _ in poses.tolist()]
+            points = [(x, y, 0.0) for x, y, _ in poses.tolist()]
+            # Without a stamp, RViz uses the newest transform.
+            header = Header(frame_id=frame)
             if points:
-                markers.append(_line(topic, frame, points))
+                size, place = (LINE_WIDTH, 0.0, 0.0), (0.0, 0.0, HEIGHTS[which])
+                colour = COLOURS[which]
+                markers.append(
+                    marker(header, topic, Marker.LINE_STRIP, colour, size, place, points)
+                )
             if points and which == "odom":
-                markers.append(_label(topic, frame, points[-1]))
+                # The name of the robot is at the end of its perfect path.
+                size, place = (0.0, 0.0, LABEL_SIZE), (*points[-1][:2], LABEL_HEIGHT)
+                kind, name = Marker.TEXT_VIEW_FACING, f"{topic}/label"
+                markers.append(marker(header, name, kind, WHITE, size, place))
+                markers[-1].text = robot
         self._publisher.publish(MarkerArray(markers))
-
-
-def _line(topic: str, frame: str, points: list[Point]) -> Marker:
-    which = topic.rpartition("/")[2]
-    # Without a stamp, RViz uses the newest transform.
-    marker = Marker(ns=topic, type=Marker.LINE_STRIP, color=COLOURS[which], points=points)
-    marker.header.frame_id = frame
-    marker.pose.orientation.w = 1.0
-    marker.pose.position.z = HEIGHTS[which]
-    marker.scale.x = LINE_WIDTH
-    return marker
-
-
-def _label(topic: str, frame: str, last: Point) -> Marker:
-    """Return a label with the name of a robot, at the end of its perfect path."""
-    marker = Marker(ns=f"{topic}/label", type=Marker.TEXT_VIEW_FACING, color=WHITE)
-    marker.header.frame_id = frame
-    marker.pose.orientation.w = 1.0
-    marker.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
-    marker.text, _, _ = topic.rpartition("/")
-    marker.scale.z = LABEL_SIZE
-    return marker
 
 
 @dataclass(frozen=True)
