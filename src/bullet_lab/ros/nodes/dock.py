@@ -148,7 +148,7 @@ class DockParameters:
 
 
 def odometry_of(message: OdometryMessage) -> Odometry:
-    """Return the content of a message of odometry; raises OdometryError."""
+    """Return the content of a message of odometry; raises InputError."""
     covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)
     planar = covariance[np.ix_(_PLANAR, _PLANAR)]
     return Odometry(message.header.stamp.to_sec(), planar_pose(message), planar)

@@ -43,7 +43,7 @@ from bullet_lab.noise.systematic import SystematicErrors, SystematicStep
 from bullet_lab.ros.messages.poses import marker
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_twist
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
@@ -105,18 +105,15 @@ class NoisyOdometry:
 
     def odom_callback(self, msg: Odometry) -> None:
         """Take the next message; refuse one that is invalid or has other frames than the first."""
-        try:
-            check_numbers(msg)
+        with self._refusals.on(self._topic):
+            check_twist(msg)
             pose = self._frames.check(msg)
             if self.msg is not None:
                 self._check_time(msg)
-        except OdometryError as error:
-            self._refusals.refuse(self._topic, str(error))
-            return
-        self.msg = msg
-        reported = self._systematic.update(*pose)
-        if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
-            self.compute_noise(msg, reported)
+            self.msg = msg
+            reported = self._systematic.update(*pose)
+            if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
+                self.compute_noise(msg, reported)
 
     def compute_noise(self, msg: Odometry, reported: SystematicStep) -> None:
         """Publish a message with noise, from its pose with systematic errors, `reported`."""
