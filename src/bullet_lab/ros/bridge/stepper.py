@@ -14,15 +14,7 @@ from concurrent import futures
 from typing import Any, Callable, NamedTuple, Sequence
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.timing import (
-    FOR_EVER,
-    NOT_YET,
-    WAITING,
-    Lag,
-    LoopWatch,
-    Pace,
-    TimeGate,
-)
+from bullet_lab.ros.bridge.timing import FOR_EVER, NOT_YET, Pace, SpeedWatch, TimeGate
 from bullet_lab.simulation.simulation import Simulation
 
 # Largest number of steps of a stride, after which requests are served; 2 ms in a small world.
@@ -60,14 +52,13 @@ class Stepper:
         paused: whether to start paused.
         is_over: returns whether to end the loop.
         report_stall: called with the names of the members that hold time back.
-        report_lag: called when simulated time is too slow.
+        report_lag: called with a line when simulated time is too slow.
         watch: measures the speed.
 
     Attributes:
         after_steps: called after each stride, before waiting threads see its end.
         paused: whether time is paused.
         epoch: 1 plus the number of resets, of the world or of time.
-        watch: measures the speed.
     """
 
     def __init__(
@@ -79,8 +70,8 @@ class Stepper:
         paused: bool,
         is_over: Callable[[], bool],
         report_stall: Callable[[Sequence[str]], None],
-        report_lag: Callable[[Lag], None],
-        watch: LoopWatch | None = None,
+        report_lag: Callable[[str], None],
+        watch: SpeedWatch | None = None,
     ):
         self.simulation, self.pace, self.gate = simulation, pace, gate
         self.after_steps: Callable[[], None] = lambda: None
@@ -88,7 +79,7 @@ class Stepper:
         # Requests for steps: how many are left, and the future with the step reached.
         self._advances: deque[tuple[int, futures.Future]] = deque()
         self._is_over, self._report_stall, self._report_lag = is_over, report_stall, report_lag
-        self.watch = watch or LoopWatch()
+        self._watch = watch or SpeedWatch()
         self._reached = simulation.step
         self._stride = STEPS_AT_A_TIME
         self._stalled_since: float | None = None
@@ -255,15 +246,13 @@ class Stepper:
                 self._restart()
             self.pace.restart(step)
             self._watch_the_stall()
-            with self.watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
-                self._wait(LONGEST_WAIT, wakeups)
+            self._wait(LONGEST_WAIT, wakeups)
             return
         self._stalled_since = None
         due = self.pace.due(step)
         if due <= step:
             wait = self.pace.seconds_until(step + self._tick)
-            with self.watch.doing(WAITING):
-                self._wait(min(LONGEST_WAIT, wait), wakeups)
+            self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
         self._run_until(min(limit, due, step + self._stride))
         self._watch_the_speed()
@@ -273,10 +262,8 @@ class Stepper:
 
     def _run_until(self, step: float) -> None:
         before, start = self.simulation.step, time.perf_counter()
-        with self.watch.doing("steps"):
-            self.simulation.run_until(int(max(before, step)))
-        with self.watch.doing("handing messages to subscribers"):
-            self.after_steps()
+        self.simulation.run_until(int(max(before, step)))
+        self.after_steps()
         self._reached = self.simulation.step
         if self._reached > before:
             self._adapt_stride(self._reached - before, time.perf_counter() - start)
@@ -295,12 +282,11 @@ class Stepper:
         # Only the present ones: steps are made however many new tasks come.
         for _ in range(self._tasks.qsize()):
             result, action = self._tasks.get()
-            with self.watch.doing("services"):
-                try:
-                    result.set_result(action())
-                except Exception as error:
-                    # The requesting thread raises it.
-                    result.set_exception(error)
+            try:
+                result.set_result(action())
+            except Exception as error:
+                # The requesting thread raises it.
+                result.set_exception(error)
 
     def _advance(self) -> None:
         """Make some steps of the oldest request for steps, and put it at the end of the queue."""
@@ -317,17 +303,11 @@ class Stepper:
     def _restart(self) -> None:
         """Measure the speed from now on."""
         self.pace.restart(self.simulation.step)
-        self.watch.restart(self.simulation.step)
-        self.simulation.take_spent()
+        self._watch.restart(self.simulation.step)
 
     def _watch_the_speed(self) -> None:
-        if not self.watch.due:
-            return
-        for what, seconds in self.simulation.take_spent().items():
-            self.watch.spend(what, seconds)
-            self.watch.spend("steps", -seconds)
-        lag = self.watch.measure(self.simulation.step, self.pace.real_time_factor)
-        if lag is not None:
+        lag = self._watch.lag(self.simulation.step, self.pace.real_time_factor)
+        if lag:
             self._report_lag(lag)
 
     def _watch_the_stall(self) -> None:

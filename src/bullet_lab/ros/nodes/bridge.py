@@ -27,8 +27,6 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import threading
-import time
 import xmlrpc.client
 from collections import Counter
 from dataclasses import dataclass
@@ -102,8 +100,6 @@ EXPORTED = {
 EXPORTER = "gazebo_ros"
 # Wall seconds within which a node that is alive answers.
 ANSWER_SECONDS = 5.0
-# Wall seconds between two checks whether the loop is stuck.
-LOOP_CHECK_SECONDS = 1.0
 # What ~friction means for a simulation; None: as the world says.
 COULOMB = {"world": None, "ode": False, "coulomb": True}
 CALLER = "/bullet_lab"
@@ -206,21 +202,12 @@ class PyBulletBridge:
     def spin(self) -> None:
         """Run until ROS shuts down."""
         rospy.on_shutdown(self.stepper.wake)
-        threading.Thread(target=self._watch_the_loop, daemon=True).start()
         try:
             self.stepper.run()
         finally:
             if self._video is not None:
                 self._video.close()
             self.simulation.close()
-
-    def _watch_the_loop(self) -> None:
-        """Warn when the loop is stuck; runs in a thread."""
-        while not rospy.is_shutdown():
-            stuck = self.stepper.watch.stuck()
-            if stuck:
-                rospy.logwarn("simulated time stands still: busy with %s for %.0f s", *stuck)
-            time.sleep(LOOP_CHECK_SECONDS)
 
     def _publish_clock(self, step: int) -> None:
         set_time(self._clock.clock, step)
