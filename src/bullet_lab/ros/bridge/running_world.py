@@ -283,7 +283,10 @@ class TouchCounter:
     def __init__(self, world: RunningWorld):
         self._world = world
         self._floors = frozenset(
-            model.name for model in world.simulation.world.models if _is_floor(model)
+            model.name
+            for model in world.simulation.world.models
+            for link in model.links
+            if any(isinstance(shape.geometry, Plane) for shape in link.collisions)
         )
         self._robots: dict[str, _Touches] = {}
         self._last_step = 0
@@ -325,8 +328,3 @@ class TouchCounter:
                 message = TouchedModels(robot=name, models=models, touches=touches)
                 set_time(message.header.stamp, step)
                 robot.publisher.publish(message)
-
-
-def _is_floor(model: Model) -> bool:
-    shapes = [collision.geometry for link in model.links for collision in link.collisions]
-    return any(isinstance(shape, Plane) for shape in shapes)

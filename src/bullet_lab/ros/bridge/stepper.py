@@ -255,7 +255,9 @@ class Stepper:
             self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
         self._run_until(min(limit, due, step + self._stride))
-        self._watch_the_speed()
+        lag = self._watch.lag(self.simulation.step, self.pace.real_time_factor)
+        if lag:
+            self._report_lag(lag)
         if limit != FOR_EVER:
             with self._wake:
                 self._wake.notify_all()
@@ -266,12 +268,10 @@ class Stepper:
         self.after_steps()
         self._reached = self.simulation.step
         if self._reached > before:
-            self._adapt_stride(self._reached - before, time.perf_counter() - start)
-
-    def _adapt_stride(self, steps: int, seconds: float) -> None:
-        """Set the length of the next stride by the wall time of this one, at most doubling it."""
-        fit = steps * LONGEST_STRIDE / max(seconds, 1e-9)
-        self._stride = int(max(1, min(STEPS_AT_A_TIME, 2 * self._stride, fit)))
+            # The next stride has a length that fits the wall time of this one, at most twice its.
+            seconds = max(time.perf_counter() - start, 1e-9)
+            fit = (self._reached - before) * LONGEST_STRIDE / seconds
+            self._stride = int(max(1, min(STEPS_AT_A_TIME, 2 * self._stride, fit)))
 
     def _wait(self, seconds: float, wakeups: int) -> None:
         with self._wake:
@@ -304,11 +304,6 @@ class Stepper:
         """Measure the speed from now on."""
         self.pace.restart(self.simulation.step)
         self._watch.restart(self.simulation.step)
-
-    def _watch_the_speed(self) -> None:
-        lag = self._watch.lag(self.simulation.step, self.pace.real_time_factor)
-        if lag:
-            self._report_lag(lag)
 
     def _watch_the_stall(self) -> None:
         now = time.monotonic()

@@ -75,7 +75,9 @@ class Reconfigurable:
     def _take(self, values: Values, level: int) -> Values:
         if level != AT_START:
             try:
-                _check_finite(values)
+                for name, value in values.items():
+                    if isinstance(value, float) and not math.isfinite(value):
+                        raise InputError(f"{name} is {value}, which is not finite")
                 values.update(self._change(dict(values)))
             except LabError as error:
                 if not rospy.is_shutdown():
@@ -83,12 +85,6 @@ class Reconfigurable:
                 values.update(self._values)
         self._values = dict(values)
         return values
-
-
-def _check_finite(values: Values) -> None:
-    for name, value in values.items():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"{name} is {value}, which is not finite")
 
 
 def _server_class() -> Any:

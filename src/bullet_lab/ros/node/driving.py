@@ -125,10 +125,6 @@ class GoalServer(SimpleActionServer):
         else:
             self.set_aborted(result, text)
 
-    def forget_cancels(self) -> None:
-        """Accept goals with stamps before the last cancellation, after a reset of time."""
-        self.action_server.last_cancel = rospy.Time()
-
     def internal_goal_callback(self, goal: ServerGoalHandle) -> None:
         """Accept a goal whatever its stamp; called by actionlib."""
         with self.lock:
@@ -230,7 +226,8 @@ class GoalNode(ABC):
         for queue in self._queues:
             queue.clear()
         for server in self._servers:
-            server.forget_cancels()
+            # Accept goals with stamps before the last cancellation.
+            server.action_server.last_cancel = rospy.Time()
         self._frames.clear()
         if self._server is not None:
             self._end(rospy.Time(0), GoalStatus.ABORTED, "simulated time was set back")

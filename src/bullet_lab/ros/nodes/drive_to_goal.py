@@ -221,7 +221,9 @@ class DriveToGoal(GoalNode):
 
     def _receive_simple_goal(self, message: PoseStamped) -> None:
         try:
-            self._frames.planar(message, self._await_frame())
+            # The first message of the odometry has the frame.
+            holds_within(lambda: self._frame, PATIENCE)
+            self._frames.planar(message, self._known_frame())
         except LabError as error:
             self._refusals.refuse(SIMPLE_GOAL, str(error))
             goal_id = GoalIDGenerator().generate_ID()
@@ -229,11 +231,6 @@ class DriveToGoal(GoalNode):
             return
         goal = MoveBaseActionGoal(header=message.header, goal=MoveBaseGoal(message))
         self._servers[0].action_server.internal_goal_callback(goal)
-
-    def _await_frame(self) -> str:
-        """Wait for the frame of the odometry; raises OdometryError if none comes."""
-        holds_within(lambda: self._frame, PATIENCE)
-        return self._known_frame()
 
     def _known_frame(self) -> str:
         if not self._frame:

@@ -125,7 +125,9 @@ class NoisyOdometry:
             self.pose = step.pose
             noisy = _at(msg, self.pose)
             errors = (reported.motion_error, step.motion_error)
-            _add_noise(noisy, step, errors, self._seconds_since_last(msg))
+            last = self.last_odom
+            seconds = None if last is None else (msg.header.stamp - last.header.stamp).to_sec()
+            _add_noise(noisy, step, errors, seconds)
             _add_covariance(noisy.pose.covariance, self._systematic.covariance, 1.0)
         self.last_odom = msg
         self.pub.publish(noisy)
@@ -167,11 +169,6 @@ class NoisyOdometry:
             self._published.restart()
             if self._sampler is not None:
                 self._sampler.restart()
-
-    def _seconds_since_last(self, msg: Odometry) -> float | None:
-        if self.last_odom is None:
-            return None
-        return (msg.header.stamp - self.last_odom.header.stamp).to_sec()
 
 
 def _service_name(namespace: str) -> str:

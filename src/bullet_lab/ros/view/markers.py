@@ -206,7 +206,8 @@ class MarkersDisplay(Display):
                 self._solids.put_solid(key, SOLIDS[marker.kind], pose, marker.scale, marker.colour)
             elif marker.kind in SOLIDS or marker.kind == MarkerMessage.MESH_RESOURCE:
                 self._solids.drop(key)
-                self._meshes.put((_visual_of(marker),), key, pose)
+                look = (marker.scale, marker.colour, marker.text, marker.mesh, marker.embedded)
+                self._meshes.put((_visual(marker.kind, *look),), key, pose)
             elif marker.kind in SHOW:
                 SHOW[marker.kind](self, key, marker, pose)
         except LabError as error:
@@ -288,12 +289,6 @@ class MarkersDisplay(Display):
 def _whole(points: np.ndarray, size: int) -> np.ndarray:
     """Return points less those at the end that make no whole group of a size."""
     return points[: len(points) // size * size]
-
-
-def _visual_of(marker: Marker) -> Visual:
-    return _visual(
-        marker.kind, marker.scale, marker.colour, marker.text, marker.mesh, marker.embedded
-    )
 
 
 @functools.lru_cache(maxsize=1024)

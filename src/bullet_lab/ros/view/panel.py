@@ -105,13 +105,12 @@ class TabControls:
         """Full turn rate, rad/s."""
         return _within(self._turn)
 
-    def offer_robots(self, topics: list[str], default: str | None) -> None:
-        """Offer topics of commands."""
-        _offer(self._robot, topics, NOBODY, default)
-
-    def offer_images(self, topics: list[str], default: str | None) -> None:
-        """Offer topics of images."""
-        _offer(self._source, [*topics, NOTHING], NOTHING, default)
+    def offer(
+        self, driven: list[str], robot: str | None, images: list[str], image: str | None
+    ) -> None:
+        """Offer topics of commands and of images, with the ones to choose at first."""
+        _offer(self._robot, driven, NOBODY, robot)
+        _offer(self._source, [*images, NOTHING], NOTHING, image)
         if self._image.visible != bool(self.image_topic):
             self._image.visible = bool(self.image_topic)
 
@@ -169,7 +168,9 @@ class Panel:
         """Offer to change the noise, if one of these services does."""
         found = [name for name in services if name.rpartition("/")[2] == SET_NOISE]
         if found and not self._noise_services:
-            self._noise.value = _present_noise(found[0])
+            # The parameter of the node that offers the service.
+            std = rospy.get_param(f"{found[0].rpartition('/')[0]}/std", USUAL_NOISE)
+            self._noise.value = float(std) if isinstance(std, (int, float)) else USUAL_NOISE
         self._noise_services = found
         self._noise_folder.visible = bool(found)
 
@@ -198,12 +199,6 @@ class Panel:
         success = getattr(answer, "success", True)
         self._status.show("" if success else f"{service}: {answer.status_message}")
         return success
-
-
-def _present_noise(service: str) -> float:
-    """Return the std parameter of the node that offers a service, or the default."""
-    std = rospy.get_param(f"{service.rpartition('/')[0]}/std", USUAL_NOISE)
-    return float(std) if isinstance(std, (int, float)) else USUAL_NOISE
 
 
 def _slider(gui: Any, label: str, least: float, most: float, value: float) -> Any:

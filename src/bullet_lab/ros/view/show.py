@@ -248,8 +248,8 @@ class Show:
         driven = sorted(t for t, kind in self.graph.heard.items() if kind == TWIST)
         tabs = self._tabs()
         for tab in tabs:
-            tab.offer_images(images, closest(images, BEST_IMAGES))
-            tab.offer_robots(driven, closest(driven, ("/cmd_vel",)))
+            robot, image = closest(driven, ("/cmd_vel",)), closest(images, BEST_IMAGES)
+            tab.offer(driven, robot, images, image)
             if tab not in self._cameras:
                 self._cameras[tab] = CameraDisplay(tab.show_image, self._image_rate)
         for closed in set(self._cameras) - set(tabs):
