@@ -315,12 +315,8 @@ class DockNode(GoalNode):
         self._task: DockingTask | UndockingTask | None = None
         self._begun = 0.0
         callbacks = (self._stop_for_new_goal, self._sender.stop)
-        self._servers = [
-            GoalServer("dock", DockAction, *callbacks),
-            GoalServer("undock", UndockAction, *callbacks),
-        ]
-        for server in self._servers:
-            server.start()
+        for name, kind in (("dock", DockAction), ("undock", UndockAction)):
+            self._servers.append(GoalServer(name, kind, *callbacks))
 
     def _stop_for_new_goal(self, _: ServerGoalHandle) -> None:
         if self._server is not None:

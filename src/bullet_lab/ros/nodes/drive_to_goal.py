@@ -205,9 +205,9 @@ class DriveToGoal(GoalNode):
         # Goals that have come, but are not accepted yet.
         self._pending: deque[GoalID] = deque()
         self._odometry.open()
-        server = GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
-        server.start()
-        self._servers.append(server)
+        self._servers.append(
+            GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
+        )
         self._goals = rospy.Subscriber(
             SIMPLE_GOAL, PoseStamped, self._receive_simple_goal, queue_size=10
         )
@@ -230,7 +230,7 @@ class DriveToGoal(GoalNode):
             self._topics.report(goal_id, GoalStatus.REJECTED, f"refused: {error}")
             return
         goal = MoveBaseActionGoal(header=message.header, goal=MoveBaseGoal(message))
-        self._servers[0].action_server.internal_goal_callback(goal)
+        self._servers[0].internal_goal_callback(goal)
 
     def _known_frame(self) -> str:
         if not self._frame:
@@ -267,7 +267,7 @@ class DriveToGoal(GoalNode):
         self._moving = moving
 
     def _accept(self, now: rospy.Time) -> None:
-        accepted = self._server.current_goal.get_goal_id().id
+        accepted = self._server.goal.get_goal_id().id
         while self._pending:
             goal_id = self._pending.popleft()
             if goal_id.id == accepted:
@@ -295,7 +295,7 @@ class DriveToGoal(GoalNode):
         self._waiting = False
         x, y, yaw = goal
         rospy.loginfo("driving to (%.2f, %.2f) m, %.0f degrees", x, y, math.degrees(yaw))
-        goal_id = self._server.current_goal.get_goal_id()
+        goal_id = self._server.goal.get_goal_id()
         self._topics.report(goal_id, GoalStatus.ACTIVE, "driving")
         self._topics.begin(now, frame, goal)
 
@@ -321,7 +321,7 @@ class DriveToGoal(GoalNode):
             self._sender.stop()
         log = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
         log("%s", text)
-        goal_id = server.current_goal.get_goal_id()
+        goal_id = server.goal.get_goal_id()
         if begun:
             self._topics.report(goal_id, status, text)
             self._topics.end(now, status, self._pose)
