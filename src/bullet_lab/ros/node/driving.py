@@ -11,7 +11,7 @@ from actionlib import ActionServer, ServerGoalHandle
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import Twist
 
-from bullet_lab.ros.node.lock_step import in_lock_step, rate
+from bullet_lab.ros.node.lock_step import Rate, in_lock_step
 from bullet_lab.ros.node.odometry import FrameFinder, MessageQueue
 from bullet_lab.ros.node.publishers import Publisher, publisher
 
@@ -188,7 +188,7 @@ class GoalNode(ABC):
 
         In lock step, time starts when everything is connected; `what` describes that in the log.
         """
-        ticks = rate(hz, self._is_connected, what)
+        ticks = Rate(hz, self._is_connected, what)
         last = ticks.now
         while not rospy.is_shutdown():
             ticks.sleep()

@@ -17,7 +17,7 @@ from bullet_lab.core.se2 import PlanarPose, yaw_from_quaternion
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import InputError, pose_of, twist_of
 from bullet_lab.ros.node.lock_step import in_lock_step
-from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
+from bullet_lab.ros.node.node import NodeError, Refusals, tf_prefix
 from bullet_lab.ros.node.publishers import subscriber
 
 # m; larger than all coordinates on Earth in any grid. Squares of smaller numbers stay finite.
@@ -325,20 +325,13 @@ class FrameFinder:
             time.sleep(POLL_SECONDS)
 
 
-def own_tf_prefix() -> str:
-    """Return this node's tf_prefix with a slash at the end; empty without one."""
-    found = rospy.search_param(TF_PREFIX)
-    prefix = str(rospy.get_param(found)).strip("/") if found else ""
-    return f"{prefix}/" if prefix else ""
-
-
 def own_frame(frame: str) -> str:
     """Return a frame name with this node's tf_prefix.
 
     As in the tf library, a name with a leading slash has no prefix. A name that has the prefix
     already is returned unchanged.
     """
-    prefix = own_tf_prefix()
+    prefix = tf_prefix(rospy.get_name())
     if not frame or frame.startswith(("/", prefix)):
         return frame.lstrip("/")
     return prefix + frame

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Any, Iterable, Mapping, Sequence
 
 import numpy as np
+import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_msgs.msg import Header
@@ -38,8 +39,7 @@ from bullet_lab.ros.messages.images import (
     marker_pose_message,
     marker_transform,
 )
-from bullet_lab.ros.node.node import node
-from bullet_lab.ros.node.odometry import own_tf_prefix
+from bullet_lab.ros.node.node import node, tf_prefix
 from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.nodes.image_node import CameraImage, Health, ImageNode, ImageParameters
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
@@ -162,7 +162,7 @@ class Aruco(ImageNode):
         self._memory = PoseMemory(parameters.upright)
         self._health = Health(DiagnosticStatus.OK, "")
         super().__init__(parameters, always=parameters.publish_tf)
-        self._prefix = own_tf_prefix()
+        self._prefix = tf_prefix(rospy.get_name())
         self._tf = publisher("/tf", TFMessage, 10) if parameters.publish_tf else None
 
     def process(self, image: CameraImage) -> Mapping[str, Any]:

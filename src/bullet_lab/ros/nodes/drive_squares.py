@@ -34,7 +34,7 @@ from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.driving import StoppableSender
-from bullet_lab.ros.node.lock_step import rate
+from bullet_lab.ros.node.lock_step import Rate
 from bullet_lab.ros.node.node import TF_PREFIX, node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
 from bullet_lab.ros.node.publishers import publisher
@@ -110,7 +110,7 @@ class DriveSquares:
         self._finished = publisher("~finished", Time, latch=True)
         self._side = 0
         self._hz = self._robots[0].driver.rate
-        self._rate = rate(self._hz)
+        self._rate = Rate(self._hz)
 
     def drive(self) -> None:
         """Drive all sides, stop, publish the end, and leave the lock step."""

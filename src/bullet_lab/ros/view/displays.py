@@ -5,7 +5,6 @@ A display subscribes when it is made, and until it is closed. `tick` reads and s
 
 from __future__ import annotations
 
-import functools
 import logging
 import math
 import struct
@@ -185,7 +184,6 @@ class OdometryDisplay(Display):
         self._line.set(self._trail[: self._count])
 
 
-@functools.lru_cache(maxsize=256)
 def _ellipse(xx: float, xy: float, yy: float) -> np.ndarray:
     """Return points (n, 3) of the ellipse of a covariance (m²); none if it is not definite."""
     if not math.isfinite(xx + xy + yy) or xx <= 0.0 or xx * yy <= xy * xy:
@@ -205,21 +203,16 @@ class ScanDisplay(Display):
     def show(self, message: LaserScan) -> None:  # noqa: D102 - inherited
         start, step = message.angle_min, message.angle_increment
         finite(np.array((start, step, message.range_min)), "the scan")
-        count = len(message.ranges)
-        every = max(1, math.ceil(count / MAX_RAYS))
+        every = max(1, math.ceil(len(message.ranges) / MAX_RAYS))
         ranges = np.array(message.ranges[::every])
         hits = (ranges >= message.range_min) & (ranges < message.range_max)
-        points = _rays(start, step, count, every)[hits] * ranges[hits, None]
+        rays = _directions(start + every * step * np.arange(len(ranges)))
+        points = rays[hits] * ranges[hits, None]
         self._points.set(placed(self.context.pose_of(message.header.frame_id), points))
 
 
-@functools.lru_cache(maxsize=64)
-def _rays(start: float, step: float, count: int, every: int) -> np.ndarray:
-    """Return unit vectors (n, 3) along one in `every` rays of a laser."""
-    return _directions(start + step * np.arange(0, count, every))
-
-
 def _directions(angles: np.ndarray) -> np.ndarray:
+    """Return horizontal unit vectors (n, 3)."""
     return np.column_stack((np.cos(angles), np.sin(angles), np.zeros(len(angles))))
 
 

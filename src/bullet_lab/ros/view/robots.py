@@ -8,7 +8,7 @@ from typing import Any
 import rospy
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, search_parameter
+from bullet_lab.ros.node.node import MASTER_ERRORS, tf_prefix
 from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.ros.view.scene import Copies, VisualCopies
 from bullet_lab.simulation.world.description import Model, Visual
@@ -153,15 +153,6 @@ class Robots:
         tree = self._context.frames
         known = set(tree.frames())
         return any(frame in known and tree.root(frame) not in own for frame in own)
-
-
-def tf_prefix(namespace: str) -> str:
-    """Return the tf_prefix of a namespace, with its slash; empty if there is none."""
-    try:
-        prefix = search_parameter(TF_PREFIX, namespace).strip("/")
-    except NodeError:
-        return ""
-    return f"{prefix}/" if prefix else ""
 
 
 def _descriptions() -> frozenset[str] | None:
