@@ -70,25 +70,17 @@ PATIENCE = 3.0
 
 
 class CompressedImages:
-    """The compressed images of one camera; for the thread of the simulation."""
+    """The compressed images of one camera, with its settings; for the simulation's thread."""
 
     def __init__(self, world: RunningWorld, camera: Camera):
         self.topic = f"{camera.image.topic}/compressed"
-        self._settings: Values = {setting.name: setting.default for setting in COMPRESSION}
+        self.settings: Values = {setting.name: setting.default for setting in COMPRESSION}
         self._publisher = world.topics.publisher(self.topic, CompressedImage)
         camera.image.connect(self._publish, self._publisher.has_connections)
 
-    def set(self, values: Values) -> Values:
-        """Set the compression, and return the settings; raises InputError."""
-        choices = COMPRESSION[0].choices
-        if values["format"] not in choices:
-            raise InputError(f"format is '{values['format']}'; known are {', '.join(choices)}")
-        self._settings = values
-        return values
-
     def _publish(self, sample: ImageSample) -> None:
         if self._publisher.has_connections():
-            self._publisher.publish(compressed_message(sample, self._settings))
+            self._publisher.publish(compressed_message(sample, self.settings))
 
 
 class DeviceServices:
@@ -126,7 +118,7 @@ class DeviceServices:
         topic = rospy.resolve_name(images.topic)
         offers: list[Callable[[], Any]] = [
             partial(offer, name, SetCameraInfo, partial(self._calibrate, camera)),
-            partial(Reconfigurable, topic, COMPRESSION, images.set),
+            partial(Reconfigurable, topic, COMPRESSION, images.settings.update),
         ]
         if camera.name:
             default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
@@ -141,10 +133,9 @@ class DeviceServices:
         check_calibration(calibration)
         self._world.do(lambda: setattr(camera, "calibration", calibration))
 
-    def _set_rate(self, camera: Camera, values: Values) -> Values:
+    def _set_rate(self, camera: Camera, values: Values) -> None:
         rate, simulation = values["imager_rate"], self._world.simulation
         self._world.do(lambda: camera.set_rate(rate, simulation.step))
-        return values
 
 
 def check_calibration(calibration: dict[str, Any]) -> None:
@@ -278,9 +269,8 @@ class ControllerServices:
             adjustable = Reconfigurable(where, controller.adjustables, change)
             self._adjustable[request.name] = adjustable
 
-    def _adjust(self, controller: Controller, values: Values) -> Values:
+    def _adjust(self, controller: Controller, values: Values) -> None:
         self._world.do(lambda: controller.adjust(values, self._world.simulation.step))
-        return values
 
     def _add(self, name: str, parameters: ControlParameters) -> Controller:
         manager = self._manager()

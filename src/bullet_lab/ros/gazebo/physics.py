@@ -55,13 +55,15 @@ class Reconfigurable:
     """Offers settings in a namespace; does nothing without dynamic_reconfigure.
 
     `change(values)` is called with all requested values, in the thread of the service, and returns
-    the resulting ones. If a number is not finite or `change` raises LabError, nothing is changed.
+    those that it changes once more. If a number is not finite, a text is none of the choices, or
+    `change` raises LabError, nothing is changed.
     """
 
     def __init__(
-        self, namespace: str, settings: Sequence[Setting], change: Callable[[Values], Values]
+        self, namespace: str, settings: Sequence[Setting], change: Callable[[Values], Values | None]
     ):
         self._namespace, self._change = namespace, change
+        self._choices = {one.name: one.choices for one in settings if one.choices}
         self._values: Values = {}
         self._server = Server and _server_class()(_type_of(settings), self._take, namespace)
 
@@ -78,7 +80,10 @@ class Reconfigurable:
                 for name, value in values.items():
                     if isinstance(value, float) and not math.isfinite(value):
                         raise InputError(f"{name} is {value}, which is not finite")
-                values.update(self._change(dict(values)))
+                for name, choices in self._choices.items():
+                    if values[name] not in choices:
+                        raise InputError(f"{name} is '{values[name]}'; known are {choices}")
+                values.update(self._change(dict(values)) or {})
             except LabError as error:
                 if not rospy.is_shutdown():
                     rospy.logwarn("%s: %s; nothing is changed", self._namespace, error)
