@@ -59,8 +59,7 @@ from bullet_lab.ros.bridge.running_world import (
     TouchCounter,
     tf_prefixes,
 )
-from bullet_lab.ros.bridge.stepper import Stepper, StepperError
-from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, TimeGate
+from bullet_lab.ros.bridge.stepper import FOR_EVER, Pace, Stepper, StepperError, TimeGate
 from bullet_lab.ros.bridge.topics import DeviceTopics, Route
 from bullet_lab.ros.gazebo.interface import Warnings, offer_all
 from bullet_lab.ros.gazebo.services import offer

@@ -14,12 +14,13 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import WORLD
 from bullet_lab.ros.node.node import MASTER_ERRORS
-from bullet_lab.ros.view.cameras import CameraDisplay, PointsDisplay
 from bullet_lab.ros.view.displays import (
+    CameraDisplay,
     Displays,
     Kind,
     OdometryDisplay,
     PathDisplay,
+    PointsDisplay,
     PoseDisplay,
     RangeDisplay,
     ScanDisplay,

@@ -1,6 +1,6 @@
 import pytest
 
-from bullet_lab.ros.bridge.timing import SpeedWatch
+from bullet_lab.ros.bridge.stepper import SpeedWatch
 
 
 @pytest.fixture

@@ -8,8 +8,14 @@ import pytest
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge import stepper as stepper_module
-from bullet_lab.ros.bridge.stepper import Stepper, StepperError
-from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, SpeedWatch, TimeGate
+from bullet_lab.ros.bridge.stepper import (
+    FOR_EVER,
+    Pace,
+    SpeedWatch,
+    Stepper,
+    StepperError,
+    TimeGate,
+)
 from bullet_lab.simulation.simulation import Simulation
 
 PATIENCE = 60.0
