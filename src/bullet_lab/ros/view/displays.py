@@ -5,7 +5,6 @@ A display subscribes when it is made, and until it is closed. `tick` reads and s
 
 from __future__ import annotations
 
-import logging
 import math
 import struct
 import time
@@ -20,14 +19,13 @@ from sensor_msgs.msg import Image, LaserScan, PointCloud2, PointField, Range
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import ellipse_points
-from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.messages.poses import normalised_pose
+from bullet_lab.ros.node.node import Refusals
 from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.ros.view.scene import PointsNode, Polyline, rgb, segments, segments_node, wxyz
 from bullet_lab.ros.view.subscription import MessageError, Subscription, reader_of
 
-LOG = logging.getLogger(__name__)
 # The colours of all figures: perfect paths are orange, noisy ones blue, and plans green.
 PERFECT = (0.90, 0.62, 0.0)
 NOISY = (0.0, 0.45, 0.70)
@@ -178,17 +176,11 @@ class OdometryDisplay(Display):
         self._parts = [self._line, self._ellipse]
         self._trail = np.zeros((MAX_TRAIL, 3), np.float32)
         self._count = 0
-        self._last: Any = None
 
     def show(self, message: Odometry) -> None:  # noqa: D102 - inherited
         frame, covariance = message.header.frame_id, message.pose.covariance
-        pose = normalised_pose(message.pose.pose)
-        shown = (frame, pose, covariance)
-        if shown == self._last:
-            return
-        self._last = shown
         frame_pose = self.context.pose_of(frame)
-        x, y, _ = (frame_pose * pose).position
+        x, y, _ = (frame_pose * normalised_pose(message.pose.pose)).position
         position = (x, y, self._height)
         self._extend_trail(position)
         ellipse = _ellipse(covariance[0], covariance[1], covariance[7])
@@ -450,7 +442,7 @@ class Displays:
         self.kind = kind
         self._context = context
         self.shown: dict[str, Any] = {}
-        self._failed: set[str] = set()
+        self._refusals = Refusals()
 
     def follow(self, topics: dict[str, str]) -> None:
         """Show those of these topics, with their types, that are of the kind; none if empty."""
@@ -468,13 +460,8 @@ class Displays:
     def tick(self) -> None:
         """Show new messages."""
         for topic, display in self.shown.items():
-            try:
+            with self._refusals.on(topic):
                 display.tick()
-            except LabError as error:
-                # One warning a topic: its next messages are probably just as bad.
-                if topic not in self._failed:
-                    self._failed.add(topic)
-                    LOG.warning("%s: %s", topic, error)
 
 def has_no_path(topic: str, others: Iterable[str]) -> bool:
     """Return whether no topic has the path of an odometry, which begins with the same name."""

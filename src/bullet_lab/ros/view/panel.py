@@ -111,8 +111,7 @@ class TabControls:
         """Offer topics of commands and of images, with the ones to choose at first."""
         _offer(self._robot, driven, NOBODY, robot)
         _offer(self._source, [*images, NOTHING], NOTHING, image)
-        if self._image.visible != bool(self.image_topic):
-            self._image.visible = bool(self.image_topic)
+        self._image.visible = bool(self.image_topic)
 
     def show_image(self, pixels: np.ndarray) -> None:
         """Show an image, (h, w, 3) uint8 RGB."""
@@ -160,9 +159,7 @@ class Panel:
             text = f"{seconds:.2f} s"
         else:
             text = f"{seconds:.2f} s, " + (f"{speed:.2f} x" if speed else "stands still")
-        content = "<br>".join(map(html.escape, [text, *notes]))
-        if self._time.content != content:
-            self._time.content = content
+        self._time.content = "<br>".join(map(html.escape, [text, *notes]))
 
     def offer_noise(self, services: Collection[str]) -> None:
         """Offer to change the noise, if one of these services does."""

@@ -1,8 +1,8 @@
 """Nodes of the page's scene, updated in few messages.
 
-viser sends each property that changes as a message. Things that move together are therefore one
-node with an array for all of them. Poses are in the scene's one frame, in m; colours are RGBA or
-RGB within [0, 1]. Not thread-safe.
+viser sends each property that changes as a message, and none for an equal value. Things that move
+together are therefore one node with an array for all of them. Poses are in the scene's one frame,
+in m; colours are RGBA or RGB within [0, 1]. Not thread-safe.
 """
 
 from __future__ import annotations
@@ -188,32 +188,26 @@ class Polyline:
         self._scene = scene
         self._name = name
         self._colour = rgb(colour)
-        self._nodes: list[tuple[np.ndarray, Any]] = []
+        self._nodes: list[Any] = []
 
     def set(self, points: np.ndarray) -> None:
         """Draw the line through points, (n, 3) in m."""
-        points = np.asarray(points, np.float32)
-        starts = range(0, max(len(points) - 1, 0), PIECE)
+        pieces = segments(np.asarray(points, np.float32))
+        starts = range(0, len(pieces), PIECE)
         for number, start in enumerate(starts):
-            self._set_piece(number, points[start : start + PIECE + 1].copy())
-        for _, node in self._nodes[len(starts) :]:
+            piece = pieces[start : start + PIECE]
+            if number < len(self._nodes):
+                self._nodes[number].points = piece
+            else:
+                name = f"{self._name}/{number}"
+                self._nodes.append(segments_node(self._scene, name, piece, self._colour))
+        for node in self._nodes[len(starts) :]:
             node.remove()
         del self._nodes[len(starts) :]
 
     def remove(self) -> None:
         """Remove the line."""
         self.set(np.zeros((0, 3)))
-
-    def _set_piece(self, number: int, points: np.ndarray) -> None:
-        if number == len(self._nodes):
-            name = f"{self._name}/{number}"
-            node = segments_node(self._scene, name, segments(points), self._colour)
-            self._nodes.append((points, node))
-            return
-        shown, node = self._nodes[number]
-        if not np.array_equal(shown, points):
-            node.points = segments(points)
-            self._nodes[number] = (points, node)
 
 
 def segments(points: np.ndarray) -> np.ndarray:
@@ -263,26 +257,21 @@ class Labels:
     def __init__(self, scene: Any, name: str):
         self._scene = scene
         self._name = name
-        self._nodes: dict[Hashable, tuple[str, Vector, Any]] = {}
+        self._nodes: dict[Hashable, Any] = {}
 
     def put(self, key: Hashable, text: str, position: Vector) -> None:
         """Place a text."""
-        old_text, old_position, node = self._nodes.get(key, ("", None, None))
-        if node is None:
-            name = f"{self._name}/{len(self._nodes)}_{key}"
-            node = self._scene.add_label(name, text, position=position, anchor="bottom-center")
+        if key in self._nodes:
+            self._nodes[key].text, self._nodes[key].position = text, position
         else:
-            if text != old_text:
-                node.text = text
-            if position != old_position:
-                node.position = position
-        self._nodes[key] = (text, position, node)
+            name = f"{self._name}/{len(self._nodes)}_{key}"
+            made = self._scene.add_label(name, text, position=position, anchor="bottom-center")
+            self._nodes[key] = made
 
     def drop(self, key: Hashable) -> None:
         """Remove a text, if there is one with this key."""
-        _, _, node = self._nodes.pop(key, (None, None, None))
-        if node is not None:
-            node.remove()
+        if key in self._nodes:
+            self._nodes.pop(key).remove()
 
     def keep(self, keys: Sequence[Hashable]) -> None:
         """Remove all texts but these."""

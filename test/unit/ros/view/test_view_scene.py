@@ -33,8 +33,9 @@ class Node:
         nodes[name] = self
 
     def __setattr__(self, name, value):
+        # As viser's, it sends what differs.
+        self.__dict__["sent"] += not np.array_equal(self.__dict__[name], value)
         self.__dict__[name] = value
-        self.__dict__["sent"] += 1
 
     def remove(self):
         if self.nodes.get(self.name) is self:
