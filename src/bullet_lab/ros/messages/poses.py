@@ -98,17 +98,13 @@ def normalised_pose(message: PoseMessage) -> Pose:
     """
     orientation = message.orientation
     quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
-    if not all(map(math.isfinite, quaternion)):
+    length = math.hypot(*quaternion)
+    if not math.isfinite(length):
         raise InputError(f"the orientation is not finite: {quaternion}")
-    # Scaled first: the squares of large numbers overflow.
-    largest = max(map(abs, quaternion))
     position = vector_of(message.position, "the position")
-    if largest == 0.0:
+    if length == 0.0:
         return Pose(position)
-    scaled = [value / largest for value in quaternion]
-    length = math.sqrt(sum(value * value for value in scaled))
-    x, y, z, w = (value / length for value in scaled)
-    return Pose(position, (x, y, z, w))
+    return Pose(position, tuple(value / length for value in quaternion))
 
 
 def twist_of(message: Twist) -> tuple[Vector, Vector]:
