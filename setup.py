@@ -32,8 +32,8 @@ options = generate_distutils_setup(
     packages=find_packages("src"),
     package_dir={"": "src"},
     package_data={
+        "bullet_lab.ros.view": ["*.js"],
         "bullet_lab.simulation.rendering": ["*.vert", "*.frag"],
-        "bullet_lab.view": ["*.js"],
     },
 )
 # catkin reads this file under another name, and installs shared files and executables itself.

@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.aruco"
+MAIN = "bullet_lab.ros.nodes.aruco:aruco"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -162,7 +162,6 @@ class SquareDriver:
         rate: commands per second.
         needs_pose: whether `command` needs the pose of the robot.
         sides_done: number of sides that have been driven, with the turn after each.
-        distance: m driven so far on all sides.
 
     Raises:
         DriverError: an unknown mode.
@@ -180,7 +179,6 @@ class SquareDriver:
         self.needs_pose = mode == CLOSED_LOOP
         self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
         self.sides_done = 0
-        self.distance = 0.0
         self._commands: Optional[_Commands] = None
         self._slowest_turn = SlowestTurn()
 
@@ -200,9 +198,7 @@ class SquareDriver:
 
     def _by_clock(self) -> _Commands:
         for _ in range(self._square.sides):
-            for count, command in enumerate(open_loop_side(self._square), 1):
-                yield command
-                self._note(count * self._square.side / self._square.side_commands)
+            yield from open_loop_side(self._square)
             self.sides_done += 1
 
     def _by_odometry(self, pose: PlanarPose) -> _Commands:
@@ -222,7 +218,6 @@ class SquareDriver:
                 pose = yield command
                 dx, dy = pose[0] - x, pose[1] - y
                 progress = dx * math.cos(heading) + dy * math.sin(heading)
-                self._note(progress)
             heading = goal
             self.sides_done += 1
 
@@ -233,11 +228,6 @@ class SquareDriver:
             return True, STANDSTILL
         speed = approach(abs(left), abs(turn_speed), self._slowest_turn.now(left))
         return False, (0.0, math.copysign(speed, left))
-
-    def _note(self, progress: float) -> None:
-        """Update the distance by the progress (m) along the present side."""
-        driven = self.sides_done * self._square.side + min(progress, self._square.side)
-        self.distance = max(self.distance, driven)
 
 
 class DrivePhase(Enum):

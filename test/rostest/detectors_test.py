@@ -12,9 +12,14 @@ from lab_testing import Node, wait_for
 from sensor_msgs.msg import CameraInfo, Image
 
 from bullet_lab.ros.messages.images import pixels_of
-from bullet_lab.ros.nodes.canny_edges import CannyEdges, CannyParameters
-from bullet_lab.ros.nodes.good_features import GoodFeatures, GoodFeaturesParameters
-from bullet_lab.ros.nodes.harris_corners import HarrisCorners, HarrisParameters
+from bullet_lab.ros.nodes.features import (
+    CannyEdges,
+    CannyParameters,
+    GoodFeatures,
+    GoodFeaturesParameters,
+    HarrisCorners,
+    HarrisParameters,
+)
 from bullet_lab.ros.nodes.image_node import CameraImage
 
 CORNERS = ((200, 150), (400, 150), (400, 350), (200, 350))

@@ -20,7 +20,6 @@ ROOMS = (
     "simulation.rendering",
     "simulation.plugins",
     "simulation",
-    "view",
     "reports",
     "studies",
     "jobs",

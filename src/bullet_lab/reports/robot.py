@@ -128,48 +128,29 @@ def declared_rates(rows: Sequence[Any]) -> dict[str, float]:
     return {topic: sum(rates) if all(rates) else 0.0 for topic, rates in shares.items()}
 
 
-class Displacement:
-    """Measures how far a robot has moved since its first pose, along and across its heading there.
+def displacement(poses: Sequence[PlanarPose]) -> dict[str, float] | None:
+    """Return how far a robot has moved along and across its first heading, and how far it turned.
 
-    Whole turns are counted.
+    Whole turns are counted. None without a pose.
     """
-
-    def __init__(self):
-        self._start: PlanarPose | None = None
-        self._last: PlanarPose = (0.0, 0.0, 0.0)
-        self._turned = 0.0
-
-    def add(self, pose: PlanarPose) -> None:
-        """Take the next pose (m, m, rad)."""
-        if self._start is None:
-            self._start = self._last = pose
-        self._turned += math.remainder(pose[2] - self._last[2], math.tau)
-        self._last = pose
-
-    def figures(self) -> dict[str, float] | None:
-        """Return the figures for summary.json; None without a pose."""
-        if self._start is None:
-            return None
-        x, y, yaw = self._start
-        dx, dy = self._last[0] - x, self._last[1] - y
-        cosine, sine = math.cos(yaw), math.sin(yaw)
-        return {
-            "ahead_m": cosine * dx + sine * dy,
-            "aside_m": cosine * dy - sine * dx,
-            "turned_deg": math.degrees(self._turned),
-        }
+    if not poses:
+        return None
+    ahead, aside, _ = between(poses[0], poses[-1]).tolist()
+    yaws = np.unwrap([yaw for _, _, yaw in poses])
+    turned = math.degrees(yaws[-1] - yaws[0])
+    return {"ahead_m": ahead, "aside_m": aside, "turned_deg": turned}
 
 
 @dataclass
 class Leg:
-    """A part of the drive: the target, how far odometry and truth report, and the time it took.
+    """A part of the drive: the target, the poses that odometry and truth report, and the time.
 
     Attributes:
         name: of the part, such as "metre".
-        quantity: the figure of `Displacement.figures` that has the target.
+        quantity: the figure of `displacement` that has the target.
         target: m or degrees.
-        odometry: the displacement by the odometry.
-        truth: the displacement by the truth.
+        odometry: poses (m, m, rad) by the odometry.
+        truth: true poses.
         seconds: simulated.
         late: whether it was aborted because it took too long.
         touched: model::link of what the robot has touched from the side.
@@ -179,8 +160,8 @@ class Leg:
     name: str
     quantity: str
     target: float
-    odometry: Displacement = field(default_factory=Displacement)
-    truth: Displacement = field(default_factory=Displacement)
+    odometry: list[PlanarPose] = field(default_factory=list)
+    truth: list[PlanarPose] = field(default_factory=list)
     seconds: float = 0.0
     late: bool = False
     touched: Sequence[str] = ()
@@ -188,11 +169,11 @@ class Leg:
 
     def true(self) -> float:
         """Return the true distance (m) or turn (rad) so far."""
-        return self.truth.figures()[self.quantity]
+        return displacement(self.truth)[self.quantity]
 
     def is_done(self, odometry_pauses: bool) -> bool:
         """Return whether the odometry, or the truth while that pauses, has reached the target."""
-        odometry = None if odometry_pauses else self.odometry.figures()
+        odometry = None if odometry_pauses else displacement(self.odometry)
         reported = odometry[self.quantity] if odometry else self.true()
         return reported >= self.target or self.true() >= FARTHEST * self.target
 
@@ -225,7 +206,7 @@ class Leg:
 
     def error(self) -> float | None:
         """Return the odometry's error in percent of the truth; None without odometry or motion."""
-        odometry, truth = self.odometry.figures(), self.truth.figures()
+        odometry, truth = displacement(self.odometry), displacement(self.truth)
         if odometry is None or not self.has_moved():
             return None
         names = ("turned_deg",) if self.quantity == "turned_deg" else ("ahead_m", "aside_m")
@@ -236,8 +217,8 @@ class Leg:
         """Return the part's entry in summary.json."""
         return {
             "asked": self.target,
-            "odometry": self.odometry.figures(),
-            "truth": self.truth.figures(),
+            "odometry": displacement(self.odometry),
+            "truth": displacement(self.truth),
             "moved": self.has_moved(),
             "failed": self.has_failed(),
             "reasons": self.reasons(),
@@ -252,7 +233,7 @@ class Leg:
         why = f": {reasons}" if reasons else ""
         if not self.has_moved():
             return f"{self.name}: it does not move ({true:.3f} {unit} of {self.target:g}){why}"
-        odometry, turned = self.odometry.figures(), self.truth.figures()["turned_deg"]
+        odometry, turned = displacement(self.odometry), displacement(self.truth)["turned_deg"]
         reported = "nothing came from its odometry"
         if odometry is not None:
             reported = f"its odometry says {odometry[self.quantity]:.3f} {unit}"

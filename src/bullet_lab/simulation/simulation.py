@@ -16,7 +16,6 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from typing import Any, Callable, Iterator, Mapping, Union
 
@@ -95,7 +94,6 @@ class Simulation:
         self._measuring: list[Plugin | Timer] = []
         self._timers: list[Plugin | Timer] = []
         self._on_failure: Callable[[str, LabError], None] | None = None
-        self._spent: defaultdict[Plugin | Timer, float] = defaultdict(float)
         self.forces = Forces()
         self._has_listed_plugins = False
         # Wall time (s) of the last warning that a model was reset, by its name.
@@ -194,8 +192,6 @@ class Simulation:
         del self.models[name]
         self._physics.remove(instance.bodies)
         self.forces.clear(target=(instance,))
-        for plugin in instance.plugins:
-            self._spent.pop(plugin, None)
         self._acting = [p for p in self._acting if p not in instance.plugins]
         self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
@@ -285,22 +281,12 @@ class Simulation:
             for timer in timers:
                 if timer.schedule.next_step <= self.step:
                     timer.schedule.advance()
-                    start = time.perf_counter()
                     try:
                         timer.produce(self.step)
                     except LabError as error:
                         if self._on_failure is None:
                             raise
                         self._on_failure(_name_of(timer), error)
-                    self._spent[timer] += time.perf_counter() - start
-
-    def take_spent(self) -> dict[str, float]:
-        """Return the wall seconds of each plugin's samples since the last call."""
-        taken: defaultdict[str, float] = defaultdict(float)
-        for timer, seconds in self._spent.items():
-            taken[_name_of(timer)] += seconds
-        self._spent.clear()
-        return taken
 
     def reset_world(self) -> None:
         """Place all models where they were added; time continues."""

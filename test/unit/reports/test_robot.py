@@ -10,11 +10,11 @@ from bullet_lab.reports.robot import (
     ODOMETRY,
     TRUTH,
     Count,
-    Displacement,
     Leg,
     Robot,
     RobotReport,
     declared_rates,
+    displacement,
 )
 
 WHEELS = PluginDescription(
@@ -37,34 +37,26 @@ ROBOT = Robot(
 KINDS = {"/odom": "nav_msgs/Odometry", "/joint_states": "sensor_msgs/JointState"}
 
 
-def displacement(*poses):
-    made = Displacement()
-    for pose in poses:
-        made.add(pose)
-    return made
-
-
 def leg(reported, true, quantity="ahead_m", asked=1.0, seconds=5.0, **more):
-    figures = {"ahead_m": 0.0, "aside_m": 0.0, "turned_deg": 0.0}
-    odometry = None if reported is None else {**figures, **reported}
-    truth = {**figures, **true}
-    return Leg("metre", quantity, asked, moved(odometry), moved(truth), seconds, **more)
+    odometry = [] if reported is None else moved(**reported)
+    return Leg("metre", quantity, asked, odometry, moved(**true), seconds, **more)
 
 
-def moved(figures):
-    """Return a displacement with these figures."""
-    return SimpleNamespace(figures=lambda: figures)
+def moved(ahead_m=0.0, aside_m=0.0, turned_deg=0.0):
+    """Return poses of a robot that moves so far."""
+    yaws = np.radians(np.linspace(0.0, turned_deg, 100))
+    return [(0.0, 0.0, 0.0), *((ahead_m, aside_m, yaw) for yaw in yaws.tolist())]
 
 
 def test_a_displacement_is_measured_along_the_first_heading():
-    figures = displacement((1.0, 2.0, math.pi / 2), (1.1, 2.5, 1.0)).figures()
+    figures = displacement([(1.0, 2.0, math.pi / 2), (1.1, 2.5, 1.0)])
     assert figures["ahead_m"] == pytest.approx(0.5)
     assert figures["aside_m"] == pytest.approx(-0.1)
 
 
 def test_whole_turns_are_counted():
-    turning = displacement(*((0.0, 0.0, math.remainder(0.1 * k, math.tau)) for k in range(100)))
-    assert turning.figures()["turned_deg"] == pytest.approx(math.degrees(9.9))
+    turning = [(0.0, 0.0, math.remainder(0.1 * k, math.tau)) for k in range(100)]
+    assert displacement(turning)["turned_deg"] == pytest.approx(math.degrees(9.9))
 
 
 @pytest.mark.parametrize(
@@ -225,9 +217,7 @@ def test_what_could_not_be_is_in_the_report(tmp_path):
 
 def test_the_truth_decides_while_odometry_pauses():
     part = Leg("metre", "ahead_m", 1.0)
-    for x in (0.0, 0.5):
-        part.odometry.add((x, 0.0, 0.0))
-    for x in (0.0, 1.1):
-        part.truth.add((x, 0.0, 0.0))
+    part.odometry += [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0)]
+    part.truth += [(0.0, 0.0, 0.0), (1.1, 0.0, 0.0)]
     assert not part.is_done(odometry_pauses=False)
     assert part.is_done(odometry_pauses=True)

@@ -299,22 +299,6 @@ def test_limits_hold_and_may_be_left_out(world, limits, stops):
     assert (body.joint_state("j").position > -0.15) == stops
 
 
-def test_where_wall_time_goes_is_known_by_plugin(world, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-
-    def work(seconds):
-        now[0] += seconds
-
-    robot = world.spawn(BLOCK_ROBOT)
-    world.every(10.0, lambda _: work(1.0))
-    robot.listen("odom", lambda _: work(2.0))
-    world.run_for(0.2)
-    spent = {name: seconds for name, seconds in world.take_spent().items() if seconds}
-    assert spent == {"plugin 'planar_move' of 'block_robot'": 6.0, "clock and states": 2.0}
-    assert world.take_spent() == {}
-
-
 def lose(simulation, instance, number=math.nan, seconds=0.5):
     """Give a model an absurd velocity and let time go on."""
     instance.bodies["link"].set_velocity((number, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, FrozenSet, List, Mapping, Set, Tuple
+from typing import Any, Callable, Mapping
 
 import numpy as np
 import rospy
@@ -34,7 +34,7 @@ from bullet_lab.simulation.world.description import Model, Plane
 
 MARKERS = "/bullet_lab/world"
 # Number and poses of the markers of a model without any.
-NOT_DRAWN: Tuple[int, list] = (0, [])
+NOT_DRAWN: tuple[int, list] = (0, [])
 # Hz in simulated time, and at most in wall time, of checks whether models have moved.
 MARKERS_RATE = 10.0
 FRAMES = "/tf_static"
@@ -63,7 +63,7 @@ class RunningWorld:
         self.stepper, self.topics = stepper, topics
         self.simulation: Simulation = stepper.simulation
         self.registrar = ThreadPoolExecutor(1)
-        self.changed: List[Callable[[str], None]] = []
+        self.changed: list[Callable[[str], None]] = []
 
     @property
     def models(self) -> Mapping[str, ModelInstance]:
@@ -95,7 +95,7 @@ class RunningWorld:
 
     def follow(self, begin: Callable[[ModelInstance], None], end: Callable[[str], None]) -> None:
         """Call `begin` with each model, now and when it is added, and `end` when it is removed."""
-        known: Set[str] = set()
+        known: set[str] = set()
 
         def update(_name: str) -> None:
             for name in known - self.models.keys():
@@ -156,7 +156,7 @@ class WorldMarkers:
         self._frame = frame
         self._hidden = hidden
         # The number of markers of each model, and the poses of its links.
-        self._drawn: Dict[str, Tuple[int, list]] = {}
+        self._drawn: dict[str, tuple[int, list]] = {}
         self._checked = 0.0
         world.changed.append(self._changed)
         world.simulation.every(MARKERS_RATE, self._check)
@@ -170,9 +170,9 @@ class WorldMarkers:
             names = [name] if name else self._world.models
             self._publisher.publish(self._draw(*names))
 
-    def _draw(self, *names: str) -> List[Marker]:
+    def _draw(self, *names: str) -> list[Marker]:
         """Return the markers of models; for one that was removed, markers that delete them."""
-        markers: List[Marker] = []
+        markers: list[Marker] = []
         for name in names:
             if name == self._hidden:
                 continue
@@ -221,9 +221,9 @@ class OdometryFrames:
         self._world = world
         self._frame = frame
         # Names of robots with the names and poses of their frames.
-        self._frames: List[Tuple[str, str, Pose]] = []
+        self._frames: list[tuple[str, str, Pose]] = []
         # Frames that were warned about.
-        self._shared: Set[str] = set()
+        self._shared: set[str] = set()
         # The latched message holds all frames: a later subscriber receives no other.
         self._publisher = Publisher(FRAMES, TFMessage, queue_size=10, latch=True) if frame else None
         world.changed.append(self._changed)
@@ -244,7 +244,7 @@ class OdometryFrames:
 
     def _warn(self) -> None:
         """Warn about frames that two robots share, once for each frame."""
-        owners: Dict[str, str] = {}
+        owners: dict[str, str] = {}
         for model, frame, _ in self._frames:
             first = owners.setdefault(frame, model)
             if first != model and frame not in self._shared:
@@ -270,7 +270,7 @@ class _Touches:
     """The models that a robot touches now, and how often it has touched which so far."""
 
     publisher: BatchPublisher
-    touching: FrozenSet[str] = frozenset()
+    touching: frozenset[str] = frozenset()
     counts: Counter = field(default_factory=Counter)
 
 
@@ -283,9 +283,12 @@ class TouchCounter:
     def __init__(self, world: RunningWorld):
         self._world = world
         self._floors = frozenset(
-            model.name for model in world.simulation.world.models if _is_floor(model)
+            model.name
+            for model in world.simulation.world.models
+            for link in model.links
+            if any(isinstance(shape.geometry, Plane) for shape in link.collisions)
         )
-        self._robots: Dict[str, _Touches] = {}
+        self._robots: dict[str, _Touches] = {}
         self._last_step = 0
         world.simulation.every(TOUCH_RATE, self._check)
         world.simulation.every(TOUCHED_RATE, self._send)
@@ -325,8 +328,3 @@ class TouchCounter:
                 message = TouchedModels(robot=name, models=models, touches=touches)
                 set_time(message.header.stamp, step)
                 robot.publisher.publish(message)
-
-
-def _is_floor(model: Model) -> bool:
-    shapes = [collision.geometry for link in model.links for collision in link.collisions]
-    return any(isinstance(shape, Plane) for shape in shapes)

@@ -2,27 +2,25 @@
 
 One thread makes all calls of PyBullet: the one that calls `Stepper.run`. Other threads pass their
 actions to it and wait.
+
+Simulated time advances as the wall clock (`Pace`) and the lock step (`TimeGate`) allow. The lock
+step is the conservative scheme of distributed simulation (Chandy and Misra 1979; "time advance
+request" in the High Level Architecture): time never exceeds what each member has granted, so no
+member ever sees a world that ran ahead of it, whatever the speed of the machine.
 """
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
 from collections import deque
 from concurrent import futures
-from typing import Any, Callable, Deque, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, NamedTuple, Sequence
 
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
-from bullet_lab.ros.bridge.timing import (
-    FOR_EVER,
-    NOT_YET,
-    WAITING,
-    Lag,
-    LoopWatch,
-    Pace,
-    TimeGate,
-)
 from bullet_lab.simulation.simulation import Simulation
 
 # Largest number of steps of a stride, after which requests are served; 2 ms in a small world.
@@ -35,6 +33,141 @@ MOST_TO_CATCH_UP = 5
 LONGEST_WAIT = 0.2
 # Wall seconds between two reports of the members that hold time back.
 PATIENCE = 2.0
+FOR_EVER = math.inf
+# The grant of a member that has not joined yet.
+NOT_YET = -math.inf
+# A longer delay of simulated time, in wall seconds, is not made up for.
+FORGIVEN_SECONDS = 0.1
+# Wall seconds over which the speed is measured.
+WINDOW = 5.0
+# Longest wall time between two reports of a machine that stays too slow; the time doubles.
+LONGEST_SILENCE = 80.0
+# A smaller share of the wanted speed is too slow.
+TOLERATED = 0.9
+# Steps per wall second; no machine is faster.
+FASTEST = 1e12
+
+
+class Pace:
+    """Computes which step is due now; a real-time factor of 0 means full speed."""
+
+    def __init__(self, real_time_factor: float, clock: Callable[[], float] = time.monotonic):
+        self.real_time_factor = real_time_factor
+        self._clock = clock
+        self.restart(0)
+
+    @property
+    def free(self) -> bool:
+        """Whether time is not tied to the wall clock."""
+        return self.real_time_factor == 0.0
+
+    def restart(self, step: int) -> None:
+        """Let a step be due now: after a pause, a stall or a reset."""
+        self._start_step, self._start = step, self._clock()
+
+    def due(self, step: int) -> float:
+        """Return the step that is due now, given that simulated time is at `step`.
+
+        A simulation that cannot keep up continues from `step` without making up for the delay.
+        """
+        if self.free:
+            return math.inf
+        due = math.floor(self._start_step + self._rate * (self._clock() - self._start))
+        # At a very slow speed, a delay of one step is longer than FORGIVEN_SECONDS.
+        if due - step > max(1.0, FORGIVEN_SECONDS * self._rate):
+            self.restart(step)
+            return step + 1
+        return due
+
+    def seconds_until(self, step: int) -> float:
+        """Return the wall seconds until a step is due; 0 if it is overdue."""
+        if self.free:
+            return 0.0
+        wait = (step - self._start_step) / self._rate - (self._clock() - self._start)
+        return max(0.0, wait)
+
+    @property
+    def _rate(self) -> float:
+        return min(self.real_time_factor * STEPS_PER_SECOND, FASTEST)
+
+
+class SpeedWatch:
+    """Measures the speed of simulated time over `WINDOW`, and reports one that is too slow."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock = clock
+        self._silence, self._reported = WINDOW, -math.inf
+        self.restart(0)
+
+    def restart(self, step: int) -> None:
+        """Start a new measurement, with simulated time at a step: after a pause or a reset."""
+        self._step, self._start = step, self._clock()
+
+    def lag(self, step: int, wanted: float) -> str:
+        """Return a line if simulated time, now at a step, is too slow.
+
+        Empty if it is not, if that was reported a short while ago, or before the measurement ends.
+        `wanted` is the real-time factor; 0 for full speed.
+        """
+        now = self._clock()
+        seconds = now - self._start
+        if seconds < WINDOW:
+            return ""
+        reached = (step - self._step) / STEPS_PER_SECOND / seconds
+        self.restart(step)
+        if reached >= TOLERATED * wanted:
+            self._silence, self._reported = WINDOW, -math.inf
+            return ""
+        if now - self._reported < self._silence:
+            return ""
+        if self._reported > -math.inf:
+            self._silence = min(2.0 * self._silence, LONGEST_SILENCE)
+        self._reported = now
+        return (
+            f"simulated time falls behind: real-time factor {reached:.2f} instead of {wanted:g} "
+            f"in the last {seconds:.0f} s"
+        )
+
+
+class TimeGate:
+    """Keeps the grants of the lock step's members; time starts when all `expected` have joined."""
+
+    def __init__(self, expected: Iterable[str] = ()):
+        self._granted: dict[str, float] = dict.fromkeys(expected, NOT_YET)
+        self._lock = threading.Lock()
+
+    def grant(self, member: str, step: float) -> None:
+        """Set the step up to which a member lets time advance; a new member joins."""
+        with self._lock:
+            self._granted[member] = step
+
+    def leave(self, member: str) -> None:
+        """Remove a member."""
+        with self._lock:
+            self._granted.pop(member, None)
+
+    def has_joined(self, member: str) -> bool:
+        """Return whether a member has joined and has not left."""
+        return self._granted.get(member, NOT_YET) != NOT_YET
+
+    def limit(self) -> float:
+        """Return the step up to which time may advance; NOT_YET while members are missing."""
+        with self._lock:
+            return min(self._granted.values(), default=FOR_EVER)
+
+    def holding(self) -> tuple[str, ...]:
+        """Return the members that hold time back: the missing ones, or those of the least grant."""
+        with self._lock:
+            least = min(self._granted.values(), default=FOR_EVER)
+            late = (member for member, step in self._granted.items() if step == least != FOR_EVER)
+            return tuple(sorted(late))
+
+    def restart(self, step: int = 0) -> None:
+        """Reduce all grants to a step, except for those without an end."""
+        with self._lock:
+            for member, granted in self._granted.items():
+                if granted != FOR_EVER:
+                    self._granted[member] = min(step, granted)
 
 
 class StepperError(LabError):
@@ -60,14 +193,13 @@ class Stepper:
         paused: whether to start paused.
         is_over: returns whether to end the loop.
         report_stall: called with the names of the members that hold time back.
-        report_lag: called when simulated time is too slow.
+        report_lag: called with a line when simulated time is too slow.
         watch: measures the speed.
 
     Attributes:
         after_steps: called after each stride, before waiting threads see its end.
         paused: whether time is paused.
         epoch: 1 plus the number of resets, of the world or of time.
-        watch: measures the speed.
     """
 
     def __init__(
@@ -79,20 +211,20 @@ class Stepper:
         paused: bool,
         is_over: Callable[[], bool],
         report_stall: Callable[[Sequence[str]], None],
-        report_lag: Callable[[Lag], None],
-        watch: Optional[LoopWatch] = None,
+        report_lag: Callable[[str], None],
+        watch: SpeedWatch | None = None,
     ):
         self.simulation, self.pace, self.gate = simulation, pace, gate
         self.after_steps: Callable[[], None] = lambda: None
         self._tick, self.paused = tick, paused
         # Requests for steps: how many are left, and the future with the step reached.
-        self._advances: Deque[Tuple[int, futures.Future]] = deque()
+        self._advances: deque[tuple[int, futures.Future]] = deque()
         self._is_over, self._report_stall, self._report_lag = is_over, report_stall, report_lag
-        self.watch = watch or LoopWatch()
+        self._watch = watch or SpeedWatch()
         self._reached = simulation.step
         self._stride = STEPS_AT_A_TIME
-        self._stalled_since: Optional[float] = None
-        self._tasks: queue.Queue[Tuple[futures.Future, Callable[[], Any]]] = queue.Queue()
+        self._stalled_since: float | None = None
+        self._tasks: queue.Queue[tuple[futures.Future, Callable[[], Any]]] = queue.Queue()
         self._wake = threading.Condition()
         self._wakeups = 0
         self.epoch = 1
@@ -255,36 +387,32 @@ class Stepper:
                 self._restart()
             self.pace.restart(step)
             self._watch_the_stall()
-            with self.watch.doing(f"waiting for {' and '.join(self.gate.holding())}"):
-                self._wait(LONGEST_WAIT, wakeups)
+            self._wait(LONGEST_WAIT, wakeups)
             return
         self._stalled_since = None
         due = self.pace.due(step)
         if due <= step:
             wait = self.pace.seconds_until(step + self._tick)
-            with self.watch.doing(WAITING):
-                self._wait(min(LONGEST_WAIT, wait), wakeups)
+            self._wait(min(LONGEST_WAIT, wait), wakeups)
             due = self.pace.due(step)
         self._run_until(min(limit, due, step + self._stride))
-        self._watch_the_speed()
+        lag = self._watch.lag(self.simulation.step, self.pace.real_time_factor)
+        if lag:
+            self._report_lag(lag)
         if limit != FOR_EVER:
             with self._wake:
                 self._wake.notify_all()
 
     def _run_until(self, step: float) -> None:
         before, start = self.simulation.step, time.perf_counter()
-        with self.watch.doing("steps"):
-            self.simulation.run_until(int(max(before, step)))
-        with self.watch.doing("handing messages to subscribers"):
-            self.after_steps()
+        self.simulation.run_until(int(max(before, step)))
+        self.after_steps()
         self._reached = self.simulation.step
         if self._reached > before:
-            self._adapt_stride(self._reached - before, time.perf_counter() - start)
-
-    def _adapt_stride(self, steps: int, seconds: float) -> None:
-        """Set the length of the next stride by the wall time of this one, at most doubling it."""
-        fit = steps * LONGEST_STRIDE / max(seconds, 1e-9)
-        self._stride = int(max(1, min(STEPS_AT_A_TIME, 2 * self._stride, fit)))
+            # The next stride has a length that fits the wall time of this one, at most twice its.
+            seconds = max(time.perf_counter() - start, 1e-9)
+            fit = (self._reached - before) * LONGEST_STRIDE / seconds
+            self._stride = int(max(1, min(STEPS_AT_A_TIME, 2 * self._stride, fit)))
 
     def _wait(self, seconds: float, wakeups: int) -> None:
         with self._wake:
@@ -295,12 +423,11 @@ class Stepper:
         # Only the present ones: steps are made however many new tasks come.
         for _ in range(self._tasks.qsize()):
             result, action = self._tasks.get()
-            with self.watch.doing("services"):
-                try:
-                    result.set_result(action())
-                except Exception as error:
-                    # The requesting thread raises it.
-                    result.set_exception(error)
+            try:
+                result.set_result(action())
+            except Exception as error:
+                # The requesting thread raises it.
+                result.set_exception(error)
 
     def _advance(self) -> None:
         """Make some steps of the oldest request for steps, and put it at the end of the queue."""
@@ -317,18 +444,7 @@ class Stepper:
     def _restart(self) -> None:
         """Measure the speed from now on."""
         self.pace.restart(self.simulation.step)
-        self.watch.restart(self.simulation.step)
-        self.simulation.take_spent()
-
-    def _watch_the_speed(self) -> None:
-        if not self.watch.due:
-            return
-        for what, seconds in self.simulation.take_spent().items():
-            self.watch.spend(what, seconds)
-            self.watch.spend("steps", -seconds)
-        lag = self.watch.measure(self.simulation.step, self.pace.real_time_factor)
-        if lag is not None:
-            self._report_lag(lag)
+        self._watch.restart(self.simulation.step)
 
     def _watch_the_stall(self) -> None:
         now = time.monotonic()

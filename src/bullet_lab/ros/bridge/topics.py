@@ -14,15 +14,10 @@ from dataclasses import dataclass
 from typing import (
     Any,
     Callable,
-    Dict,
     Iterable,
-    List,
     Mapping,
     NamedTuple,
-    Optional,
     Sequence,
-    Set,
-    Tuple,
     Union,
 )
 
@@ -41,13 +36,8 @@ from bullet_lab.simulation.plugins.samples import STANDSTILL, PlanarCommand
 
 # Messages that wait for a slow subscriber while time follows the wall clock.
 QUEUE_SIZE = 100
-# Wall seconds to wait for commands: of a direct connection or of a relay that has passed some on,
-# and of a relay that has passed on none yet.
+# Wall seconds to wait for commands.
 PATIENCE = 2.0
-FIRST_PATIENCE = 0.5
-# Commands that a relay which has lost one must pass on in a row before it is waited for again;
-# twice as many after each further loss.
-STREAK = 10
 # Wall seconds after which a relay has passed on what was sent to it before.
 SETTLE_SECONDS = 0.05
 # Wall seconds between two searches for a route that did not exist.
@@ -57,14 +47,6 @@ SEARCH_SECONDS = 1.0
 Device = Union[Plugin, Controller]
 
 
-class Route(NamedTuple):
-    """The connection over which a member sends messages: its name, the topic, the receiver."""
-
-    member: str
-    topic: str
-    receiver: str
-
-
 class Arrival(NamedTuple):
     """The connection over which commands arrive: a topic of the bridge and the sending node."""
 
@@ -72,26 +54,31 @@ class Arrival(NamedTuple):
     sender: str
 
 
+class Route(NamedTuple):
+    """The connection over which a member sends messages: its name, the topic, the receiver."""
+
+    member: str
+    topic: str
+    receiver: str
+
+    def direct(self) -> Arrival:
+        """Return where its messages arrive if the receiver is the bridge."""
+        return Arrival(self.topic, self.member)
+
+
 @dataclass
 class _Connection:
     """The state of a member's connection whose messages arrive at the bridge.
 
     Attributes:
-        is_direct: whether no other node is in between.
         due: the number of messages that must arrive, by arrival.
         sent: messages that the member has sent so far.
-        is_proven: whether messages have arrived when they were due.
-        losses: how often messages did not arrive in time.
-        untrusted: commands that have to be passed on in a row before it is waited for again; 0
-            if it is waited for.
+        is_waited_for: false for a relay that has lost messages.
     """
 
-    is_direct: bool
-    due: Dict[Arrival, int]
+    due: dict[Arrival, int]
     sent: int
-    is_proven: bool = False
-    losses: int = 0
-    untrusted: int = 0
+    is_waited_for: bool = True
 
 
 class CommandCounter:
@@ -99,7 +86,7 @@ class CommandCounter:
 
     Through a relay, as many commands have to arrive from it as were sent to it. A relay that
     loses commands, such as a multiplexer that has selected another topic, is not waited for until
-    it passes commands on again.
+    the member joins again.
 
     Args:
         find_arrivals: returns where messages of a route arrive; empty if they do not.
@@ -108,14 +95,14 @@ class CommandCounter:
 
     def __init__(
         self,
-        find_arrivals: Callable[[Route], Set[Arrival]],
-        changed: Optional[threading.Condition] = None,
+        find_arrivals: Callable[[Route], set[Arrival]],
+        changed: threading.Condition | None = None,
     ):
         self._find_arrivals = find_arrivals
         self._changed = changed or threading.Condition()
         self._arrived: Counter = Counter()
-        self._headers: Dict[Arrival, Any] = {}
-        self._connections: Dict[Route, _Connection] = {}
+        self._headers: dict[Arrival, Any] = {}
+        self._connections: dict[Route, _Connection] = {}
 
     def note(self, arrival: Arrival, header: Any = None) -> None:
         """Count a command; the count restarts with the header of a new connection."""
@@ -126,7 +113,7 @@ class CommandCounter:
             self._arrived[arrival] += 1
             self._changed.notify_all()
 
-    def heard(self, sent: Mapping[Route, int]) -> Set[str]:
+    def heard(self, sent: Mapping[Route, int]) -> set[str]:
         """Return the topics of a member that reach the bridge, and restart their counts.
 
         Called when the member joins, before it sends commands.
@@ -138,42 +125,32 @@ class CommandCounter:
             self._connections.pop(route, None)
         return {route.topic for route, count in sent.items() if self._connection(route, count)}
 
-    def wait(self, sent: Mapping[Route, int]) -> List[Route]:
+    def wait(self, sent: Mapping[Route, int]) -> list[Route]:
         """Wait until the messages of a member have arrived; return the routes that lost some."""
         return [route for route, count in sent.items() if not self._wait_for(route, count)]
 
     def _wait_for(self, route: Route, count: int) -> bool:
         """Return whether the messages have arrived, or are not waited for."""
         connection = self._connection(route, count)
-        if connection is None or connection.sent == count:
+        if connection is None or not connection.is_waited_for or connection.sent == count:
             return True
         new = count - connection.sent
         connection.sent = count
         with self._changed:
             # More have arrived than were due if some were late.
             due = {a: max(n + new, self._arrived[a]) for a, n in connection.due.items()}
-            was_trusted, in_time = not connection.untrusted, self._has_arrived(due)
-            if was_trusted and not in_time:
-                is_known = connection.is_direct or connection.is_proven
-                patience = PATIENCE if is_known else FIRST_PATIENCE
-                in_time = self._changed.wait_for(lambda: self._has_arrived(due), patience)
-            connection.due = due if was_trusted and in_time else self._counts(due)
-            if not in_time and not connection.is_direct:
-                connection.losses += was_trusted
-                connection.untrusted = STREAK * 2 ** (connection.losses - 1)
-            elif was_trusted:
-                connection.is_proven = True
-            else:
-                connection.untrusted -= 1
-            return in_time or not was_trusted
+            in_time = self._changed.wait_for(
+                lambda: all(self._arrived[arrival] >= number for arrival, number in due.items()),
+                PATIENCE,
+            )
+            connection.due = due if in_time else self._counts(due)
+            connection.is_waited_for = in_time or due.keys() == {route.direct()}
+            return in_time
 
-    def _has_arrived(self, due: Mapping[Arrival, int]) -> bool:
-        return all(self._arrived[arrival] >= count for arrival, count in due.items())
-
-    def _counts(self, arrivals: Iterable[Arrival]) -> Dict[Arrival, int]:
+    def _counts(self, arrivals: Iterable[Arrival]) -> dict[Arrival, int]:
         return {arrival: self._arrived[arrival] for arrival in arrivals}
 
-    def _connection(self, route: Route, count: int) -> Optional[_Connection]:
+    def _connection(self, route: Route, count: int) -> _Connection | None:
         """Return the state of a connection; None if its messages do not reach the bridge."""
         arrivals = self._find_arrivals(route)
         known = self._connections.get(route)
@@ -181,17 +158,17 @@ class CommandCounter:
             known = self._connections[route] = self._new_connection(route, count, arrivals)
         return known if arrivals else None
 
-    def _new_connection(self, route: Route, count: int, arrivals: Set[Arrival]) -> _Connection:
-        direct = Arrival(route.topic, route.member)
+    def _new_connection(self, route: Route, count: int, arrivals: set[Arrival]) -> _Connection:
+        direct = route.direct()
         if arrivals == {direct}:
             with self._changed:
                 # Messages of an earlier node of the same name do not count.
                 self._arrived[direct] = min(self._arrived[direct], count)
-            return _Connection(True, {direct: 0}, 0)
+            return _Connection({direct: 0}, 0)
         if arrivals:
             time.sleep(SETTLE_SECONDS)
         with self._changed:
-            return _Connection(False, self._counts(arrivals), count)
+            return _Connection(self._counts(arrivals), count)
 
 
 class RouteFinder:
@@ -208,14 +185,13 @@ class RouteFinder:
         self._subscribers = subscribers
         self._lock = threading.Lock()
         # Arrivals, and when they were searched for.
-        self._found: Dict[Route, Tuple[Set[Arrival], float]] = {}
-        self._inbound: Set[Arrival] = set()
+        self._found: dict[Route, tuple[set[Arrival], float]] = {}
+        self._inbound: set[Arrival] = set()
 
-    def find(self, route: Route) -> Set[Arrival]:
+    def find(self, route: Route) -> set[Arrival]:
         """Return where messages arrive that a member sends to another node on a topic."""
         if route.receiver == rospy.get_name():
-            direct = Arrival(route.topic, route.member)
-            return {direct} if route.topic in self._subscribers else set()
+            return {route.direct()} if route.topic in self._subscribers else set()
         # Topics of commands with the nodes that are connected to them.
         inbound = {
             Arrival(topic, connection.callerid_pub)
@@ -234,7 +210,7 @@ class RouteFinder:
             return found
 
 
-def _search(route: Route) -> Set[Arrival]:
+def _search(route: Route) -> set[Arrival]:
     """Return the topics that the receiver, and nodes behind it, publish with that type."""
     master = rosgraph.Master(rospy.get_name())
     try:
@@ -243,7 +219,7 @@ def _search(route: Route) -> Set[Arrival]:
     except MASTER_ERRORS:
         return set()
     listeners = dict(subscribed)
-    found: Set[Arrival] = set()
+    found: set[Arrival] = set()
     visited = {route.member, rospy.get_name()}
     nodes = [route.receiver]
     while nodes:
@@ -277,11 +253,11 @@ class DeviceTopics:
         self._stepper = stepper
         stepper.after_steps = self.flush
         self._refusals = Refusals()
-        self._publishers: Dict[str, BatchPublisher] = {}
+        self._publishers: dict[str, BatchPublisher] = {}
         self._users: Counter = Counter()
-        self._inputs: Dict[str, List[Input]] = {}
-        self._subscribers: Dict[str, rospy.Subscriber] = {}
-        self._timeouts: Dict[Arrival, threading.Timer] = {}
+        self._inputs: dict[str, list[Input]] = {}
+        self._subscribers: dict[str, rospy.Subscriber] = {}
+        self._timeouts: dict[Arrival, threading.Timer] = {}
         self.commands = CommandCounter(RouteFinder(self._subscribers).find)
 
     def publisher(self, topic: str, kind: type) -> BatchPublisher:
@@ -341,7 +317,7 @@ class DeviceTopics:
         topic: str,
         kind: type,
         receive: Callable[[Any], None],
-        queue_size: Optional[int] = None,
+        queue_size: int | None = None,
     ) -> None:
         """Subscribe to a topic, once, whose messages the lock step counts as commands.
 

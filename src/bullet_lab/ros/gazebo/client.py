@@ -9,7 +9,7 @@ import math
 import re
 import threading
 from itertools import product
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Iterable, NamedTuple
 
 import numpy as np
 import rospy
@@ -51,7 +51,7 @@ def _is_offered(service: str) -> bool:
         return False
 
 
-def numbered(names: Iterable[str], name: str) -> List[str]:
+def numbered(names: Iterable[str], name: str) -> list[str]:
     """Return the names that consist of `name`, an underscore and a number."""
     pattern = re.compile(rf"{re.escape(name)}_\d+")
     return [found for found in names if pattern.fullmatch(found)]
@@ -75,7 +75,7 @@ class StandingModels:
 
     def __init__(self):
         self._lock = threading.Lock()
-        self._shapes: Dict[Tuple[str, int], _BoundingBox] = {}
+        self._shapes: dict[tuple[str, int], _BoundingBox] = {}
         self._known = False
         self._refusals = Refusals()
 
@@ -98,18 +98,18 @@ class StandingModels:
         """Return whether a message has arrived."""
         return self._known
 
-    def names(self) -> Tuple[str, ...]:
+    def names(self) -> tuple[str, ...]:
         """Return the names of the models."""
         with self._lock:
             return tuple(sorted({name for name, _ in self._shapes}))
 
-    def origin(self, name: str) -> Optional[Vector]:
+    def origin(self, name: str) -> Vector | None:
         """Return the position (m) of a model's first shape; None if there is no such model."""
         with self._lock:
             numbers = [number for model, number in self._shapes if model == name]
             return self._shapes[name, min(numbers)].origin if numbers else None
 
-    def nearest(self, x: float, y: float) -> Tuple[str, float]:
+    def nearest(self, x: float, y: float) -> tuple[str, float]:
         """Return the nearest model that rises above the floor, and its distance in m."""
         with self._lock:
             found = [

@@ -17,7 +17,7 @@ import logging
 import math
 import threading
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable
 
 import rosgraph
 import rospy
@@ -70,25 +70,17 @@ PATIENCE = 3.0
 
 
 class CompressedImages:
-    """The compressed images of one camera; for the thread of the simulation."""
+    """The compressed images of one camera, with its settings; for the simulation's thread."""
 
     def __init__(self, world: RunningWorld, camera: Camera):
         self.topic = f"{camera.image.topic}/compressed"
-        self._settings: Values = {setting.name: setting.default for setting in COMPRESSION}
+        self.settings: Values = {setting.name: setting.default for setting in COMPRESSION}
         self._publisher = world.topics.publisher(self.topic, CompressedImage)
         camera.image.connect(self._publish, self._publisher.has_connections)
 
-    def set(self, values: Values) -> Values:
-        """Set the compression, and return the settings; raises InputError."""
-        choices = COMPRESSION[0].choices
-        if values["format"] not in choices:
-            raise InputError(f"format is '{values['format']}'; known are {', '.join(choices)}")
-        self._settings = values
-        return values
-
     def _publish(self, sample: ImageSample) -> None:
         if self._publisher.has_connections():
-            self._publisher.publish(compressed_message(sample, self._settings))
+            self._publisher.publish(compressed_message(sample, self.settings))
 
 
 class DeviceServices:
@@ -97,14 +89,14 @@ class DeviceServices:
     def __init__(self, world: RunningWorld):
         self._world = world
         # Functions to call when a model is removed.
-        self._ends: Dict[str, List[Callable[[], Any]]] = {}
+        self._ends: dict[str, list[Callable[[], Any]]] = {}
         world.follow(self._begin, self._end)
 
     def _begin(self, instance: ModelInstance) -> None:
         registrar, services = self._world.registrar, []
         ends = self._ends[instance.name] = [partial(registrar.submit, _shut_down, services)]
         for plugin in instance.plugins:
-            offers: List[Callable[[], Any]] = []
+            offers: list[Callable[[], Any]] = []
             if isinstance(plugin, RosControl):
                 ends.append(ControllerServices(self._world, plugin).end)
             elif type(plugin) in (Camera, DepthCamera):
@@ -121,12 +113,12 @@ class DeviceServices:
         for end in self._ends.pop(model):
             end()
 
-    def _camera_services(self, camera: Camera, images: CompressedImages) -> List[Callable[[], Any]]:
+    def _camera_services(self, camera: Camera, images: CompressedImages) -> list[Callable[[], Any]]:
         name = rospy.resolve_name(camera.topic("set_camera_info"))
         topic = rospy.resolve_name(images.topic)
-        offers: List[Callable[[], Any]] = [
+        offers: list[Callable[[], Any]] = [
             partial(offer, name, SetCameraInfo, partial(self._calibrate, camera)),
-            partial(Reconfigurable, topic, COMPRESSION, images.set),
+            partial(Reconfigurable, topic, COMPRESSION, images.settings.update),
         ]
         if camera.name:
             default = min(max(1.0 / camera.schedule.period, LEAST_RATE), GREATEST_RATE)
@@ -141,13 +133,12 @@ class DeviceServices:
         check_calibration(calibration)
         self._world.do(lambda: setattr(camera, "calibration", calibration))
 
-    def _set_rate(self, camera: Camera, values: Values) -> Values:
+    def _set_rate(self, camera: Camera, values: Values) -> None:
         rate, simulation = values["imager_rate"], self._world.simulation
         self._world.do(lambda: camera.set_rate(rate, simulation.step))
-        return values
 
 
-def check_calibration(calibration: Dict[str, Any]) -> None:
+def check_calibration(calibration: dict[str, Any]) -> None:
     """Raise InputError for an invalid calibration of set_camera_info."""
     for name in "DKRP":
         if not all(map(math.isfinite, calibration[name])):
@@ -159,7 +150,7 @@ def check_calibration(calibration: Dict[str, Any]) -> None:
         raise InputError(f"distortion_model has more than {LONGEST_NAME} characters")
 
 
-def _start(offers: List[Callable[[], Any]], services: List[Any], where: str) -> None:
+def _start(offers: list[Callable[[], Any]], services: list[Any], where: str) -> None:
     for start in offers:
         try:
             services.append(start())
@@ -169,7 +160,7 @@ def _start(offers: List[Callable[[], Any]], services: List[Any], where: str) -> 
                 rospy.logwarn("%s: %s", where, error)
 
 
-def _shut_down(services: List[Any]) -> None:
+def _shut_down(services: list[Any]) -> None:
     for service in services:
         service.shutdown()
 
@@ -184,8 +175,8 @@ class ControllerServices:
         self._world, self._plugin = world, plugin
         self._where = f"controller_manager in {plugin.namespace}"
         self._ended = threading.Event()
-        self._services: List[rospy.Service] = []
-        self._adjustable: Dict[str, Reconfigurable] = {}
+        self._services: list[rospy.Service] = []
+        self._adjustable: dict[str, Reconfigurable] = {}
         # Serves one client at a time.
         self._lock = threading.Lock()
         threading.Thread(target=self._begin, daemon=True).start()
@@ -214,7 +205,7 @@ class ControllerServices:
         except (LabError, *MASTER_ERRORS) as error:
             LOG.error("%s: %s; it is left out", self._where, error)
 
-    def _wait_for_description(self) -> Optional[str]:
+    def _wait_for_description(self) -> str | None:
         """Return the robot's URDF once the parameter is set; None if the robot was removed."""
         name, waited = self._plugin.description, 0.0
         while not (self._ended.is_set() or rospy.is_shutdown()):
@@ -242,7 +233,7 @@ class ControllerServices:
             ),
         }
         space = f"{self._plugin.namespace}controller_manager"
-        offers: List[Callable[[], Any]] = [
+        offers: list[Callable[[], Any]] = [
             partial(rospy.Service, f"{space}/{name}", *answer) for name, answer in answers.items()
         ]
         _start([] if self._ended.is_set() else offers, self._services, self._where)
@@ -278,9 +269,8 @@ class ControllerServices:
             adjustable = Reconfigurable(where, controller.adjustables, change)
             self._adjustable[request.name] = adjustable
 
-    def _adjust(self, controller: Controller, values: Values) -> Values:
+    def _adjust(self, controller: Controller, values: Values) -> None:
         self._world.do(lambda: controller.adjust(values, self._world.simulation.step))
-        return values
 
     def _add(self, name: str, parameters: ControlParameters) -> Controller:
         manager = self._manager()

@@ -11,8 +11,9 @@ import math
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional
+from typing import Any, Callable, Iterator
 
 import numpy as np
 import rospy
@@ -74,45 +75,40 @@ class WorldSaver:
         self._world = world
         self._folder = folder.expanduser().resolve()
         self._lock = threading.Lock()
-        self._service = offer("/bullet_lab/save_world", SaveWorld, self._save)
+        offer("/bullet_lab/save_world", SaveWorld, self._save)
 
     def _save(self, request: Any) -> Answer:
         start = time.perf_counter()
         if not request.path or "\0" in request.path:
             raise InputError("no file is named")
         try:
-            if request.return_text:
-                values = self._describe(self._folder / request.path)
-            else:
-                # One at a time: the file of the later request replaces that of the earlier one.
-                with self._lock:
-                    values = self._write(request.path)
+            path = self._place(request)
+            # One at a time: the file of the later request replaces that of the earlier one.
+            with self._lock:
+                snapshot = self._world.do(self._world.simulation.snapshot)
+                text, notes = world_text(snapshot, path.parent)
+                if not request.return_text:
+                    replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
         except (OSError, RuntimeError) as error:
             # pathlib raises them for names that are too long and for circular links.
             raise LabError(error) from error
-        return {**values, "seconds": time.perf_counter() - start}
-
-    def _write(self, name: str) -> Dict[str, Any]:
-        try:
-            path = place_within(self._folder, name)
-        except FileError as error:
-            hint = "~save_folder is the bridge's; save_world.py writes anywhere"
-            raise InputError(f"{error}; {hint}") from error
-        values = self._describe(path)
-        text = values.pop("text")
-        replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
-        return values
-
-    def _describe(self, path: Path) -> Dict[str, Any]:
-        snapshot = self._world.do(self._world.simulation.snapshot)
-        text, notes = world_text(snapshot, path.parent)
         return {
             "status_message": "; ".join(notes),
             "path": str(path),
-            "text": text,
+            "text": text if request.return_text else "",
             "models": len(snapshot.models),
             "saved_at": time_of(snapshot.step),
+            "seconds": time.perf_counter() - start,
         }
+
+    def _place(self, request: Any) -> Path:
+        if request.return_text:
+            return self._folder / request.path
+        try:
+            return place_within(self._folder, request.path)
+        except FileError as error:
+            hint = "~save_folder is the bridge's; save_world.py writes anywhere"
+            raise InputError(f"{error}; {hint}") from error
 
 
 class _States:
@@ -127,7 +123,7 @@ class _States:
         world: RunningWorld,
         topic: str,
         kind: type,
-        entities: Callable[[ModelInstance], Dict[str, Entity]],
+        entities: Callable[[ModelInstance], dict[str, Entity]],
         rate: float,
     ):
         self._world = world
@@ -157,11 +153,11 @@ class _States:
         return message
 
 
-def _model(instance: ModelInstance) -> Dict[str, Entity]:
+def _model(instance: ModelInstance) -> dict[str, Entity]:
     return {instance.name: model_entity(instance)}
 
 
-def _links(instance: ModelInstance) -> Dict[str, Entity]:
+def _links(instance: ModelInstance) -> dict[str, Entity]:
     return {f"{instance.name}::{link.frame.link}": link for link in link_entities(instance)}
 
 
@@ -211,7 +207,7 @@ class Warnings(logging.Handler):
 
     def __init__(self):
         super().__init__(logging.WARNING)
-        self.lines: List[str] = []
+        self.lines: list[str] = []
         logging.getLogger("bullet_lab").addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -221,55 +217,48 @@ class Warnings(logging.Handler):
             self.lines.append(line)
 
 
-class ModelDescriptions:
-    """Offers /bullet_lab/describe_models: which plugins and tags are simulated, and warnings."""
+def describe_models(world: RunningWorld, warnings: Warnings, request: Any) -> Answer:
+    """Answer which plugins and tags of models are simulated, with the warnings so far."""
+    models, name = world.models, request.model_name
 
-    def __init__(self, world: RunningWorld, warnings: Warnings):
-        self._world, self._warnings = world, warnings
-        self._service = offer("/bullet_lab/describe_models", DescribeModels, self._answer)
+    def describe() -> list[ModelDescription]:
+        chosen = [find_model(models, name)] if name else models.values()
+        return [_description(world, instance) for instance in chosen]
 
-    def _answer(self, request: Any) -> Answer:
-        name = request.model_name
-        answer = {"said": self._warnings.lines}
-        answer["models"] = self._world.do(lambda: self._describe(name))
-        if request.with_picture:
-            answer["picture"] = self._world.do(lambda: self._picture(name))
-        return answer
-
-    def _picture(self, name: str) -> Image:
-        """Draw a model; walls of a narrow room, between it and the eye, are left out."""
-        least, greatest = map(np.array, bounds(find_model(self._world.models, name)))
-        view = overview(least - PICTURE_MARGIN, greatest + PICTURE_MARGIN)
-        view = replace(view, near=0.5 * math.dist(view.eye, view.target))
-        picture = take_picture(self._world.simulation, view, samples=4)
-        return image_message(Header(), picture, "rgb8")
-
-    def _describe(self, name: str) -> List[ModelDescription]:
-        models, simulation = self._world.models, self._world.simulation
-        of_world_file = {model.name for model in simulation.world.models}
-        descriptions = []
-        for instance in [find_model(models, name)] if name else models.values():
-            model = instance.model
-            least, greatest = bounds(instance)
-            acting = {id(plugin.mount.plugin): plugin for plugin in instance.plugins}
-            touches = list(simulation.touches(model.name))
-            description = ModelDescription(
-                name=model.name,
-                is_static=model.static,
-                of_world_file=model.name in of_world_file,
-                links=[link.name for link in model.own_links()],
-                joints=[joint.name for joint in model.joints],
-                plugins=[_described_plugin(tag, acting.get(id(tag))) for tag in model.plugins],
-                least=Point(*least),
-                greatest=Point(*greatest),
-                stands_on=sorted({own for own, _, _, up in touches if up > STEEPEST}),
-                touches=sorted({f"{m}::{link}" for _, m, link, up in touches if up <= STEEPEST}),
-            )
-            descriptions.append(description)
-        return descriptions
+    answer = {"said": warnings.lines, "models": world.do(describe)}
+    if request.with_picture:
+        answer["picture"] = world.do(lambda: _picture(world, find_model(models, name)))
+    return answer
 
 
-def _described_plugin(tag: PluginTag, plugin: Optional[Plugin]) -> PluginDescription:
+def _picture(world: RunningWorld, instance: ModelInstance) -> Image:
+    """Draw a model; walls of a narrow room, between it and the eye, are left out."""
+    least, greatest = map(np.array, bounds(instance))
+    view = overview(least - PICTURE_MARGIN, greatest + PICTURE_MARGIN)
+    view = replace(view, near=0.5 * math.dist(view.eye, view.target))
+    return image_message(Header(), take_picture(world.simulation, view, samples=4), "rgb8")
+
+
+def _description(world: RunningWorld, instance: ModelInstance) -> ModelDescription:
+    model = instance.model
+    least, greatest = bounds(instance)
+    acting = {id(plugin.mount.plugin): plugin for plugin in instance.plugins}
+    touches = list(world.simulation.touches(model.name))
+    return ModelDescription(
+        name=model.name,
+        is_static=model.static,
+        of_world_file=any(one.name == model.name for one in world.simulation.world.models),
+        links=[link.name for link in model.own_links()],
+        joints=[joint.name for joint in model.joints],
+        plugins=[_described_plugin(tag, acting.get(id(tag))) for tag in model.plugins],
+        least=Point(*least),
+        greatest=Point(*greatest),
+        stands_on=sorted({own for own, _, _, up in touches if up > STEEPEST}),
+        touches=sorted({f"{m}::{link}" for _, m, link, up in touches if up <= STEEPEST}),
+    )
+
+
+def _described_plugin(tag: PluginTag, plugin: Plugin | None) -> PluginDescription:
     """Describe a `<plugin>` tag, and the plugin that simulates it, if one does."""
     described = PluginDescription(name=tag.name, filename=tag.filename, link=tag.link)
     if plugin is not None:
@@ -290,7 +279,7 @@ def offer_all(
     states_rate: float,
     folder: Path,
     warnings: Warnings,
-) -> List[Any]:
+) -> None:
     """Offer Gazebo's services and topics on a running world, and the markers of its shapes.
 
     Args:
@@ -300,19 +289,16 @@ def offer_all(
         states_rate: messages on /gazebo/model_states and link_states per simulated second.
         folder: in which worlds are saved.
         warnings: of the world and its models so far and from now on.
-
-    Returns:
-        What has to exist as long as the services and topics.
     """
     subscribe_to_states(world)
-    return [
-        WorldMarkers(world, frame, hidden),
-        _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate),
-        _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate),
-        _Performance(world),
-        offer_services(world),
-        GazeboPhysics(world),
-        WorldSaver(world, folder),
-        DeviceServices(world),
-        ModelDescriptions(world, warnings),
-    ]
+    WorldMarkers(world, frame, hidden)
+    _States(world, "/gazebo/model_states", msg.ModelStates, _model, states_rate)
+    _States(world, "/gazebo/link_states", msg.LinkStates, _links, states_rate)
+    _Performance(world)
+    offer_services(world)
+    GazeboPhysics(world)
+    WorldSaver(world, folder)
+    DeviceServices(world)
+    offer(
+        "/bullet_lab/describe_models", DescribeModels, partial(describe_models, world, warnings)
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Any, Callable, Dict, Sequence
 
 import rospy
 from geometry_msgs.msg import Vector3
@@ -16,7 +16,7 @@ from geometry_msgs.msg import Vector3
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
-from bullet_lab.ros.gazebo.services import GOT, Answer, offer
+from bullet_lab.ros.gazebo.services import GOT, Answer, offer, offer_gazebo
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import InputError, vector_of
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
@@ -55,13 +55,15 @@ class Reconfigurable:
     """Offers settings in a namespace; does nothing without dynamic_reconfigure.
 
     `change(values)` is called with all requested values, in the thread of the service, and returns
-    the resulting ones. If a number is not finite or `change` raises LabError, nothing is changed.
+    those that it changes once more. If a number is not finite, a text is none of the choices, or
+    `change` raises LabError, nothing is changed.
     """
 
     def __init__(
-        self, namespace: str, settings: Sequence[Setting], change: Callable[[Values], Values]
+        self, namespace: str, settings: Sequence[Setting], change: Callable[[Values], Values | None]
     ):
         self._namespace, self._change = namespace, change
+        self._choices = {one.name: one.choices for one in settings if one.choices}
         self._values: Values = {}
         self._server = Server and _server_class()(_type_of(settings), self._take, namespace)
 
@@ -75,20 +77,19 @@ class Reconfigurable:
     def _take(self, values: Values, level: int) -> Values:
         if level != AT_START:
             try:
-                _check_finite(values)
-                values.update(self._change(dict(values)))
+                for name, value in values.items():
+                    if isinstance(value, float) and not math.isfinite(value):
+                        raise InputError(f"{name} is {value}, which is not finite")
+                for name, choices in self._choices.items():
+                    if values[name] not in choices:
+                        raise InputError(f"{name} is '{values[name]}'; known are {choices}")
+                values.update(self._change(dict(values)) or {})
             except LabError as error:
                 if not rospy.is_shutdown():
                     rospy.logwarn("%s: %s; nothing is changed", self._namespace, error)
                 values.update(self._values)
         self._values = dict(values)
         return values
-
-
-def _check_finite(values: Values) -> None:
-    for name, value in values.items():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"{name} is {value}, which is not finite")
 
 
 def _server_class() -> Any:
@@ -114,7 +115,7 @@ def _type_of(settings: Sequence[Setting]) -> Any:
     )
 
 
-def _described(setting: Setting) -> Dict[str, Any]:
+def _described(setting: Setting) -> dict[str, Any]:
     """Return the description of a setting for dynamic_reconfigure."""
     kind = TYPES[type(setting.default)]
     entries = [
@@ -141,22 +142,10 @@ class GazeboPhysics:
             Setting(key, value, f"as in set_physics_properties: {key}", *LIMITS[key])
             for key, value in self._reported.items()
         ]
-        self._services: List[Any] = [
-            offer(
-                "/gazebo/get_physics_properties",
-                srv.GetPhysicsProperties,
-                self._get,
-                f"GetPhysicsProperties: {GOT}",
-            ),
-            offer(
-                "/gazebo/set_physics_properties",
-                srv.SetPhysicsProperties,
-                self._set,
-                failed="SetPhysicsProperties: ",
-            ),
-            offer("/bullet_lab/set_rtf", SetRtf, self._set_rtf),
-            Reconfigurable(SPACE, settings, self._reconfigure),
-        ]
+        offer_gazebo("get_physics_properties", srv.GetPhysicsProperties, self._get, GOT)
+        offer_gazebo("set_physics_properties", srv.SetPhysicsProperties, self._set)
+        offer("/bullet_lab/set_rtf", SetRtf, self._set_rtf)
+        Reconfigurable(SPACE, settings, self._reconfigure)
 
     def _current(self) -> Values:
         """Return the present values of all settings of dynamic_reconfigure."""
@@ -164,7 +153,7 @@ class GazeboPhysics:
         values.update({f"gravity_{axis}": getattr(values["gravity"], axis) for axis in "xyz"})
         return {key: values[key] for key in LIMITS}
 
-    def _get(self, _request: Any) -> Dict[str, Any]:
+    def _get(self, _request: Any) -> dict[str, Any]:
         stepper = self._world.stepper
         return {
             "time_step": STEP_SECONDS,

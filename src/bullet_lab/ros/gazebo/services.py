@@ -6,7 +6,7 @@ import math
 import traceback
 from dataclasses import replace
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, Optional, Sequence
 
 import rospy
 from std_msgs.msg import ColorRGBA
@@ -75,7 +75,7 @@ def offer(
     fields = kind._response_class.__slots__
 
     def handle(request: Any) -> Any:
-        values: Dict[str, Any] = {"success": True, "status_message": done}
+        values: dict[str, Any] = {"success": True, "status_message": done}
         try:
             values.update(answer(request) or {})
         except LabError as error:
@@ -269,7 +269,7 @@ def _link_properties(world: RunningWorld, request: Any) -> Answer:
 
 def _set_link_properties(world: RunningWorld, request: Any) -> None:
     link = find_link(world.models, request.link_name)
-    elements: Dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
+    elements: dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
     if not all(map(math.isfinite, (request.mass, *elements.values()))):
         raise InputError("mass or inertia is not finite")
     centre = vector_of(request.com.position, "the centre of mass")
@@ -315,7 +315,7 @@ def _delete_light(world: RunningWorld, request: Any) -> Answer:
     return {"status_message": f"DeleteLight: {request.light_name} successfully deleted"}
 
 
-def _first(values: Sequence[float], name: str) -> Optional[float]:
+def _first(values: Sequence[float], name: str) -> float | None:
     """Return the value for a joint's first axis, None if there is none; raises InputError."""
     if not values:
         return None
@@ -359,35 +359,27 @@ SERVICES = (
 )
 
 
-def offer_services(world: RunningWorld) -> List[rospy.Service]:
+def offer_services(world: RunningWorld) -> None:
     """Offer the services on models, links, joints and lights."""
     spawn = partial(_spawn, world)
     messages = ("SpawnModel: Successfully spawned entity", "SpawnModel: Failure - ")
-    return [
-        # As in Gazebo, both services accept SDF and URDF.
-        offer("/gazebo/spawn_sdf_model", srv.SpawnModel, spawn, *messages),
-        offer("/gazebo/spawn_urdf_model", srv.SpawnModel, spawn, *messages),
-        *(_offer_between_steps(world, *row) for row in SERVICES),
-    ]
+    # As in Gazebo, both services accept SDF and URDF.
+    for name in ("spawn_sdf_model", "spawn_urdf_model"):
+        offer(f"/gazebo/{name}", srv.SpawnModel, spawn, *messages)
+    for name, kind, answer, done in SERVICES:
+        offer_gazebo(name, kind, partial(_between_steps, world, answer), done)
 
 
-def _offer_between_steps(
-    world: RunningWorld,
-    name: str,
-    kind: Any,
-    answer: Callable[[RunningWorld, Any], Answer],
-    done: str,
-) -> rospy.Service:
-    """Offer a service of /gazebo that the thread of the simulation answers between two steps.
+def _between_steps(
+    world: RunningWorld, answer: Callable[[RunningWorld, Any], Answer], request: Any
+) -> Answer:
+    return world.do(lambda: answer(world, request))
 
-    Its status messages begin with the name of its type, as Gazebo's do.
-    """
+
+def offer_gazebo(name: str, kind: Any, answer: Callable[[Any], Answer], done: str = "") -> None:
+    """Offer a service of /gazebo whose status messages begin with the name of its type."""
     prefix = f"{kind.__name__}: "
-
-    def between_steps(request: Any) -> Answer:
-        return world.do(partial(answer, world, request))
-
-    return offer(f"/gazebo/{name}", kind, between_steps, done and prefix + done, prefix)
+    offer(f"/gazebo/{name}", kind, answer, done and prefix + done, prefix)
 
 
 def subscribe_to_states(world: RunningWorld) -> None:

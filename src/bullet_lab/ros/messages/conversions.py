@@ -9,7 +9,7 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Tuple, Union
+from typing import Any, Callable, Iterable, Mapping, NamedTuple
 
 import cv2
 import numpy as np
@@ -89,7 +89,7 @@ SLAB_DEPTH = 0.005
 # m; longest side of a plane without texture.
 LARGEST_PLANE = 20.0
 # Type and scale of the marker of each shape.
-MARKERS: Dict[type, Callable[[Any], Tuple[int, Tuple[float, ...]]]] = {
+MARKERS: dict[type, Callable[[Any], tuple[int, tuple[float, ...]]]] = {
     Box: lambda box: (Marker.CUBE, box.size),
     Cylinder: lambda c: (Marker.CYLINDER, (2.0 * c.radius, 2.0 * c.radius, c.length)),
     Sphere: lambda sphere: (Marker.SPHERE, (2.0 * sphere.radius,) * 3),
@@ -115,7 +115,7 @@ def _velocity(message: TwistStamped, sample: VelocitySample) -> None:
     _set_planar_twist(message.twist, sample)
 
 
-def _set_planar_twist(twist: Twist, sample: Union[OdometrySample, VelocitySample]) -> None:
+def _set_planar_twist(twist: Twist, sample: OdometrySample | VelocitySample) -> None:
     twist.linear.x, twist.linear.y = sample.velocity.vx, sample.velocity.vy
     twist.angular.z = sample.velocity.wz
 
@@ -159,7 +159,7 @@ def compressed_message(sample: ImageSample, settings: Mapping[str, Any]) -> Comp
     kind, pixels = settings["format"], sample.pixels
     if sample.encoding == "rgb8":
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
-    options: List[int] = []
+    options: list[int] = []
     for key, name in COMPRESSIONS[kind].items():
         options += [key, int(settings[name])]
     message = CompressedImage(format=f"{sample.encoding}; {kind} compressed ")
@@ -251,7 +251,7 @@ def _sum(vectors: tuple) -> Vector3:
     return Vector3(*(sum(values) for values in zip(*vectors)))
 
 
-def _diagonal(value: float, size: int) -> List[float]:
+def _diagonal(value: float, size: int) -> list[float]:
     """Return a diagonal matrix, row by row, with the same value along the diagonal."""
     matrix = [0.0] * (size * size)
     matrix[:: size + 1] = [value] * size
@@ -259,7 +259,7 @@ def _diagonal(value: float, size: int) -> List[float]:
 
 
 # The message for each kind of samples, and the function that fills it.
-MESSAGES: Dict[type, Tuple[type, Callable[[Any, Any], None]]] = {
+MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     OdometrySample: (Odometry, _odometry),
     TransformSample: (TFMessage, _transform),
     JointSample: (JointState, _joints),
@@ -301,7 +301,7 @@ class Converter:
 
 
 # The message for each kind of commands, and the function that reads it.
-COMMANDS: Dict[type, Tuple[type, Callable[[Any], Any]]] = {
+COMMANDS: dict[type, tuple[type, Callable[[Any], Any]]] = {
     PlanarCommand: (Twist, lambda m: PlanarCommand(m.linear.x, m.linear.y, m.angular.z)),
     JointCommand: (Float64, lambda message: JointCommand(message.data)),
     JointCommands: (Float64MultiArray, lambda message: JointCommands(tuple(message.data))),
@@ -309,13 +309,13 @@ COMMANDS: Dict[type, Tuple[type, Callable[[Any], Any]]] = {
 }
 
 
-def world_markers(instance: ModelInstance, frame: str) -> List[Marker]:
+def world_markers(instance: ModelInstance, frame: str) -> list[Marker]:
     """Return the visible shapes of a model as markers; their namespace is the model's name.
 
     A marker has no fields for textures and emissive colours. They are in its text as JSON; RViz
     displays the text of text markers only.
     """
-    markers: List[Marker] = []
+    markers: list[Marker] = []
     for link in instance.model.links:
         pose = instance.frame(link.name).pose() if link.visuals else Pose()
         for visual in link.visuals:
@@ -331,7 +331,7 @@ def world_markers(instance: ModelInstance, frame: str) -> List[Marker]:
     return markers
 
 
-def deleted_markers(model: str, numbers: Iterable[int], frame: str) -> List[Marker]:
+def deleted_markers(model: str, numbers: Iterable[int], frame: str) -> list[Marker]:
     """Return markers that delete those of a model with these numbers."""
     markers = [Marker(action=Marker.DELETE, ns=model, id=number) for number in numbers]
     for marker in markers:
@@ -368,7 +368,7 @@ class Look(NamedTuple):
 def _look_text(visual: Visual) -> str:
     """Return the text of a visual's marker for `look_of`; empty if it has only a colour."""
     material = visual.material
-    look: Dict[str, Any] = {}
+    look: dict[str, Any] = {}
     if material.texture is not None:
         look = {"texture": asdict(material.texture), "plane": isinstance(visual.geometry, Plane)}
     if material.emissive != BLACK:
@@ -405,7 +405,7 @@ def _texture(path: Any, **values: Any) -> Texture:
     return Texture(texture.path, scale, scroll, *_numbers([texture.rotation], 1), *flags)
 
 
-def _numbers(values: Iterable[Any], count: int) -> Tuple[Any, ...]:
+def _numbers(values: Iterable[Any], count: int) -> tuple[Any, ...]:
     found = tuple(map(float, values))
     if len(found) != count or not all(map(math.isfinite, found)):
         raise ValueError(found)

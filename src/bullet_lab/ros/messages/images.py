@@ -68,16 +68,13 @@ def pixels_of(message: Image, encoding: str) -> ndarray:
     if colours is None:
         raise ImageError(f"an image of encoding '{message.encoding}' has no colours to convert")
     if colours[0] != wanted:
-        pixels = cv2.cvtColor(pixels, _conversion(colours[0], wanted))
+        name = f"{colours[0]}2{wanted}"
+        if name.startswith("YUV_"):
+            name = f"YUV2{wanted}{colours[0][3:]}"
+        pixels = cv2.cvtColor(pixels, getattr(cv2, f"COLOR_{name}"))
     if pixels.dtype == np.uint16:
         pixels = cv2.convertScaleAbs(pixels, alpha=255.0 / 65535.0)
     return pixels
-
-
-def _conversion(colours: str, wanted: str) -> int:
-    """Return OpenCV's code of a conversion between two of its names for colours."""
-    name = f"YUV2{wanted}{colours[3:]}" if colours.startswith("YUV") else f"{colours}2{wanted}"
-    return getattr(cv2, f"COLOR_{name}")
 
 
 def _stored_pixels(message: Image) -> ndarray:

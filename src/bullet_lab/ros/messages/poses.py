@@ -1,13 +1,15 @@
-"""Conversions of times, poses and velocities to messages and back, with checks of the input."""
+"""Conversions of times, poses and velocities to messages and back, and markers for RViz."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Tuple
+from typing import Any, Iterable
 
 import genpy
+from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3
 from geometry_msgs.msg import Pose as PoseMessage
-from geometry_msgs.msg import PoseStamped, Twist, Vector3
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -96,20 +98,16 @@ def normalised_pose(message: PoseMessage) -> Pose:
     """
     orientation = message.orientation
     quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
-    if not all(map(math.isfinite, quaternion)):
+    length = math.hypot(*quaternion)
+    if not math.isfinite(length):
         raise InputError(f"the orientation is not finite: {quaternion}")
-    # Scaled first: the squares of large numbers overflow.
-    largest = max(map(abs, quaternion))
     position = vector_of(message.position, "the position")
-    if largest == 0.0:
+    if length == 0.0:
         return Pose(position)
-    scaled = [value / largest for value in quaternion]
-    length = math.sqrt(sum(value * value for value in scaled))
-    x, y, z, w = (value / length for value in scaled)
-    return Pose(position, (x, y, z, w))
+    return Pose(position, tuple(value / length for value in quaternion))
 
 
-def twist_of(message: Twist) -> Tuple[Vector, Vector]:
+def twist_of(message: Twist) -> tuple[Vector, Vector]:
     """Return linear and angular velocity; raises InputError if one is not finite."""
     linear = vector_of(message.linear, "the linear velocity")
     angular = vector_of(message.angular, "the angular velocity")
@@ -128,3 +126,20 @@ def stamped_pose(stamp: genpy.Time, frame: str, pose: PlanarPose) -> PoseStamped
     message.pose.position.x, message.pose.position.y = pose[:2]
     set_quaternion(message.pose.orientation, quaternion_from_yaw(pose[2]))
     return message
+
+
+def marker(
+    header: Header,
+    name: str,
+    kind: int,
+    colour: ColorRGBA,
+    scale: Vector,
+    position: Vector = (0.0, 0.0, 0.0),
+    points: Iterable[Vector] = (),
+) -> Marker:
+    """Return marker 0 of a namespace, in the directions of its frame."""
+    made = Marker(header=header, ns=name, type=kind, color=colour)
+    made.scale = Vector3(*scale)
+    made.pose = pose_message(Pose(position))
+    made.points = [Point(*point) for point in points]
+    return made

@@ -193,8 +193,6 @@ class Rate:
             rospy.rostime.wallsleep(GOODBYE_SECONDS)
 
 
-rate = Rate
-
 
 def join_when(is_connected: Callable[[], bool], what: str) -> None:
     """In lock step, hold time until a node that only subscribes is connected.

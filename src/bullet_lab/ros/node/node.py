@@ -241,6 +241,12 @@ def search_parameter(name: str, namespace: str) -> str:
         raise NodeError(f"no ROS master answers: {error}") from error
 
 
+def tf_prefix(namespace: str) -> str:
+    """Return the tf_prefix of a namespace with a slash at its end; empty without one."""
+    prefix = search_parameter(TF_PREFIX, namespace).strip("/")
+    return prefix and f"{prefix}/"
+
+
 def ignore_clock() -> None:
     """Unsubscribe this node from /clock, to which rospy subscribes in every node."""
     own = getattr(rospy.impl.simtime, "_clock_sub", None)

@@ -9,15 +9,15 @@ from collections import deque
 from typing import Any, Callable, Generic, TypeVar
 
 import rospy
-from geometry_msgs.msg import PoseStamped, Vector3
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose, yaw_from_quaternion
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import NORM_TOLERANCE, InputError, pose_of
+from bullet_lab.ros.messages.poses import InputError, pose_of, twist_of
 from bullet_lab.ros.node.lock_step import in_lock_step
-from bullet_lab.ros.node.node import TF_PREFIX, NodeError, Refusals
+from bullet_lab.ros.node.node import NodeError, Refusals, tf_prefix
 from bullet_lab.ros.node.publishers import subscriber
 
 # m; larger than all coordinates on Earth in any grid. Squares of smaller numbers stay finite.
@@ -44,40 +44,28 @@ T = TypeVar("T")
 
 
 class OdometryError(LabError):
-    """An odometry message is invalid."""
+    """There is no odometry yet, or a message has other frames or an earlier stamp than expected."""
 
 
 def planar_pose(message: Odometry) -> PlanarPose:
     """Return x (m), y (m) and yaw (rad) of an odometry message.
 
     Raises:
-        OdometryError: not finite, farther than `FARTHEST` from the origin, or an orientation that
-            is no unit quaternion.
+        InputError: farther than `FARTHEST` from the origin, and as of `pose_of`.
     """
-    position, orientation = message.pose.pose.position, message.pose.pose.orientation
-    x, y = position.x, position.y
-    quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
-    if not all(map(math.isfinite, (x, y, *quaternion))):
-        raise OdometryError("a pose that is not finite")
-    if max(abs(x), abs(y)) > FARTHEST:
-        raise OdometryError(f"position ({x:.3g}, {y:.3g}) m exceeds {FARTHEST:.0e} m")
-    norm = math.sqrt(sum(value * value for value in quaternion))
-    if abs(norm - 1.0) > NORM_TOLERANCE:
-        raise OdometryError(f"an orientation of length {norm:.3g} is no unit quaternion")
-    return x, y, yaw_from_quaternion(*quaternion)
+    position, turn = message.pose.pose.position, message.pose.pose.orientation
+    pose_of(position, turn)
+    if max(abs(position.x), abs(position.y)) > FARTHEST:
+        place = f"({position.x:.3g}, {position.y:.3g}) m"
+        raise InputError(f"position {place} exceeds {FARTHEST:.0e} m")
+    return position.x, position.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
 
 
-def check_numbers(message: Odometry) -> None:
-    """Raise OdometryError if a number that `planar_pose` does not check is not finite."""
-    twist = message.twist.twist
-    motion = (*_vector(twist.linear), *_vector(twist.angular))
-    covariances = (*message.pose.covariance, *message.twist.covariance)
-    if not all(map(math.isfinite, (message.pose.pose.position.z, *motion, *covariances))):
-        raise OdometryError("a height, twist or covariance that is not finite")
-
-
-def _vector(value: Vector3) -> tuple[float, float, float]:
-    return value.x, value.y, value.z
+def check_twist(message: Odometry) -> None:
+    """Raise InputError if the twist or a covariance of odometry is not finite."""
+    twist_of(message.twist.twist)
+    if not all(map(math.isfinite, (*message.pose.covariance, *message.twist.covariance))):
+        raise InputError("a covariance that is not finite")
 
 
 class FrameGuard:
@@ -259,6 +247,21 @@ class MessageQueue(Generic[T]):
             self._new.notify_all()
 
 
+def framed(read: Callable[[Any], T]) -> Callable[[Any], tuple[str, T]]:
+    """Return a function that reads the frame of a message, without its slash, and the content.
+
+    It raises OdometryError if the message has no frame.
+    """
+
+    def read_framed(message: Any) -> tuple[str, T]:
+        frame = message.header.frame_id.lstrip("/")
+        if not frame:
+            raise OdometryError("no frame_id")
+        return frame, read(message)
+
+    return read_framed
+
+
 class FrameError(LabError):
     """There is no transform between two frames."""
 
@@ -322,20 +325,13 @@ class FrameFinder:
             time.sleep(POLL_SECONDS)
 
 
-def own_tf_prefix() -> str:
-    """Return this node's tf_prefix with a slash at the end; empty without one."""
-    found = rospy.search_param(TF_PREFIX)
-    prefix = str(rospy.get_param(found)).strip("/") if found else ""
-    return f"{prefix}/" if prefix else ""
-
-
 def own_frame(frame: str) -> str:
     """Return a frame name with this node's tf_prefix.
 
     As in the tf library, a name with a leading slash has no prefix. A name that has the prefix
     already is returned unchanged.
     """
-    prefix = own_tf_prefix()
+    prefix = tf_prefix(rospy.get_name())
     if not frame or frame.startswith(("/", prefix)):
         return frame.lstrip("/")
     return prefix + frame

@@ -1,33 +1,23 @@
-"""Publishers and subscribers that lose no messages in lock step, and the diagnostics of a node."""
+"""Publishers and subscribers that lose no messages in lock step."""
 
 from __future__ import annotations
 
-import statistics
-import threading
 import time
 import warnings
-from collections import deque
 from io import BytesIO
-from typing import Any, Callable, Mapping, NamedTuple
+from typing import Any, Callable
 
 import genpy
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rospy.msg import serialize_message
 
 from bullet_lab.ros.node.lock_step import in_lock_step, member
 
 # Wall seconds between two checks of a full queue.
 ROOM_CHECK_SECONDS = 0.001
-# Wall seconds between two checks for subscribers that have come, gone or died.
-LISTENERS_CHECK_SECONDS = 0.05
 # Field in the connection header of a publisher of commands: wall seconds after which the bridge
 # stops the robot if no further command arrives.
 COMMAND_TIMEOUT = "command_timeout"
-# Wall seconds between two messages on /diagnostics.
-PERIOD = 1.0
-# Wall seconds over which rates are counted.
-_WINDOW = 2.0
 
 
 class Publisher(rospy.Publisher):
@@ -145,116 +135,3 @@ def subscriber(
     return rospy.Subscriber(
         topic, kind, receive, queue_size=size, buff_size=buffer_bytes, tcp_nodelay=True
     )
-
-
-class Demand:
-    """Publishers of results that are computed only while somebody subscribes.
-
-    A thread calls `start` when the first subscriber comes, or at once if `always`, and `stop`
-    when the last one has gone.
-    """
-
-    def __init__(self, start: Callable[[], None], stop: Callable[[], None], always: bool = False):
-        self._start, self._stop = start, stop
-        self._always = always
-        self._publishers: list[Publisher] = []
-        self.is_there = False
-
-    def publisher(self, topic: str, kind: type, queue_size: int = 10) -> Publisher:
-        """Return a publisher of results, see the function `publisher`."""
-        made = publisher(topic, kind, queue_size)
-        self._publishers.append(made)
-        return made
-
-    def watch(self) -> None:
-        """Start the thread that starts and stops the work."""
-        threading.Thread(target=self._watch, daemon=True).start()
-
-    def _watch(self) -> None:
-        while not rospy.is_shutdown():
-            wanted = self._always or any(map(_has_listeners, self._publishers))
-            if wanted != self.is_there:
-                self.is_there = wanted
-                (self._start if wanted else self._stop)()
-            time.sleep(LISTENERS_CHECK_SECONDS)
-
-
-def _has_listeners(publisher: Publisher) -> bool:
-    """Return whether a subscriber is alive; rospy itself checks that only when it writes."""
-    if publisher.has_connections():
-        publisher.impl.check()
-    return publisher.has_connections()
-
-
-class Health(NamedTuple):
-    """A level of DiagnosticStatus, a message, and values by name."""
-
-    level: int
-    message: str
-    values: Mapping[str, str] = {}
-
-
-class Diagnostics:
-    """Publishes the health of a node every wall second; a separate thread calls `health`.
-
-    diagnostic_updater measures its period and its rates in ROS time, which passes a hundred times
-    as fast at full speed, and not at all while the simulation is paused.
-    """
-
-    def __init__(self, task: str, health: Callable[[], Health]):
-        self._name = f"{rospy.get_name().lstrip('/')}: {task}"
-        self._health = health
-        self._publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=10)
-
-    def start(self) -> None:
-        """Start to publish."""
-        threading.Thread(target=self._report, daemon=True).start()
-
-    def _report(self) -> None:
-        while not rospy.is_shutdown():
-            health = self._health()
-            values = [KeyValue(key, value) for key, value in health.values.items()]
-            status = DiagnosticStatus(health.level, self._name, health.message, "", values)
-            message = DiagnosticArray(status=[status])
-            message.header.stamp = rospy.Time.now()
-            self._publisher.publish(message)
-            time.sleep(PERIOD)
-
-
-class Traffic:
-    """Rate and latency of a node's results over the last two seconds of wall time."""
-
-    def __init__(self):
-        self._lock = threading.Lock()
-        self._done: deque[tuple[float, float]] = deque()
-        self.total = 0
-
-    def note(self, seconds: float) -> None:
-        """Count a result, `seconds` after its input had arrived."""
-        with self._lock:
-            self.total += 1
-            self._done.append((time.monotonic(), seconds))
-            self._forget()
-
-    def figures(self) -> dict[str, str]:
-        """Return the number of results, their rate and latency as text."""
-        with self._lock:
-            self._forget()
-            latencies = [seconds for _, seconds in self._done]
-        figures = {"frames": str(self.total), "frame rate (Hz)": f"{len(latencies) / _WINDOW:.1f}"}
-        if latencies:
-            figures["latency median (ms)"] = f"{1e3 * statistics.median(latencies):.1f}"
-            figures["latency max (ms)"] = f"{1e3 * max(latencies):.1f}"
-        return figures
-
-    @property
-    def silence(self) -> float:
-        """Wall seconds since the last result, at most two."""
-        with self._lock:
-            self._forget()
-            return time.monotonic() - self._done[-1][0] if self._done else _WINDOW
-
-    def _forget(self) -> None:
-        start = time.monotonic() - _WINDOW
-        while self._done and self._done[0][0] < start:
-            self._done.popleft()

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Any, Iterable, Mapping, Sequence
 
 import numpy as np
+import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_msgs.msg import Header
@@ -38,9 +39,9 @@ from bullet_lab.ros.messages.images import (
     marker_pose_message,
     marker_transform,
 )
-from bullet_lab.ros.node.odometry import own_tf_prefix
-from bullet_lab.ros.node.publishers import Health, publisher
-from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters, run_image_node
+from bullet_lab.ros.node.node import node, tf_prefix
+from bullet_lab.ros.node.publishers import publisher
+from bullet_lab.ros.nodes.image_node import CameraImage, Health, ImageNode, ImageParameters
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.marker_detector import Detections, DetectorSettings, why_nothing
 from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, PoseMemory
@@ -94,7 +95,7 @@ class Aruco(ImageNode):
         self._memory = PoseMemory(parameters.upright)
         self._health = Health(DiagnosticStatus.OK, "")
         super().__init__(parameters, always=parameters.publish_tf)
-        self._prefix = own_tf_prefix()
+        self._prefix = tf_prefix(rospy.get_name())
         self._tf = publisher("/tf", TFMessage, 10) if parameters.publish_tf else None
 
     def process(self, image: CameraImage) -> Mapping[str, Any]:
@@ -204,6 +205,7 @@ def _words(ids: Iterable[int]) -> str:
     return " ".join(str(number) for number in sorted(set(ids)))
 
 
-def main() -> None:
-    """Run the node."""
-    run_image_node("aruco", ArucoParameters, Aruco)
+@node
+def aruco(parameters: ArucoParameters) -> None:
+    """Run until ROS shuts down."""
+    Aruco(parameters).run()

@@ -27,8 +27,6 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import threading
-import time
 import xmlrpc.client
 from collections import Counter
 from dataclasses import dataclass
@@ -61,8 +59,7 @@ from bullet_lab.ros.bridge.running_world import (
     TouchCounter,
     tf_prefixes,
 )
-from bullet_lab.ros.bridge.stepper import Stepper, StepperError
-from bullet_lab.ros.bridge.timing import FOR_EVER, Pace, TimeGate
+from bullet_lab.ros.bridge.stepper import FOR_EVER, Pace, Stepper, StepperError, TimeGate
 from bullet_lab.ros.bridge.topics import DeviceTopics, Route
 from bullet_lab.ros.gazebo.interface import Warnings, offer_all
 from bullet_lab.ros.gazebo.services import offer
@@ -102,8 +99,6 @@ EXPORTED = {
 EXPORTER = "gazebo_ros"
 # Wall seconds within which a node that is alive answers.
 ANSWER_SECONDS = 5.0
-# Wall seconds between two checks whether the loop is stuck.
-LOOP_CHECK_SECONDS = 1.0
 # What ~friction means for a simulation; None: as the world says.
 COULOMB = {"world": None, "ode": False, "coulomb": True}
 CALLER = "/bullet_lab"
@@ -198,17 +193,14 @@ class PyBulletBridge:
         frame, hidden = parameters.world_frame, _add_robot(world, parameters)
         self._video = Video(simulation, Path(parameters.video)) if parameters.video else None
         folder = Path(parameters.save_folder)
-        self._interfaces = [
-            offer_all(world, frame, hidden, parameters.states_rate, folder, warnings),
-            TouchCounter(world),
-            OdometryFrames(world, frame if parameters.publish_world_tf else ""),
-            self._offer_services(),
-        ]
+        offer_all(world, frame, hidden, parameters.states_rate, folder, warnings)
+        TouchCounter(world)
+        OdometryFrames(world, frame if parameters.publish_world_tf else "")
+        self._offer_services()
 
     def spin(self) -> None:
         """Run until ROS shuts down."""
         rospy.on_shutdown(self.stepper.wake)
-        threading.Thread(target=self._watch_the_loop, daemon=True).start()
         try:
             self.stepper.run()
         finally:
@@ -216,19 +208,11 @@ class PyBulletBridge:
                 self._video.close()
             self.simulation.close()
 
-    def _watch_the_loop(self) -> None:
-        """Warn when the loop is stuck; runs in a thread."""
-        while not rospy.is_shutdown():
-            stuck = self.stepper.watch.stuck()
-            if stuck:
-                rospy.logwarn("simulated time stands still: busy with %s for %.0f s", *stuck)
-            time.sleep(LOOP_CHECK_SECONDS)
-
     def _publish_clock(self, step: int) -> None:
         set_time(self._clock.clock, step)
         self._clock_publisher.publish(self._clock)
 
-    def _offer_services(self) -> list[rospy.Service]:
+    def _offer_services(self) -> None:
         stepper, simulation = self.stepper, self.simulation
         answers: dict[str, Callable[[Any], None]] = {
             "pause_physics": lambda _: stepper.set_paused(True),
@@ -236,11 +220,10 @@ class PyBulletBridge:
             "reset_world": lambda _: self._reset(simulation.reset_world),
             "reset_simulation": lambda _: self._reset(simulation.reset_simulation),
         }
-        return [
-            *(offer(f"/gazebo/{name}", Empty, answer) for name, answer in answers.items()),
-            offer("/bullet_lab/step", Step, self._step),
-            rospy.Service("/bullet_lab/advance", Advance, self._advance),
-        ]
+        for name, answer in answers.items():
+            offer(f"/gazebo/{name}", Empty, answer)
+        offer("/bullet_lab/step", Step, self._step)
+        rospy.Service("/bullet_lab/advance", Advance, self._advance)
 
     def _reset(self, reset: Callable[[], None]) -> None:
         self.stepper.reset(reset)

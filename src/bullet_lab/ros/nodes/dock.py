@@ -72,6 +72,7 @@ from bullet_lab.ros.node.node import node
 from bullet_lab.ros.node.odometry import (
     FrameError,
     MessageQueue,
+    framed,
     own_frame,
     planar_pose,
 )
@@ -146,12 +147,11 @@ class DockParameters:
         return {name: replace(dock, frame=own_frame(dock.frame)) for name, dock in docks.items()}
 
 
-def odometry_of(message: OdometryMessage) -> tuple[str, Odometry]:
-    """Return the frame and the content of a message of odometry; raises OdometryError."""
+def odometry_of(message: OdometryMessage) -> Odometry:
+    """Return the content of a message of odometry; raises InputError."""
     covariance = np.asarray(message.twist.covariance, dtype=float).reshape(6, 6)
     planar = covariance[np.ix_(_PLANAR, _PLANAR)]
-    stamp = message.header.stamp.to_sec()
-    return message.header.frame_id, Odometry(stamp, planar_pose(message), planar)
+    return Odometry(message.header.stamp.to_sec(), planar_pose(message), planar)
 
 
 def camera_of(message: CameraInfo) -> tuple[str, PinholeCamera]:
@@ -220,7 +220,7 @@ def rough_pose(goal: DockGoal, dock: Dock, frame: str, lookup: Lookup) -> Planar
     else:
         x, y, yaw = dock.pose
         given, pose = dock.frame, Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
-    if given.lstrip("/") != frame.lstrip("/"):
+    if given.lstrip("/") != frame:
         try:
             pose = lookup(frame, given) * pose
         except LabError as error:
@@ -288,11 +288,7 @@ def _missing(queue: MessageQueue) -> str:
 
 
 class DockNode(GoalNode):
-    """Pursues one goal of the two actions at a time.
-
-    Goals and cancellations come in threads of actionlib, where they only stop the robot; the loop
-    starts and ends them.
-    """
+    """Pursues one goal of the two actions at a time."""
 
     def __init__(self, parameters: DockParameters):
         self._parameters = parameters
@@ -300,8 +296,8 @@ class DockNode(GoalNode):
         self._settings = parameters.settings()
         self._base_frame = own_frame(parameters.base_frame)
         images_per_second = parameters.image_rate
-        self._odometry = MessageQueue(
-            parameters.odom, OdometryMessage, odometry_of, parameters.odom_rate
+        odometry = MessageQueue(
+            parameters.odom, OdometryMessage, framed(odometry_of), parameters.odom_rate
         )
         self._camera_info = MessageQueue(
             parameters.camera_info, CameraInfo, camera_of, images_per_second
@@ -309,36 +305,24 @@ class DockNode(GoalNode):
         self._detections = MessageQueue(
             parameters.detections, MarkerDetectionArray, sightings_of, images_per_second
         )
-        queues = (self._odometry, self._camera_info, self._detections)
-        super().__init__(parameters.cmd_vel, queues)
+        super().__init__(parameters.cmd_vel, odometry, self._camera_info, self._detections)
         self._finished = publisher("~finished", Time, latch=True)
         self._topics = DockTopics(own_frame(parameters.dock_frame))
-        self._frame = ""
         # The frame of the camera, and its calibration.
         self._camera: tuple[str, PinholeCamera] | None = None
         self._last_dock: PlanarPose | None = None
-        # The server of the goal that is pursued, the goal, and the task once messages have come.
-        self._server: GoalServer | None = None
-        self._goal: Any = None
+        # That of the goal, once messages have come.
         self._task: DockingTask | UndockingTask | None = None
         self._begun = 0.0
         callbacks = (self._stop_for_new_goal, self._sender.stop)
-        self._servers = [
-            GoalServer("dock", DockAction, *callbacks),
-            GoalServer("undock", UndockAction, *callbacks),
-        ]
-        for server in self._servers:
-            server.start()
+        for name, kind in (("dock", DockAction), ("undock", UndockAction)):
+            self._servers.append(GoalServer(name, kind, *callbacks))
 
     def _stop_for_new_goal(self, _: ServerGoalHandle) -> None:
         if self._server is not None:
             self._sender.stop()
 
-    def _tick(self, now: rospy.Time, seconds: float) -> None:
-        ticket = self._sender.ticket()
-        self._handle_requests(now)
-        for queue in self._queues:
-            queue.wait(now)
+    def _tick(self, now: rospy.Time, seconds: float, ticket: int) -> None:
         odometry = self._take_odometry(now)
         observations = self._take_observations(now)
         if self._server is None:
@@ -353,39 +337,19 @@ class DockNode(GoalNode):
             command = self._task.tick(now.to_sec())
         except LabError as error:
             reason = error.error if isinstance(error, DockingFailureError) else DockingError.UNKNOWN
-            self._end(now, DockingResult(reason, str(error)))
+            self._finish(now, DockingResult(reason, str(error)))
             return
         self._sender.send(command, ticket)
         self._show(now)
         if self._task.result is not None:
-            self._end(now, self._task.result)
+            self._finish(now, self._task.result)
 
-    def _handle_requests(self, now: rospy.Time) -> None:
-        """Accept new goals, the newest last, and end a cancelled goal."""
-        new = [one for one in self._servers if one.is_new_goal_available()]
-        for server in sorted(new, key=lambda one: one.next_goal.get_goal_id().stamp):
-            self._preempt("replaced by another goal", now)
-            self._accept(server, now)
-        if self._server is not None and self._server.is_cancelled:
-            self._preempt("cancelled on request", now)
-
-    def _accept(self, server: GoalServer, now: rospy.Time) -> None:
-        self._server, self._goal = server, server.accept_new_goal()
+    def _accept(self, now: rospy.Time) -> None:
         self._task = None
         self._begun = now.to_sec()
         opened = [queue.open() for queue in self._queues]
         if any(opened):
             self._frame, self._camera = "", None
-
-    def _preempt(self, why: str, now: rospy.Time) -> None:
-        if self._server is not None:
-            self._end(now, DockingResult(DockingError.PREEMPTED, why))
-
-    def _take_odometry(self, now: rospy.Time) -> list[Odometry]:
-        taken = self._odometry.take(now)
-        if taken:
-            self._frame, _ = taken[-1]
-        return [odometry for _, odometry in taken]
 
     def _take_observations(self, now: rospy.Time) -> list[Observation]:
         cameras, taken = self._camera_info.take(now), self._detections.take(now)
@@ -458,7 +422,12 @@ class DockNode(GoalNode):
         self._topics.publish(now, self._frame, task)
         self._last_dock = task.dock_pose or self._last_dock
 
-    def _end(self, now: rospy.Time, result: DockingResult) -> None:
+    def _end(self, now: rospy.Time, status: int, text: str) -> None:
+        is_preempted = status == GoalStatus.PREEMPTED
+        error = DockingError.PREEMPTED if is_preempted else DockingError.UNKNOWN
+        self._finish(now, DockingResult(error, text))
+
+    def _finish(self, now: rospy.Time, result: DockingResult) -> None:
         """Stop the robot and report the result."""
         server, self._server = self._server, None
         self._sender.stop()
@@ -471,11 +440,8 @@ class DockNode(GoalNode):
         self._finished.publish(Time(now))
 
     def _time_was_set_back(self) -> None:
-        super()._time_was_set_back()
         self._last_dock = None
-        if self._server is not None:
-            message = "simulated time was set back"
-            self._end(rospy.Time(0), DockingResult(DockingError.UNKNOWN, message))
+        super()._time_was_set_back()
 
 
 @node

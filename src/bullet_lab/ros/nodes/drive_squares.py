@@ -25,7 +25,6 @@ from typing import Sequence
 import rospy
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Time
-from tqdm import tqdm
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import choice, integer, number, text
@@ -35,7 +34,7 @@ from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.driving import StoppableSender
-from bullet_lab.ros.node.lock_step import rate
+from bullet_lab.ros.node.lock_step import Rate
 from bullet_lab.ros.node.node import TF_PREFIX, node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
 from bullet_lab.ros.node.publishers import publisher
@@ -45,7 +44,6 @@ SPAWN_SERVICE = "/gazebo/spawn_urdf_model"
 MOST_ROBOTS = 100
 # Simulated seconds at rest before and after the drive, for recordings.
 REST_SECONDS = 0.5
-PROGRESS_FORMAT = "{desc} {percentage:3.0f}%|{bar:30}| {n:.1f} of {total:.1f} m, {elapsed}"
 
 
 @dataclass(frozen=True)
@@ -112,39 +110,28 @@ class DriveSquares:
         self._finished = publisher("~finished", Time, latch=True)
         self._side = 0
         self._hz = self._robots[0].driver.rate
-        self._rate = rate(self._hz)
+        self._rate = Rate(self._hz)
 
     def drive(self) -> None:
         """Drive all sides, stop, publish the end, and leave the lock step."""
         self._rest()
         driving = list(self._robots)
-        with self._progress_bar() as progress:
-            while driving:
-                for robot in driving:
-                    robot.tick(self._rate.now)
-                driving = [robot for robot in driving if not robot.done]
-                self._report(progress)
-                if driving:
-                    self._rate.sleep()
+        while driving:
+            for robot in driving:
+                robot.tick(self._rate.now)
+            driving = [robot for robot in driving if not robot.done]
+            self._report()
+            if driving:
+                self._rate.sleep()
         self._rest()
         self._finished.publish(Time(self._rate.now))
         self._rate.leave()
 
-    def _progress_bar(self) -> tqdm:
-        total = len(self._robots) * self._square.sides * self._square.side
-        return tqdm(total=total, unit="m", desc="driving", disable=None, bar_format=PROGRESS_FORMAT)
-
-    def _report(self, progress: tqdm) -> None:
-        """Report the progress on the bar or, without a terminal, in the log."""
+    def _report(self) -> None:
         side = 1 + min(robot.driver.sides_done for robot in self._robots)
         if self._side < side <= self._square.sides:
             self._side = side
-            where = f"side {side} of {self._square.sides}"
-            if progress.disable:
-                rospy.loginfo(where)
-            else:
-                progress.set_description(where)
-        progress.update(sum(robot.driver.distance for robot in self._robots) - progress.n)
+            rospy.loginfo("side %d of %d", side, self._square.sides)
 
     def _rest(self) -> None:
         for _ in range(round(REST_SECONDS * self._hz)):

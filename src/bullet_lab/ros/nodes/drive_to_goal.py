@@ -28,20 +28,26 @@ from dataclasses import dataclass
 import rospy
 from actionlib import GoalIDGenerator, ServerGoalHandle
 from actionlib_msgs.msg import GoalID, GoalStatus
-from geometry_msgs.msg import Point, Pose, PoseStamped, Vector3
+from geometry_msgs.msg import PoseStamped, Quaternion
 from move_base_msgs.msg import MoveBaseAction, MoveBaseActionGoal, MoveBaseFeedback, MoveBaseGoal
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Float64, Header, Time
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.parameters import number, text
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, quaternion_from_yaw
 from bullet_lab.drive import STANDSTILL, DrivePhase, GoalDriver, GoalLimits
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.ros.node.driving import GoalNode, GoalServer
+from bullet_lab.ros.messages.poses import marker, stamped_pose
+from bullet_lab.ros.node.driving import REPLACED, GoalNode, GoalServer
 from bullet_lab.ros.node.node import Refusals, holds_within, node
-from bullet_lab.ros.node.odometry import FrameError, MessageQueue, OdometryError, planar_pose
+from bullet_lab.ros.node.odometry import (
+    FrameError,
+    MessageQueue,
+    OdometryError,
+    framed,
+    planar_pose,
+)
 from bullet_lab.ros.node.publishers import Publisher, publisher
 
 ACTION = "move_base"
@@ -59,6 +65,7 @@ COLOURS = {
     GoalStatus.SUCCEEDED: ColorRGBA(0.0, 0.62, 0.45, 0.9),
 }
 FAILED = ColorRGBA(0.84, 0.37, 0.0, 0.9)
+WHITE = ColorRGBA(1.0, 1.0, 1.0, 1.0)
 # The final status of a goal that the robot never drove to.
 NOT_BEGUN = {
     GoalStatus.ABORTED: GoalStatus.REJECTED,
@@ -161,17 +168,16 @@ class GoalTopics:
 
     def _draw(self, header: Header, colour: ColorRGBA, left: float) -> list[Marker]:
         """Return an arrow at the goal, a disc for its tolerance and a label with the distance."""
-        pose = stamped_pose(header.stamp, header.frame_id, self._target).pose
-        arrow = Marker(header=header, ns="goal", id=0, type=Marker.ARROW, color=colour)
-        arrow.scale = Vector3(0.4, 0.05, 0.05)
-        disc = Marker(header=header, ns="goal", id=1, type=Marker.CYLINDER, color=colour)
-        disc.scale = Vector3(2.0 * self._tolerance, 2.0 * self._tolerance, 0.01)
-        label = Marker(header=header, ns="goal", id=2, type=Marker.TEXT_VIEW_FACING)
-        label.color = ColorRGBA(1.0, 1.0, 1.0, 1.0)
-        label.scale.z = 0.2
+        x, y, yaw = self._target
+        kind, size = Marker.ARROW, (0.4, 0.05, 0.05)
+        arrow = marker(header, "goal", kind, colour, size, (x, y, 0.1))
+        arrow.pose.orientation = Quaternion(*quaternion_from_yaw(yaw))
+        kind, size = Marker.CYLINDER, (2.0 * self._tolerance, 2.0 * self._tolerance, 0.01)
+        disc = marker(header, "goal", kind, colour, size, (x, y, 0.0))
+        kind, size = Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.2)
+        label = marker(header, "goal", kind, WHITE, size, (x, y, 0.4))
         label.text = "" if math.isnan(left) else f"{left:.2f} m"
-        for marker, height in ((arrow, 0.1), (disc, 0.0), (label, 0.4)):
-            marker.pose = Pose(Point(pose.position.x, pose.position.y, height), pose.orientation)
+        disc.id, label.id = 1, 2
         # RViz warns of a label without text.
         return [arrow, disc, label] if label.text else [arrow, disc]
 
@@ -181,19 +187,17 @@ class DriveToGoal(GoalNode):
 
     def __init__(self, parameters: DriveToGoalParameters):
         self._parameters = parameters
-        self._odometry: MessageQueue = MessageQueue(
-            parameters.odom, Odometry, _read_odometry, parameters.odom_rate
+        odometry = MessageQueue(
+            parameters.odom, Odometry, framed(planar_pose), parameters.odom_rate
         )
-        super().__init__(parameters.cmd_vel, [self._odometry])
+        super().__init__(parameters.cmd_vel, odometry)
         self._topics = GoalTopics(parameters.tolerance)
         self._refusals = Refusals()
-        self._frame = ""
         # The newest odometry, when it came, and whether the robot waits for the next one.
         self._pose: PlanarPose | None = None
         self._seen = rospy.Time(0)
         self._waiting = False
-        # The goal that was accepted, and the wall time until which it waits for its frame.
-        self._target: PoseStamped | None = None
+        # Wall time until which the goal that was accepted waits for its frame.
         self._deadline = 0.0
         # The command at the end of the goal before.
         self._moving = STANDSTILL
@@ -201,9 +205,9 @@ class DriveToGoal(GoalNode):
         # Goals that have come, but are not accepted yet.
         self._pending: deque[GoalID] = deque()
         self._odometry.open()
-        self._server = GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
-        self._server.start()
-        self._servers = [self._server]
+        self._servers.append(
+            GoalServer(ACTION, MoveBaseAction, self._receive_goal, self._sender.stop)
+        )
         self._goals = rospy.Subscriber(
             SIMPLE_GOAL, PoseStamped, self._receive_simple_goal, queue_size=10
         )
@@ -217,19 +221,16 @@ class DriveToGoal(GoalNode):
 
     def _receive_simple_goal(self, message: PoseStamped) -> None:
         try:
-            self._frames.planar(message, self._await_frame())
+            # The first message of the odometry has the frame.
+            holds_within(lambda: self._frame, PATIENCE)
+            self._frames.planar(message, self._known_frame())
         except LabError as error:
             self._refusals.refuse(SIMPLE_GOAL, str(error))
             goal_id = GoalIDGenerator().generate_ID()
             self._topics.report(goal_id, GoalStatus.REJECTED, f"refused: {error}")
             return
         goal = MoveBaseActionGoal(header=message.header, goal=MoveBaseGoal(message))
-        self._server.action_server.internal_goal_callback(goal)
-
-    def _await_frame(self) -> str:
-        """Wait for the frame of the odometry; raises OdometryError if none comes."""
-        holds_within(lambda: self._frame, PATIENCE)
-        return self._known_frame()
+        self._servers[0].internal_goal_callback(goal)
 
     def _known_frame(self) -> str:
         if not self._frame:
@@ -239,12 +240,14 @@ class DriveToGoal(GoalNode):
 
     # The loop
 
-    def _tick(self, now: rospy.Time, seconds: float) -> None:
-        ticket = self._sender.ticket()
-        self._handle_requests(now)
-        self._odometry.wait(now)
-        self._take_odometry(now)
-        if self._driver is None and self._server.is_active():
+    def _tick(self, now: rospy.Time, seconds: float, ticket: int) -> None:
+        odometry = self._take_odometry(now)
+        if odometry:
+            self._pose, self._seen = odometry[-1], now
+            if self._waiting:
+                self._waiting = False
+                rospy.loginfo("odometry is back")
+        if self._driver is None and self._server is not None:
             self._begin(now)
         if self._driver is None or not self._has_fresh_odometry(now):
             return
@@ -257,31 +260,26 @@ class DriveToGoal(GoalNode):
             text = f"there, {left:.3f} m and {abs(turn):.1f} degrees from the goal"
             self._end(now, GoalStatus.SUCCEEDED, text)
 
-    def _handle_requests(self, now: rospy.Time) -> None:
-        if self._server.is_new_goal_available():
-            self._accept(now)
-        if self._server.is_cancelled:
-            self._end(now, GoalStatus.PREEMPTED, "cancelled on request")
+    def _replace(self, now: rospy.Time) -> None:
+        """End the goal, but not the motion: that of the next goal begins with it."""
+        moving = STANDSTILL if self._driver is None else self._driver.moving
+        self._end(now, GoalStatus.PREEMPTED, REPLACED, stop=False)
+        self._moving = moving
 
     def _accept(self, now: rospy.Time) -> None:
-        why = "replaced by another goal"
-        self._moving = STANDSTILL if self._driver is None else self._driver.moving
-        if self._server.is_active():
-            self._end(now, GoalStatus.PREEMPTED, why, stop=False)
-        self._target = self._server.accept_new_goal().target_pose
-        accepted = self._server.current_goal.get_goal_id().id
+        accepted = self._server.goal.get_goal_id().id
         while self._pending:
             goal_id = self._pending.popleft()
             if goal_id.id == accepted:
                 break
-            self._topics.report(goal_id, GoalStatus.RECALLED, why)
+            self._topics.report(goal_id, GoalStatus.RECALLED, REPLACED)
         self._deadline = time.monotonic() + PATIENCE
 
     def _begin(self, now: rospy.Time) -> None:
         """Start to drive, once the goal is known in the frame of the odometry."""
         try:
             frame = self._known_frame()
-            goal = self._frames.planar(self._target, frame, wait=False)
+            goal = self._frames.planar(self._goal.target_pose, frame, wait=False)
         except LabError as error:
             if self._moving != STANDSTILL:
                 # The robot still moves towards the goal before.
@@ -297,18 +295,9 @@ class DriveToGoal(GoalNode):
         self._waiting = False
         x, y, yaw = goal
         rospy.loginfo("driving to (%.2f, %.2f) m, %.0f degrees", x, y, math.degrees(yaw))
-        goal_id = self._server.current_goal.get_goal_id()
+        goal_id = self._server.goal.get_goal_id()
         self._topics.report(goal_id, GoalStatus.ACTIVE, "driving")
         self._topics.begin(now, frame, goal)
-
-    def _take_odometry(self, now: rospy.Time) -> None:
-        taken = self._odometry.take(now)
-        if taken:
-            self._frame, self._pose = taken[-1]
-            self._seen = now
-            if self._waiting:
-                self._waiting = False
-                rospy.loginfo("odometry is back")
 
     def _has_fresh_odometry(self, now: rospy.Time) -> bool:
         """Return whether the odometry is recent; if not, stop the robot, or abort the goal."""
@@ -326,34 +315,24 @@ class DriveToGoal(GoalNode):
         return False
 
     def _end(self, now: rospy.Time, status: int, text: str, stop: bool = True) -> None:
-        """End the goal, stop the robot, and report the outcome."""
-        begun = self._driver is not None
-        self._driver = None
+        begun, self._driver, self._moving = self._driver is not None, None, STANDSTILL
+        server, self._server = self._server, None
         if stop:
             self._sender.stop()
         log = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
         log("%s", text)
-        goal_id = self._server.current_goal.get_goal_id()
+        goal_id = server.goal.get_goal_id()
         if begun:
             self._topics.report(goal_id, status, text)
             self._topics.end(now, status, self._pose)
         else:
             self._topics.report(goal_id, NOT_BEGUN[status], text)
-        self._server.end(status, text=text)
+        server.end(status, text=text)
 
     def _time_was_set_back(self) -> None:
-        super()._time_was_set_back()
         self._pose = None
         self._seen = rospy.Time(0)
-        if self._server.is_active():
-            self._end(rospy.Time(0), GoalStatus.ABORTED, "simulated time was set back")
-
-
-def _read_odometry(message: Odometry) -> tuple[str, PlanarPose]:
-    frame = message.header.frame_id.lstrip("/")
-    if not frame:
-        raise OdometryError("no frame_id")
-    return frame, planar_pose(message)
+        super()._time_was_set_back()
 
 
 @node

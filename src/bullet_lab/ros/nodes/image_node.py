@@ -4,7 +4,7 @@ A node subscribes to the image and its camera_info only while one of its results
 It processes each image once, in order.
 
 A new detector is a subclass of `ImageNode` with its parameters, and an executable in scripts/;
-`bullet_lab.ros.nodes.harris_corners` is a short example.
+`bullet_lab.ros.nodes.features` has short examples.
 
 :ROS Parameters: see `ImageParameters` and those of the node
 :ROS Subscribers, while a result has a subscriber: ~image and its camera_info
@@ -17,30 +17,27 @@ A new detector is a subclass of `ImageNode` with its parameters, and an executab
 from __future__ import annotations
 
 import functools
+import math
+import statistics
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Mapping
+from typing import Any, Callable, Mapping, NamedTuple
 
 import cv2
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import CameraInfo, Image
 
 from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, private_parameters, run_node
-from bullet_lab.ros.node.publishers import (
-    Demand,
-    Diagnostics,
-    Health,
-    Traffic,
-    subscriber,
-)
+from bullet_lab.ros.node.node import Refusals, node
+from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.vision.drawing import draw_text
 
 # Larger than an image, so that old images do not collect in the socket.
@@ -49,6 +46,11 @@ _BUFFER_BYTES = 2**24
 _INFO_PATIENCE = 1.0
 # Wall seconds without an image until the diagnostics warn.
 _SILENCE = 1.5
+# Wall seconds between two checks for subscribers that have come, gone or died.
+_CHECK_SECONDS = 0.05
+# Wall seconds between two messages on /diagnostics, and over which rates are counted.
+_PERIOD = 1.0
+_WINDOW = 2.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,50 @@ class CameraImage:
         return pixels_of(self._message, "bgr8").copy()
 
 
+class Health(NamedTuple):
+    """A level of DiagnosticStatus, and a message."""
+
+    level: int
+    message: str
+
+
+class Traffic:
+    """Rate and latency of a node's results over the last two seconds of wall time."""
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._done: deque[tuple[float, float]] = deque()
+        self._total = 0
+
+    def note(self, seconds: float) -> None:
+        """Count a result, `seconds` after its input had arrived."""
+        with self._lock:
+            self._total += 1
+            self._done.append((time.monotonic(), seconds))
+
+    def figures(self) -> dict[str, str]:
+        """Return the number of results, their rate and latency as text."""
+        latencies = [seconds for _, seconds in self._recent()]
+        figures = {"frames": str(self._total), "frame rate (Hz)": f"{len(latencies) / _WINDOW:.1f}"}
+        if latencies:
+            figures["latency median (ms)"] = f"{1e3 * statistics.median(latencies):.1f}"
+            figures["latency max (ms)"] = f"{1e3 * max(latencies):.1f}"
+        return figures
+
+    @property
+    def silence(self) -> float:
+        """Wall seconds since the last result, at most two."""
+        recent = self._recent()
+        return time.monotonic() - recent[-1][0] if recent else _WINDOW
+
+    def _recent(self) -> list[tuple[float, float]]:
+        start = time.monotonic() - _WINDOW
+        with self._lock:
+            while self._done and self._done[0][0] < start:
+                self._done.popleft()
+            return list(self._done)
+
+
 class ImageNode(ABC):
     """The base class of nodes that process images.
 
@@ -110,18 +156,18 @@ class ImageNode(ABC):
         self._last_stamp: rospy.Time | None = None
         # To camera_info and to the images, while there is demand.
         self._subscribers: list[rospy.Subscriber] = []
-        self._demand = Demand(self._start, self._stop, always)
+        self._always = always
         self._traffic = Traffic()
         self._refusals = Refusals()
         self._trouble = ""
         self._figures: Mapping[str, Any] = {}
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
-        self._publishers = {}
-        for topic, kind in topics.items():
+        self._publishers = {
             # Old images are of no use.
-            queue_size = 1 if kind in (Image, CameraInfo) else 10
-            self._publishers[topic] = self._demand.publisher(f"~{topic}", kind, queue_size)
-        self._diagnostics = Diagnostics(self.task, self._diagnose)
+            topic: publisher(f"~{topic}", kind, 1 if kind in (Image, CameraInfo) else 10)
+            for topic, kind in topics.items()
+        }
+        self._diagnostics = Publisher("/diagnostics", DiagnosticArray, queue_size=10)
 
     # For subclasses
 
@@ -161,17 +207,32 @@ class ImageNode(ABC):
 
     # Images
 
-    def start(self) -> None:
-        """Start; images are processed while a result has a subscriber."""
-        self._diagnostics.start()
-        self._demand.watch()
+    def run(self) -> None:
+        """Process images while a result has a subscriber, until ROS shuts down."""
         what = f"a subscriber to a result and a publisher of {self.parameters.image}"
         join_when(self._is_connected, what)
+        reported = -math.inf
+        while not rospy.is_shutdown():
+            self._follow_demand()
+            if time.monotonic() - reported >= _PERIOD:
+                reported = time.monotonic()
+                self._report()
+            time.sleep(_CHECK_SECONDS)
 
     def _is_connected(self) -> bool:
-        with self._lock:
-            counts = [one.get_num_connections() for one in self._subscribers]
+        self._follow_demand()
+        counts = [one.get_num_connections() for one in self._subscribers]
         return bool(counts) and all(counts)
+
+    def _follow_demand(self) -> None:
+        """Subscribe when the first subscriber to a result comes, and unsubscribe after the last."""
+        for one in self._publishers.values():
+            # rospy itself checks only when it writes whether a subscriber is alive.
+            if one.has_connections():
+                one.impl.check()
+        wanted = self._always or any(one.has_connections() for one in self._publishers.values())
+        if wanted != bool(self._subscribers):
+            (self._start if wanted else self._stop)()
 
     def _start(self) -> None:
         with self._lock:
@@ -186,10 +247,9 @@ class ImageNode(ABC):
             self._subscribers = [info, images]
 
     def _stop(self) -> None:
-        with self._lock:
-            subscribers, self._subscribers = self._subscribers, []
-        for one in subscribers:
+        for one in self._subscribers:
             one.unregister()
+        self._subscribers = []
 
     def _receive_info(self, message: CameraInfo) -> None:
         with self._lock:
@@ -229,18 +289,25 @@ class ImageNode(ABC):
                 self._waits_for_info = self._info is not None
             return self._info
 
-    def _diagnose(self) -> Health:
+    def _report(self) -> None:
+        """Publish the health of the node.
+
+        diagnostic_updater measures its period and its rates in ROS time, which passes a hundred
+        times as fast at full speed, and not at all while the simulation is paused.
+        """
         figures = {**self._traffic.figures(), **self._figures, "refused": self._refusals.total}
-        values = {key: str(value) for key, value in figures.items()}
-        return self._verdict()._replace(values=values)
+        values = [KeyValue(key, str(value)) for key, value in figures.items()]
+        level, line = self._verdict()
+        name = f"{rospy.get_name().lstrip('/')}: {self.task}"
+        message = DiagnosticArray(status=[DiagnosticStatus(level, name, line, "", values)])
+        message.header.stamp = rospy.Time.now()
+        self._diagnostics.publish(message)
 
     def _verdict(self) -> Health:
-        if not self._demand.is_there:
+        if not self._subscribers:
             return Health(DiagnosticStatus.OK, "idle: no subscriber")
         if self._traffic.silence > _SILENCE:
-            with self._lock:
-                known = any(one.get_num_connections() for one in self._subscribers[1:])
-            reason = "no messages" if known else "no publisher"
+            reason = "no messages" if self._subscribers[1].get_num_connections() else "no publisher"
             topic = self.parameters.image
             return Health(DiagnosticStatus.WARN, f"no image on {topic}: {reason}")
         if self._trouble:
@@ -261,16 +328,7 @@ class ViewCamera(ImageNode):
         return {"size": size, "mean grey level": f"{image.grey.mean():.0f}"}
 
 
-def run_image_node(name: str, kind: type, node: Callable[[Any], ImageNode]) -> None:
-    """Run a node that processes images; `kind` is the class of its parameters."""
-
-    def body() -> None:
-        node(private_parameters(kind)).start()
-        rospy.spin()
-
-    run_node(name, body)
-
-
-def view_camera() -> None:
-    """Run the node view_camera."""
-    run_image_node("view_camera", ImageParameters, ViewCamera)
+@node
+def view_camera(parameters: ImageParameters) -> None:
+    """Run until ROS shuts down."""
+    ViewCamera(parameters).run()

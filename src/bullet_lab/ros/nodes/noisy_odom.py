@@ -18,7 +18,7 @@ from typing import Sequence
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
@@ -44,9 +44,10 @@ from bullet_lab.noise.systematic import (
     SystematicSpread,
     SystematicStep,
 )
+from bullet_lab.ros.messages.poses import marker
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_numbers
+from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_twist
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
@@ -54,6 +55,7 @@ from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 # Indices of x, y and yaw in the 6x6 covariances of ROS (REP 103).
 PLANAR_AXES = (0, 1, 5)
 QUEUE_SIZE = 100
+BLUE = ColorRGBA(0.0, 0.45, 0.7, 1.0)
 
 
 @dataclass(frozen=True)
@@ -108,18 +110,15 @@ class NoisyOdometry:
 
     def odom_callback(self, msg: Odometry) -> None:
         """Take the next message; refuse one that is invalid or has other frames than the first."""
-        try:
-            check_numbers(msg)
+        with self._refusals.on(self._topic):
+            check_twist(msg)
             pose = self._frames.check(msg)
             if self.msg is not None:
                 self._check_time(msg)
-        except OdometryError as error:
-            self._refusals.refuse(self._topic, str(error))
-            return
-        self.msg = msg
-        reported = self._systematic.update(*pose)
-        if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
-            self.compute_noise(msg, reported)
+            self.msg = msg
+            reported = self._systematic.update(*pose)
+            if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
+                self.compute_noise(msg, reported)
 
     def compute_noise(self, msg: Odometry, reported: SystematicStep) -> None:
         """Publish a message with noise, from its pose with systematic errors, `reported`."""
@@ -131,7 +130,9 @@ class NoisyOdometry:
             self.pose = step.pose
             noisy = _at(msg, self.pose)
             errors = (reported.motion_error, step.motion_error)
-            _add_noise(noisy, step, errors, self._seconds_since_last(msg))
+            last = self.last_odom
+            seconds = None if last is None else (msg.header.stamp - last.header.stamp).to_sec()
+            _add_noise(noisy, step, errors, seconds)
             _add_covariance(noisy.pose.covariance, self._systematic.covariance, 1.0)
         self.last_odom = msg
         self.pub.publish(noisy)
@@ -173,11 +174,6 @@ class NoisyOdometry:
             self._published.restart()
             if self._sampler is not None:
                 self._sampler.restart()
-
-    def _seconds_since_last(self, msg: Odometry) -> float | None:
-        if self.last_odom is None:
-            return None
-        return (msg.header.stamp - self.last_odom.header.stamp).to_sec()
 
 
 def _service_name(namespace: str) -> str:
@@ -242,13 +238,10 @@ def _add_covariance(entries: list[float], covariance, factor: float) -> None:
 
 def ellipse_marker(noisy: Odometry, covariance: np.ndarray) -> Marker:
     """Return the 95 % ellipse around a noisy pose, by its 3x3 covariance (m, m, rad)."""
-    marker = Marker(header=noisy.header, ns="noisy_odom", type=Marker.LINE_STRIP)
-    marker.pose.position = noisy.pose.pose.position
-    marker.pose.orientation.w = 1.0
-    marker.scale.x = 0.01
-    marker.color = ColorRGBA(0.0, 0.45, 0.7, 1.0)
-    marker.points = [Point(x, y, 0.0) for x, y in ellipse_points(covariance).tolist()]
-    return marker
+    place = noisy.pose.pose.position
+    points = [(x, y, 0.0) for x, y in ellipse_points(covariance).tolist()]
+    width, centre = (0.01, 0.0, 0.0), (place.x, place.y, place.z)
+    return marker(noisy.header, "noisy_odom", Marker.LINE_STRIP, BLUE, width, centre, points)
 
 
 @node

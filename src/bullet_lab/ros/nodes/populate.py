@@ -16,7 +16,7 @@ import itertools
 import math
 import os
 from dataclasses import dataclass
-from typing import Any, Collection, List, Tuple
+from typing import Any, Collection
 from xml.sax.saxutils import escape
 
 import rospy
@@ -53,10 +53,10 @@ FRAME = "world"
 # m
 ROBOT_RADIUS = 0.3
 # The three beacons of the report.
-BEACONS: Tuple[se2.PlanarPose, ...] = ((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0))
+BEACONS: tuple[se2.PlanarPose, ...] = ((1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0))
 
 
-def accept_poses(value: Any) -> Tuple[se2.PlanarPose, ...]:
+def accept_poses(value: Any) -> tuple[se2.PlanarPose, ...]:
     """Return the poses of a list of [x, y] or [x, y, yaw]; raises ValueError or TypeError."""
     poses = []
     for entry in value:
@@ -86,7 +86,7 @@ class PopulateParameters(DepopulateParameters):
     pattern: str = choice(
         "poses", "how they are arranged", ("poses", "line", "grid", "circle")
     )
-    poses: Tuple[se2.PlanarPose, ...] = checked(
+    poses: tuple[se2.PlanarPose, ...] = checked(
         BEACONS,
         "their poses, for the pattern poses",
         "a list of [x, y] or [x, y, yaw] with finite numbers in m and rad",
@@ -95,7 +95,7 @@ class PopulateParameters(DepopulateParameters):
     count: int = integer(3, "how many, for the other patterns", 1, 100_000)
     spacing: float = number(1.0, "m between neighbours in a line or grid", above=0.0)
     radius: float = number(3.0, "of the circle, in m", above=0.0)
-    origin: Tuple[float, ...] = number_list(
+    origin: tuple[float, ...] = number_list(
         (0.0, 0.0, 0.0), "displacement of the pattern: x y z in m"
     )
     name: str = text("", "name of the model, if it is only one")
@@ -117,7 +117,7 @@ class PlaceBeaconParameters:
     )
 
 
-def places_of(parameters: PopulateParameters) -> List[se2.PlanarPose]:
+def places_of(parameters: PopulateParameters) -> list[se2.PlanarPose]:
     """Return the poses of the models in the frame that ~origin gives."""
     if parameters.pattern == "line":
         return se2.line(parameters.count, parameters.spacing)
@@ -128,7 +128,7 @@ def places_of(parameters: PopulateParameters) -> List[se2.PlanarPose]:
     return list(parameters.poses)
 
 
-def names_of(parameters: PopulateParameters) -> List[str]:
+def names_of(parameters: PopulateParameters) -> list[str]:
     """Return the names of the models; raises ParameterError if ~name is for several models."""
     count = len(places_of(parameters))
     if not parameters.name:

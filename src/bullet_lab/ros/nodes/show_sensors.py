@@ -14,19 +14,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Iterable, Iterator, List
+from typing import Iterable, Iterator
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import AccelStamped, Point, Vector3, Wrench, WrenchStamped
+from geometry_msgs.msg import AccelStamped, Vector3, Wrench, WrenchStamped
 from sensor_msgs.msg import Imu
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
-from bullet_lab.ros.messages.poses import InputError, vector_of
+from bullet_lab.ros.messages.poses import InputError, marker, vector_of
 from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.publishers import Publisher
 
@@ -77,7 +77,7 @@ class ShowSensors:
             self._acceleration.publish(shown)
 
 
-def last_states(message: msg.ContactsState) -> List[msg.ContactState]:
+def last_states(message: msg.ContactsState) -> list[msg.ContactState]:
     """Return the states of the last step in a bumper's message, which has those of each step.
 
     The times are in `info`; without them, all states are returned.
@@ -103,7 +103,8 @@ def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker
     Raises:
         InputError: a number is not finite, or a point has no normal or force.
     """
-    yield Marker(header=message.header, action=Marker.DELETEALL)
+    header = message.header
+    yield Marker(header=header, action=Marker.DELETEALL)
     number = 0
     for state in last_states(message):
         count = len(state.contact_positions)
@@ -115,36 +116,23 @@ def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker
             start = vector_of(place, "a point of contact")
             normal = vector_of(normal, "a normal")
             force = vector_of(wrench.force, "a force")
-            point = _marker(message, "point", number, Marker.SPHERE, POINT)
-            point.pose.position = Point(*start)
-            point.scale = Vector3(0.03, 0.03, 0.03)
-            yield point
-            yield _arrow(message, "normal", number, start, normal, NORMAL_LENGTH, NORMAL)
+            drawn = [
+                marker(header, "point", Marker.SPHERE, POINT, (0.03, 0.03, 0.03), start),
+                _arrow(header, "normal", NORMAL, start, normal, NORMAL_LENGTH),
+            ]
             if math.hypot(*force) > LEAST_FORCE:
-                yield _arrow(message, "force", number, start, force, scale, FORCE)
+                drawn.append(_arrow(header, "force", FORCE, start, force, scale))
+            for one in drawn:
+                one.id = number
+                yield one
             number += 1
 
 
-def _marker(message: Any, name: str, number: int, kind: int, colour: ColorRGBA) -> Marker:
-    marker = Marker(header=message.header, ns=name, id=number, type=kind, color=colour)
-    marker.pose.orientation.w = 1.0
-    return marker
-
-
 def _arrow(
-    message: Any,
-    name: str,
-    number: int,
-    start: Vector,
-    along: Vector,
-    scale: float,
-    colour: ColorRGBA,
+    header: Header, name: str, colour: ColorRGBA, start: Vector, along: Vector, scale: float
 ) -> Marker:
-    marker = _marker(message, name, number, Marker.ARROW, colour)
-    end = (first + scale * part for first, part in zip(start, along))
-    marker.points = [Point(*start), Point(*end)]
-    marker.scale = Vector3(0.01, 0.02, 0.0)
-    return marker
+    end = np.add(start, np.multiply(scale, along)).tolist()
+    return marker(header, name, Marker.ARROW, colour, (0.01, 0.02, 0.0), points=(start, end))
 
 
 def _sum(vectors: Iterable[Vector]) -> Vector3:

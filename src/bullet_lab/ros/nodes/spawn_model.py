@@ -150,19 +150,6 @@ def _wait_for(model: str, topic: str) -> None:
     subscriber.unregister()
 
 
-def _delete_at_the_end(arguments: argparse.Namespace) -> None:
-    """Wait until ROS shuts down, then delete the model."""
-
-    def delete() -> None:
-        # The simulation may have ended already.
-        with contextlib.suppress(rospy.ServiceException, rospy.ROSException):
-            service = f"{arguments.gazebo_namespace}/delete_model"
-            rospy.ServiceProxy(service, srv.DeleteModel)(arguments.model)
-
-    rospy.on_shutdown(delete)
-    rospy.spin()
-
-
 def main() -> None:
     """Run the node."""
     words = rospy.myargv(sys.argv)[1:]
@@ -175,9 +162,16 @@ def main() -> None:
         print(f"spawn_model: {error}", file=sys.stderr)
         sys.exit(USAGE_STATUS)
 
+    def delete() -> None:
+        # The simulation may have ended already.
+        with contextlib.suppress(rospy.ServiceException, rospy.ROSException):
+            service = f"{arguments.gazebo_namespace}/delete_model"
+            rospy.ServiceProxy(service, srv.DeleteModel)(arguments.model)
+
     def body() -> None:
         rospy.loginfo("spawn_model: %s", spawn(arguments))
         if arguments.bond:
-            _delete_at_the_end(arguments)
+            rospy.on_shutdown(delete)
+            rospy.spin()
 
     run_node("spawn_model", body)

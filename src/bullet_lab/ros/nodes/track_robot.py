@@ -19,7 +19,6 @@ from typing import Any, Union
 
 import rosgraph.names
 import rospy
-from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Header, String
@@ -28,6 +27,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.core.parameters import boolean, checked, text
 from bullet_lab.core.se2 import hypot
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
+from bullet_lab.ros.messages.poses import marker
 from bullet_lab.ros.node.lock_step import join_when
 from bullet_lab.ros.node.node import Refusals, node
 from bullet_lab.ros.node.odometry import FrameGuard
@@ -39,6 +39,8 @@ QUEUE_SIZE = 10
 # m; the labels are above the beacons of meshes/beacon.dae.
 LABEL_HEIGHT = 2.3
 LABEL_SIZE = 0.25
+LABEL_COLOUR = ColorRGBA(1.0, 0.55, 0.1, 1.0)
+RAY_COLOUR = ColorRGBA(0.84, 0.37, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -160,18 +162,13 @@ class TrackRobot:
         robot = msg.pose.pose.position
         markers = []
         for number, (beacon, dist) in enumerate(distances):
-            label = Marker(header=header, ns="label", id=number, type=Marker.TEXT_VIEW_FACING)
-            label.pose.position = Point(beacon.x, beacon.y, LABEL_HEIGHT)
-            label.scale.z = LABEL_SIZE
-            label.color = ColorRGBA(1.0, 0.55, 0.1, 1.0)
+            size, place = (0.0, 0.0, LABEL_SIZE), (beacon.x, beacon.y, LABEL_HEIGHT)
+            label = marker(header, "label", Marker.TEXT_VIEW_FACING, LABEL_COLOUR, size, place)
             label.text = f"{beacon.name}: {dist:.2f} m"
-            ray = Marker(header=header, ns="ray", id=number, type=Marker.LINE_LIST)
-            ray.points = [Point(robot.x, robot.y, 0.1), Point(beacon.x, beacon.y, 0.1)]
-            ray.scale.x = 0.03
-            ray.color = ColorRGBA(0.84, 0.37, 0.0, 1.0)
+            ends = ((robot.x, robot.y, 0.1), (beacon.x, beacon.y, 0.1))
+            ray = marker(header, "ray", Marker.LINE_LIST, RAY_COLOUR, (0.03, 0.0, 0.0), points=ends)
+            label.id = ray.id = number
             markers += [label, ray]
-        for marker in markers:
-            marker.pose.orientation.w = 1.0
         return MarkerArray(markers)
 
 

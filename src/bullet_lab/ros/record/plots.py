@@ -1,4 +1,4 @@
-"""The nodes that record and plot a job, except plot_vision; each runs one report.
+"""The nodes that record and plot a job; each runs one report.
 
 Some also publish the recorded paths for RViz.
 
@@ -14,11 +14,11 @@ import importlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Mapping
+from typing import Any, Mapping
 
 import rospy
 from actionlib import ActionClient, ClientGoalHandle, CommState
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -27,15 +27,17 @@ from bullet_lab.core.parameters import boolean, integer, name_list, number, numb
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.msg import DockAction, DockGoal
 from bullet_lab.noise.odometry_noise import derived_seed
-from bullet_lab.reports import Report
+from bullet_lab.reports import Report, save_all
 from bullet_lab.reports.dock import DockReport, Station
 from bullet_lab.reports.fleet import FleetReport
 from bullet_lab.reports.goal import Beacon, GoalReport
 from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
 from bullet_lab.reports.squares import SquaresReport
+from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
-from bullet_lab.ros.messages.poses import stamped_pose
-from bullet_lab.ros.node.node import NodeError, node
+from bullet_lab.ros.messages.poses import marker, stamped_pose
+from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.ros.node.node import NodeError, holds_within, node
 from bullet_lab.ros.node.odometry import own_frame
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock import docking_result
@@ -46,11 +48,14 @@ from bullet_lab.ros.record.recorder import (
     RecordParameters,
     RenewedParameters,
     TimedParameters,
+    reader_of,
 )
 from bullet_lab.simulation.world.description import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 
+# Number of images that the fastest detector may be ahead of the slowest.
+MOST_AHEAD = 100
 # Wall seconds for the markers of the world.
 WORLD_TIMEOUT_SECONDS = 60.0
 # The beacons of the report.
@@ -104,34 +109,22 @@ class FleetMarkers:
         for topic, frame in frames.items():
             robot, _, which = topic.rpartition("/")
             _, poses = report.robots[robot].series[which].table()
-            points = [Point(x, y, 0.0) for x, y, _ in poses.tolist()]
+            points = [(x, y, 0.0) for x, y, _ in poses.tolist()]
+            # Without a stamp, RViz uses the newest transform.
+            header = Header(frame_id=frame)
             if points:
-                markers.append(_line(topic, frame, points))
+                size, place = (LINE_WIDTH, 0.0, 0.0), (0.0, 0.0, HEIGHTS[which])
+                colour = COLOURS[which]
+                markers.append(
+                    marker(header, topic, Marker.LINE_STRIP, colour, size, place, points)
+                )
             if points and which == "odom":
-                markers.append(_label(topic, frame, points[-1]))
+                # The name of the robot is at the end of its perfect path.
+                size, place = (0.0, 0.0, LABEL_SIZE), (*points[-1][:2], LABEL_HEIGHT)
+                kind, name = Marker.TEXT_VIEW_FACING, f"{topic}/label"
+                markers.append(marker(header, name, kind, WHITE, size, place))
+                markers[-1].text = robot
         self._publisher.publish(MarkerArray(markers))
-
-
-def _line(topic: str, frame: str, points: list[Point]) -> Marker:
-    which = topic.rpartition("/")[2]
-    # Without a stamp, RViz uses the newest transform.
-    marker = Marker(ns=topic, type=Marker.LINE_STRIP, color=COLOURS[which], points=points)
-    marker.header.frame_id = frame
-    marker.pose.orientation.w = 1.0
-    marker.pose.position.z = HEIGHTS[which]
-    marker.scale.x = LINE_WIDTH
-    return marker
-
-
-def _label(topic: str, frame: str, last: Point) -> Marker:
-    """Return a label with the name of a robot, at the end of its perfect path."""
-    marker = Marker(ns=f"{topic}/label", type=Marker.TEXT_VIEW_FACING, color=WHITE)
-    marker.header.frame_id = frame
-    marker.pose.orientation.w = 1.0
-    marker.pose.position = Point(last.x, last.y, LABEL_HEIGHT)
-    marker.text, _, _ = topic.rpartition("/")
-    marker.scale.z = LABEL_SIZE
-    return marker
 
 
 @dataclass(frozen=True)
@@ -389,3 +382,70 @@ def _docking_request(
         return handles[0].get_comm_state() != CommState.WAITING_FOR_GOAL_ACK
 
     return GoalRequest("dock", is_connected, send, is_taken)
+
+
+@dataclass(frozen=True)
+class PlotVisionParameters(RecordParameters):
+    """Private parameters of plot_vision."""
+
+    out: str = text("results/vision", "folder for the files")
+    settle: float = number(1.0, "simulated seconds before the image", minimum=0.0)
+    timeout: float = number(90.0, "wall seconds to wait for all results", above=0.0)
+
+
+@node
+def plot_vision(parameters: PlotVisionParameters) -> None:
+    """Save the results of the five detectors for one image, side by side as in figure 7.
+
+    :ROS Subscribers:
+        - view_camera/image_annotated, canny_edges/edges, good_features/image_annotated,
+          harris_corners/image_annotated, aruco/image_annotated (sensor_msgs/Image)
+        - good_features/points, harris_corners/points (bullet_lab/ImagePoints)
+        - aruco/detections (bullet_lab/MarkerDetectionArray)
+
+    Writes a picture of each detector, marker.png if one is found, side_by_side.png, summary.json.
+    """
+    report = VisionReport(Path(parameters.out))
+    report.about = parameters.about
+    messages = first_image(report.topics, parameters.settle, parameters.timeout)
+    for topic, message in messages.items():
+        _, read = reader_of(report.topics[topic])
+        report.take(topic, read(message))
+    summary = save_all(report, True)
+    for name, line in report.found.items():
+        rospy.loginfo("%s: %s", name, line)
+    rospy.loginfo("%s", report.line(summary))
+
+
+def first_image(topics: Mapping[str, str], settle: float, timeout: float) -> dict[str, Any]:
+    """Return a message of each topic, all with the stamp of the first image that all answered.
+
+    Images before `settle` simulated seconds are ignored. Raises NodeError after `timeout` wall
+    seconds.
+    """
+    # Imported late: the first job, squares, runs before it is installed.
+    import message_filters
+
+    silent, found = set(topics), []
+
+    def take(*messages: Any) -> None:
+        if messages[0].header.stamp.to_sec() >= settle:
+            found.append(dict(zip(topics, messages)))
+
+    filters = [
+        message_filters.Subscriber(topic, reader_of(kind)[0], tcp_nodelay=True)
+        for topic, kind in topics.items()
+    ]
+    for topic, one in zip(topics, filters):
+        one.registerCallback(lambda _, topic=topic: silent.discard(topic))
+    message_filters.TimeSynchronizer(filters, MOST_AHEAD).registerCallback(take)
+    subscribers = [one.sub for one in filters]
+    join_when(lambda: all(one.get_num_connections() for one in subscribers), "the detectors")
+    if not holds_within(lambda: found, timeout):
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
+        what = ", ".join(topic for topic in topics if topic in silent) or "results of one image"
+        raise NodeError(f"nothing on {what} within {timeout:g} s")
+    for one in subscribers:
+        one.unregister()
+    return found[0]

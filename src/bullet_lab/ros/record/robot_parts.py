@@ -238,25 +238,26 @@ def choose(
     Args:
         models: of the world.
         name: of the robot; if empty, models that can be driven come first, then those with
-            plugins, each in the order of their names.
+            plugins, then those that move, each in the order of their names.
         drives: the topics with velocities that the simulator subscribes to.
         of_world_file: whether a model of the world file may be chosen if nothing was spawned:
             one that moves and has plugins, if something can be driven.
     """
     if name:
         return next((model for model in models if model.name == name), None)
-    there = sorted(models, key=lambda model: (model.is_static, model.name))
-    found = [model for model in there if not model.of_world_file]
+    found = [model for model in models if not model.of_world_file]
     if of_world_file and drives and not found:
-        found = [model for model in there if model.plugins and not model.is_static]
-    with_plugins = [model for model in found if model.plugins]
-    return next(iter([*drivable(found, drives), *with_plugins, *found]), None)
+        found = [model for model in models if model.plugins and not model.is_static]
+
+    def rank(model: ModelDescription) -> tuple[bool, bool, bool, str]:
+        return not is_drivable(model, drives), not model.plugins, model.is_static, model.name
+
+    return min(found, key=rank, default=None)
 
 
-def drivable(models: Iterable[ModelDescription], drives: Iterable[str]) -> list[ModelDescription]:
-    """Return the models with a plugin that takes velocities, by name."""
-    found = [m for m in models if set(drives) & {t for p in m.plugins for t in p.inputs}]
-    return sorted(found, key=lambda model: model.name)
+def is_drivable(model: ModelDescription, drives: Iterable[str]) -> bool:
+    """Return whether a plugin of the model takes velocities."""
+    return any(topic in drives for plugin in model.plugins for topic in plugin.inputs)
 
 
 def candidates(models: Iterable[ModelDescription]) -> str:
@@ -315,7 +316,9 @@ def robot_of(
         drive=drive,
         odometry=odometry,
         said=tuple(w for w in warnings if not any(f"'{name}'" in w for name in of_world)),
-        choice=tuple(other.name for other in drivable([model, *alternatives], drives)),
+        choice=tuple(
+            sorted(one.name for one in [model, *alternatives] if is_drivable(one, drives))
+        ),
     )
 
 

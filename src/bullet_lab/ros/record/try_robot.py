@@ -214,9 +214,7 @@ class Trial:
         start = self._rate.now
         self._observe()
         for tick in range(1, round((LATEST * seconds + STAND) * COMMANDS) + 1):
-            self._sender.send(velocity)
-            self._rate.sleep()
-            self._observe()
+            self._tick(velocity)
             leg.late = not leg.is_done(self._pauses)
             if tick % COMMANDS == 0:
                 touched.update(self._model().touches)
@@ -233,10 +231,13 @@ class Trial:
 
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds * COMMANDS)):
-            if self._robot.drive:
-                self._sender.send((0.0, 0.0))
-            self._rate.sleep()
-            self._observe()
+            self._tick((0.0, 0.0))
+
+    def _tick(self, velocity: tuple[float, float]) -> None:
+        if self._robot.drive:
+            self._sender.send(velocity)
+        self._rate.sleep()
+        self._observe()
 
     def _observe(self) -> None:
         """Record the robot's true pose, and add it and the odometry to the displacements."""
@@ -251,9 +252,9 @@ class Trial:
         self._report.take(TRUTH, Reading(self._now(), true))
         odometry = self._newest_odometry() if self._robot.odometry else None
         if self._leg is not None:
-            self._leg.truth.add(true)
+            self._leg.truth.append(true)
             if odometry is not None:
-                self._leg.odometry.add(odometry)
+                self._leg.odometry.append(odometry)
 
     def _newest_odometry(self) -> PlanarPose | None:
         """Return the newest odometry; None while it pauses, which is waited for only once."""

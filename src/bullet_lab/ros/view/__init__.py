@@ -1,1 +1,1 @@
-"""The view's node: it shows topics and TF on the web page and publishes what the user commands."""
+"""The view in a browser: the page, what it shows of topics and TF, what the user commands."""

@@ -5,28 +5,27 @@ A display subscribes when it is made, and until it is closed. `tick` reads and s
 
 from __future__ import annotations
 
-import functools
-import logging
 import math
 import struct
-from abc import ABC, abstractmethod
+import time
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Iterable, List, Optional, Set, Tuple
+from typing import Any, Callable, Iterable
 
+import cv2
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
-from sensor_msgs.msg import LaserScan, Range
+from sensor_msgs.msg import Image, LaserScan, PointCloud2, PointField, Range
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.se2 import ellipse_points
-from bullet_lab.errors import LabError
+from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.messages.poses import normalised_pose
+from bullet_lab.ros.node.node import Refusals
 from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.scene import PointsNode, Polyline, rgb, segments, segments_node, wxyz
 from bullet_lab.ros.view.subscription import MessageError, Subscription, reader_of
-from bullet_lab.view.scene import PointsNode, Polyline, rgb, segments, segments_node, wxyz
 
-LOG = logging.getLogger(__name__)
 # The colours of all figures: perfect paths are orange, noisy ones blue, and plans green.
 PERFECT = (0.90, 0.62, 0.0)
 NOISY = (0.0, 0.45, 0.70)
@@ -49,11 +48,29 @@ MAX_RAYS = 1440
 FLEET_PATHS = "/fleet_paths"
 ARC_POINTS = 12
 ELLIPSE_POINTS = 37
+# Encodings of depth images, with m per unit; far points are drawn darker.
+DEPTHS = {"32FC1": (np.float32, 1.0), "16UC1": (np.uint16, 0.001)}
+MAX_DEPTH = 10.0
+MAX_WIDTH = 640
+FIELD_TYPES = {
+    PointField.INT8: "i1",
+    PointField.UINT8: "u1",
+    PointField.INT16: "i2",
+    PointField.UINT16: "u2",
+    PointField.INT32: "i4",
+    PointField.UINT32: "u4",
+    PointField.FLOAT32: "f4",
+    PointField.FLOAT64: "f8",
+}
+# Larger clouds are thinned out, for the network and for the browser.
+MAX_POINTS = 8000
+CLOUD_POINT_SIZE = 0.015
+GREY = 128
 NO_POINTS = np.zeros((0, 3))
 
 
-class Display(ABC):
-    """Shows one topic; `read` and `large` are those of `Subscription`."""
+class Display:
+    """Shows one topic; `read` and `options` are those of `Subscription`."""
 
     # Whether it stays on the page after the publisher has exited.
     stays = False
@@ -63,13 +80,13 @@ class Display(ABC):
         context: DisplayContext,
         topic: str,
         read: Callable[[bytes], Any],
-        large: bool = False,
+        **options: bool,
     ):
         self.context = context
         self.node = f"/topics{topic}"
-        self._subscription = Subscription(topic, read, large=large)
-        # All that it shows, which `set` of no points hides.
-        self._parts: List[Any] = []
+        self._subscription = Subscription(topic, read, **options)
+        # All that it shows.
+        self._parts: list[Any] = []
 
     def tick(self) -> None:
         """Show the newest message; raises LabError if it cannot be shown."""
@@ -77,7 +94,6 @@ class Display(ABC):
         if message is not None:
             self.show(message)
 
-    @abstractmethod
     def show(self, message: Any) -> None:
         """Show a message as `read` returns it."""
 
@@ -85,7 +101,7 @@ class Display(ABC):
         """Unsubscribe, and show nothing."""
         self._subscription.close()
         for part in self._parts:
-            part.set(NO_POINTS)
+            part.remove()
 
 
 def is_noisy(topic: str) -> bool:
@@ -107,14 +123,14 @@ class PathDisplay(Display):
         self._waypoints = _cloud(context, f"{self.node}/points", colour, 2.0 * POINT_SIZE)
         self._parts = [self._line, self._waypoints]
 
-    def show(self, message: Tuple[str, np.ndarray]) -> None:  # noqa: D102 - inherited
+    def show(self, message: tuple[str, np.ndarray]) -> None:  # noqa: D102 - inherited
         frame, positions = message
         points = placed(self.context.pose_of(frame), positions) + (0.0, 0.0, self._height)
         self._line.set(points)
         self._waypoints.set(points if self._is_plan else NO_POINTS)
 
 
-def read_path(data: bytes) -> Tuple[str, np.ndarray]:
+def read_path(data: bytes) -> tuple[str, np.ndarray]:
     """Return frame and positions (n, 3), m, of a serialised nav_msgs/Path; raises MessageError.
 
     The positions are read from the bytes, as a path may have thousands of poses, and genpy makes
@@ -160,17 +176,11 @@ class OdometryDisplay(Display):
         self._parts = [self._line, self._ellipse]
         self._trail = np.zeros((MAX_TRAIL, 3), np.float32)
         self._count = 0
-        self._last: Any = None
 
     def show(self, message: Odometry) -> None:  # noqa: D102 - inherited
         frame, covariance = message.header.frame_id, message.pose.covariance
-        pose = normalised_pose(message.pose.pose)
-        shown = (frame, pose, covariance)
-        if shown == self._last:
-            return
-        self._last = shown
         frame_pose = self.context.pose_of(frame)
-        x, y, _ = (frame_pose * pose).position
+        x, y, _ = (frame_pose * normalised_pose(message.pose.pose)).position
         position = (x, y, self._height)
         self._extend_trail(position)
         ellipse = _ellipse(covariance[0], covariance[1], covariance[7])
@@ -187,7 +197,6 @@ class OdometryDisplay(Display):
         self._line.set(self._trail[: self._count])
 
 
-@functools.lru_cache(maxsize=256)
 def _ellipse(xx: float, xy: float, yy: float) -> np.ndarray:
     """Return points (n, 3) of the ellipse of a covariance (m²); none if it is not definite."""
     if not math.isfinite(xx + xy + yy) or xx <= 0.0 or xx * yy <= xy * xy:
@@ -207,21 +216,16 @@ class ScanDisplay(Display):
     def show(self, message: LaserScan) -> None:  # noqa: D102 - inherited
         start, step = message.angle_min, message.angle_increment
         finite(np.array((start, step, message.range_min)), "the scan")
-        count = len(message.ranges)
-        every = max(1, math.ceil(count / MAX_RAYS))
+        every = max(1, math.ceil(len(message.ranges) / MAX_RAYS))
         ranges = np.array(message.ranges[::every])
         hits = (ranges >= message.range_min) & (ranges < message.range_max)
-        points = _rays(start, step, count, every)[hits] * ranges[hits, None]
+        rays = _directions(start + every * step * np.arange(len(ranges)))
+        points = rays[hits] * ranges[hits, None]
         self._points.set(placed(self.context.pose_of(message.header.frame_id), points))
 
 
-@functools.lru_cache(maxsize=64)
-def _rays(start: float, step: float, count: int, every: int) -> np.ndarray:
-    """Return unit vectors (n, 3) along one in `every` rays of a laser."""
-    return _directions(start + step * np.arange(0, count, every))
-
-
 def _directions(angles: np.ndarray) -> np.ndarray:
+    """Return horizontal unit vectors (n, 3)."""
     return np.column_stack((np.cos(angles), np.sin(angles), np.zeros(len(angles))))
 
 
@@ -237,7 +241,7 @@ class RangeDisplay(Display):
         reach = min(message.range, message.max_range)
         # A sensor that measures in all directions has no cone.
         if not (math.isfinite(reach) and reach > 0.0 and message.field_of_view > 0.0):
-            self._lines.set(NO_POINTS)
+            self._lines.remove()
             return
         half = 0.5 * min(message.field_of_view, math.pi)
         level = _directions(np.linspace(-half, half, ARC_POINTS))
@@ -253,24 +257,18 @@ class PoseDisplay(Display):
 
     def __init__(self, context: DisplayContext, topic: str):
         super().__init__(context, topic, reader_of(PoseStamped))
-        self._axes: Any = None
+        self._axes = context.scene.add_frame(
+            self.node, axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False
+        )
+        self._parts = [self._axes]
 
     def show(self, message: PoseStamped) -> None:  # noqa: D102 - inherited
         turn = message.pose.orientation
         if not any((turn.x, turn.y, turn.z, turn.w)):
             return
         pose = self.context.pose_of(message.header.frame_id) * normalised_pose(message.pose)
-        if self._axes is None:
-            self._axes = self.context.scene.add_frame(
-                self.node, axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS
-            )
-        self._axes.position = pose.position
-        self._axes.wxyz = wxyz(pose)
-
-    def close(self) -> None:  # noqa: D102 - inherited
-        super().close()
-        if self._axes is not None:
-            self._axes.remove()
+        self._axes.position, self._axes.wxyz = pose.position, wxyz(pose)
+        self._axes.visible = True
 
 
 def _cloud(context: DisplayContext, name: str, colour: Vector, size: float) -> PointsNode:
@@ -308,6 +306,118 @@ def placed(pose: Pose, points: np.ndarray) -> np.ndarray:
     return points @ pose.rotation_matrix().T + pose.position
 
 
+class CameraDisplay:
+    """Shows the images of one topic at a limited rate.
+
+    Args:
+        show: takes an image (h, w, 3) uint8 RGB.
+        rate: images per second at most.
+    """
+
+    def __init__(self, show: Callable[[np.ndarray], None], rate: float):
+        self._show = show
+        self._period = 1.0 / rate
+        self._topic = ""
+        self._subscription: Subscription | None = None
+        self._last = -math.inf
+
+    def follow(self, topic: str) -> None:
+        """Show the images of a topic; none if it is empty."""
+        if topic == self._topic:
+            return
+        self.close()
+        self._topic = topic
+        if topic:
+            self._subscription = Subscription(topic, reader_of(Image, visible), large=True)
+
+    def tick(self) -> None:
+        """Show the newest image."""
+        if self._subscription is None or time.monotonic() - self._last < self._period:
+            return
+        pixels = self._subscription.newest()
+        if pixels is not None:
+            self._last = time.monotonic()
+            self._show(pixels)
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        if self._subscription is not None:
+            self._subscription.close()
+        self._subscription = None
+        self._topic = ""
+
+
+def visible(message: Image) -> np.ndarray:
+    """Return an image as (h, w, 3) uint8 RGB, scaled down if wide; raises ImageError."""
+    if message.encoding in DEPTHS:
+        pixels = cv2.cvtColor(_grey_of_depths(message), cv2.COLOR_GRAY2RGB)
+    else:
+        pixels = cv2.cvtColor(pixels_of(message, "bgr8"), cv2.COLOR_BGR2RGB)
+    height, width = pixels.shape[:2]
+    if width > MAX_WIDTH:
+        size = (MAX_WIDTH, max(1, height * MAX_WIDTH // width))
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return pixels
+
+
+def _grey_of_depths(message: Image) -> np.ndarray:
+    kind, metres = DEPTHS[message.encoding]
+    rows = pixels_of(message, message.encoding).astype(kind) * metres
+    rows = np.nan_to_num(rows, nan=MAX_DEPTH, posinf=MAX_DEPTH)
+    return (255.0 * (1.0 - np.clip(rows / MAX_DEPTH, 0.0, 1.0))).astype(np.uint8)
+
+
+class PointsDisplay(Display):
+    """The points of a cloud, in their colours if it has any."""
+
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic, reader_of(PointCloud2), large=True)
+        self._cloud = PointsNode(self._make)
+        self._parts = [self._cloud]
+
+    def show(self, message: PointCloud2) -> None:  # noqa: D102 - inherited
+        points, colours = points_of(message)
+        points = placed(self.context.pose_of(message.header.frame_id), points)
+        self._cloud.set(points, colors=colours)
+
+    def _make(self, points: np.ndarray, colors: np.ndarray) -> Any:
+        return self.context.scene.add_point_cloud(
+            self.node, points, colors, point_size=CLOUD_POINT_SIZE, precision="float32"
+        )
+
+
+def points_of(message: PointCloud2, most: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (n, 3) in m and colours (n, 3) uint8 of at most so many points of a cloud.
+
+    Points that are not finite are left out. Raises MessageError if the cloud is invalid.
+    """
+    fields = {field.name: field for field in message.fields}
+    if not fields.keys() >= set("xyz"):
+        raise MessageError("the cloud has no x, y and z; these fields are needed")
+    order = ">" if message.is_bigendian else "<"
+    try:
+        layout = {
+            "names": list(fields),
+            "formats": [order + FIELD_TYPES[field.datatype] for field in fields.values()],
+            "offsets": [field.offset for field in fields.values()],
+            "itemsize": message.point_step,
+        }
+        shape, strides = (message.height, message.width), (message.row_step, message.point_step)
+        rows = np.ndarray(shape, layout, message.data, strides=strides).reshape(-1)
+    except (KeyError, TypeError, ValueError) as error:
+        raise MessageError(f"the cloud does not match its declared layout: {error}") from error
+    positions = np.column_stack([rows[name] for name in "xyz"]).astype(np.float64)
+    chosen = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    chosen = chosen[:: max(1, -(-len(chosen) // most))]
+    colours = np.full((len(chosen), 3), GREY, np.uint8)
+    packed = next((rows[name] for name in ("rgb", "rgba") if name in fields), None)
+    if packed is not None and packed.dtype.itemsize == 4:
+        # Four bytes from blue upwards, whether the field is declared as a float or an integer.
+        words = np.ascontiguousarray(packed[chosen]).view(np.uint32)
+        colours = np.stack([words >> shift & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+    return positions[chosen], colours
+
+
 @dataclass(frozen=True)
 class Kind:
     """Displays that are switched on and off together.
@@ -316,53 +426,42 @@ class Kind:
         name: of the switch.
         displays: by message type.
         wanted: whether a topic is shown, from its name and all published topics with their types.
-        every: one in so many ticks updates these displays.
+        every: one in so many ticks of the view updates these displays.
     """
 
     name: str
-    displays: Dict[str, Callable[[DisplayContext, str], Any]]
-    wanted: Callable[[str, Dict[str, str]], bool] = lambda topic, others: True
-    every: int = 1
+    displays: dict[str, Callable[[DisplayContext, str], Any]]
+    wanted: Callable[[str, dict[str, str]], bool] = lambda topic, others: True
+    every: int = 3
 
 
 class Displays:
-    """The displays of a kind, one for each topic."""
+    """The displays of a kind, one for each topic: `shown`."""
 
     def __init__(self, kind: Kind, context: DisplayContext):
         self.kind = kind
         self._context = context
-        self._shown: Dict[str, Any] = {}
-        self._failed: Set[str] = set()
+        self.shown: dict[str, Any] = {}
+        self._refusals = Refusals()
 
-    def follow(self, topics: Dict[str, str]) -> None:
+    def follow(self, topics: dict[str, str]) -> None:
         """Show those of these topics, with their types, that are of the kind; none if empty."""
         found = {
             topic: self.kind.displays[type_name]
             for topic, type_name in topics.items()
             if type_name in self.kind.displays and self.kind.wanted(topic, topics)
         }
-        for topic in set(self._shown) - set(found):
-            if not (topics and topic not in topics and self._shown[topic].stays):
-                self._shown.pop(topic).close()
-        for topic in sorted(set(found) - set(self._shown)):
-            self._shown[topic] = found[topic](self._context, topic)
+        for topic in set(self.shown) - set(found):
+            if not (topics and topic not in topics and self.shown[topic].stays):
+                self.shown.pop(topic).close()
+        for topic in sorted(set(found) - set(self.shown)):
+            self.shown[topic] = found[topic](self._context, topic)
 
     def tick(self) -> None:
         """Show new messages."""
-        for topic, display in self._shown.items():
-            try:
+        for topic, display in self.shown.items():
+            with self._refusals.on(topic):
                 display.tick()
-            except LabError as error:
-                # One warning a topic: its next messages are probably just as bad.
-                if topic not in self._failed:
-                    self._failed.add(topic)
-                    LOG.warning("%s: %s", topic, error)
-
-    @property
-    def topics(self) -> List[str]:
-        """Topics that are shown."""
-        return sorted(self._shown)
-
 
 def has_no_path(topic: str, others: Iterable[str]) -> bool:
     """Return whether no topic has the path of an odometry, which begins with the same name."""
@@ -370,7 +469,7 @@ def has_no_path(topic: str, others: Iterable[str]) -> bool:
     return not any(other.endswith(known) for other in others)
 
 
-def closest(options: List[str], endings: Iterable[str]) -> Optional[str]:
+def closest(options: list[str], endings: Iterable[str]) -> str | None:
     """Return the first option with the first ending that any option has, else the first option."""
     found = (option for ending in endings for option in options if option.endswith(ending))
     return next(found, next(iter(options), None))

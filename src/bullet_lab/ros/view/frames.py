@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, Optional, Set, Tuple
+from typing import Any
 
 from geometry_msgs.msg import Pose as PoseMessage
 from tf2_msgs.msg import TFMessage
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import normalised_pose
+from bullet_lab.ros.view.scene import Copies, Labels
 from bullet_lab.ros.view.subscription import Subscription, reader_of
-from bullet_lab.view.scene import Copies, Labels
 
 # Frames between a frame and its root; more are a cycle.
 MAX_DEPTH = 200
@@ -33,8 +33,8 @@ class FrameTree:
     """
 
     def __init__(self) -> None:
-        self._parents: Dict[str, Tuple[str, Pose]] = {}
-        self._from_root: Dict[str, Tuple[str, Pose]] = {}
+        self._parents: dict[str, tuple[str, Pose]] = {}
+        self._from_root: dict[str, tuple[str, Pose]] = {}
 
     def put(self, frame: str, parent: str, pose: Pose) -> None:
         """Set the pose of a frame in its parent."""
@@ -46,7 +46,7 @@ class FrameTree:
         self._parents.clear()
         self._from_root.clear()
 
-    def pose(self, frame: str, seen_from: str) -> Optional[Pose]:
+    def pose(self, frame: str, seen_from: str) -> Pose | None:
         """Return the pose of a frame in another one; None if TF does not connect them."""
         root, pose = self._in_root(frame)
         other_root, other = self._in_root(seen_from)
@@ -58,21 +58,21 @@ class FrameTree:
         """Return the root of a frame's tree; the frame itself if it has no parent."""
         return self._in_root(frame)[0]
 
-    def frames(self) -> List[str]:
+    def frames(self) -> list[str]:
         """Return all frames that have a parent."""
         return list(self._parents)
 
-    def roots(self) -> List[str]:
+    def roots(self) -> list[str]:
         """Return the roots of all trees, that of the largest tree first."""
         found = [self.root(frame) for frame in self._parents]
         return sorted(set(found), key=lambda root: (-found.count(root), root))
 
-    def _in_root(self, frame: str) -> Tuple[str, Pose]:
+    def _in_root(self, frame: str) -> tuple[str, Pose]:
         if frame not in self._from_root:
             self._from_root[frame] = self._climb(frame)
         return self._from_root[frame]
 
-    def _climb(self, frame: str) -> Tuple[str, Pose]:
+    def _climb(self, frame: str) -> tuple[str, Pose]:
         pose = _IDENTITY
         for _ in range(MAX_DEPTH):
             if frame not in self._parents:
@@ -99,7 +99,7 @@ class DisplayContext:
     scene: Any
     frames: FrameTree = field(default_factory=FrameTree)
     fixed: str = "world"
-    assumed: Set[str] = field(default_factory=set)
+    assumed: set[str] = field(default_factory=set)
 
     def pose_of(self, frame: str) -> Pose:
         """Return the pose of a frame in the scene."""
@@ -112,7 +112,7 @@ class DisplayContext:
         return pose
 
 
-def read_transforms(message: TFMessage) -> List[Tuple[str, str, Pose]]:
+def read_transforms(message: TFMessage) -> list[tuple[str, str, Pose]]:
     """Return frame, parent, and pose of each transform; raises InputError if one is not finite."""
     found = []
     for one in message.transforms:

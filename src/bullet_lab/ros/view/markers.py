@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
+from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
 from visualization_msgs.msg import Marker as MarkerMessage
@@ -13,19 +13,18 @@ from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.errors import LabError
-from bullet_lab.ros.gazebo.client import WORLD
 from bullet_lab.ros.messages.conversions import look_of
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import normalised_pose, vector_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
-from bullet_lab.ros.view.displays import finite, placed
+from bullet_lab.ros.view.displays import Display, finite, placed
 from bullet_lab.ros.view.frames import DisplayContext
-from bullet_lab.ros.view.subscription import Subscription, reader_of
+from bullet_lab.ros.view.scene import Labels, Polyline, Solids, VisualCopies, rgb
+from bullet_lab.ros.view.subscription import reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
 from bullet_lab.simulation.world.xml import ReportOnce
-from bullet_lab.view.scene import CopyGroups, Labels, Polyline, Solids, rgb, visual_copies
 
 SOLIDS = {
     MarkerMessage.CUBE: "box",
@@ -92,16 +91,16 @@ def read_marker(message: MarkerMessage) -> Marker:
     )
 
 
-def _rows(values: Sequence[Tuple[float, ...]], columns: int) -> np.ndarray:
+def _rows(values: Sequence[tuple[float, ...]], columns: int) -> np.ndarray:
     return finite(np.array(values, float).reshape(-1, columns), "the marker")
 
 
-def read_markers(message: MarkerArray) -> List[Marker]:
+def read_markers(message: MarkerArray) -> list[Marker]:
     """Return the markers of an array; raises LabError if a number is not finite."""
     return [read_marker(one) for one in message.markers]
 
 
-class MarkersDisplay:
+class MarkersDisplay(Display):
     """Shows all markers of one topic, as visualization_msgs defines it.
 
     Args:
@@ -117,40 +116,34 @@ class MarkersDisplay:
         self,
         context: DisplayContext,
         topic: str,
-        read: Callable[[bytes], List[Marker]] = reader_of(MarkerArray, read_markers),
+        read: Callable[[bytes], list[Marker]] = reader_of(MarkerArray, read_markers),
     ):
-        self._context = context
-        self._node = f"/topics{topic}"
-        self._subscription = Subscription(topic, read, every=True)
-        self._markers: Dict[Key, Marker] = {}
-        self._frame_poses: Dict[Key, Pose] = {}
+        super().__init__(context, topic, read, every=True)
+        self._markers: dict[Key, Marker] = {}
+        self._frame_poses: dict[Key, Pose] = {}
         self._report = ReportOnce()
-        self._solids = Solids(context.scene, f"{self._node}/solids")
-        self._meshes = CopyGroups(
-            lambda visual, number: visual_copies(
-                context.scene, f"{self._node}/meshes/{number}", [visual], self._report
-            )
-        )
-        self._labels = Labels(context.scene, f"{self._node}/labels")
-        self._nodes: Dict[Key, Any] = {}
+        self._solids = Solids(context.scene, f"{self.node}/solids")
+        self._meshes = VisualCopies(context.scene, f"{self.node}/meshes", self._report)
+        self._labels = Labels(context.scene, f"{self.node}/labels")
+        self._nodes: dict[Key, Any] = {}
         # Number of the solids of each marker that is a list of them.
-        self._listed: Dict[Key, int] = {}
+        self._listed: dict[Key, int] = {}
 
     def tick(self) -> None:
         """Show new markers, and those that have moved with their frames."""
-        touched: Set[Key] = set()
+        touched: set[Key] = set()
         for markers in self._subscription.take():
             for marker in markers:
                 self._take(marker)
                 touched.add(marker.key)
         for key, marker in self._markers.items():
-            if key in touched or (marker.locked and marker.frame != self._context.fixed):
+            if key in touched or (marker.locked and marker.frame != self.context.fixed):
                 self._show(key, marker)
         self._flush()
 
     def close(self) -> None:
         """Unsubscribe, and show nothing."""
-        self._subscription.close()
+        super().close()
         self._drop_all()
         self._flush()
 
@@ -162,7 +155,7 @@ class MarkersDisplay:
         """Return whether a solid has more than its colour."""
         return False
 
-    def frames(self) -> Set[str]:
+    def frames(self) -> set[str]:
         """Return the frames of the markers."""
         return {marker.frame for marker in self._markers.values()}
 
@@ -205,7 +198,7 @@ class MarkersDisplay:
             self._hide(key)
             return
         if marker.locked or key not in self._frame_poses:
-            self._frame_poses[key] = self._context.pose_of(marker.frame)
+            self._frame_poses[key] = self.context.pose_of(marker.frame)
         pose = self._frame_poses[key] * marker.pose
         try:
             if marker.kind in SOLIDS and not self.is_textured(marker):
@@ -213,7 +206,8 @@ class MarkersDisplay:
                 self._solids.put_solid(key, SOLIDS[marker.kind], pose, marker.scale, marker.colour)
             elif marker.kind in SOLIDS or marker.kind == MarkerMessage.MESH_RESOURCE:
                 self._solids.drop(key)
-                self._meshes.put(_visual_of(marker), key, pose)
+                look = (marker.scale, marker.colour, marker.text, marker.mesh, marker.embedded)
+                self._meshes.put((_visual(marker.kind, *look),), key, pose)
             elif marker.kind in SHOW:
                 SHOW[marker.kind](self, key, marker, pose)
         except LabError as error:
@@ -234,12 +228,12 @@ class MarkersDisplay:
 
     def _show_strip(self, key: Key, marker: Marker, pose: Pose) -> None:
         if key not in self._nodes:
-            self._nodes[key] = Polyline(self._context.scene, self._name(key), marker.colour)
+            self._nodes[key] = Polyline(self.context.scene, self._name(key), marker.colour)
         self._nodes[key].set(placed(pose, marker.points))
 
     def _show_segments(self, key: Key, marker: Marker, pose: Pose) -> None:
         ends = placed(pose, _whole(marker.points, 2)).reshape(-1, 2, 3)
-        make = self._context.scene.add_line_segments
+        make = self.context.scene.add_line_segments
         self._replace(key, make, ends, rgb(marker.colour), thickness_units="screen")
 
     def _show_points(self, key: Key, marker: Marker, pose: Pose) -> None:
@@ -248,7 +242,7 @@ class MarkersDisplay:
         if len(marker.colours) == len(points):
             colours = np.round(255.0 * np.clip(marker.colours[:, :3], 0.0, 1.0)).astype(np.uint8)
         size = max(marker.scale[0], MIN_POINT_SIZE)
-        make = self._context.scene.add_point_cloud
+        make = self.context.scene.add_point_cloud
         self._replace(key, make, points, colours, point_size=size, precision="float32")
 
     def _show_arrow(self, key: Key, marker: Marker, pose: Pose) -> None:
@@ -263,7 +257,7 @@ class MarkersDisplay:
         reach = float(np.linalg.norm(ends[1] - ends[0]))
         self._replace(
             key,
-            self._context.scene.add_arrows,
+            self.context.scene.add_arrows,
             ends[None] if reach > 0.0 else (),
             rgb(marker.colour),
             shaft_radius=0.5 * shaft,
@@ -274,7 +268,7 @@ class MarkersDisplay:
     def _show_triangles(self, key: Key, marker: Marker, pose: Pose) -> None:
         corners = placed(pose, _whole(marker.points, 3) * marker.scale)
         faces = np.arange(len(corners)).reshape(-1, 3)
-        make = self._context.scene.add_mesh_simple
+        make = self.context.scene.add_mesh_simple
         colour = rgb(marker.colour)
         self._replace(key, make, corners, faces, color=colour, side="double", flat_shading=True)
 
@@ -289,18 +283,12 @@ class MarkersDisplay:
 
     def _name(self, key: Key) -> str:
         namespace, number = key
-        return f"{self._node}/{namespace or '_'}/{number}"
+        return f"{self.node}/{namespace or '_'}/{number}"
 
 
 def _whole(points: np.ndarray, size: int) -> np.ndarray:
     """Return points less those at the end that make no whole group of a size."""
     return points[: len(points) // size * size]
-
-
-def _visual_of(marker: Marker) -> Visual:
-    return _visual(
-        marker.kind, marker.scale, marker.colour, marker.text, marker.mesh, marker.embedded
-    )
 
 
 @functools.lru_cache(maxsize=1024)
@@ -319,13 +307,13 @@ def _visual(
 
 
 # The shape of a solid of a size.
-SHAPES: Dict[int, Callable[[Vector], Geometry]] = {
+SHAPES: dict[int, Callable[[Vector], Geometry]] = {
     MarkerMessage.CUBE: Box,
     MarkerMessage.SPHERE: lambda size: Sphere(0.5 * size[0]),
     MarkerMessage.CYLINDER: lambda size: Cylinder(0.5 * size[0], size[2]),
 }
 # How each other kind is shown.
-SHOW: Dict[int, Callable[[MarkersDisplay, Key, Marker, Pose], None]] = {
+SHOW: dict[int, Callable[[MarkersDisplay, Key, Marker, Pose], None]] = {
     MarkerMessage.ARROW: MarkersDisplay._show_arrow,
     MarkerMessage.LINE_STRIP: MarkersDisplay._show_strip,
     MarkerMessage.LINE_LIST: MarkersDisplay._show_segments,
@@ -340,9 +328,11 @@ SHOW: Dict[int, Callable[[MarkersDisplay, Key, Marker, Pose], None]] = {
 class WorldDisplay(MarkersDisplay):
     """Shows the shapes of the world, except models that are shown as robots."""
 
-    def __init__(self, context: DisplayContext):
-        super().__init__(context, WORLD)
-        self._robots: FrozenSet[str] = frozenset()
+    stays = False
+
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic)
+        self._robots: frozenset[str] = frozenset()
 
     def is_hidden(self, marker: Marker) -> bool:  # noqa: D102 - inherited
         return marker.key[0] in self._robots
@@ -350,7 +340,7 @@ class WorldDisplay(MarkersDisplay):
     def is_textured(self, marker: Marker) -> bool:  # noqa: D102 - inherited
         return bool(marker.text)
 
-    def leave_out(self, robots: FrozenSet[str]) -> None:
+    def leave_out(self, robots: frozenset[str]) -> None:
         """Show all models but these."""
         changed = robots ^ self._robots
         self._robots = robots
@@ -358,7 +348,7 @@ class WorldDisplay(MarkersDisplay):
             if key[0] in changed:
                 self._show(key, marker)
 
-    def models(self) -> Set[str]:
+    def models(self) -> set[str]:
         """Return the names of all models, with those that are left out."""
         return {model for model, _ in self._markers}
 
@@ -372,7 +362,7 @@ def single_marker_display(context: DisplayContext, topic: str) -> MarkersDisplay
 def contacts_display(context: DisplayContext, topic: str) -> MarkersDisplay:
     """Return a display of the contacts of a bumper: points, normals and forces."""
 
-    def read(message: Any) -> List[Marker]:
+    def read(message: Any) -> list[Marker]:
         return [read_marker(one) for one in contact_markers(message, CONTACT_SCALE)]
 
     display = MarkersDisplay(context, topic, reader_of(msg.ContactsState, read))

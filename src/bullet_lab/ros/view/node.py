@@ -18,18 +18,18 @@ import logging
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Dict, List, Optional
+from typing import Any
 
 import rospy
 
 from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
+from bullet_lab.ros.view.pad import DriverSeat
+from bullet_lab.ros.view.page import Page
 from bullet_lab.ros.view.panel import Driver, Panel, TabControls
+from bullet_lab.ros.view.scene import floor_point
 from bullet_lab.ros.view.show import OFF_AT_FIRST, SWITCHES, Show
-from bullet_lab.view.pad import DriverSeat
-from bullet_lab.view.page import Page
-from bullet_lab.view.scene import floor_point
 
 # Wall seconds in which a page may be reloaded before the node unsubscribes.
 LINGER_SECONDS = 2.0
@@ -69,12 +69,12 @@ class ViewNode:
         self._given = given
         self._driver = Driver()
         # By the id of viser's client, in the order in which they were opened.
-        self._tabs: Dict[int, TabControls] = {}
+        self._tabs: dict[int, TabControls] = {}
         self._seat = DriverSeat(lambda tab, shares: self._driver.drive(self._controls(tab), shares))
         self._page = Page(given.port, self._seat)
         server = self._page.server
         self._panel = Panel(server.gui, SWITCHES, OFF_AT_FIRST)
-        self._show: Optional[Show] = None
+        self._show: Show | None = None
         self._opened = threading.Event()
         self._is_paused = given.unpause
         rospy.on_shutdown(self._driver.stop)
@@ -110,11 +110,11 @@ class ViewNode:
     def _close(self, client: Any) -> None:
         self._tabs.pop(client.client_id, None)
 
-    def _controls(self, tab: str) -> Optional[TabControls]:
+    def _controls(self, tab: str) -> TabControls | None:
         """Return the controls of a tab; the last ones if it was reloaded."""
         return next((one for one in reversed(self._open_tabs()) if one.tab == tab), None)
 
-    def _open_tabs(self) -> List[TabControls]:
+    def _open_tabs(self) -> list[TabControls]:
         return list(self._tabs.values())
 
     def _show_until_closed(self) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import html
 import math
 import threading
-from typing import Any, Callable, Collection, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Collection, Sequence
 
 import numpy as np
 import rospy
@@ -21,8 +21,8 @@ from std_srvs.srv import Empty
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, Publisher
+from bullet_lab.ros.view.pad import HOLD, STILL, Shares
 from bullet_lab.srv import SetNoise, SetRtf, Step
-from bullet_lab.view.pad import HOLD, STILL, Shares
 
 GO_ON = "/gazebo/unpause_physics"
 STEP = "/bullet_lab/step"
@@ -105,15 +105,13 @@ class TabControls:
         """Full turn rate, rad/s."""
         return _within(self._turn)
 
-    def offer_robots(self, topics: List[str], default: Optional[str]) -> None:
-        """Offer topics of commands."""
-        _offer(self._robot, topics, NOBODY, default)
-
-    def offer_images(self, topics: List[str], default: Optional[str]) -> None:
-        """Offer topics of images."""
-        _offer(self._source, [*topics, NOTHING], NOTHING, default)
-        if self._image.visible != bool(self.image_topic):
-            self._image.visible = bool(self.image_topic)
+    def offer(
+        self, driven: list[str], robot: str | None, images: list[str], image: str | None
+    ) -> None:
+        """Offer topics of commands and of images, with the ones to choose at first."""
+        _offer(self._robot, driven, NOBODY, robot)
+        _offer(self._source, [*images, NOTHING], NOTHING, image)
+        self._image.visible = bool(self.image_topic)
 
     def show_image(self, pixels: np.ndarray) -> None:
         """Show an image, (h, w, 3) uint8 RGB."""
@@ -130,7 +128,7 @@ class Panel:
     """
 
     def __init__(self, gui: Any, kinds: Sequence[str], off: Sequence[str] = ()):
-        self._noise_services: List[str] = []
+        self._noise_services: list[str] = []
         with gui.add_folder("Simulation"):
             self._time = gui.add_html("…")
             speed = gui.add_dropdown("Speed", (AS_STARTED, *SPEEDS))
@@ -153,7 +151,7 @@ class Panel:
         """Unpause the simulation; return whether a simulator has answered."""
         return self._call(GO_ON, Empty)
 
-    def show_time(self, seconds: Optional[float], speed: float, notes: Sequence[str]) -> None:
+    def show_time(self, seconds: float | None, speed: float, notes: Sequence[str]) -> None:
         """Show the simulated time, the real-time factor (NaN if unknown), and notes."""
         if seconds is None:
             text = "no simulated time"
@@ -161,15 +159,15 @@ class Panel:
             text = f"{seconds:.2f} s"
         else:
             text = f"{seconds:.2f} s, " + (f"{speed:.2f} x" if speed else "stands still")
-        content = "<br>".join(map(html.escape, [text, *notes]))
-        if self._time.content != content:
-            self._time.content = content
+        self._time.content = "<br>".join(map(html.escape, [text, *notes]))
 
     def offer_noise(self, services: Collection[str]) -> None:
         """Offer to change the noise, if one of these services does."""
         found = [name for name in services if name.rpartition("/")[2] == SET_NOISE]
         if found and not self._noise_services:
-            self._noise.value = _present_noise(found[0])
+            # The parameter of the node that offers the service.
+            std = rospy.get_param(f"{found[0].rpartition('/')[0]}/std", USUAL_NOISE)
+            self._noise.value = float(std) if isinstance(std, (int, float)) else USUAL_NOISE
         self._noise_services = found
         self._noise_folder.visible = bool(found)
 
@@ -200,12 +198,6 @@ class Panel:
         return success
 
 
-def _present_noise(service: str) -> float:
-    """Return the std parameter of the node that offers a service, or the default."""
-    std = rospy.get_param(f"{service.rpartition('/')[0]}/std", USUAL_NOISE)
-    return float(std) if isinstance(std, (int, float)) else USUAL_NOISE
-
-
 def _slider(gui: Any, label: str, least: float, most: float, value: float) -> Any:
     value = min(max(value, least), most)
     return gui.add_slider(label, min=least, max=most, step=0.05, initial_value=value)
@@ -221,7 +213,7 @@ def _chosen(menu: Any, empty: str) -> str:
     return menu.value if menu.value in menu.options and menu.value != empty else ""
 
 
-def _offer(menu: Any, options: List[str], empty: str, default: Optional[str]) -> None:
+def _offer(menu: Any, options: list[str], empty: str, default: str | None) -> None:
     """Set the options of a menu; the choice is kept if it is still an option."""
     options = options or [empty]
     if list(menu.options) == options:
@@ -245,11 +237,11 @@ class Driver:
     """Publishes commands and goals, each on the topic chosen on the tab that drives."""
 
     def __init__(self) -> None:
-        self._publishers: Dict[Tuple[str, type], Publisher] = {}
+        self._publishers: dict[tuple[str, type], Publisher] = {}
         self._driven = ""
         self._lock = threading.Lock()
 
-    def drive(self, controls: Optional[TabControls], shares: Shares) -> None:
+    def drive(self, controls: TabControls | None, shares: Shares) -> None:
         """Drive with shares of a tab's full speeds, on its topic; from any thread.
 
         Without controls, as the tab is closed, the robot that was driven is stopped.

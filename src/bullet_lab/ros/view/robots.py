@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Dict, FrozenSet, List, Optional, Set, Tuple
+from typing import Any
 
 import rospy
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.node.node import MASTER_ERRORS, TF_PREFIX, NodeError, search_parameter
+from bullet_lab.ros.node.node import MASTER_ERRORS, tf_prefix
 from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.scene import Copies, VisualCopies
 from bullet_lab.simulation.world.description import Model, Visual
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.simulation.world.xml import ReportOnce, leaving_out
 from bullet_lab.srv import DescribeModels
-from bullet_lab.view.scene import Copies, CopyGroups, visual_copies
 
 DESCRIPTION = "robot_description"
 MODELS = "/bullet_lab/describe_models"
@@ -36,13 +36,13 @@ class Description:
     prefix: str
     model: Model
 
-    def bodies(self) -> List[Tuple[str, Tuple[Visual, ...]]]:
+    def bodies(self) -> list[tuple[str, tuple[Visual, ...]]]:
         """Return frame and visuals of each link that has any."""
         return [
             (self.prefix + link.name, link.visuals) for link in self.model.links if link.visuals
         ]
 
-    def frames(self) -> List[str]:
+    def frames(self) -> list[str]:
         """Return the frames of all links."""
         return [self.prefix + link.name for link in self.model.links]
 
@@ -55,19 +55,15 @@ class Robots:
 
     def __init__(self, context: DisplayContext):
         self._context = context
-        self._texts: Dict[str, str] = {}
-        self._robots: Dict[str, Description] = {}
+        self._texts: dict[str, str] = {}
+        self._robots: dict[str, Description] = {}
         self._report = ReportOnce()
-        self._copies = CopyGroups(
-            lambda visuals, number: visual_copies(
-                context.scene, f"/robots/{number}", visuals, self._report
-            )
-        )
-        self._shown: FrozenSet[str] = frozenset()
-        self._links: List[Tuple[str, Copies]] = []
+        self._copies = VisualCopies(context.scene, "/robots", self._report)
+        self._shown: frozenset[str] = frozenset()
+        self._links: list[tuple[str, Copies]] = []
         self._updates = 0
-        self._asked: Tuple[FrozenSet[str], FrozenSet[str]] = (frozenset(), frozenset())
-        self._found: FrozenSet[str] = frozenset()
+        self._asked: tuple[frozenset[str], frozenset[str]] = (frozenset(), frozenset())
+        self._found: frozenset[str] = frozenset()
 
     def follow(self) -> None:
         """Show the robots of the present descriptions."""
@@ -97,7 +93,7 @@ class Robots:
         self._links = []
         self._copies.flush()
 
-    def models(self, names: Set[str]) -> FrozenSet[str]:
+    def models(self, names: set[str]) -> frozenset[str]:
         """Return the names of the world's models that are shown as robots.
 
         A robot's model has the name of its namespace or description. If no model has, it is the
@@ -105,7 +101,7 @@ class Robots:
         """
         asked = (self._shown, frozenset(names))
         if asked != self._asked:
-            found: Set[str] = set()
+            found: set[str] = set()
             for name in self._shown:
                 robot = self._robots[name]
                 by_name = [n for n in (robot.namespace, robot.model.name) if n in names]
@@ -113,14 +109,14 @@ class Robots:
             self._asked, self._found = asked, frozenset(found)
         return self._found
 
-    def place_of(self, namespace: str) -> Optional[Pose]:
+    def place_of(self, namespace: str) -> Pose | None:
         """Return the pose of the robot of a namespace; None if none is shown."""
         for name in self._shown:
             if self._robots[name].namespace == namespace:
                 return self._context.pose_of(self._robots[name].frames()[0])
         return None
 
-    def _update(self, names: FrozenSet[str]) -> None:
+    def _update(self, names: frozenset[str]) -> None:
         for name in set(self._texts) - names:
             self._forget(name)
         # One of the known descriptions is read again at each update, as it may have changed.
@@ -159,16 +155,7 @@ class Robots:
         return any(frame in known and tree.root(frame) not in own for frame in own)
 
 
-def tf_prefix(namespace: str) -> str:
-    """Return the tf_prefix of a namespace, with its slash; empty if there is none."""
-    try:
-        prefix = search_parameter(TF_PREFIX, namespace).strip("/")
-    except NodeError:
-        return ""
-    return f"{prefix}/" if prefix else ""
-
-
-def _descriptions() -> Optional[FrozenSet[str]]:
+def _descriptions() -> frozenset[str] | None:
     """Return the names of all descriptions; None if the master does not answer."""
     try:
         names = rospy.get_param_names()
@@ -184,7 +171,7 @@ def _text(name: str) -> str:
         return ""
 
 
-def _with_links(robot: Description, names: Set[str]) -> Set[str]:
+def _with_links(robot: Description, names: set[str]) -> set[str]:
     links = {link.name for link in robot.model.links}
     try:
         models: Any = rospy.ServiceProxy(MODELS, DescribeModels)().models

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Collection, Dict, FrozenSet, List, Optional, Set, Tuple
+from typing import Any, Callable, Collection
 
 import rosgraph
 import rospy
@@ -14,12 +14,13 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import WORLD
 from bullet_lab.ros.node.node import MASTER_ERRORS
-from bullet_lab.ros.view.cameras import CameraDisplay, PointsDisplay
 from bullet_lab.ros.view.displays import (
+    CameraDisplay,
     Displays,
     Kind,
     OdometryDisplay,
     PathDisplay,
+    PointsDisplay,
     PoseDisplay,
     RangeDisplay,
     ScanDisplay,
@@ -37,7 +38,6 @@ from bullet_lab.ros.view.panel import Panel, TabControls
 from bullet_lab.ros.view.robots import Robots
 from bullet_lab.ros.view.subscription import Subscription, reader_of
 
-WORLD_SHAPES = "World"
 ROBOTS = "Robots"
 FRAMES = "Frames"
 NAMES = "Names of frames"
@@ -45,14 +45,20 @@ POINTS = "Clouds of points"
 PATH = "nav_msgs/Path"
 KINDS = (
     Kind(
+        "World",
+        {"visualization_msgs/MarkerArray": WorldDisplay},
+        lambda topic, topics: topic == WORLD,
+        every=1,
+    ),
+    Kind(
         "Paths and ellipses",
         {PATH: PathDisplay, "nav_msgs/Odometry": OdometryDisplay},
         lambda topic, topics: topics[topic] == PATH or has_no_path(topic, topics),
-        every=2,
+        every=6,
     ),
     Kind("Laser", {"sensor_msgs/LaserScan": ScanDisplay}),
     Kind("Range", {"sensor_msgs/Range": RangeDisplay}),
-    Kind(POINTS, {"sensor_msgs/PointCloud2": PointsDisplay}, every=2),
+    Kind(POINTS, {"sensor_msgs/PointCloud2": PointsDisplay}, every=6),
     Kind(
         "Contacts",
         {
@@ -70,7 +76,7 @@ KINDS = (
         lambda topic, topics: topic != WORLD,
     ),
 )
-SWITCHES = (WORLD_SHAPES, ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
+SWITCHES = (ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
 # Clouds are the largest messages to the page, and a depth camera renders for each subscriber.
 OFF_AT_FIRST = (NAMES, POINTS)
 IMAGE = "sensor_msgs/Image"
@@ -79,7 +85,7 @@ TWIST = "geometry_msgs/Twist"
 BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "rgb/image_raw", "/image_raw")
 # Wall seconds between two updates of the list of topics.
 UPDATE_SECONDS = 1.0
-# One in so many ticks updates what need not be smooth.
+# One in so many ticks updates the frames.
 SLOW = 3
 
 
@@ -87,9 +93,9 @@ SLOW = 3
 class Graph:
     """The ROS graph without the view: message types by published and subscribed topics."""
 
-    published: Dict[str, str]
-    heard: Dict[str, str]
-    services: List[str]
+    published: dict[str, str]
+    heard: dict[str, str]
+    services: list[str]
 
 
 NO_GRAPH = Graph({}, {}, [])
@@ -105,7 +111,7 @@ def read_graph() -> Graph:
     except MASTER_ERRORS:
         return NO_GRAPH
 
-    def of_others(listed: List[Any]) -> Dict[str, str]:
+    def of_others(listed: list[Any]) -> dict[str, str]:
         return {t: types[t] for t, nodes in listed if t in types and set(nodes) - {own}}
 
     return Graph(of_others(publishers), of_others(subscribers), [name for name, _ in services])
@@ -121,8 +127,8 @@ class Clock:
 
     def __init__(self) -> None:
         self._subscription = Subscription("/clock", reader_of(ClockMessage))
-        self._last: Optional[Tuple[float, float]] = None
-        self.seconds: Optional[float] = None
+        self._last: tuple[float, float] | None = None
+        self.seconds: float | None = None
         self.speed = math.nan
 
     def tick(self) -> None:
@@ -177,10 +183,9 @@ class Show:
         self.graph = NO_GRAPH
         self._clock = Clock()
         self._frames = FramesDisplay(self.context)
-        self._world: Optional[WorldDisplay] = None
-        self._robots: Optional[Robots] = None
+        self._robots = Robots(self.context)
         self._displays = [Displays(kind, self.context) for kind in KINDS]
-        self._cameras: Dict[TabControls, CameraDisplay] = {}
+        self._cameras: dict[TabControls, CameraDisplay] = {}
         self._ticks = 0
         self._next_update = -math.inf
 
@@ -191,15 +196,12 @@ class Show:
         if time.monotonic() >= self._next_update:
             self._update()
             self._next_update = time.monotonic() + UPDATE_SECONDS
-        if self._robots is not None:
-            self._robots.tick()
-        if self._world is not None:
-            self._world.tick()
+        self._robots.tick()
         self._ticks += 1
+        for displays in self._displays:
+            if self._ticks % displays.kind.every == 0:
+                displays.tick()
         if self._ticks % SLOW == 0:
-            for displays in self._displays:
-                if self._ticks // SLOW % displays.kind.every == 0:
-                    displays.tick()
             self._frames.show(self._panel.is_on(FRAMES), self._panel.is_on(NAMES))
         for tab, camera in list(self._cameras.items()):
             camera.follow(tab.image_topic)
@@ -209,31 +211,34 @@ class Show:
         """Unsubscribe from all topics, and show nothing."""
         for displays in self._displays:
             displays.follow({})
-        self._show_world(False)
-        self._show_robots(False)
+        self._robots.clear()
         for part in (self._frames, self._clock, *self._cameras.values()):
             part.close()
 
-    def heading_to(self, drive_topic: str, point: Tuple[float, float]) -> float:
+    def heading_to(self, drive_topic: str, point: tuple[float, float]) -> float:
         """Return the direction, rad, from a robot to a point of the floor."""
         x, y, _ = (self.place(drive_topic) or Pose()).position
         return math.atan2(point[1] - y, point[0] - x)
 
-    def place(self, drive_topic: str) -> Optional[Pose]:
+    def place(self, drive_topic: str) -> Pose | None:
         """Return the pose of the robot with a command topic; None if it is not shown."""
         namespace = drive_topic.rpartition("/")[0].strip("/")
-        return None if self._robots is None else self._robots.place_of(namespace)
+        return self._robots.place_of(namespace)
 
     def _update(self) -> None:
         """Read the graph, and follow its changes."""
         self.graph = read_graph()
         self._clock.measure()
         self._choose_frame()
-        self._show_robots(self._panel.is_on(ROBOTS))
-        self._show_world(self._panel.is_on(WORLD_SHAPES) and WORLD in self.graph.published)
+        if self._panel.is_on(ROBOTS):
+            self._robots.follow()
+        else:
+            self._robots.clear()
         for displays in self._displays:
             on = self._panel.is_on(displays.kind.name)
             displays.follow(self.graph.published if on else {})
+        for world in self._worlds():
+            world.leave_out(self._robots.models(world.models()))
         self._follow_tabs()
         self._panel.offer_noise(self.graph.services)
         self._panel.show_time(self._clock.seconds, self._clock.speed, self._notes())
@@ -244,44 +249,29 @@ class Show:
         driven = sorted(t for t, kind in self.graph.heard.items() if kind == TWIST)
         tabs = self._tabs()
         for tab in tabs:
-            tab.offer_images(images, closest(images, BEST_IMAGES))
-            tab.offer_robots(driven, closest(driven, ("/cmd_vel",)))
+            robot, image = closest(driven, ("/cmd_vel",)), closest(images, BEST_IMAGES)
+            tab.offer(driven, robot, images, image)
             if tab not in self._cameras:
                 self._cameras[tab] = CameraDisplay(tab.show_image, self._image_rate)
         for closed in set(self._cameras) - set(tabs):
             self._cameras.pop(closed).close()
 
-    def _notes(self) -> List[str]:
+    def _notes(self) -> list[str]:
         assumed = sorted(self.context.assumed)
         self.context.assumed.clear()
         fixed = self.context.fixed
         return [f"{name} is taken for {fixed}: TF does not connect them" for name in assumed]
 
-    def _show_robots(self, on: bool) -> None:
-        if self._robots is not None and not on:
-            self._robots.clear()
-            self._robots = None
-        elif on:
-            self._robots = self._robots or Robots(self.context)
-            self._robots.follow()
-
-    def _show_world(self, on: bool) -> None:
-        if self._world is not None and not on:
-            self._world.close()
-            self._world = None
-        elif on:
-            self._world = self._world or WorldDisplay(self.context)
-            robots: FrozenSet[str] = frozenset()
-            if self._robots is not None:
-                robots = self._robots.models(self._world.models())
-            self._world.leave_out(robots)
+    def _worlds(self) -> list[WorldDisplay]:
+        """Return the display of the world, if it is shown."""
+        return list(self._displays[0].shown.values())
 
     def _choose_frame(self) -> None:
         """Choose the frame of the scene: the parameter, else the world's, else the largest tree's.
 
         The frame is kept while it exists.
         """
-        frames: Set[str] = set() if self._world is None else self._world.frames()
+        frames = set().union(*(world.frames() for world in self._worlds()))
         roots = self.context.frames.roots()
         if not self._frame and self.context.fixed not in (*frames, *roots):
             self.context.fixed = next(iter([*sorted(frames), *roots]), self.context.fixed)

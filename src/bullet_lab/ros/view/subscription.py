@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Callable, Deque, List, Optional
+from typing import Any, Callable
 
 import genpy
 import rospy
@@ -40,7 +40,7 @@ class Subscription:
     ):
         self.topic = topic
         self._read = read
-        self._waiting: Deque[bytes] = deque(maxlen=MAX_WAITING if every else 1)
+        self._waiting: deque[bytes] = deque(maxlen=MAX_WAITING if every else 1)
         self._refusals = Refusals()
         self._subscriber = rospy.Subscriber(
             topic,
@@ -52,7 +52,7 @@ class Subscription:
             tcp_nodelay=True,
         )
 
-    def take(self) -> List[Any]:
+    def take(self) -> list[Any]:
         """Return the new messages as `read` makes them, in their order."""
         found = []
         while self._waiting:
@@ -72,7 +72,7 @@ class Subscription:
 
 
 def reader_of(
-    message_type: type, convert: Optional[Callable[[Any], Any]] = None
+    message_type: type, convert: Callable[[Any], Any] | None = None
 ) -> Callable[[bytes], Any]:
     """Return a function from the bytes of a message to the message, or to what `convert` returns.
 

@@ -345,7 +345,7 @@ class SkidSteer(WheelDrive):
         self.transform = self.output("/tf", TransformSample, mount.boolean("broadcastTF", False))
 
     def _find_creep(self) -> None:
-        """Set the creep (m/s) and a side's largest friction (N), unless a wheel names a softness."""
+        """Set the creep (m/s) and the largest friction of a side (N), unless a wheel is soft."""
         links = {link.joint.name: link.link for link in self._body.bullet_links if link.joint}
         wheels = [links[wheel.joint] for wheel in self.wheels]
         shapes = [shape for wheel in wheels for shape in wheel.collisions]

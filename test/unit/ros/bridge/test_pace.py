@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from bullet_lab.ros.bridge.timing import Pace
+from bullet_lab.ros.bridge.stepper import Pace
 
 
 @pytest.mark.parametrize("factor", [0.005, 0.5, 3.0])

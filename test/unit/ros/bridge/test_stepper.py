@@ -8,8 +8,14 @@ import pytest
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge import stepper as stepper_module
-from bullet_lab.ros.bridge.stepper import Stepper, StepperError
-from bullet_lab.ros.bridge.timing import FOR_EVER, LoopWatch, Pace, TimeGate
+from bullet_lab.ros.bridge.stepper import (
+    FOR_EVER,
+    Pace,
+    SpeedWatch,
+    Stepper,
+    StepperError,
+    TimeGate,
+)
 from bullet_lab.simulation.simulation import Simulation
 
 PATIENCE = 60.0
@@ -341,7 +347,7 @@ class SlowWorld:
             is_over=lambda: self.now >= self.end,
             report_stall=self.stalls.append,
             report_lag=self.lags.append,
-            watch=LoopWatch(lambda: self.now),
+            watch=SpeedWatch(lambda: self.now),
         )
         monkeypatch.setattr(self.stepper, "_wait", self.wait)
 
@@ -358,8 +364,8 @@ def test_a_speed_that_is_not_reached_is_reported_now_and_then(monkeypatch):
     world = SlowWorld(monkeypatch, cost=2e-3)
     world.run(21.0)
     assert len(world.lags) == 3
-    assert all(lag.reached == pytest.approx(0.5, abs=0.02) for lag in world.lags)
-    assert world.lags[0].causes == (("steps", pytest.approx(1.0, abs=0.02)),)
+    speeds = [float(lag.split()[6]) for lag in world.lags]
+    assert speeds == pytest.approx([0.5] * 3, abs=0.02)
 
 
 @pytest.mark.parametrize(("cost", "rtf"), [(9e-4, 1.0), (2e-3, 0.0)])
@@ -389,29 +395,3 @@ def test_who_holds_time_back_for_long_is_reported_as_a_stall_alone(monkeypatch):
     assert world.lags == []
     assert world.stalls[0] == ("/a", "/b")
     assert len(world.stalls) > 5
-
-
-def test_who_holds_time_back_again_and_again_is_named(monkeypatch):
-    world = SlowWorld(monkeypatch, cost=1e-4)
-    world.gate.grant("/a", 0)
-    wait = world.wait
-
-    def grant_late(seconds, wakeups):
-        wait(seconds, wakeups)
-        if world.gate.limit() <= world.simulation.step:
-            world.gate.grant("/a", world.simulation.step + 50)
-
-    monkeypatch.setattr(world.stepper, "_wait", grant_late)
-    world.run(11.0)
-    assert len(world.lags) == 2
-    assert world.lags[1].causes[0][0] == "waiting for /a"
-
-
-def test_the_plugin_that_takes_the_time_is_named(monkeypatch):
-    world = SlowWorld(monkeypatch, cost=2e-3)
-    monkeypatch.setattr(world.simulation, "take_spent", lambda: {"plugin 'eye' of 'r'": 3.0})
-    world.run(5.5)
-    assert world.lags[0].causes == (
-        ("plugin 'eye' of 'r'", pytest.approx(0.6, abs=0.02)),
-        ("steps", pytest.approx(0.4, abs=0.02)),
-    )

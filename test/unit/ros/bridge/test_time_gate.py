@@ -1,4 +1,4 @@
-from bullet_lab.ros.bridge.timing import FOR_EVER, NOT_YET, TimeGate
+from bullet_lab.ros.bridge.stepper import FOR_EVER, NOT_YET, TimeGate
 
 
 def test_without_members_time_is_free():

@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.conversions import COMMANDS
-from bullet_lab.ros.messages.poses import first_step_at, pose_message, time_of
+from bullet_lab.ros.messages.poses import InputError, first_step_at, pose_message, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
 from bullet_lab.simulation.plugins.samples import (
     JointSample,
@@ -98,7 +98,7 @@ def odometry(pose="orientation: {w: 1.0}", frame="odom", child="base"):
     ],
 )
 def test_poses_that_are_none_are_refused(bad):
-    with pytest.raises(OdometryError):
+    with pytest.raises(InputError):
         planar_pose(odometry(bad))
 
 

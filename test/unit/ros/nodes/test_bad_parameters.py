@@ -6,12 +6,14 @@ import yaml
 from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.ros.nodes.aruco import ArucoParameters
 from bullet_lab.ros.nodes.bridge import BridgeParameters
-from bullet_lab.ros.nodes.canny_edges import CannyParameters
 from bullet_lab.ros.nodes.dock import DockParameters
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
-from bullet_lab.ros.nodes.good_features import GoodFeaturesParameters
-from bullet_lab.ros.nodes.harris_corners import HarrisParameters
+from bullet_lab.ros.nodes.features import (
+    CannyParameters,
+    GoodFeaturesParameters,
+    HarrisParameters,
+)
 from bullet_lab.ros.nodes.image_node import ImageParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.plots import PlotNoiseParameters

@@ -22,9 +22,9 @@ def test_a_display_that_stays_outlives_its_publisher_until_switched_off():
     displays = Displays(kind, context=None)
     displays.follow({"/path": "a/Path", "/scan": "a/Scan", "/other": "b/Other"})
     displays.follow({"/other": "b/Other"})
-    assert displays.topics == ["/path"]
+    assert list(displays.shown) == ["/path"]
     assert made["/scan"].closed
     displays.follow({"/path": "a/Path"})
     displays.follow({})
     assert made["/path"].closed
-    assert not displays.topics
+    assert not displays.shown

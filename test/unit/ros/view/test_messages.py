@@ -13,7 +13,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.view import displays, markers
+from bullet_lab.ros.view import displays
 from bullet_lab.ros.view.displays import OdometryDisplay, ScanDisplay, read_path
 from bullet_lab.ros.view.frames import DisplayContext, read_transforms
 from bullet_lab.ros.view.markers import MarkersDisplay, read_marker, read_markers
@@ -164,7 +164,7 @@ def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(monkeypatch):
         scale: {x: 1.0, y: 1.0, z: 1.0}
     """
     subscription = SimpleNamespace(take=lambda: [[read_marker(message(Marker, text))]])
-    monkeypatch.setattr(markers, "Subscription", lambda *arguments, **options: subscription)
+    monkeypatch.setattr(displays, "Subscription", lambda *arguments, **options: subscription)
     shown = {}
     scene = SimpleNamespace(
         add_batched_meshes_simple=lambda name, *_, **arrays: shown.update(arrays)

@@ -1,14 +1,14 @@
 """Nodes of the page's scene, updated in few messages.
 
-viser sends each property that changes as a message. Things that move together are therefore one
-node with an array for all of them. Poses are in the scene's one frame, in m; colours are RGBA or
-RGB within [0, 1]. Not thread-safe.
+viser sends each property that changes as a message, and none for an equal value. Things that move
+together are therefore one node with an array for all of them. Poses are in the scene's one frame,
+in m; colours are RGBA or RGB within [0, 1]. Not thread-safe.
 """
 
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Hashable, Sequence, Tuple
 
 import numpy as np
 
@@ -38,7 +38,7 @@ GAMMA = 2.2
 Row = Tuple[Any, ...]
 
 
-def rgb(colour: Sequence[float]) -> Tuple[int, int, int]:
+def rgb(colour: Sequence[float]) -> tuple[int, int, int]:
     """Return red, green and blue within [0, 255], as viser expects a colour.
 
     >>> rgb((1.0, 0.5, 0.0, 1.0))
@@ -48,7 +48,7 @@ def rgb(colour: Sequence[float]) -> Tuple[int, int, int]:
     return red, green, blue
 
 
-def wxyz(pose: Pose) -> Tuple[float, float, float, float]:
+def wxyz(pose: Pose) -> tuple[float, float, float, float]:
     """Return the orientation of a pose as viser expects it."""
     x, y, z, w = pose.quaternion
     return w, x, y, z
@@ -62,11 +62,11 @@ class Copies:
         names: of the arrays.
     """
 
-    def __init__(self, make: Callable[[Dict[str, np.ndarray]], Any], names: Sequence[str]):
+    def __init__(self, make: Callable[[dict[str, np.ndarray]], Any], names: Sequence[str]):
         self._make = make
         self._names = names
-        self._rows: Dict[Hashable, Row] = {}
-        self._shown: List[Hashable] = []
+        self._rows: dict[Hashable, Row] = {}
+        self._shown: list[Hashable] = []
         self._changed = False
         self._node: Any = None
 
@@ -111,7 +111,7 @@ class CopyGroups:
 
     def __init__(self, make: Callable[[Any, int], Copies]):
         self._make = make
-        self._groups: Dict[Any, Copies] = {}
+        self._groups: dict[Any, Copies] = {}
 
     def group(self, name: Any) -> Copies:
         """Return the copies of a group."""
@@ -151,18 +151,34 @@ class Solids(CopyGroups):
         opacity = (colour[3],) if see_through else ()
         self.put((kind, see_through), key, pose, size, rgb(colour), *opacity)
 
-    def _copies(self, group: Tuple[str, bool], _: int) -> Copies:
+    def _copies(self, group: tuple[str, bool], _: int) -> Copies:
         kind, see_through = group
         corners = surfaces_of(UNITS[kind])[0].corners.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
 
-        def make(arrays: Dict[str, np.ndarray]) -> Any:
+        def make(arrays: dict[str, np.ndarray]) -> Any:
             arrays["batched_colors"] = arrays["batched_colors"].astype(np.uint8)
             return self._scene.add_batched_meshes_simple(name, corners, faces, lod="off", **arrays)
 
         names = ["batched_positions", "batched_wxyzs", "batched_scales", "batched_colors"]
         return Copies(make, names + ["batched_opacities"] * see_through)
+
+
+class VisualCopies(CopyGroups):
+    """Copies of what visuals show together; `report` is called as by `glb_of`."""
+
+    def __init__(self, scene: Any, name: str, report: Callable[[str], None]):
+        super().__init__(self._copies)
+        self._scene, self._name, self._report = scene, name, report
+
+    def _copies(self, visuals: tuple[Visual, ...], number: int) -> Copies:
+        glb, name = glb_of(visuals, self._report), f"{self._name}/{number}"
+
+        def make(arrays: dict[str, np.ndarray]) -> Any:
+            return self._scene.add_batched_glb(name, glb, lod="off", **arrays) if glb else None
+
+        return Copies(make, ("batched_positions", "batched_wxyzs"))
 
 
 class Polyline:
@@ -172,32 +188,26 @@ class Polyline:
         self._scene = scene
         self._name = name
         self._colour = rgb(colour)
-        self._nodes: List[Tuple[np.ndarray, Any]] = []
+        self._nodes: list[Any] = []
 
     def set(self, points: np.ndarray) -> None:
         """Draw the line through points, (n, 3) in m."""
-        points = np.asarray(points, np.float32)
-        starts = range(0, max(len(points) - 1, 0), PIECE)
+        pieces = segments(np.asarray(points, np.float32))
+        starts = range(0, len(pieces), PIECE)
         for number, start in enumerate(starts):
-            self._set_piece(number, points[start : start + PIECE + 1].copy())
-        for _, node in self._nodes[len(starts) :]:
+            piece = pieces[start : start + PIECE]
+            if number < len(self._nodes):
+                self._nodes[number].points = piece
+            else:
+                name = f"{self._name}/{number}"
+                self._nodes.append(segments_node(self._scene, name, piece, self._colour))
+        for node in self._nodes[len(starts) :]:
             node.remove()
         del self._nodes[len(starts) :]
 
     def remove(self) -> None:
         """Remove the line."""
         self.set(np.zeros((0, 3)))
-
-    def _set_piece(self, number: int, points: np.ndarray) -> None:
-        if number == len(self._nodes):
-            name = f"{self._name}/{number}"
-            node = segments_node(self._scene, name, segments(points), self._colour)
-            self._nodes.append((points, node))
-            return
-        shown, node = self._nodes[number]
-        if not np.array_equal(shown, points):
-            node.points = segments(points)
-            self._nodes[number] = (points, node)
 
 
 def segments(points: np.ndarray) -> np.ndarray:
@@ -226,12 +236,17 @@ class PointsNode:
     def set(self, points: Sequence, **properties: Any) -> None:
         """Show points; their number may change, and none removes the node."""
         points = np.asarray(points, np.float32)
-        if len(points) and self._node is None:
+        if not len(points):
+            self.remove()
+        elif self._node is None:
             self._node = self._make(points, **properties)
-        elif len(points):
+        else:
             for name, value in {"points": points, **properties}.items():
                 setattr(self._node, name, value)
-        elif self._node is not None:
+
+    def remove(self) -> None:
+        """Show nothing."""
+        if self._node is not None:
             self._node.remove()
             self._node = None
 
@@ -242,26 +257,21 @@ class Labels:
     def __init__(self, scene: Any, name: str):
         self._scene = scene
         self._name = name
-        self._nodes: Dict[Hashable, Tuple[str, Vector, Any]] = {}
+        self._nodes: dict[Hashable, Any] = {}
 
     def put(self, key: Hashable, text: str, position: Vector) -> None:
         """Place a text."""
-        old_text, old_position, node = self._nodes.get(key, ("", None, None))
-        if node is None:
-            name = f"{self._name}/{len(self._nodes)}_{key}"
-            node = self._scene.add_label(name, text, position=position, anchor="bottom-center")
+        if key in self._nodes:
+            self._nodes[key].text, self._nodes[key].position = text, position
         else:
-            if text != old_text:
-                node.text = text
-            if position != old_position:
-                node.position = position
-        self._nodes[key] = (text, position, node)
+            name = f"{self._name}/{len(self._nodes)}_{key}"
+            made = self._scene.add_label(name, text, position=position, anchor="bottom-center")
+            self._nodes[key] = made
 
     def drop(self, key: Hashable) -> None:
         """Remove a text, if there is one with this key."""
-        _, _, node = self._nodes.pop(key, (None, None, None))
-        if node is not None:
-            node.remove()
+        if key in self._nodes:
+            self._nodes.pop(key).remove()
 
     def keep(self, keys: Sequence[Hashable]) -> None:
         """Remove all texts but these."""
@@ -271,7 +281,7 @@ class Labels:
 
 def floor_point(
     origin: Sequence[float], direction: Sequence[float]
-) -> Optional[Tuple[float, float]]:
+) -> tuple[float, float] | None:
     """Return where a ray meets the floor, x and y in m; None if it does not.
 
     >>> floor_point((0.0, 0.0, 2.0), (1.0, 0.0, -1.0))
@@ -281,20 +291,6 @@ def floor_point(
         return None
     share = -origin[2] / direction[2]
     return origin[0] + share * direction[0], origin[1] + share * direction[1]
-
-
-def visual_copies(
-    scene: Any, name: str, visuals: Sequence[Visual], report: Callable[[str], None]
-) -> Copies:
-    """Return copies of what visuals show together; `report` is called as by `glb_of`."""
-    glb = glb_of(visuals, report)
-    if not glb:
-        return Copies(lambda _: None, ())
-
-    def make(arrays: Dict[str, np.ndarray]) -> Any:
-        return scene.add_batched_glb(name, glb, lod="off", **arrays)
-
-    return Copies(make, ("batched_positions", "batched_wxyzs"))
 
 
 def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warning) -> bytes:

@@ -8,7 +8,7 @@ round-trip time of the link. Times are the server's, in s of its monotonic clock
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Tuple
 
 # Wall seconds between two times that the server sends.
 PERIOD = 0.1
@@ -24,7 +24,7 @@ STILL: Shares = (0.0, 0.0)
 TAKE_OVER = "take over"
 
 
-def read_command(text: Any) -> Tuple[float, Shares]:
+def read_command(text: Any) -> tuple[float, Shares]:
     """Return the time that a command carries, and its shares; -inf and STILL if it is invalid.
 
     >>> read_command("12.5 0.5 -3")
@@ -56,7 +56,7 @@ class DriverSeat:
 
     def __init__(self, drive: Callable[[str, Shares], None]):
         self._drive = drive
-        self.holder: Optional[str] = None
+        self.holder: str | None = None
         self._is_moving = False
 
     def claim(self, tab: str) -> bool:
@@ -90,7 +90,7 @@ class Pad:
     def __init__(self, tab: str, wheel: DriverSeat):
         self._tab = tab
         self._wheel = wheel
-        self._ends: Optional[float] = None
+        self._ends: float | None = None
         self._is_late = False
 
     def take(self, text: Any, now: float) -> None:
@@ -106,7 +106,7 @@ class Pad:
             self._ends = stamp + HOLD
             self._wheel.steer(self._tab, shares)
 
-    def patience(self, now: float) -> Optional[float]:
+    def patience(self, now: float) -> float | None:
         """Return for how many seconds more the last command is valid; None at a standstill."""
         return None if self._ends is None else max(0.0, self._ends - now)
 
@@ -115,7 +115,7 @@ class Pad:
         self._ends = None
         self._wheel.steer(self._tab, STILL)
 
-    def state(self, now: float) -> Dict[str, Any]:
+    def state(self, now: float) -> dict[str, Any]:
         """Return the message to the pad: the time, whether another tab drives, or the link is slow.
 
         The pad sends the time back with its commands.

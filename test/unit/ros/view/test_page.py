@@ -11,8 +11,8 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from bullet_lab.view.pad import STILL, DriverSeat
-from bullet_lab.view.page import Page
+from bullet_lab.ros.view.pad import STILL, DriverSeat
+from bullet_lab.ros.view.page import Page
 
 
 class Driven:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bullet_lab.view.pad import HOLD, PERIOD, STILL, TAKE_OVER, DriverSeat, Pad, read_command
+from bullet_lab.ros.view.pad import HOLD, PERIOD, STILL, TAKE_OVER, DriverSeat, Pad, read_command
 
 
 @pytest.fixture

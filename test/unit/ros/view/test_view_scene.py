@@ -7,10 +7,7 @@ import pytest
 import trimesh
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.description import Visual
-from bullet_lab.simulation.world.resources import package_share
-from bullet_lab.simulation.world.shapes import Box, Mesh, Sphere
-from bullet_lab.view.scene import (
+from bullet_lab.ros.view.scene import (
     PIECE,
     Labels,
     PointsNode,
@@ -19,6 +16,9 @@ from bullet_lab.view.scene import (
     floor_point,
     glb_of,
 )
+from bullet_lab.simulation.world.description import Visual
+from bullet_lab.simulation.world.resources import package_share
+from bullet_lab.simulation.world.shapes import Box, Mesh, Sphere
 
 WALL = package_share() / "models" / "docking_station" / "meshes" / "back_wall.obj"
 RED, GLASS = (1.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.5)
@@ -33,8 +33,9 @@ class Node:
         nodes[name] = self
 
     def __setattr__(self, name, value):
+        # As viser's, it sends what differs.
+        self.__dict__["sent"] += not np.array_equal(self.__dict__[name], value)
         self.__dict__[name] = value
-        self.__dict__["sent"] += 1
 
     def remove(self):
         if self.nodes.get(self.name) is self:

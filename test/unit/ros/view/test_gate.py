@@ -4,7 +4,7 @@ import msgspec
 import pytest
 import yaml
 
-from bullet_lab.view.gate import MAX_MESSAGE_BYTES, Gate, is_valid_message
+from bullet_lab.ros.view.page import MAX_MESSAGE_BYTES, Gate, is_valid_message
 
 GATE = Gate("secret")
 
