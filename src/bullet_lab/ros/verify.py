@@ -382,7 +382,7 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
         runs = Runs(todo, settings.processor)
         at_once = settings.workers or len(os.sched_getaffinity(0))
         pool = functools.partial(runs.on_threads, at_once=at_once)
-        found = run_tasks(runs.run, len(todo), pool, tell, "verifying", "run", " runs")
+        found = run_tasks(runs.run, len(todo), pool, tell, "runs")
         rows: List[FileRow] = []
         results: Dict[str, Results] = {}
         for job, first, second in zip(jobs, found[::2], found[1::2]):

@@ -1,4 +1,7 @@
-"""Results of a study: tables, figures, texts and summary.json; and what its figures share."""
+"""Results of a study: tables, figures, texts and summary.json; and what several studies share.
+
+That is the interval of a share, and parts of figures.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from scipy.special import betaincinv
 
 from bullet_lab.core.figures import new_figure, save
 from bullet_lab.core.files import write_json
@@ -55,6 +59,22 @@ def write_results(
 def rows_of(records: Sequence[Record]) -> List[Iterable[Any]]:
     """Return a header and a row for each of the records, which have the same names."""
     return [records[0], *(record.values() for record in records)]
+
+
+def clopper_pearson(hits: int, trials: int, tail: float) -> Tuple[float, float]:
+    """Return Clopper and Pearson's interval of the probability of a hit.
+
+    Each end is the probability for which at least so many hits, or at most so many, have the
+    probability `tail`: a quantile of the beta distribution. The true probability, whatever its
+    value, is beyond an end in at most that share of all experiments.
+    (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934.)
+
+    >>> [round(end, 3) for end in clopper_pearson(95, 100, 0.025)]
+    [0.887, 0.984]
+    """
+    low = betaincinv(hits, trials - hits + 1, tail) if hits else 0.0
+    high = betaincinv(hits + 1, trials - hits, 1.0 - tail) if hits < trials else 1.0
+    return float(low), float(high)
 
 
 def panels(

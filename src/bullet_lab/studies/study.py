@@ -15,7 +15,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequence, Tuple, Type
+from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequence, Type, TypeVar
 
 from tqdm import tqdm
 
@@ -31,6 +31,7 @@ MOST_SEED = 2**63 - 1
 LINES = 10
 """Number of lines that report the progress if there is no terminal."""
 
+T = TypeVar("T")
 Tell = Callable[[str], None]
 """Prints a line for the user."""
 
@@ -61,7 +62,6 @@ def run_from(
     settings: Sequence[Type],
     run: Callable[..., Optional[Iterable[str]]],
     words: Optional[Sequence[str]] = None,
-    short: Sequence[Tuple[str, str]] = (),
 ) -> NoReturn:
     """Run a study from the command line, and exit: 0 done, 1 unfinished, 2 bad input, 130 stopped.
 
@@ -72,7 +72,6 @@ def run_from(
         run: gets the folder for the results, which exists, an instance of each of `settings`, and
             a function that prints a line; may return lines to print; raises LabError.
         words: of the command line; those of this process by default.
-        short: short options, such as -n, each with the name of its parameter.
     """
     words = sys.argv[1:] if words is None else words
 
@@ -86,8 +85,6 @@ def run_from(
         parser.add_argument("out", type=Path, help="folder for the results")
         for kind in settings:
             add_options(parser, kind)
-        for option, parameter in short:
-            parser.add_argument(option, dest=parameter, metavar=parameter.upper())
         # roslaunch adds __name:=… and __log:=…
         values = vars(parser.parse_args([w for w in words if not re.match(r"__\w+:=", w)]))
         read = [read_options(kind, values) for kind in settings]
@@ -125,43 +122,33 @@ def _ignore_interrupts() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-@contextlib.contextmanager
 def progress(
-    title: str,
+    items: Iterable[T],
+    things: str,
     total: int,
     tell: Tell,
     done: int = 0,
-    unit: str = "cell",
-    things: str = "",
     counts: Callable[[], str] = str,
-) -> Iterator[Callable[[], None]]:
-    """Show the progress of work: a bar on a terminal, at most `LINES` lines elsewhere.
-
-    Yields a function to call after each unit of work.
+) -> Iterator[T]:
+    """Yield items, and show the progress: a bar on a terminal, at most `LINES` lines elsewhere.
 
     Args:
-        title: of the bar.
-        total: number of units.
+        items: of which the next one is asked for when the work on one is done.
+        things: name of the items.
+        total: number of all items.
         tell: prints a line.
-        done: number of units that were done before.
-        unit: name of a unit, for the bar.
-        things: name of the units in the lines, with a space before it; may be empty.
-        counts: returns a summary of the units that are done.
+        done: number of items that were done before.
+        counts: returns a summary of the items that are done.
     """
-    with tqdm(total=total, initial=done, unit=unit, desc=title, disable=None) as bar:
-
-        def note() -> None:
-            nonlocal done
+    with tqdm(total=total, initial=done, desc=things, disable=None) as bar:
+        for item in items:
+            yield item
             done += 1
             bar.update()
             if not bar.disable:
                 bar.set_postfix_str(counts())
             elif done * LINES // total > (done - 1) * LINES // total:
-                tell(", ".join(filter(None, (f"{done} of {total}{things} done", counts()))))
-
-        if not bar.disable:
-            bar.set_postfix_str(counts())
-        yield note
+                tell(", ".join(filter(None, (f"{done} of {total} {things} done", counts()))))
 
 
 @contextlib.contextmanager

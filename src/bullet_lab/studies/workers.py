@@ -81,9 +81,7 @@ def this_process(task: Task, numbers: Sequence[int]) -> Results:
     return ((number, task(number)) for number in numbers)
 
 
-def run_tasks(
-    task: Task, count: int, run: Run, tell: Tell, title: str, unit: str, things: str
-) -> List[Any]:
+def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> List[Any]:
     """Run a task for the numbers from 0 on and return the results in this order.
 
     Args:
@@ -91,20 +89,16 @@ def run_tasks(
         count: how many numbers.
         run: runs the tasks.
         tell: prints a line.
-        title: for `progress`, as are the next two.
-        unit: name of a task.
         things: name of the tasks.
 
     Raises:
         TaskLostError: every process that ran one of the tasks has died.
     """
     results: Dict[int, Any] = {}
-    with progress(title, count, tell, unit=unit, things=things) as note:
-        for number, result in run(task, range(count)):
-            if isinstance(result, TaskLostError):
-                raise TaskLostError(f"{unit} {number}: {result}")
-            results[number] = result
-            note()
+    for number, result in progress(run(task, range(count)), things, count, tell):
+        if isinstance(result, TaskLostError):
+            raise TaskLostError(f"number {number} of {things}: {result}")
+        results[number] = result
     return [results[number] for number in range(count)]
 
 

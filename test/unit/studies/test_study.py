@@ -43,7 +43,7 @@ REFUSED = [
     ("detection_range", "--frames 0", "it must be a whole number from 1 to 100000"),
     ("detection_range", "--dots -1", "it must be a whole number from 0 to 100000"),
     ("detection_range", "--workers -1", "--workers is '-1'"),
-    ("dock_campaign", "-n 0", "--dockings is '0': it must be a whole number from 1 to 1000000"),
+    ("dock_campaign", "--dockings 0", "it must be a whole number from 1 to 1000000"),
     ("dock_campaign", "--worlds kitchen", "--worlds is 'kitchen'"),
     ("dock_campaign", "--lights candle", "--lights is 'candle'"),
     ("dock_campaign", "--odometry gps", "--odometry is 'gps'"),
@@ -89,7 +89,7 @@ class Place:
     world: str = text("", "where")
 
 
-def ended(words, run=lambda *_: None, **options):
+def ended(words, run=lambda *_: None):
     """The status that a study ends with, and what it was run with."""
     found = []
 
@@ -98,7 +98,7 @@ def ended(words, run=lambda *_: None, **options):
         run(*given)
 
     with pytest.raises(SystemExit) as end:
-        run_from("a_study", "Studies.\nMore.", (Noise, Place), body, words, **options)
+        run_from("a_study", "Studies.\nMore.", (Noise, Place), body, words)
     return end.value.code, found
 
 
@@ -133,8 +133,8 @@ def test_the_second_signal_does_not_interrupt_what_the_first_one_has_begun(first
 
 
 def test_settings_make_the_command_line(capsys):
-    words = ["out", "--levels", "0", "0.5", "--all-of-it", "--world", "moon", "-p", "7"]
-    status, found = ended([*words, "__name:=a", "__log:=/a b.log"], short=[("-p", "paths")])
+    words = ["out", "--levels", "0", "0.5", "--all-of-it", "--world", "moon", "--paths", "7"]
+    status, found = ended([*words, "__name:=a", "__log:=/a b.log"])
     folder, settings, place, tell = found
     assert status == 0
     assert (folder, settings) == (Path("out"), Noise((0.0, 0.5), 7, True))
@@ -216,11 +216,8 @@ def test_bad_words_end_a_study_with_one_line_and_nothing_written(name, words, sa
 @pytest.mark.parametrize(("total", "before"), [(30, 0), (7, 3)])
 def test_without_a_terminal_some_lines_tell_of_the_progress(total, before):
     lines = []
-    with progress(
-        "work", total, lines.append, before, things=" cells", counts=lambda: "3 bad"
-    ) as note:
-        for _ in range(total - before):
-            note()
+    work = range(before, total)
+    assert list(progress(work, "cells", total, lines.append, before, lambda: "3 bad")) == list(work)
     assert len(lines) == min(10, total - before)
     assert lines[-1] == f"{total} of {total} cells done, 3 bad"
 

@@ -117,13 +117,13 @@ def test_without_numbers_there_are_no_results():
 
 
 def test_results_are_in_the_order_of_the_numbers_and_none_may_be_lost():
-    about = (print, "squares", "cell", "")
+    about = (print, "cells")
 
     def backwards(task, numbers):
         return [(number, task(number)) for number in reversed(numbers)]
 
     assert run_tasks(square, 3, backwards, *about) == [0, 1, 4]
-    with pytest.raises(TaskLostError, match="cell 0: gone"):
+    with pytest.raises(TaskLostError, match="number 0 of cells: gone"):
         run_tasks(square, 3, lambda *_: [(0, TaskLostError("gone"))], *about)
 
 

@@ -159,13 +159,12 @@ def _run(out: Path, settings: GradeSettings, tell: Tell) -> List[str]:
     marks = {number: grader.kept(number) for number in range(len(submissions))}
     todo = [number for number, mark in marks.items() if not mark]
     done, total = len(submissions) - len(todo), len(submissions)
-    with progress("grading", total, tell, done, "submission", " submissions") as note:
-        for number, mark in workers(settings.workers)(grader, todo):
-            if isinstance(mark, TaskLostError):
-                lost = Record(notes=[f"it has killed its grader: {mark}"])
-                mark = grade(submissions[number].name, exercise, [lost])
-            marks[number] = mark
-            note()
+    found = workers(settings.workers)(grader, todo)
+    for number, mark in progress(found, "submissions", total, tell, done):
+        if isinstance(mark, TaskLostError):
+            lost = Record(notes=[f"it has killed its grader: {mark}"])
+            mark = grade(submissions[number].name, exercise, [lost])
+        marks[number] = mark
     rows = [(m["submission"], m["points"], m["of"], "; ".join(m["why"])) for m in marks.values()]
     with file_errors(f"cannot write {out / TABLE}"):
         write_table(out / TABLE, [("submission", "points", "of", "why"), *rows])

@@ -7,7 +7,7 @@ import os
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from bullet_lab.noise.odometry_noise import (
 )
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.paths import read_path
-from bullet_lab.studies.shares import clopper_pearson
+from bullet_lab.studies.results import clopper_pearson
 
 NAMES = (
     ("odom", "noisy_odom"),
@@ -272,7 +272,6 @@ def coverage(
     systematic: Sequence[str],
     paths: int,
     seed: int,
-    note: Callable[[], None] = lambda: None,
 ) -> List[Coverage]:
     """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
 
@@ -282,7 +281,6 @@ def coverage(
         systematic: systematic errors that are applied and fitted; the others are 0.
         paths: number of paths.
         seed: of the paths, >= 0.
-        note: called after each path.
     """
     errors = {name: getattr(settings, name) for name in systematic}
     true = {**asdict(settings.rule(model)), **errors}
@@ -292,8 +290,6 @@ def coverage(
         found = fit(problem)
         estimates.append(found.estimates)
         ends.append(intervals(problem, found))
-        for _ in range(len(problem)):
-            note()
     values, bounds = np.concatenate(estimates), np.concatenate(ends)
     result = []
     for j, name in enumerate(problem.names):

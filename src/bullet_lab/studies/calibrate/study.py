@@ -115,7 +115,7 @@ def run_calibration(
         return calibrate(taken, model, fitted, drive.wheel_base, settings.seed)
 
     count = len(settings.models)
-    found = run_tasks(calibrate_model, count, this_process, tell, "calibrate", "model", " models")
+    found = run_tasks(calibrate_model, count, this_process, tell, "models")
     ranked = sorted(found, key=ModelCalibration.rank)
     best = ranked[0]
     if best.limited:
@@ -161,10 +161,8 @@ def run_coverage(
     """
     found: List[Coverage] = []
     lap = replace(drive, laps=1)
-    total = settings.coverage * len(settings.models)
-    with progress("coverage", total, tell, unit="path", things=" paths") as note:
-        for model in settings.models:
-            found += coverage(lap, model, SYSTEMATIC, settings.coverage, settings.seed, note)
+    for model in progress(settings.models, "models", len(settings.models), tell):
+        found += coverage(lap, model, SYSTEMATIC, settings.coverage, settings.seed)
     table: List[Sequence[Any]] = [COVERAGE_COLUMNS]
     for one in found:
         low, high = one.band_95

@@ -237,7 +237,7 @@ def run_detection_range(
     make_folder(folder)
     todo = tasks(settings)
     task = functools.partial(do_task, settings)
-    results = run_tasks(task, len(todo), run, tell, "detection_range", "cell", " cells")
+    results = run_tasks(task, len(todo), run, tell, "cells")
     of_cells = [result for result, one in zip(results, todo) if one.cell is not None]
     of_dots = results[len(of_cells) :]
     rows = [result.row() for result in of_cells]

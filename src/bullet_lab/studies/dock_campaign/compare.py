@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from pathlib import Path
@@ -14,12 +13,16 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION
-from bullet_lab.core.files import FileError
 from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
-from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, reported_docked
+from bullet_lab.studies.dock_campaign.results import (
+    LOG,
+    QUANTITIES,
+    read_log,
+    reported_docked,
+)
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
-from bullet_lab.studies.results import Record, panels, write_results
+from bullet_lab.studies.results import Record, clopper_pearson, panels, write_results
 
 CONFIDENCE = 0.95
 ENDS = ("value", "low", "high")
@@ -31,22 +34,6 @@ NAV2_THRESHOLD = 0.05
 
 class ComparisonError(LabError):
     """Two campaigns cannot be compared."""
-
-
-def read_campaign(path: Path) -> tuple[str, dict[str, Any], dict[int, Record]]:
-    """Read the log of a campaign; raises FileError or ComparisonError.
-
-    Returns:
-        Its controller, its other parameters, and the records by index.
-    """
-    try:
-        first, *lines = [json.loads(line) for line in path.read_text().splitlines()]
-        parameters = dict(first["campaign"])
-        return parameters.pop("controller"), parameters, {line["index"]: line for line in lines}
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError):
-        raise ComparisonError(f"{path} is not the log of a finished campaign") from None
 
 
 def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
@@ -63,8 +50,9 @@ def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     Raises:
         LabError: the other campaign has other dockings, or lacks some of them.
     """
-    first, drawn_from, first_records = read_campaign(beside)
-    second, own_drawn_from, second_records = read_campaign(folder / LOG)
+    drawn_from, first_records = read_log(beside)
+    own_drawn_from, second_records = read_log(folder / LOG)
+    first, second = (one.pop("controller") for one in (drawn_from, own_drawn_from))
     if drawn_from != own_drawn_from:
         raise ComparisonError(f"{beside} has other dockings than {folder}")
     indices = range(dockings)
@@ -95,8 +83,7 @@ def share(hits: int, trials: int) -> dict[str, Any]:
     >>> {end: round(value, 2) for end, value in share(199, 200).items()}
     {'value': 99.5, 'low': 97.25, 'high': 99.99}
     """
-    interval = stats.binomtest(hits, trials).proportion_ci(CONFIDENCE, method="exact")
-    low, high = map(float, interval)
+    low, high = clopper_pearson(hits, trials, 0.5 * (1.0 - CONFIDENCE))
     return {"value": 100.0 * hits / trials, "low": 100.0 * low, "high": 100.0 * high}
 
 

@@ -19,13 +19,14 @@ from typing import Any, Callable
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import ParameterError, integer, text
 from bullet_lab.docking.database import DOCKED, ERRORS
-from bullet_lab.studies.dock_campaign.compare import compare, read_campaign
+from bullet_lab.studies.dock_campaign.compare import compare
 from bullet_lab.studies.dock_campaign.results import (
     LOG,
     QUANTITIES,
     DockLog,
     campaign_figure,
     campaign_summary,
+    read_log,
     stress_lines,
     stress_row,
 )
@@ -127,13 +128,12 @@ def _run_missing(
         return f"docked {results[True]}, failed {results[False]}"
 
     start = time.monotonic()
-    with progress("docking", count, tell, done, unit="docking", counts=counts) as note:
-        for index, result in run(functools.partial(trial, settings), missing):
-            if isinstance(result, TaskLostError):
-                result = crashed_record(settings, index, str(result))
-            log.append(result)
-            results[result["result"] == DOCKED] += 1
-            note()
+    found = run(functools.partial(trial, settings), missing)
+    for index, result in progress(found, "dockings", count, tell, done, counts):
+        if isinstance(result, TaskLostError):
+            result = crashed_record(settings, index, str(result))
+        log.append(result)
+        results[result["result"] == DOCKED] += 1
     return time.monotonic() - start, [log.records[index] for index in missing]
 
 
@@ -203,7 +203,7 @@ def _run(
     if comparison.beside:
         if EACH in settings.stress:
             raise ParameterError("beside: it takes the campaign under one stress, not under each")
-        read_campaign(Path(comparison.beside))
+        read_log(Path(comparison.beside))
     run = workers(cluster.workers, cluster.scheduler)
     if EACH in settings.stress:
         return run_each(folder, settings, run, tell=tell)
@@ -214,6 +214,4 @@ def _run(
 
 
 SETTINGS = (DockCampaignSettings, ClusterSettings, ComparisonSettings)
-main = functools.partial(
-    run_from, "dock_campaign", __doc__, SETTINGS, _run, short=[("-n", "dockings")]
-)
+main = functools.partial(run_from, "dock_campaign", __doc__, SETTINGS, _run)

@@ -178,9 +178,7 @@ def _results(
         len(todo),
         this_process,
         tell,
-        "published_noise",
-        "block",
-        " blocks",
+        "blocks",
     )
     results = [
         Result.of(defects, np.concatenate(lengths[first : first + len(blocks)]), figure.lengths)

@@ -319,7 +319,7 @@ def run_campaign(
         LabError: a robot cannot be driven, or the folder cannot be written to.
     """
     task = functools.partial(calibrate_robot, drive, campaign.floor)
-    records = run_tasks(task, campaign.robots, run, tell, "calibrating", "robot", " robots")
+    records = run_tasks(task, campaign.robots, run, tell, "robots")
     summary = {"job": "umbmark", **asdict(drive), **asdict(campaign), **campaign_summary(records)}
     table, figure = rows_of(records), campaign_figure(records)
     return write_results(folder, summary, {"campaign.csv": table}, {"campaign.png": figure}, {})
@@ -431,7 +431,7 @@ def _drive(
     """Drive all runs on the floor and evaluate them; for the arguments see `drive_run`."""
     count = len(DIRECTIONS) * settings.runs
     task = functools.partial(drive_run, settings, correction, laps, None)
-    drives = run_tasks(task, count, run, tell, title, "square", f" squares {title}")
+    drives = run_tasks(task, count, run, tell, f"squares {title}")
     return Benchmark.of_drives(drives, settings.side)
 
 

@@ -17,7 +17,7 @@ from bullet_lab.studies.dock_campaign.compare import (
     paired_figures,
     quantile,
 )
-from bullet_lab.studies.dock_campaign.results import LOG, DockLog
+from bullet_lab.studies.dock_campaign.results import LOG, DockLog, DockLogError
 from bullet_lab.studies.dock_campaign.study import DockCampaignSettings
 from bullet_lab.studies.dock_campaign.trial import DrawSettings, draw_scenario
 
@@ -107,5 +107,5 @@ def test_other_dockings_are_refused(tmp_path):
     with pytest.raises(FileError, match="cannot read"):
         compare(tmp_path / "more", tmp_path / "nowhere", 5)
     (tmp_path / "one" / LOG).write_text("{}\n")
-    with pytest.raises(ComparisonError, match="not the log"):
+    with pytest.raises(DockLogError, match="not the log"):
         compare(tmp_path / "more", tmp_path / "one" / LOG, 5)
