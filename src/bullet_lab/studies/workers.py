@@ -17,8 +17,7 @@ from typing import Any, Callable, Dict, Iterable, Iterator, List, Sequence, Tupl
 
 import cv2
 
-from bullet_lab.core.parameters import checked, choice, integer
-from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
+from bullet_lab.core.parameters import checked, integer
 from bullet_lab.studies.study import Settings, Tell, UnfinishedError, progress
 
 SECONDS_FOR_SCHEDULER = 10.0
@@ -53,11 +52,6 @@ class WorkerSettings(Settings):
     """Number of processes on this machine."""
 
     workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
-    renderer: str = choice(AUTO, "ignored: Panda3D draws all pictures", CHOICES)
-
-    def __post_init__(self) -> None:  # noqa: D105 - inherited
-        super().__post_init__()
-        check_choice(self.renderer)
 
 
 def _address(value: Any) -> str:

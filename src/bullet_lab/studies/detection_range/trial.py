@@ -14,9 +14,10 @@ from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Box, Link, Model, World, footprints
+from bullet_lab.simulation.world.description import Link, Model, World, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.worlds import DEFAULT_LIGHT, ROBOT, lit_world
@@ -165,32 +166,6 @@ def is_reachable(cell: Cell) -> bool:
     return all(one.distance(place[:2]) >= CLEARANCE for one in plan for place in _places(cell))
 
 
-def is_visible(cell: Cell) -> bool:
-    """Return whether no box hides the wanted marker from the camera, on both sides."""
-    corners = WORLDS[cell.world].wanted.corners()
-    # Not to the very end: the marker lies on the surface of a box.
-    rays = [(np.array(eye), 0.999 * (corners - eye)) for eye in _places(cell)]
-    return not any(
-        _cuts(model.pose * link.pose * shape.pose, shape.geometry, *ray)
-        for model in lit_world(cell.world, cell.light).models
-        for link in model.links
-        for shape in link.collisions
-        if isinstance(shape.geometry, Box)
-        for ray in rays
-    )
-
-
-def _cuts(pose: Pose, box: Box, eye: ndarray, rays: ndarray) -> bool:
-    """Return whether a box cuts one of the rays (n, 3) from an eye (slab method)."""
-    turn = pose.rotation_matrix()
-    start, rays, half = (eye - pose.position) @ turn, rays @ turn, 0.5 * np.array(box.size)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = (-half - start) / rays, (half - start) / rays
-    enter = np.nanmax(np.minimum(first, second), axis=1)
-    leave = np.nanmin(np.maximum(first, second), axis=1)
-    return bool((np.maximum(enter, 0.0) < np.minimum(leave, 1.0)).any())
-
-
 class FreeCamera:
     """The camera of the robot, noise included, at any pose in a world.
 
@@ -215,9 +190,13 @@ class FreeCamera:
         self._device: Camera = self._instance.plugins[0]
         self.camera: PinholeCamera = self._device.camera
 
-    def close(self) -> None:
-        """Close the simulation."""
-        self._simulation.close()
+    def sees(self, eye: Vector, points: ndarray) -> bool:
+        """Return whether nothing hides any of the points (m), shape (n, 3), from a place (m)."""
+        # Not to the very end: the marker lies on the surface of a box.
+        ends = np.asarray(eye) + 0.999 * (points - eye)
+        client = self._simulation.client
+        hits = pybullet.rayTestBatch([eye] * len(ends), ends.tolist(), physicsClientId=client)
+        return all(body < 0 for body, *_ in hits)
 
     def take(self, pose: Pose, number: int) -> ndarray:
         """Return the image from a pose, (height, width) of uint8, grey; raises LabError.
@@ -324,11 +303,11 @@ def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResu
     If the marker is hidden, only `HIDDEN_SHARE` of the frames are taken. With `keep`, the first
     image is returned.
     """
-    visible = is_visible(cell)
-    count = frames if visible else math.ceil(HIDDEN_SHARE * frames)
-    camera, shots = _free_camera(cell.world, cell.light, seed), cell_shots(cell, count, seed)
-    judged = tuple(_judged(camera, cell.world, shot) for shot in shots)
+    camera = _free_camera(cell.world, cell.light, seed)
     corners = WORLDS[cell.world].wanted.corners()
+    visible = all(camera.sees(place, corners) for place in _places(cell))
+    shots = cell_shots(cell, frames if visible else math.ceil(HIDDEN_SHARE * frames), seed)
+    judged = tuple(_judged(camera, cell.world, shot) for shot in shots)
     seen = [camera.camera.project(in_optical_frame(shot.pose, corners)) for shot in shots]
     pixels_per_cell = float(np.mean(mean_side(np.stack(seen)))) / CELLS_PER_SIDE
     snapshot = _snapshot(camera, cell.world, shots[0]) if keep else None
