@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from bullet_lab.core.parameters import choice, integer, number, text
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
 from bullet_lab.errors import LabError
@@ -25,9 +25,8 @@ from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, DiffDrive
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Collision, Link, Model
+from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf_file, read_urdf_text
 from bullet_lab.studies.study import MOST_SEED, Settings, UnfinishedError
 from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, SquareRun
@@ -115,10 +114,8 @@ class IdealRobot:
 class FloorRobot:
     """A robot on the floor of an empty world, at rest at the origin, with odometry by its wheels.
 
-    With the plugin libgazebo_ros_diff_drive.so, its wheels become larger and smaller than in the
-    file for errors of the diameters, without the plugin's knowledge. For an error of the base, the
-    plugin gets another base. With a diff_drive_controller of ros_control, errors are in the
-    controller's multipliers: it assumes other wheels than the true ones.
+    The plugin libgazebo_ros_diff_drive.so, or a diff_drive_controller of ros_control, gets other
+    diameters and another base than the true ones.
 
     Its pose is that of the midpoint between its wheels, as is that of its odometry.
 
@@ -142,8 +139,9 @@ class FloorRobot:
     ):
         file = ResourceFinder.anywhere().find(robot)
         model = read_urdf_file(file)
+        factors = assumed_multipliers(errors, correction)
         if not controller:
-            model = _with_wrong_wheels(robot, model, errors, correction)
+            model = _with_other_plugin(robot, model, factors)
         self._simulation = Simulation.of(WORLD)
         # For the model with its own wheels, the warnings have been logged.
         with contextlib.nullcontext() if controller else _without_warnings():
@@ -153,7 +151,7 @@ class FloorRobot:
             if plugin is None:
                 raise RobotError(f"{robot}: there is no plugin {RosControl.filenames[0]}")
             urdf = read_urdf_text(file)
-            drive: Any = _load_controller(plugin, urdf, controller, errors, correction)
+            drive: Any = _load_controller(plugin, urdf, controller, factors)
             joints = [joint.name for joint in drive.joints]
         else:
             drive = _plugin(self._robot, DiffDrive)
@@ -213,10 +211,8 @@ def _without_warnings() -> Iterator[None]:
         log.setLevel(level)
 
 
-def _with_wrong_wheels(
-    robot: str, model: Model, errors: SystematicErrors, correction: SystematicErrors
-) -> Model:
-    """Return a model with wrong wheels, and with a diff_drive plugin that assumes others.
+def _with_other_plugin(robot: str, model: Model, factors: Mapping[str, float]) -> Model:
+    """Return a model whose diff_drive plugin assumes wheels times `factors`.
 
     The plugin reports at least at the rate of the driver of squares, so that the robot stops in
     time.
@@ -230,50 +226,15 @@ def _with_wrong_wheels(
         drive = _plugin(simulation.add(model), DiffDrive)
     if drive is None:
         raise RobotError("the robot's diff_drive plugin does not work; see the warnings")
-    left, right = (2.0 * radius for radius in drive.radii)
-    drawn = Wheels(left, right, drive.separation)
-    assumed = replace(drawn, base=drawn.base / (1.0 + errors.base_error)).times(correction)
-    tags = {
-        **tag.tags,
-        "odometrySource": "encoder",
-        "wheelSeparation": repr(assumed.base),
-        "leftWheelDiameter": repr(assumed.left),
-        "rightWheelDiameter": repr(assumed.right),
-    }
+    names = ("leftWheelDiameter", "rightWheelDiameter", "wheelSeparation")
+    values = (*(2.0 * radius for radius in drive.radii), drive.separation)
+    wheels = (repr(value * factor) for value, factor in zip(values, factors.values()))
+    tags = {**tag.tags, "odometrySource": "encoder", **dict(zip(names, wheels))}
     if drive.schedule.period > 1.0 / CLOSED_LOOP_RATE:
         tags["updateRate"] = str(CLOSED_LOOP_RATE)
     changed = replace(tag, tags=tags, element=None)
-    children = {joint.name: joint.child for joint in model.joints}
-    wheels = [children[wheel.joint] for wheel in drive.wheels]
-    factors = dict(zip(wheels, errors.diameters))
-    return replace(
-        model,
-        plugins=tuple(changed if one is tag else one for one in model.plugins),
-        links=tuple(_scaled(link, factors.get(link.name, 1.0)) for link in model.links),
-    )
-
-
-def _scaled(link: Link, factor: float) -> Link:
-    """Return a link whose contacts are those of a larger or smaller one."""
-
-    def larger(values: Vector) -> Vector:
-        x, y, z = values
-        return factor * x, factor * y, factor * z
-
-    def scaled(collision: Collision) -> Collision:
-        shape: Any = collision.geometry
-        if isinstance(shape, (Cylinder, Sphere)):
-            shape = replace(shape, radius=factor * shape.radius)
-        elif isinstance(shape, Box):
-            shape = replace(shape, size=larger(shape.size))
-        elif isinstance(shape, Mesh):
-            shape = replace(shape, scale=larger(shape.scale))
-        pose = replace(collision.pose, position=larger(collision.pose.position))
-        return replace(collision, geometry=shape, pose=pose)
-
-    if factor == 1.0:
-        return link
-    return replace(link, collisions=tuple(map(scaled, link.collisions)))
+    plugins = tuple(changed if one is tag else one for one in model.plugins)
+    return replace(model, plugins=plugins)
 
 
 def multipliers(errors: SystematicErrors) -> Dict[str, float]:
@@ -284,22 +245,26 @@ def multipliers(errors: SystematicErrors) -> Dict[str, float]:
     return dict(zip(MULTIPLIERS, (*errors.diameters, 1.0 + errors.base_error)))
 
 
+def assumed_multipliers(
+    errors: SystematicErrors, correction: SystematicErrors
+) -> Dict[str, float]:
+    """Return the `MULTIPLIERS` of odometry with errors, and with a correction of them."""
+    wrong, corrected = multipliers(errors), multipliers(correction)
+    return {name: corrected[name] / wrong[name] for name in MULTIPLIERS}
+
+
 def _load_controller(
-    plugin: RosControl,
-    urdf: str,
-    file: str,
-    errors: SystematicErrors,
-    correction: SystematicErrors,
+    plugin: RosControl, urdf: str, file: str, factors: Mapping[str, float]
 ) -> DiffDriveController:
-    """Start the diff_drive_controller of a file with other multipliers."""
+    """Start the diff_drive_controller of a file with its multipliers times `factors`."""
     tree, name = _find_controller(file)
     parameters = dict(tree[name])
     both = parameters.pop("wheel_radius_multiplier", None)
     if both is not None:
         parameters.update(dict.fromkeys(MULTIPLIERS[:2], both))
     parameters["publish_rate"] = max(CLOSED_LOOP_RATE, parameters.get("publish_rate", 0.0))
-    for key, wrong in multipliers(errors).items():
-        parameters[key] = parameters.get(key, 1.0) / wrong * multipliers(correction)[key]
+    for key, factor in factors.items():
+        parameters[key] = parameters.get(key, 1.0) * factor
     manager = plugin.configure(urdf, tree)
     controller = manager.load(name, ControlParameters(parameters, f"{plugin.namespace}{name}"))
     manager.switch([name], [])

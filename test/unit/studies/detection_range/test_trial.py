@@ -83,7 +83,7 @@ def test_strewn_places_are_all_over_the_world_but_not_in_its_walls():
         (8.0, 0.0, "docking", True, True),
         (0.5, 45.0, "docking", True, True),
         (1.0, 30.0, "docking", False, True),  # nearer to the side wall than a robot comes
-        (2.0, 15.0, "docking", False, False),  # in the side wall
+        (2.0, 15.0, "docking", False, True),  # in the side wall, which no ray from there meets
         (4.0, 15.0, "docking", True, False),
         (8.0, 60.0, "docking", True, False),
         (4.0, 60.0, "marker_panel", True, True),

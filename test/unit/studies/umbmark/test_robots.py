@@ -44,23 +44,23 @@ def roll(robot):
     return measured() - before
 
 
-def test_wheels_of_a_plugin_become_larger_and_its_base_is_wrong(built):
+def test_a_plugin_assumes_other_wheels(built):
     robot = built(CAMERA, "", WRONG, NONE)
+    left, right = WRONG.diameters
     assert robot.assumed.base == pytest.approx(0.38 / 0.98)
-    # It assumes the drawn wheels: both get the same speed, and the robot turns.
-    assert (robot.assumed.left, robot.assumed.right) == (0.28, 0.28)
+    assert robot.assumed.left == pytest.approx(0.28 / left)
+    assert robot.assumed.right == pytest.approx(0.28 / right)
+    # The larger wheel is thought to be the smaller one: it gets more speed, and the robot turns.
     left, right, turned = roll(robot)
-    assert left == pytest.approx(right, rel=1e-3)
-    expected = 0.14 * (right * WRONG.diameters[1] - left * WRONG.diameters[0]) / 0.38
-    assert turned == pytest.approx(expected, rel=0.02)
+    assert right / left == pytest.approx(1.01, rel=1e-3)
+    assert turned == pytest.approx(0.14 * (right - left) / 0.38, rel=0.02)
 
 
 def test_the_plugin_assumes_the_corrected_wheels(built):
     robot = built(CAMERA, "", WRONG, WRONG)
-    left, right = WRONG.diameters
     assert robot.assumed.base == pytest.approx(0.38)
-    assert robot.assumed.left == pytest.approx(0.28 * left)
-    assert robot.assumed.right == pytest.approx(0.28 * right)
+    assert robot.assumed.left == pytest.approx(0.28)
+    assert robot.assumed.right == pytest.approx(0.28)
     assert roll(robot)[2] == pytest.approx(0.0, abs=1e-4)
 
 
