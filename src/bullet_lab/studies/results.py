@@ -78,7 +78,12 @@ def clopper_pearson(hits: int, trials: int, tail: float) -> Tuple[float, float]:
 
 
 def panels(
-    shape: Tuple[int, int], size: Tuple[float, float], title: str = "", **more: Any
+    shape: Tuple[int, int],
+    size: Tuple[float, float],
+    title: str = "",
+    labels: Tuple[str, str] = ("", ""),
+    grid: bool = True,
+    **more: Any,
 ) -> Tuple[Figure, np.ndarray]:
     """Return a figure and its axes, an array of a shape.
 
@@ -86,12 +91,21 @@ def panels(
         shape: numbers of rows and columns.
         size: width and height in inches.
         title: of the figure.
+        labels: of x below the last row, and of y beside the first column.
+        grid: whether to draw grids.
         more: as in `Figure.subplots`.
     """
     figure = new_figure(*size)
     if title:
         figure.suptitle(title)
-    return figure, figure.subplots(*shape, squeeze=False, **more)
+    every = figure.subplots(*shape, squeeze=False, **more)
+    for axes in every.flat if grid else ():
+        axes.grid(alpha=0.3)
+    for axes in every[-1]:
+        axes.set_xlabel(labels[0])
+    for axes in every[:, 0]:
+        axes.set_ylabel(labels[1])
+    return figure, every
 
 
 def legend_below(

@@ -335,7 +335,8 @@ def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:
     """Draw the whitened residuals of each model against quantiles of the normal distribution."""
     title = "Errors of the steps: on the line, the model is right"
     size = 4.2 * len(found), 4.6
-    figure, (row,) = panels((1, len(found)), size, title, sharex=True, sharey=True)
+    labels = ("standard normal", "error / standard deviation by the model")
+    figure, (row,) = panels((1, len(found)), size, title, labels, sharex=True, sharey=True)
     for axes, one in zip(row, found):
         axes.plot([-4.0, 4.0], [-4.0, 4.0], color=BLACK, linewidth=0.8)
         for values, part, colour in zip(one.goodness.whitened.T, _PART_TITLES, _COLOURS):
@@ -347,9 +348,7 @@ def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:
         fitted = one.goodness
         verdict = f"{'fits' if fitted.fits else 'does not fit'}, p = {fitted.p_value:.2g}"
         axes.set_title(f"{MODELS[one.model].title}: {verdict}", fontsize=10)
-        axes.set(xlabel="standard normal", xlim=(-4.0, 4.0), ylim=(-_WIDEST, _WIDEST))
-        axes.grid(alpha=0.3)
-    row[0].set_ylabel("error / standard deviation by the model")
+        axes.set(xlim=(-4.0, 4.0), ylim=(-_WIDEST, _WIDEST))
     row[0].legend(loc="upper left", fontsize=8)
     figure.tight_layout()
     return figure
@@ -362,7 +361,7 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
     rows = -(-len(parameters) // columns)
     title = f"{MODELS[one.model].title}: profile likelihoods and 95 % intervals"
     size = 3.1 * columns + 0.4, 2.7 * rows + 0.5
-    figure, grid = panels((rows, columns), size, title, sharey=True)
+    figure, grid = panels((rows, columns), size, title, ("", "fall of 2 log L"), sharey=True)
     for axes, (name, found) in zip(grid.flat, parameters.items()):
         _draw_profile(axes, one, name, found)
         if name in true:
@@ -373,8 +372,7 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
         axes.locator_params(axis="x", nbins=4)
     for axes in grid.flat[len(parameters) :]:
         axes.set_axis_off()
-    for axes in grid[:, 0]:
-        axes.set(ylabel="fall of 2 log L", ylim=(0.0, 8.0 * one.prediction.dispersion))
+    grid[0, 0].set_ylim(0.0, 8.0 * one.prediction.dispersion)
     figure.tight_layout()
     return figure
 
@@ -382,7 +380,6 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
 def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
     value, low, high = found
     axes.axhline(_LIMIT * one.prediction.dispersion, color=GREY, linewidth=0.8, linestyle="--")
-    axes.grid(alpha=0.3)
     axes.axvline(value, color=BLUE, linewidth=1.0)
     if not (math.isfinite(low) and math.isfinite(high)):
         axes.text(0.5, 0.5, "the steps do not end it", transform=axes.transAxes, ha="center")
@@ -431,7 +428,8 @@ def paths_figure(recordings: Sequence[Recording], one: ModelCalibration) -> Figu
 
 def coverage_figure(found: Sequence[Coverage]) -> Figure:
     """Draw the share of intervals of each parameter that hold the truth, with bands."""
-    figure, ((axes,),) = panels((1, 1), (8.0, 1.6 + 0.28 * len(found)))
+    labels = ("95 % intervals that hold the truth (%)", "")
+    figure, ((axes,),) = panels((1, 1), (8.0, 1.6 + 0.28 * len(found)), "", labels, False)
     axes.axvspan(93.0, 97.0, color=GREY, alpha=0.25, linewidth=0.0)
     axes.axvline(95.0, color=BLACK, linewidth=0.8)
     models = list(dict.fromkeys(one.model for one in found))
@@ -444,7 +442,6 @@ def coverage_figure(found: Sequence[Coverage]) -> Figure:
     axes.set_yticklabels([f"{one.model}: {one.name}" for one in found], fontsize=8)
     axes.invert_yaxis()
     axes.grid(alpha=0.3, axis="x")
-    axes.set(xlabel="95 % intervals that hold the truth (%)")
     axes.set_title(f"{found[0].paths} paths for each model", fontsize=10)
     figure.tight_layout()
     return figure

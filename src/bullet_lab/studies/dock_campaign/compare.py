@@ -201,7 +201,7 @@ def comparison_figure(
 ) -> Figure:
     """Draw shares with their intervals, times pair by pair, and the distributions of the errors."""
     title = f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)"
-    figure, (above, below) = panels((2, 3), (11.0, 7.0), title)
+    figure, (above, below) = panels((2, 3), (11.0, 7.0), title, grid=False)
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.92, wspace=0.28, hspace=0.38)
     _draw_shares(above[0], names, columns)
     _draw_results(above[1], columns)

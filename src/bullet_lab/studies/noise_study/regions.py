@@ -8,6 +8,7 @@ sample deviation.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
@@ -231,56 +232,6 @@ def _gaussian_at(moments: Moments, pose: int) -> Gaussian:
     return moments.mean[pose], moments.covariance[pose]
 
 
-@dataclass(frozen=True, eq=False)
-class Regions:
-    """The regions of a case.
-
-    Attributes:
-        poses: indices of their poses, shape (k,).
-        travelled: m, up to these poses, shape (k,).
-        gaussian_enough: whether the error at each pose is; see `Theory`.
-        found: for each method and pose, None if the region has no volume.
-        exponential: moments in exponential coordinates, at each pose.
-        cloud: x + iy (m), errors of the first paths' positions at each pose, shape (b, k).
-    """
-
-    poses: np.ndarray
-    travelled: np.ndarray
-    gaussian_enough: List[bool]
-    found: Dict[str, List[Optional[Region]]]
-    exponential: Moments
-    cloud: np.ndarray
-
-    def bent_cloud(self, known: Theory) -> Cloud:
-        """Return the cloud at the pose where it is bent most, by the moments of the case."""
-        k = int(np.argmax([known.quadratic_share(pose) for pose in self.poses]))
-        moments, pose = (known.exact, known.first_order), self.poses[k]
-        gaussians = [_gaussian_at(one, pose) for one in moments]
-        gaussians.append(_gaussian_at(self.exponential, k))
-        return Cloud(self.cloud[:, k], float(self.travelled[k]), *gaussians)
-
-    def right_until(self, method: str) -> Optional[float]:
-        """Return the distance (m) up to which the 95 % region is right, None without regions."""
-        return right_up_to(self.travelled, self.found[method])
-
-    def rows(self) -> Iterator[List]:
-        """Yield a row for each method and pose; see `HEADER`."""
-        for method, regions in self.found.items():
-            for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):
-                if region is not None:
-                    shares = zip(region.coverage, region.bands)
-                    figures = [f for share, band in shares for f in (share, *band)]
-                    nees = (region.nees, *region.nees_band)
-                    yield [method, float(travelled), str(enough).lower(), *figures, *nees]
-
-
-HEADER = (
-    *("method", "travelled_m", "gaussian_enough"),
-    *(f"coverage_{100 * level:g}{end}" for level in LEVELS for end in ("", "_low", "_high")),
-    *("nees_mean", "nees_low", "nees_high"),
-)
-
-
 class Ellipsoids:
     """Regions around the means of errors by several methods, at several poses.
 
@@ -309,19 +260,25 @@ class Ellipsoids:
 _ORDER = ["einsum_path", (0, 1), (0, 1)]
 
 
-class RegionCounter:
-    """Counts the noisy paths in the regions, in memory that does not grow with their number.
+class Regions:
+    """The noisy paths in the regions of a case, in memory that does not grow with their number.
 
     Args:
         trajectory: the perfect path.
         steps: of the path.
         known: moments of its noisy versions.
+
+    Attributes:
+        poses: indices of the poses with regions, shape (k,).
+        travelled: m, up to these poses, shape (k,).
+        gaussian_enough: whether the error at each pose is; see `Theory`.
     """
 
     def __init__(self, trajectory: Trajectory, steps: NoisySteps, known: Theory):
-        self._poses = at = checkpoints(trajectory)
-        self._travelled = trajectory.travelled()[at]
-        self._enough = [known.gaussian_enough(pose) for pose in at]
+        self._known = known
+        self.poses = at = checkpoints(trajectory)
+        self.travelled = trajectory.travelled()[at]
+        self.gaussian_enough = [known.gaussian_enough(pose) for pose in at]
         self._perfect = steps.position[at]
         self._exponential = exponential = exponential_moments(steps, at)
         nothing = np.zeros((len(at), 3))
@@ -340,8 +297,8 @@ class RegionCounter:
 
     def add(self, block: NoisyBlock) -> None:
         """Count the paths of a block."""
-        off = block.position[:, self._poses] - self._perfect
-        heading = wrap(block.heading_error[:, self._poses])
+        off = block.position[:, self.poses] - self._perfect
+        heading = wrap(block.heading_error[:, self.poses])
         if self._paths < CLOUD:
             self._cloud.append(off[: CLOUD - self._paths])
         errors = np.stack([off.real, off.imag, heading], axis=-1)
@@ -350,14 +307,13 @@ class RegionCounter:
         self._inside += np.count_nonzero(nees[..., None] <= BOUNDS, axis=1)
         self._sums += nees.sum(axis=1), np.square(nees).sum(axis=1)
 
-    def regions(self) -> Regions:
-        """Return the statistics of all paths."""
-        found = {
-            name: [self._region(row, k) for k in range(len(self._poses))]
-            for row, name in enumerate(METHODS)
+    @functools.cached_property
+    def found(self) -> Dict[str, List[Optional[Region]]]:
+        """For each method and pose the region of all paths, None if it has no volume."""
+        places = range(len(self.poses))
+        return {
+            name: [self._region(row, k) for k in places] for row, name in enumerate(METHODS)
         }
-        cloud = np.concatenate(self._cloud)
-        return Regions(self._poses, self._travelled, self._enough, found, self._exponential, cloud)
 
     def _region(self, row: int, k: int) -> Optional[Region]:
         if not self._ellipsoids.known[row, k]:
@@ -371,6 +327,37 @@ class RegionCounter:
             mean,
             (mean - half, mean + half),
         )
+
+    def bent_cloud(self) -> Cloud:
+        """Return the cloud at the pose where it is bent most, by the moments of the case."""
+        k = int(np.argmax([self._known.quadratic_share(pose) for pose in self.poses]))
+        points = np.concatenate(self._cloud)[:, k]
+        gaussians = [
+            _gaussian_at(one, self.poses[k]) for one in (self._known.exact, self._known.first_order)
+        ]
+        exponential = _gaussian_at(self._exponential, k)
+        return Cloud(points, float(self.travelled[k]), *gaussians, exponential)
+
+    def right_until(self, method: str) -> Optional[float]:
+        """Return the distance (m) up to which the 95 % region is right, None without regions."""
+        return right_up_to(self.travelled, self.found[method])
+
+    def rows(self) -> Iterator[List]:
+        """Yield a row for each method and pose; see `HEADER`."""
+        for method, regions in self.found.items():
+            for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):
+                if region is not None:
+                    shares = zip(region.coverage, region.bands)
+                    figures = [f for share, band in shares for f in (share, *band)]
+                    nees = (region.nees, *region.nees_band)
+                    yield [method, float(travelled), str(enough).lower(), *figures, *nees]
+
+
+HEADER = (
+    *("method", "travelled_m", "gaussian_enough"),
+    *(f"coverage_{100 * level:g}{end}" for level in LEVELS for end in ("", "_low", "_high")),
+    *("nees_mean", "nees_low", "nees_high"),
+)
 
 
 def position_density(mean: np.ndarray, covariance: np.ndarray, place: np.ndarray) -> np.ndarray:

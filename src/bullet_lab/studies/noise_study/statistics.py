@@ -21,7 +21,6 @@ from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
 from bullet_lab.studies.noise_study.regions import (
     MEANT,
     Ellipsoids,
-    RegionCounter,
     Regions,
     Theory,
     level_rule,
@@ -343,10 +342,10 @@ def study_case(
     known = theory(steps)
     metrics = PathMetrics(trajectory, steps, delta)
     sums = _CaseSums(steps, known, metrics, paths, keep)
-    counter = RegionCounter(trajectory, steps, known)
+    regions = Regions(trajectory, steps, known)
     for block in noisy_blocks(steps, generator, paths):
         sums.add(block)
-        counter.add(block)
+        regions.add(block)
     return Case(
         trajectory,
         model,
@@ -354,7 +353,7 @@ def study_case(
         std,
         known,
         metrics.perfect_closure(),
-        counter.regions(),
+        regions,
         paths,
         **sums.statistics(),
     )

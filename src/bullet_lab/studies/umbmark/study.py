@@ -362,7 +362,8 @@ def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
 
 def campaign_figure(records: Sequence[Record]) -> Figure:
     """Draw estimated minus injected errors, by the closed forms and by the fit."""
-    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6))
+    labels = ("", "found less injected")
+    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6), "", labels)
     for axes, name in zip(every, PARAMETERS):
         injected = np.array([record[name] for record in records])
 
@@ -377,10 +378,9 @@ def campaign_figure(records: Sequence[Record]) -> Figure:
         style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
         axes.errorbar(injected, noisy, reach, label="fit, with noise: 95 % intervals", **style)
         axes.plot(injected, found, "o", color=GREEN, markersize=4, label="fit, no noise")
-        axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
+        axes.set_xlabel(f"injected {name} (%)")
         axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
         axes.set_yscale("symlog", linthresh=1e-4)
-        axes.grid(alpha=0.3)
     legend_below(figure, labelled(axes), bottom=0.06, frameon=None, fontsize=9)
     return figure
 
