@@ -1,4 +1,7 @@
-"""How truth and odometry belong together: clocks, noise of the truth, and the truth's marker."""
+"""How truth and odometry belong together: clocks, noise of the truth, and the truth's marker.
+
+And steps that are joined to longer ones.
+"""
 
 from __future__ import annotations
 
@@ -47,6 +50,35 @@ def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
     share = (stamps - path.stamps[before]) / seconds
     whole = arcs(se2.between(path.poses[before], path.poses[after]))
     return se2.compose(path.poses[before], chords(share[:, np.newaxis] * whole))
+
+
+def joined_ends(
+    steps: np.ndarray, follows: np.ndarray, distance: float, angle: float
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Join steps until they are long enough, within rows of which each follows the one before.
+
+    Args:
+        steps: dx (m), dy (m) and dyaw (rad), shape (n, 3).
+        follows: whether each begins at the end of the one before, shape (n,).
+        distance: m from its begin after which a joined one ends.
+        angle: rad, likewise; 0, 0: with each step.
+
+    Returns:
+        The first step of each joined one, and the one after its last, (k,) and (k,).
+    """
+    first, last = [], []
+    begin, place, heading = 0, 0j, 0.0
+    rows = zip(*np.asarray(steps).T.tolist(), follows.tolist())
+    for index, (dx, dy, turn, on) in enumerate(rows):
+        if not on:
+            begin, place, heading = index, 0j, 0.0
+        place += complex(dx, dy) * np.exp(1j * heading)
+        heading += turn
+        if abs(place) >= distance or abs(heading) >= angle:
+            first.append(begin)
+            last.append(index + 1)
+            begin, place, heading = index + 1, 0j, 0.0
+    return np.array(first, dtype=int), np.array(last, dtype=int)
 
 
 def resolution(path: Trajectory) -> float:

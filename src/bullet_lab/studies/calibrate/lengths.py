@@ -10,6 +10,7 @@ import numpy as np
 from bullet_lab.core import se2
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.systematic import end_of
+from bullet_lab.studies.calibrate.alignment import joined_ends
 from bullet_lab.studies.calibrate.steps import Steps
 
 SHORT = (0.02, 0.04)
@@ -31,14 +32,14 @@ FEWEST_LONG = 36
 def long_length(short: Steps) -> Tuple[float, float]:
     """Return the longest of `LONG` of which there are enough; 0, 0 if there is none."""
     for length in LONG:
-        if len(_ends(short, *length)[0]) >= FEWEST_LONG:
+        if len(joined_ends(short.true, short.follows, *length)[0]) >= FEWEST_LONG:
             return length
     return 0.0, 0.0
 
 
 def short_steps(steps: Steps) -> Steps:
     """Return steps between messages joined to steps of `SHORT`; longer ones are kept."""
-    first, last = _ends(steps, *SHORT)
+    first, last = joined_ends(steps.true, steps.follows, *SHORT)
     true, odometry = (end_of(_within(one, first, last)) for one in (steps.true, steps.odometry))
     return replace(
         steps,
@@ -63,7 +64,7 @@ def long_pairs(short: Steps, length: Tuple[float, float]) -> Tuple[StepPairs, np
         short: as of `short_steps`.
         length: m and rad after which a long step ends; 0, 0: with each short one.
     """
-    first, last = _ends(short, *length)
+    first, last = joined_ends(short.true, short.follows, *length)
     within = _within(short.true, first, last)
     reported = _wrapped(end_of(_within(short.odometry, first, last)))
     pairs = StepPairs(
@@ -82,23 +83,6 @@ def part_of(steps: Steps, number: int) -> Steps:
     rows = slice(None, middle) if number == 0 else slice(middle, None)
     names = ("true", "odometry", "follows", "seconds")
     return replace(steps, **{name: getattr(steps, name)[rows] for name in names})
-
-
-def _ends(steps: Steps, distance: float, angle: float) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the first step of each joined one, and the one after its last, (n,) and (n,)."""
-    first, last = [], []
-    begin, place, heading = 0, 0j, 0.0
-    rows = zip(*np.asarray(steps.true).T.tolist(), steps.follows.tolist())
-    for index, (dx, dy, turn, follows) in enumerate(rows):
-        if not follows:
-            begin, place, heading = index, 0j, 0.0
-        place += complex(dx, dy) * np.exp(1j * heading)
-        heading += turn
-        if abs(place) >= distance or abs(heading) >= angle:
-            first.append(begin)
-            last.append(index + 1)
-            begin, place, heading = index + 1, 0j, 0.0
-    return np.array(first, dtype=int), np.array(last, dtype=int)
 
 
 def _within(rows: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:

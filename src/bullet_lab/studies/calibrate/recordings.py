@@ -26,7 +26,7 @@ from bullet_lab.noise.odometry_noise import (
 )
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.paths import read_path
-from bullet_lab.studies.results import clopper_pearson
+from bullet_lab.studies.results import Record, clopper_pearson
 
 NAMES = (
     ("odom", "noisy_odom"),
@@ -53,6 +53,11 @@ _COMMANDS = (
     (0.2, 0.3, 7.0),
 )
 """Commands of a lap: m/s, rad/s and s."""
+
+COVERAGE_COLUMNS = (
+    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
+    *("mean_estimate", "mean_low", "mean_high"),
+)
 
 
 class RecordingError(TrajectoryError):
@@ -237,43 +242,19 @@ def made_up(settings: DriveSettings, seed: int) -> Recording:
     return Recording("a drive that was made up", truth, Trajectory(truth.stamps, np.array(poses)))
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """Estimates of a parameter over many paths.
-
-    Attributes:
-        model: name of the noise model.
-        name: of the parameter.
-        true: its value.
-        paths: number of paths.
-        held: number of intervals that hold the true value.
-        mean: of the estimates.
-        low: mean of the finite lower ends.
-        high: mean of the finite upper ends.
-        share: of the intervals that hold the true value.
-        band_95: 95 % band (Clopper and Pearson) of the share.
-    """
-
-    model: str
-    name: str
-    true: float
-    paths: int
-    held: int
-    mean: float
-    low: float
-    high: float
-    share: float
-    band_95: Tuple[float, float]
-
-
 def coverage(
     settings: DriveSettings,
     model: str,
     systematic: Sequence[str],
     paths: int,
     seed: int,
-) -> List[Coverage]:
+) -> List[Record]:
     """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
+
+    Returns:
+        For each parameter the number of paths, that of the intervals that hold its true value,
+        their share with its 95 % band (Clopper and Pearson), and the means of the estimates and of
+        the finite ends of the intervals.
 
     Args:
         settings: of the drive, with the true values.
@@ -296,9 +277,9 @@ def coverage(
         low, high = bounds[:, j].T
         held = int(((low <= true[name]) & (true[name] <= high)).sum())
         means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
-        band = clopper_pearson(held, paths, 0.025)
-        share = held / paths
-        result.append(Coverage(model, name, true[name], paths, held, *means, share, band))
+        shares = (held / paths, *clopper_pearson(held, paths, 0.025))
+        row = (model, name, true[name], paths, held, *shares, *means)
+        result.append(dict(zip(COVERAGE_COLUMNS, row)))
     return result
 
 

@@ -19,7 +19,6 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import (
     Fit,
     Problem,
-    covariance,
     fit,
     intervals,
     on_limit,
@@ -43,11 +42,9 @@ from bullet_lab.studies.calibrate.lengths import (
     pairs_of,
     part_of,
 )
-from bullet_lab.studies.calibrate.recordings import Coverage, Recording
+from bullet_lab.studies.calibrate.recordings import Recording
 from bullet_lab.studies.calibrate.steps import Steps
-from bullet_lab.studies.results import labelled, legend_below, panels
-
-_INSEPARABLE = 0.99  # correlation of two estimates that the steps cannot separate
+from bullet_lab.studies.results import Record, labelled, legend_below, panels
 
 MOST_PATHS = 4  # in a figure
 _PART_TITLES = ("turn before the way", "way", "turn after the way")
@@ -113,14 +110,6 @@ class ModelCalibration:
             name: (value, *map(float, ends))
             for (name, value), ends in zip(self.fit.values().items(), self.intervals)
         }
-
-    def inseparable(self) -> List[Tuple[str, str]]:
-        """Return pairs of parameters that the steps cannot separate."""
-        inverse = covariance(self.fit.information)[0][0]
-        spread = np.sqrt(np.diagonal(inverse))
-        correlated = np.abs(inverse / np.outer(spread, spread)) > _INSEPARABLE
-        pairs = np.argwhere(np.triu(correlated, 1)).tolist()
-        return [(self.fit.names[i], self.fit.names[j]) for i, j in pairs]
 
 
 def calibrate(
@@ -236,7 +225,6 @@ def _summary(one: ModelCalibration) -> Dict[str, Any]:
             },
             "said": fitted.words(),
         },
-        "inseparable": one.inseparable(),
     }
 
 
@@ -271,12 +259,6 @@ def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, fl
                 f"   {meaning(one.model, name)}"
             )
         text += [f"  does not fit: {reason}" for reason in one.goodness.words()]
-        if one is ranked[0]:
-            text += [
-                f"  {first} and {second} can hardly be separated on this path; leave one of them "
-                "out by systematic:=, or drive backwards as well"
-                for first, second in one.inseparable()
-            ]
     return text
 
 
@@ -426,22 +408,23 @@ def paths_figure(recordings: Sequence[Recording], one: ModelCalibration) -> Figu
     return figure
 
 
-def coverage_figure(found: Sequence[Coverage]) -> Figure:
+def coverage_figure(found: Sequence[Record]) -> Figure:
     """Draw the share of intervals of each parameter that hold the truth, with bands."""
     labels = ("95 % intervals that hold the truth (%)", "")
     figure, ((axes,),) = panels((1, 1), (8.0, 1.6 + 0.28 * len(found)), "", labels, False)
     axes.axvspan(93.0, 97.0, color=GREY, alpha=0.25, linewidth=0.0)
     axes.axvline(95.0, color=BLACK, linewidth=0.8)
-    models = list(dict.fromkeys(one.model for one in found))
+    models = list(dict.fromkeys(one["model"] for one in found))
     for row, one in enumerate(found):
-        colour = _COLOURS[models.index(one.model) % len(_COLOURS)]
-        low, high = one.band_95
-        axes.plot([100.0 * low, 100.0 * high], [row, row], color=colour, linewidth=2.0)
-        axes.plot(100.0 * one.held / one.paths, row, "o", color=colour)
+        colour = _COLOURS[models.index(one["model"]) % len(_COLOURS)]
+        band = [100.0 * one["band_low"], 100.0 * one["band_high"]]
+        axes.plot(band, [row, row], color=colour, linewidth=2.0)
+        axes.plot(100.0 * one["share"], row, "o", color=colour)
     axes.set_yticks(range(len(found)))
-    axes.set_yticklabels([f"{one.model}: {one.name}" for one in found], fontsize=8)
+    names = [f"{one['model']}: {one['parameter']}" for one in found]
+    axes.set_yticklabels(names, fontsize=8)
     axes.invert_yaxis()
     axes.grid(alpha=0.3, axis="x")
-    axes.set_title(f"{found[0].paths} paths for each model", fontsize=10)
+    axes.set_title(f"{found[0]['paths']} paths for each model", fontsize=10)
     figure.tight_layout()
     return figure

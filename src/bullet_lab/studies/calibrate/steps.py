@@ -22,6 +22,7 @@ from bullet_lab.studies.calibrate.alignment import (
     clock_offset,
     interpolated,
     jitter,
+    joined_ends,
     marker_place,
     resolution,
 )
@@ -212,7 +213,12 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     if max(std_m, std_rad) > _NOTEWORTHY:
         settings = _long_enough(settings, true_poses, std_m, std_rad)
         remarks.append(_about_jitter(settings, std_m, std_rad))
-    first, last = _ends(true_poses, broken, settings)
+    whole = np.flatnonzero(~broken)
+    # A length that is not given ends no step that the other one does not end.
+    lengths = settings.min_distance, settings.min_angle
+    lengths = tuple(one or np.inf for one in lengths) if any(lengths) else lengths
+    first, last = joined_ends(se2.steps(true_poses)[whole], follows[whole], *lengths)
+    first, last = whole[first], whole[last - 1] + 1
     true = se2.between(true_poses[first], true_poses[last])
     reported = se2.between(poses[first], poses[last])
     still = np.any([(np.abs(one) < _STILL).all(axis=1) for one in (true, reported)], axis=0)
@@ -332,23 +338,3 @@ def _over_gap(stamps: np.ndarray, paths: Sequence[Trajectory], most: float) -> n
         known = later < len(gaps)
         broken[known] |= begin[later[known]] < stamps[1:][known]
     return broken
-
-
-def _ends(poses: np.ndarray, broken: np.ndarray, settings: StepSettings):
-    """Return the indices of the poses at the begin and the end of each step, (n,) and (n,)."""
-    if settings.min_distance == 0.0 and settings.min_angle == 0.0:
-        whole = np.flatnonzero(~broken)
-        return whole, whole + 1
-    distance = settings.min_distance or np.inf
-    angle = settings.min_angle or np.inf
-    first, last, begin = [], [], 0
-    for index in range(1, len(poses)):
-        if broken[index - 1]:
-            begin = index
-            continue
-        dx, dy, dyaw = poses[index] - poses[begin]
-        if np.hypot(dx, dy) >= distance or abs(se2.wrap(float(dyaw))) >= angle:
-            first.append(begin)
-            last.append(index)
-            begin = index
-    return np.array(first, dtype=int), np.array(last, dtype=int)

@@ -8,7 +8,7 @@ Example:
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
@@ -17,7 +17,6 @@ from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.calibrate.lengths import short_steps
 from bullet_lab.studies.calibrate.recordings import (
-    Coverage,
     DataSettings,
     DriveSettings,
     Recording,
@@ -37,19 +36,13 @@ from bullet_lab.studies.calibrate.results import (
     residuals_figure,
 )
 from bullet_lab.studies.calibrate.steps import StepSettings, joined, take_steps
-from bullet_lab.studies.results import write_results
+from bullet_lab.studies.results import Record, rows_of, write_results
 from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, silent
 from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"
 WHEELS, GYRO = SYSTEMATIC[2:4]
 MOST_COVERAGE_PATHS = 100_000
-COVERAGE_COLUMNS = (
-    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
-    *("mean_estimate", "mean_low", "mean_high"),
-)
-
-
 @dataclass(frozen=True)
 class CalibrateSettings(Settings):
     """Models and errors to fit."""
@@ -159,27 +152,20 @@ def run_coverage(
     Raises:
         LabError: the folder cannot be written to.
     """
-    found: List[Coverage] = []
+    found: List[Record] = []
     lap = replace(drive, laps=1)
     for model in progress(settings.models, "models", len(settings.models), tell):
         found += coverage(lap, model, SYSTEMATIC, settings.coverage, settings.seed)
-    table: List[Sequence[Any]] = [COVERAGE_COLUMNS]
     for one in found:
-        low, high = one.band_95
         tell(
-            f"{one.model:15} {one.name:20} true {one.true:8.4g}, mean {one.mean:8.4g}: "
-            f"{100.0 * one.share:5.1f} % of {one.paths} intervals hold it "
-            f"(band {100.0 * low:.1f} to {100.0 * high:.1f} %)"
+            f"{one['model']:15} {one['parameter']:20} true {one['true']:8.4g}, "
+            f"mean {one['mean_estimate']:8.4g}: {100.0 * one['share']:5.1f} % of {one['paths']} "
+            f"intervals hold it (band {100.0 * one['band_low']:.1f} to "
+            f"{100.0 * one['band_high']:.1f} %)"
         )
-        counts = (one.paths, one.held, one.share, low, high)
-        table.append((one.model, one.name, one.true, *counts, one.mean, one.low, one.high))
-    summary = {
-        "job": "calibrate",
-        "seed": settings.seed,
-        "coverage": [asdict(one) for one in found],
-    }
-    figures = {"coverage.png": coverage_figure(found)}
-    return write_results(folder, summary, {"coverage.csv": table}, figures, {})
+    summary = {"job": "calibrate", "seed": settings.seed, "coverage": found}
+    tables = {"coverage.csv": rows_of(found)}
+    return write_results(folder, summary, tables, {"coverage.png": coverage_figure(found)}, {})
 
 
 def _run(

@@ -149,7 +149,7 @@ def test_coverage_is_counted_and_written(tmp_path, monkeypatch):
         "coverage.png",
         "summary.json",
     }
-    assert [one["name"] for one in summary["coverage"]] == ["std", "scale_error"]
+    assert [one["parameter"] for one in summary["coverage"]] == ["std", "scale_error"]
     # Fewer than 8 of 12 at 95 % have a probability of 1 in 5000.
     assert all(8 <= one["held"] <= one["paths"] == 12 for one in summary["coverage"])
 
