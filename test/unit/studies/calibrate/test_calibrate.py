@@ -157,7 +157,7 @@ def test_coverage_is_counted_and_written(tmp_path, monkeypatch):
 def test_paths_of_coverage_have_the_noise_that_is_said():
     (found,) = coverage(DriveSettings(std=0.02, laps=1), "report", (), 200, 1)
     # The standard error of the mean of 200 estimates from 585 parts each, 3.3 times.
-    assert found.mean == pytest.approx(0.02, rel=3.3 / np.sqrt(2 * 400 * 200) + 1e-3)
+    assert found["mean_estimate"] == pytest.approx(0.02, rel=3.3 / np.sqrt(2 * 400 * 200) + 1e-3)
 
 
 def test_an_estimate_on_its_limit_is_no_result(tmp_path, capsys):
