@@ -14,7 +14,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Callable, Iterator, Mapping, Sequence
 
-from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import choices, integer, numbers
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import heat_map, range_figure, ranges_of
@@ -181,7 +180,6 @@ def run_detection_range(
     Raises:
         LabError: nothing can be rendered, the folder cannot be written to, or a task was lost.
     """
-    make_folder(folder)
     todo = tasks(settings)
     results = run_tasks(functools.partial(_do, todo), len(todo), run, tell, "cells")
     of_cells = [result for result in results if isinstance(result, CellResult)]

@@ -32,17 +32,6 @@ QUANTITIES = {
 """Name, unit and factor, for the user, of columns of the table."""
 
 
-def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
-    """Return Clopper and Pearson's one-sided lower bound of a probability of success.
-
-    Without a failure it is (1 - confidence)^(1 / trials), some 1 - 3 / trials at 95 %.
-
-    >>> round(lower_bound(200, 200), 4)
-    0.9851
-    """
-    return clopper_pearson(successes, trials, 1.0 - confidence)[0]
-
-
 def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
     """Return the figures of a campaign for summary.json: rates, errors and contacts.
 
@@ -59,7 +48,7 @@ def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
         "dockings": len(records),
         "docked": len(docked),
         "success_rate": len(docked) / len(records),
-        "success_rate_lower_95": lower_bound(len(docked), len(records)),
+        "success_rate_lower_95": clopper_pearson(len(docked), len(records), 0.05)[0],
         "failures": dict(sorted(failures.items())),
         "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
         **{name: error_figures([r[name] for r in reported_docked(records)]) for name in ERRORS},
@@ -106,22 +95,6 @@ def stress_row(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
         "failures": " ".join(f"{kind}:{count}" for kind, count in summary["failures"].items()),
         **figures,
     }
-
-
-def stress_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the table of stresses as lines for the user."""
-    lines = [f"{'stress':9s} docked      contacts  median / max: distance, lateral mm; yaw deg"]
-    for row in rows:
-        errors = []
-        for error in ERRORS:
-            _, _, factor = QUANTITIES[error]
-            parts = [row[f"{error}_{part}"] for part in ("median", "max")]
-            errors.append(" / ".join("–" if v is None else f"{factor * v:.2f}" for v in parts))
-        docked = f"{row['docked']} of {row['dockings']}"
-        why = f"  ({row['failures']})" if row["failures"] else ""
-        head = f"{row['stress']:9s} {docked:11s} {row['with_contact']:8d}  "
-        lines.append(f"{head}{', '.join(errors[:2])}; {errors[2]}{why}")
-    return lines
 
 
 def reported_docked(records: Sequence[Record]) -> list[Record]:

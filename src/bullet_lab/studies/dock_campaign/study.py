@@ -27,7 +27,6 @@ from bullet_lab.studies.dock_campaign.results import (
     campaign_figure,
     campaign_summary,
     read_log,
-    stress_lines,
     stress_row,
 )
 from bullet_lab.studies.dock_campaign.stress import STRESSES
@@ -175,7 +174,7 @@ def run_each(
     """Run a campaign without stress, under each stress, and under all, each in its own folder.
 
     An index has the same start in all of them. Writes a table and summary.json of all; returns
-    lines for the user.
+    lines for the user on each.
 
     Raises:
         LabError: as `run_campaign`.
@@ -185,10 +184,10 @@ def run_each(
         tell(f"stress {name}")
         one = replace(settings, stress=(name,))
         summaries[name] = run_campaign(folder / name, one, run, trial, tell)
-    rows = [stress_row(name, summary) for name, summary in summaries.items()]
+    rows = [stress_row(name, one) for name, one in summaries.items()]
     summary = {"job": "dock_campaign", **settings.drawn_from(), "by_stress": summaries}
     write_results(folder, summary, {"stresses.csv": rows_of(rows)}, {}, {})
-    return stress_lines(rows)
+    return [f"{name}: {line}" for name, one in summaries.items() for line in describe(one)]
 
 
 def _run(

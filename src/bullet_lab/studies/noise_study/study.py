@@ -16,7 +16,6 @@ from typing import Any, Dict, Iterable, Iterator, List, Sequence, Tuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import choices, integer, number, numbers, text
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive import Square
@@ -281,8 +280,6 @@ def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tel
     else:
         source = "the report's square, simulated"
         trajectory = simulated_square(perfect.laps)
-    # A folder that cannot be written to shows here, instead of after the work.
-    make_folder(folder)
     run_study(folder, settings, trajectory, source, tell)
 
 

@@ -13,7 +13,6 @@ from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive import OPEN_LOOP_RATE, Square
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
@@ -152,7 +151,6 @@ def run_published_noise(
     Raises:
         LabError: the folder cannot be written to, or files of the package are missing.
     """
-    make_folder(folder)
     figure = read_published_figure(package_share() / FIGURE_DATA)
     replay = Replay(replay_drive(), settings)
     results = ranked(_results(replay, figure, settings, tell))

@@ -38,7 +38,7 @@ SURE = 3.0
 SAME = 1e-9
 
 
-def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[str, Any]:
+def closed_forms(runs: Sequence[SquareRun], side: float) -> Dict[str, Any]:
     """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
@@ -49,7 +49,6 @@ def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[st
     Args:
         runs: in both directions.
         side: L, m.
-        base: the assumed one, m.
 
     Returns:
         centre_cw_m: x, y (m) of the centre of gravity of the return errors, clockwise.
@@ -66,7 +65,7 @@ def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[st
     alpha = float(cw[0] + ccw[0]) / (-4.0 * side)
     beta = float(cw[0] - ccw[0]) / (-4.0 * side)
     # R = (L / 2) / sin(beta / 2) and E_d = (R + b / 2) / (R - b / 2), without dividing by 0.
-    bend = base * math.sin(0.5 * beta) / side
+    bend = runs[0].base * math.sin(0.5 * beta) / side
     r_cw, r_ccw = float(np.hypot(*cw)), float(np.hypot(*ccw))
     return {
         "centre_cw_m": cw.tolist(),
@@ -114,7 +113,7 @@ class Estimate:
         return Estimate(replace(self.errors, **errors), intervals, self.residual)
 
 
-def fit(runs: Sequence[SquareRun], base: float) -> Estimate:
+def fit(runs: Sequence[SquareRun]) -> Estimate:
     """Fit diameter_error and base_error to the true pose at the end of each run.
 
     Each reported step is an arc, whose length and turn give the assumed distance of each wheel.
@@ -127,9 +126,9 @@ def fit(runs: Sequence[SquareRun], base: float) -> Estimate:
     any Gaussian noise that is small enough for the model to be linear in it.
 
     Args:
-        runs: in both directions.
-        base: the assumed one, m.
+        runs: in both directions, of odometry that assumed the same base.
     """
+    base = runs[0].base
     every = [run.steps() for run in runs]
     # Shorter runs are filled with zeros.
     reported = np.zeros((len(runs), max(map(len, every)), 3))
@@ -252,31 +251,28 @@ class Benchmark:
     """Runs and their evaluation."""
 
     runs: Tuple[SquareRun, ...]
-    base: float
     figures: Dict[str, Any]
     estimate: Estimate
 
     @classmethod
-    def of(cls, runs: Sequence[SquareRun], base: float, side: Optional[float] = None) -> Benchmark:
+    def of(cls, runs: Sequence[SquareRun], side: Optional[float] = None) -> Benchmark:
         """Evaluate runs; raises RunError unless there are runs in both directions.
+
+        The fit counts turns by the base that was assumed, which includes a correction.
 
         Args:
             runs: in both directions.
-            base: m, as odometry assumes it.
             side: m; the mean reported one by default.
         """
         if {run.direction for run in runs} != set(DIRECTIONS):
             raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
         length = float(np.mean([run.side() for run in runs])) if side is None else side
-        return cls(tuple(runs), base, closed_forms(runs, length, base), fit(runs, base))
+        return cls(tuple(runs), closed_forms(runs, length), fit(runs))
 
-    @classmethod
-    def of_drives(cls, drives: Sequence[Tuple[SquareRun, float]], side: float) -> Benchmark:
-        """Evaluate runs of `drive_run`.
-
-        The fit counts turns by the base that was assumed, which includes the correction.
-        """
-        return cls.of([run for run, _ in drives], drives[0][1], side)
+    @property
+    def base(self) -> float:
+        """The base (m) that the odometry assumed."""
+        return self.runs[0].base
 
     def warnings(self) -> List[str]:
         """Return the reasons to distrust the result, with likely causes; empty without any."""

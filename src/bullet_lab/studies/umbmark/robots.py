@@ -344,8 +344,8 @@ def drive_run(
     laps: int,
     ideal_base: Optional[float],
     number: int,
-) -> Tuple[SquareRun, float]:
-    """Drive a run, clockwise if its number is even; return it, and the base (m) assumed in it.
+) -> SquareRun:
+    """Drive a run, clockwise if its number is even.
 
     Args:
         settings: of the drive.
@@ -366,7 +366,7 @@ def drive_run(
         robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))
     with contextlib.closing(robot):
         name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
-        return drive_square(robot, settings.square(direction), name, noise), robot.assumed.base
+        return drive_square(robot, settings.square(direction), name, noise)
 
 
 def drive_square(
@@ -401,6 +401,6 @@ def drive_square(
         if command is None:
             robot.drive(0.0, 0.0, REST_SECONDS)
             newest()
-            return SquareRun(name, np.array(reported), start, robot.pose())
+            return SquareRun(name, np.array(reported), start, robot.pose(), robot.assumed.base)
         robot.drive(*command, period)
     raise UnfinishedError(f"{name}: the robot does not complete its square in time")

@@ -47,6 +47,7 @@ class SquareRun:
         odometry: reported poses: x (m), y (m) and yaw (rad), shape (n, 3).
         start: true pose at the first of these, in any frame.
         end: true pose at the last, in the same frame.
+        base: distance of the wheels that the odometry assumed, m.
 
     Raises:
         RunError: the odometry does not turn by 360°, or a number is out of range.
@@ -56,6 +57,7 @@ class SquareRun:
     odometry: np.ndarray
     start: PlanarPose
     end: PlanarPose
+    base: float
 
     def __post_init__(self) -> None:
         """Check that it is a square."""
@@ -108,7 +110,9 @@ def return_errors(runs: Sequence[SquareRun], direction: str) -> np.ndarray:
     return np.array(errors).reshape(-1, 3)
 
 
-def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[SquareRun]:
+def read_runs(
+    path: Path, topic: str, truth_topic: str, side: float, base: float
+) -> List[SquareRun]:
     """Read a run from each bag, table of two paths, or pair of TUM files in a folder.
 
     In a table of two paths (`PAIRS`, as paths.csv of the squares) the true pose comes first and
@@ -120,6 +124,7 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Squ
         topic: of a bag's odometry.
         truth_topic: of a bag's true poses.
         side: of the square, m, for tables of returns.
+        base: that the odometry assumed, m.
 
     Raises:
         LabError: a file cannot be read, or there is none.
@@ -129,17 +134,17 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Squ
     for file in files:
         if file.name.endswith(ODOMETRY):
             truth = file.with_name(file.name[: -len(ODOMETRY)] + TRUTH)
-            runs.append(_run(file, read_path(file), read_path(truth)))
+            runs.append(_run(file, read_path(file), read_path(truth), base))
         elif file.suffix == ".bag":
-            runs.append(_run(file, read_path(file, topic), read_path(file, truth_topic)))
+            runs.append(_run(file, read_path(file, topic), read_path(file, truth_topic), base))
         elif file.suffix == ".csv":
-            runs += _read_csv(file, side)
+            runs += _read_csv(file, side, base)
     if not runs:
         raise RunError(f"{path}: there is no bag, no table and no *{ODOMETRY} of a run")
     return runs
 
 
-def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> SquareRun:
+def _run(file: Path, odometry: Trajectory, truth: Trajectory, base: float) -> SquareRun:
     """Return a run from the first to the last poses of both: the robot rests there."""
     _check_times(file, odometry, truth)
     first, last = truth.poses[[0, -1]].tolist()
@@ -151,7 +156,7 @@ def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> SquareRun:
         )
     remarks = "; ".join(filter(None, (odometry.remark, truth.remark)))
     name = f"{file.stem} ({remarks})" if remarks else file.stem
-    return SquareRun(name, odometry.poses, tuple(first), tuple(last))
+    return SquareRun(name, odometry.poses, tuple(first), tuple(last), base)
 
 
 def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
@@ -170,19 +175,20 @@ def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
         )
 
 
-def _read_csv(path: Path, side: float) -> List[SquareRun]:
+def _read_csv(path: Path, side: float, base: float) -> List[SquareRun]:
     columns, rows = read_table(path, PAIRS, RETURNS)
     if columns == PAIRS:
-        return [_run(path, read_path(path, prefix="noisy_"), read_path(path))]
-    return [_measured_run(where, row, side) for where, row in rows]
+        return [_run(path, read_path(path, prefix="noisy_"), read_path(path), base)]
+    return [_measured_run(where, row, side, base) for where, row in rows]
 
 
-def _measured_run(where: str, row: Mapping[str, str], side: float) -> SquareRun:
+def _measured_run(where: str, row: Mapping[str, str], side: float, base: float) -> SquareRun:
     direction = (row["direction"] or "").strip().lower()
     if direction not in DIRECTIONS:
         raise RunError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
     x, y, yaw = finite_numbers([row[name] for name in RETURNS[1:]], where)
-    return SquareRun(where, perfect_square(side, direction), (0.0, 0.0, 0.0), (x, y, yaw))
+    square = perfect_square(side, direction)
+    return SquareRun(where, square, (0.0, 0.0, 0.0), (x, y, yaw), base)
 
 
 def perfect_square(side: float, direction: str) -> np.ndarray:

@@ -276,8 +276,8 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
     ) -> Benchmark:
         numbers = range(len(DIRECTIONS) * settings.runs)
         ideal_base = None if floor else base
-        drives = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
-        return Benchmark.of_drives(drives, settings.side)
+        runs = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
+        return Benchmark.of(runs, settings.side)
 
     right = NO_ERRORS
     quiet = replace(drawn, std=0.0, runs=1)
@@ -402,8 +402,8 @@ def _run(
         return describe_campaign(campaign.robots, found)
     if files.path:
         source = Path(files.base) / files.path
-        runs = read_runs(source, files.topic, files.truth_topic, drive.side)
-        before = Benchmark.of(runs, files.wheel_base)
+        topics = files.topic, files.truth_topic
+        before = Benchmark.of(read_runs(source, *topics, drive.side, files.wheel_base))
         about = {"source": str(source), "wheel_base_m": files.wheel_base}
         run_umbmark(folder, before, None, about)
         return describe(before, None)
@@ -431,8 +431,8 @@ def _drive(
     """Drive all runs on the floor and evaluate them; for the arguments see `drive_run`."""
     count = len(DIRECTIONS) * settings.runs
     task = functools.partial(drive_run, settings, correction, laps, None)
-    drives = run_tasks(task, count, run, tell, f"squares {title}")
-    return Benchmark.of_drives(drives, settings.side)
+    runs = run_tasks(task, count, run, tell, f"squares {title}")
+    return Benchmark.of(runs, settings.side)
 
 
 def _effective(errors: systematic.SystematicErrors) -> str:
