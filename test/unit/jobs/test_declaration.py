@@ -182,7 +182,7 @@ NODES = """
 <launch>
   <arg name="noise" default=""/>
   <arg name="seed" default="1" doc="Of all"/>
-  <arg name="speed" default="0.5" doc="How fast [number &gt;= 0.1]"/>
+  <arg name="speed" default="0.5" doc="How fast [number]"/>
   <arg name="many" default=""/>
   <arg name="count" default=""/>
   <group if="true">

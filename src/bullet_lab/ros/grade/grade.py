@@ -23,7 +23,7 @@ from roslib.message import get_message_class
 from bullet_lab.core.files import file_errors, make_folder, write_json
 from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
-from bullet_lab.ros.grade.submission import SubmissionError, adopt_orphans, command_of, end_children
+from bullet_lab.ros.grade.trial import SubmissionError, adopt_orphans, command_of, end_children
 from bullet_lab.ros.launcher.output import environment_without_ros, temporary_folder, tied
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.studies.grade import (

@@ -26,7 +26,7 @@ from bullet_lab.noise.odometry_noise import (
 )
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.paths import read_path
-from bullet_lab.studies.results import Record, clopper_pearson
+from bullet_lab.studies.study import Record, clopper_pearson
 
 NAMES = (
     ("odom", "noisy_odom"),

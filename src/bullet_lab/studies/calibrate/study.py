@@ -15,7 +15,6 @@ from typing import Any, Dict, List, Sequence, Tuple
 from bullet_lab.core.parameters import choices, integer
 from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.studies.calibrate.lengths import short_steps
 from bullet_lab.studies.calibrate.recordings import (
     DataSettings,
     DriveSettings,
@@ -35,9 +34,18 @@ from bullet_lab.studies.calibrate.results import (
     profiles_figure,
     residuals_figure,
 )
-from bullet_lab.studies.calibrate.steps import StepSettings, joined, take_steps
-from bullet_lab.studies.results import Record, rows_of, write_results
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, silent
+from bullet_lab.studies.calibrate.steps import StepSettings, joined, short_steps, take_steps
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Record,
+    Settings,
+    Tell,
+    progress,
+    rows_of,
+    run_from,
+    silent,
+    write_results,
+)
 from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"

@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.studies.detection_range.trial import MarkerImage
-from bullet_lab.studies.results import Record, panels
+from bullet_lab.studies.study import Record, panels
 from bullet_lab.studies.worlds import DEFAULT_LIGHT
 
 Ends = Tuple[Optional[float], Optional[float]]

@@ -25,8 +25,16 @@ from bullet_lab.studies.detection_range.trial import (
     is_reachable,
     try_cell,
 )
-from bullet_lab.studies.results import Record, rows_of, write_results
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Record,
+    Settings,
+    Tell,
+    rows_of,
+    run_from,
+    silent,
+    write_results,
+)
 from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, this_process, workers
 from bullet_lab.studies.worlds import DEFAULT_LIGHT, LIGHTS
 

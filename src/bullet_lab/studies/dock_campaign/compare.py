@@ -22,7 +22,7 @@ from bullet_lab.studies.dock_campaign.results import (
     reported_docked,
 )
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
-from bullet_lab.studies.results import Record, clopper_pearson, panels, write_results
+from bullet_lab.studies.study import Record, clopper_pearson, panels, write_results
 
 CONFIDENCE = 0.95
 ENDS = ("value", "low", "high")

@@ -19,7 +19,7 @@ from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Footprint
 from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
-from bullet_lab.studies.results import Record, clopper_pearson
+from bullet_lab.studies.study import Record, clopper_pearson
 
 LOG = "dockings.jsonl"
 
@@ -48,7 +48,7 @@ def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
         "dockings": len(records),
         "docked": len(docked),
         "success_rate": len(docked) / len(records),
-        "success_rate_lower_95": clopper_pearson(len(docked), len(records), 0.05)[0],
+        "success_rate_lower_95": clopper_pearson(len(docked), len(records), 1.0 - 0.95)[0],
         "failures": dict(sorted(failures.items())),
         "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
         **{name: error_figures([r[name] for r in reported_docked(records)]) for name in ERRORS},

@@ -41,8 +41,16 @@ from bullet_lab.studies.dock_campaign.trial import (
     obstacles,
     run_trial,
 )
-from bullet_lab.studies.results import Record, rows_of, write_results
-from bullet_lab.studies.study import Settings, Tell, progress, run_from, silent
+from bullet_lab.studies.study import (
+    Record,
+    Settings,
+    Tell,
+    progress,
+    rows_of,
+    run_from,
+    silent,
+    write_results,
+)
 from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
 
 MOST_DOCKINGS = 1_000_000

@@ -42,8 +42,7 @@ from bullet_lab.studies.dock_campaign.stress import (
     stress_columns,
     world_under,
 )
-from bullet_lab.studies.results import Record
-from bullet_lab.studies.study import MOST_SEED, Settings
+from bullet_lab.studies.study import MOST_SEED, Record, Settings
 from bullet_lab.studies.worlds import LIGHTS, ROBOT, lit_world, read_world
 from bullet_lab.vision.dictionaries import dictionary_named
 from bullet_lab.vision.images import grey

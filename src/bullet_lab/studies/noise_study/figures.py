@@ -39,7 +39,7 @@ from bullet_lab.studies.noise_study.regions import (
 )
 from bullet_lab.studies.noise_study.statistics import Case, by_model_of, shown_levels, spread
 from bullet_lab.studies.paths import find_corners, resample
-from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
+from bullet_lab.studies.study import labelled, legend_below, legend_entry, panels
 
 COLUMNS = 5
 CURVES = 5

@@ -28,7 +28,7 @@ from bullet_lab.noise.exact_moments import (
 )
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS, NoiseRule
-from bullet_lab.studies.results import clopper_pearson
+from bullet_lab.studies.study import clopper_pearson
 
 FIRST_ORDER_SHARE = 0.05
 GAUSSIAN_SHARE = 0.1

@@ -33,9 +33,16 @@ from bullet_lab.studies.noise_study.figures import (
 from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS, right_up_to
 from bullet_lab.studies.noise_study.statistics import Case, by_model_of, study_case
 from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
-from bullet_lab.studies.results import rows_of, write_results
 from bullet_lab.studies.squares import drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Settings,
+    Tell,
+    rows_of,
+    run_from,
+    silent,
+    write_results,
+)
 
 LARGEST_STD = 10.0
 """At this level the heading is random after some centimetres."""

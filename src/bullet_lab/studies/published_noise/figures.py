@@ -22,7 +22,7 @@ from bullet_lab.studies.published_noise.results import (
     Result,
     groups_of_same,
 )
-from bullet_lab.studies.results import legend_below, legend_entry, panels
+from bullet_lab.studies.study import legend_below, legend_entry, panels
 
 PLAIN_NAMES = {
     "aliasing": "aliasing",

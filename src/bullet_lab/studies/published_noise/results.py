@@ -23,7 +23,7 @@ from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.paths import read_table
-from bullet_lab.studies.results import clopper_pearson, rows_of
+from bullet_lab.studies.study import clopper_pearson, rows_of
 
 SIDES = 4
 

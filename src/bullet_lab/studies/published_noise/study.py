@@ -51,9 +51,8 @@ from bullet_lab.studies.published_noise.results import (
     rounded,
     verdict_lines,
 )
-from bullet_lab.studies.results import write_results
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent, write_results
 from bullet_lab.studies.workers import run_tasks, this_process
 
 FIGURE_DATA = "data/fig1_paths.csv"

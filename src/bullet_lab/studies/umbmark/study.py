@@ -23,15 +23,17 @@ from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION,
 from bullet_lab.core.parameters import boolean, integer, number, text
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.results import (
+from bullet_lab.studies.study import (
     Record,
+    Settings,
+    Tell,
     labelled,
     legend_below,
     panels,
     rows_of,
+    run_from,
     write_results,
 )
-from bullet_lab.studies.study import Settings, Tell, run_from
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,
@@ -362,8 +364,7 @@ def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
 
 def campaign_figure(records: Sequence[Record]) -> Figure:
     """Draw estimated minus injected errors, by the closed forms and by the fit."""
-    labels = ("", "found less injected")
-    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6), "", labels)
+    figure, (every,) = panels((1, len(PARAMETERS)), (11.0, 4.6))
     for axes, name in zip(every, PARAMETERS):
         injected = np.array([record[name] for record in records])
 
@@ -378,7 +379,7 @@ def campaign_figure(records: Sequence[Record]) -> Figure:
         style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
         axes.errorbar(injected, noisy, reach, label="fit, with noise: 95 % intervals", **style)
         axes.plot(injected, found, "o", color=GREEN, markersize=4, label="fit, no noise")
-        axes.set_xlabel(f"injected {name} (%)")
+        axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
         axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
         axes.set_yscale("symlog", linthresh=1e-4)
     legend_below(figure, labelled(axes), bottom=0.06, frameon=None, fontsize=9)

@@ -29,7 +29,7 @@ from bullet_lab.studies.noise_study.regions import (
     theory,
 )
 from bullet_lab.studies.noise_study.study import where_right_rows
-from bullet_lab.studies.results import clopper_pearson
+from bullet_lab.studies.study import clopper_pearson
 
 
 def trajectory_of(moves):
