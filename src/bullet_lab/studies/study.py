@@ -198,9 +198,13 @@ def whole_results(folder: Path) -> Iterator[Path]:
 
 
 def write_table(path: Path, rows: Iterable[Iterable[Any]]) -> None:
-    """Write rows, the header first, as CSV; None becomes an empty entry."""
+    """Write rows, the header first, as CSV; None becomes an empty entry, a bool true or false."""
     with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+        csv.writer(file, lineterminator="\n").writerows(map(_entries, rows))
+
+
+def _entries(row: Iterable[Any]) -> List[Any]:
+    return [str(entry).lower() if isinstance(entry, bool) else entry for entry in row]
 
 
 def write_results(

@@ -108,12 +108,6 @@ LEAST_RATE = 0.95
 COUNTS = ("other_detections", "double_detections", "false_detections")
 
 
-def _entry(value: Any) -> Any:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else value
-
-
 def detection_summary(rows: Sequence[Record]) -> dict[str, Any]:
     """Return the ranges of each world and light from the rows of all cells, as in the table."""
     worlds: dict[str, Any] = {}
@@ -215,7 +209,11 @@ def run_detection_range(
         for world in settings.worlds
     }
     figures["detection_range.png"] = range_figure(rows, summary, pictures)
-    table = [[_entry(value) for value in row] for row in rows_of(rows)]
+    # Enough digits to read.
+    table = [
+        [f"{value:.6g}" if isinstance(value, float) else value for value in row]
+        for row in rows_of(rows)
+    ]
     return write_results(folder, summary, {"cells.csv": table}, figures, {})
 
 

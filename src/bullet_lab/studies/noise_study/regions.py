@@ -350,7 +350,7 @@ class Regions:
                     shares = zip(region.coverage, region.bands)
                     figures = [f for share, band in shares for f in (share, *band)]
                     nees = (region.nees, *region.nees_band)
-                    yield [method, float(travelled), str(enough).lower(), *figures, *nees]
+                    yield [method, float(travelled), enough, *figures, *nees]
 
 
 HEADER = (

@@ -19,7 +19,6 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
 from bullet_lab.studies.noise_study.regions import (
-    MEANT,
     Ellipsoids,
     Regions,
     Theory,
@@ -223,8 +222,6 @@ class Case:
         perfect_closure: m, closure error of the perfect path in each lap.
         regions: coverage of the regions of all three coordinates along the path.
         paths: number of paths.
-        mean: of the errors of the last pose: x (m), y (m), heading (rad, not wrapped), (3,).
-        covariance: of the same, (3, 3).
         metrics: for each metric its mean, 50 % and 95 % quantile.
         coverage: share of the paths whose last position lies in the 95 % ellipse, by the ellipse:
             "first_order" and "exact", each around its mean, and "published", the one that
@@ -242,8 +239,6 @@ class Case:
     perfect_closure: List[float]
     regions: Regions
     paths: int
-    mean: np.ndarray
-    covariance: np.ndarray
     metrics: Dict[str, Dict[str, float]]
     coverage: Dict[str, Optional[float]]
     rms_distance: np.ndarray
@@ -261,40 +256,6 @@ class Case:
         x, y = perfect[0, 0] + position.real, perfect[0, 1] + position.imag
         yaw = perfect[:, 2] + self.kept_heading[number]
         return Trajectory(self.trajectory.stamps, np.column_stack([x, y, yaw]))
-
-    def summary(self) -> Dict[str, Any]:
-        """Return the figures of the case for summary.json; None if they are not defined."""
-        known, published = self.theory, self.regions.found["published"][-1]
-        return {
-            **self.key,
-            "messages": len(self.trajectory),
-            "paths": self.paths,
-            "final_pose_error": {
-                "sample_mean": self.mean.tolist(),
-                "exact_mean": known.exact.mean[-1].tolist(),
-                "sample_covariance": self.covariance.tolist(),
-                "exact_covariance": known.exact.covariance[-1].tolist(),
-                "first_order_covariance": known.first_order.covariance[-1].tolist(),
-            },
-            "first_order": {
-                "mean_missed_by_std": known.shift(),
-                "ellipse_area_over_exact": known.area_ratio(),
-                "good_enough": known.first_order_enough(),
-            },
-            "quadratic_share": known.quadratic_share(),
-            "gaussian_enough": known.gaussian_enough(),
-            "coverage_of_95_percent_ellipse": self.coverage,
-            "nees": {
-                "mean": published and published.nees,
-                "expected": 3.0,
-                "share_within_95_percent": published and published.coverage[MEANT],
-            },
-            "region_right_until_m": {
-                name: self.regions.right_until(name) for name in self.regions.found
-            },
-            "metrics": self.metrics,
-            "perfect_closure_m": self.perfect_closure,
-        }
 
 
 def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
@@ -368,13 +329,10 @@ class _CaseSums:
         self._steps = steps
         self._metrics = metrics
         self._paths = paths
-        self._exact_mean = known.exact.mean[-1]
         published = known.exact.about_perfect()[-1, :2, :2]
         covariances = (position_of(known.first_order), position_of(known.exact), published)
-        means = (np.zeros(2), self._exact_mean[:2], np.zeros(2))
+        means = (np.zeros(2), known.exact.mean[-1, :2], np.zeros(2))
         self._ellipses = Ellipsoids(np.array(means)[:, None], np.array(covariances)[:, None])
-        self._sum = np.zeros(3)
-        self._squares = np.zeros((3, 3))
         self._metric_sums = np.zeros(len(metrics.names))
         self._metric_values = np.empty((min(paths, QUANTILE_PATHS), len(metrics.names)))
         self._inside = np.zeros(len(means), dtype=int)
@@ -386,12 +344,8 @@ class _CaseSums:
         error = block.position - self._steps.position
         self._distance_squares += np.einsum("ij,ij->j", error.real, error.real)
         self._distance_squares += np.einsum("ij,ij->j", error.imag, error.imag)
-        last = np.column_stack([error[:, -1].real, error[:, -1].imag, block.heading_error[:, -1]])
-        # Relative to the exact mean, for small rounding errors.
-        centred = last - self._exact_mean
-        self._sum += centred.sum(axis=0)
-        self._squares += centred.T @ centred
-        nees = self._ellipses.nees(last[:, None, :2])
+        last = np.column_stack([error[:, -1].real, error[:, -1].imag])
+        nees = self._ellipses.nees(last[:, None])
         self._inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
         values = self._metrics.values(block)
         self._metric_sums += values.sum(axis=0)
@@ -407,13 +361,10 @@ class _CaseSums:
     def statistics(self) -> Dict[str, Any]:
         """Return the statistics as attributes of `Case`."""
         n, names = self._paths, ("first_order", "exact", "published")
-        shift = self._sum / n
         median, high = np.quantile(self._metric_values, [0.5, 0.95], axis=0)
         columns = zip((self._metric_sums / n).tolist(), median.tolist(), high.tolist())
         shares = np.where(self._ellipses.known[:, 0], self._inside / n, None)
         return {
-            "mean": self._exact_mean + shift,
-            "covariance": (self._squares - n * np.outer(shift, shift)) / (n - 1),
             "metrics": {
                 name: dict(zip(("mean", "p50", "p95"), values))
                 for name, values in zip(self._metrics.names, columns)

@@ -36,6 +36,7 @@ from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import (
     MOST_SEED,
+    Record,
     Settings,
     Tell,
     rows_of,
@@ -158,6 +159,7 @@ def run_study(
             written to.
     """
     cases = study(trajectory, settings, tell)
+    records = case_records(cases)
     summary = {
         "job": "noise_study",
         "seed": settings.seed,
@@ -173,10 +175,10 @@ def run_study(
             "duration_s": float(trajectory.stamps[-1] - trajectory.stamps[0]),
             "laps": len(cases[0].perfect_closure),
         },
-        "cases": [case.summary() for case in cases],
+        "cases": records,
     }
     tables = {
-        "metrics.csv": metrics_rows(cases),
+        "metrics.csv": rows_of(records),
         "error_by_distance.csv": distance_rows(cases),
         "regions.csv": region_rows(cases),
         "where_right.csv": where_right_rows(cases),
@@ -189,8 +191,8 @@ def run_study(
     return write_results(folder, summary, tables, figures, texts)
 
 
-def metrics_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
-    """Return a header and a row for each case: metrics, coverage, NEES, errors of first order."""
+def case_records(cases: Sequence[Case]) -> List[Record]:
+    """Return a record of each case: metrics, coverage, NEES, errors of first order."""
     # At a low rate a lap may be missing.
     fullest = max((case.metrics for case in cases), key=len)
     records = []
@@ -211,10 +213,10 @@ def metrics_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
                 "mean_missed_by_std": known.shift(),
                 "area_over_exact": known.area_ratio(),
                 "quadratic_share": known.quadratic_share(),
-                "gaussian_enough": str(known.gaussian_enough()).lower(),
+                "gaussian_enough": known.gaussian_enough(),
             }
         )
-    return rows_of(records)
+    return records
 
 
 def distance_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:

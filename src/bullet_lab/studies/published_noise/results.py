@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
 from matplotlib import path as drawing
@@ -23,7 +23,7 @@ from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.paths import read_table
-from bullet_lab.studies.study import clopper_pearson, rows_of
+from bullet_lab.studies.study import Record, clopper_pearson
 
 SIDES = 4
 
@@ -337,7 +337,10 @@ def verdict(name: str, results: Sequence[Result], evidence: str) -> str:
 
 
 def published_summary(
-    about: Mapping[str, Any], figure: Mapping[str, Any], results: Sequence[Result]
+    about: Mapping[str, Any],
+    figure: Mapping[str, Any],
+    results: Sequence[Result],
+    records: Sequence[Record],
 ) -> Dict[str, Any]:
     """Return the content of summary.json.
 
@@ -345,6 +348,7 @@ def published_summary(
         about: the settings.
         figure: values of the published figure.
         results: of all combinations, ranked.
+        records: of the same.
     """
     verdicts = {
         evidence: {name: verdict(name, results, evidence) for name in DEFECTS}
@@ -359,50 +363,30 @@ def published_summary(
         "needed": [name for name in DEFECTS if overall[name] == NEEDED],
         "cannot_be_told": [name for name in DEFECTS if overall[name] == UNKNOWN],
         "verdicts": verdicts,
-        "combinations": [
-            {"rank": rank, **_describe(result, results)} for rank, result in enumerate(results, 1)
-        ],
+        "combinations": records,
     }
 
 
-def _describe(result: Result, results: Sequence[Result]) -> Dict[str, Any]:
-    return {
-        "name": str(result.defects),
-        "defects": list(result.defects.names),
-        "p_values": {
-            name: {"p": round(p.value, 5), "below": round(p.high, 5)}
-            for name, p in result.p_values.items()
-        },
-        "lengths_m": {
-            length: dict(zip(_SHARES, rounded(column)))
-            for length, column in zip(LENGTHS, result.quantiles.T)
-        },
-        "percentiles_of_figure_1b": dict(zip(LENGTHS, rounded(100.0 * result.percentiles, 1))),
-        "same_as": [
-            str(other.defects)
-            for other in results
-            if other is not result and result.does_the_same_as(other)
-        ],
-    }
+def combination_records(results: Sequence[Result]) -> List[Record]:
+    """Return a record for each combination, as in combinations.csv; m and %."""
+    records: List[Record] = []
+    for rank, result in enumerate(results, 1):
+        switches = map(int, astuple(result.defects))
+        record: Dict[str, Any] = {"rank": rank, **dict(zip(DEFECTS, switches))}
+        for evidence, p in result.p_values.items():
+            record[f"p_{evidence}"], record[f"p_{evidence}_below"] = rounded((p.value, p.high))
+        percentiles = rounded(100.0 * result.percentiles, 1)
+        for length, quantiles, percentile in zip(LENGTHS, result.quantiles.T, percentiles):
+            names = (f"{length}_{share}_m" for share in _SHARES)
+            record.update(zip(names, rounded(quantiles)))
+            record[f"{length}_percentile"] = percentile
+        records.append(record)
+    return records
 
 
 def rounded(values: Sequence[float], digits: int = 5) -> List[float]:
     """Return rounded values for a table."""
     return [round(float(value), digits) for value in values]
-
-
-def combination_rows(summary: Mapping[str, Any]) -> List[Iterable[Any]]:
-    """Return combinations.csv: the combinations of the summary as a table; m and %."""
-    records = []
-    for one in summary["combinations"]:
-        record = {"rank": one["rank"], **{name: int(name in one["defects"]) for name in DEFECTS}}
-        for evidence, p in one["p_values"].items():
-            record.update({f"p_{evidence}": p["p"], f"p_{evidence}_below": p["below"]})
-        for length, quantiles in one["lengths_m"].items():
-            record.update({f"{length}_{share}_m": value for share, value in quantiles.items()})
-            record[f"{length}_percentile"] = one["percentiles_of_figure_1b"][length]
-        records.append(record)
-    return rows_of(records)
 
 
 def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
@@ -417,7 +401,7 @@ def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
 
 def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
     """Return the main results of a summary as lines for the user."""
-    figure, best = summary["figure_1b"], summary["combinations"][0]
+    figure, rows = summary["figure_1b"], summary["combinations"]
     shown = {name: f"{1e3 * length:.1f}" for name, length in figure["lengths_m"].items()}
     lines = [
         f"figure 1b strays {', '.join([shown[name] for name in LENGTHS[:SIDES]])} mm on sides "
@@ -427,9 +411,9 @@ def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
     ]
     if not summary["explained_by"]:
         return [*lines, "no combination explains figure 1b"]
-    lines.append(f"most usual under: {best['name']}, p = {best['p_values']['all']['p']:.2g}")
+    lines.append(f"most usual under: {summary['explained_by'][0]}, p = {rows[0]['p_all']:.2g}")
     width = max(map(len, DEFECTS)) + 1
-    if all(row["p_values"]["all"]["below"] >= SIGNIFICANCE for row in summary["combinations"]):
+    if all(row["p_all_below"] >= SIGNIFICANCE for row in rows):
         lines.append("too few seeds to exclude any combination")
     heads = "".join(f"{evidence:16}" for evidence in EVIDENCE)
     lines.append(f"{'judged by':{width + 2}} {heads.rstrip()}")

@@ -39,7 +39,7 @@ from bullet_lab.studies.published_noise.results import (
     PublishedFigure,
     PValue,
     Result,
-    combination_rows,
+    combination_records,
     drawn,
     find_corners,
     length_rows,
@@ -52,7 +52,15 @@ from bullet_lab.studies.published_noise.results import (
     verdict_lines,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent, write_results
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Settings,
+    Tell,
+    rows_of,
+    run_from,
+    silent,
+    write_results,
+)
 from bullet_lab.studies.workers import run_tasks, this_process
 
 FIGURE_DATA = "data/fig1_paths.csv"
@@ -153,9 +161,10 @@ def run_published_noise(
     figure = read_published_figure(package_share() / FIGURE_DATA)
     replay = Replay(replay_drive(), settings)
     results = ranked(_results(replay, figure, settings, tell))
-    summary = published_summary(asdict(settings), _figure_facts(figure, replay.drive), results)
+    records, facts = combination_records(results), _figure_facts(figure, replay.drive)
+    summary = published_summary(asdict(settings), facts, results, records)
     tables = {
-        "combinations.csv": combination_rows(summary),
+        "combinations.csv": rows_of(records),
         "lengths.csv": length_rows(results, settings.seed),
     }
     figures = _figures(replay, figure, results, settings)

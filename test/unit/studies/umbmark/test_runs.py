@@ -60,7 +60,7 @@ def write_both(folder, name, true, reported):
 def test_files_of_both_ways_say_what_the_wheels_are(write, tmp_path):
     for name, turn in (("a", 0.5), ("b", -0.5)):
         write(tmp_path, name, *recorded(turn))
-    runs = read_runs(tmp_path, "/odom", "/truth", 1.0, 0.4)
+    runs = read_runs(tmp_path, "/odom", "/truth", 1.0, 0.38)
     assert [run.direction for run in runs] == ["ccw", "cw"]
     found = fit(runs).errors
     assert found.diameter_error == pytest.approx(WRONG.diameter_error, rel=1e-3)
