@@ -45,6 +45,7 @@ from bullet_lab.studies.study import (
     Tell,
     UnfinishedError,
     run_from,
+    text_table,
     whole_results,
     write_table,
 )
@@ -422,17 +423,15 @@ def compared(job: str, first: Results, second: Results, references: Results) -> 
         yield FileRow(job, name, twice, reference, difference, where)
 
 
-def table(rows: Sequence[FileRow]) -> Iterator[str]:
-    """Yield the lines of the table that is printed."""
+def table(rows: Sequence[FileRow]) -> List[str]:
+    """Return the lines of the table that is printed."""
     cells = [("job", "file", "twice", "reference", "largest difference")]
     for row in rows:
         twice = "same" if row.twice else "DIFFERS"
         reference = DIFFERS.upper() if row.reference == DIFFERS else row.reference
         off = f"{row.difference:.1e} of {row.where}" if row.difference else ""
         cells.append((row.job, row.file, twice, reference, off))
-    widths = [max(map(len, column)) for column in zip(*cells)]
-    for line in cells:
-        yield "  ".join(map(str.ljust, line, widths)).rstrip()
+    return text_table(cells)
 
 
 def _write(part: Path, processor: str, rows: Sequence[FileRow], known: References) -> None:

@@ -261,6 +261,12 @@ def clopper_pearson(hits: int, trials: int, tail: float) -> Tuple[float, float]:
     return float(low), float(high)
 
 
+def text_table(rows: Sequence[Sequence[str]]) -> List[str]:
+    """Return lines with the words of each row in columns."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
 def panels(
     shape: Tuple[int, int],
     size: Tuple[float, float],

@@ -22,8 +22,8 @@ from bullet_lab.studies.study import Settings, Tell, UnfinishedError, progress
 
 SECONDS_FOR_SCHEDULER = 10.0
 SECONDS_FOR_WORKERS = 30.0
-LIVES = 2
-"""Number of processes that may die on a task before it is tried alone, by one more process."""
+LIVES = 3
+"""Number of processes that may die on a task; another task may have been the cause."""
 
 MOST_WORKERS = 1024
 
@@ -99,33 +99,18 @@ def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> List
 def workers(count: int = 0, scheduler: str = "") -> Run:
     """Return a function that runs tasks.
 
-    If a process dies, another one runs its task again. At last the task runs alone, since another
-    task may have been the cause. The function raises WorkersError if the tasks cannot be run or no
-    worker is left.
+    If a process dies, another one runs its task again. The function raises WorkersError if the
+    tasks cannot be run or no worker is left.
 
     Args:
         count: processes of this machine; 0 for one per core. They share nothing, and end with
             this process, however it ends.
         scheduler: address, such as tcp://host:8786, of a Dask cluster to use instead.
     """
-    run_round = partial(_on_dask, scheduler) if scheduler else partial(_on_processes, count)
-
-    def run(task: Task, numbers: Sequence[int]) -> Results:
-        suspects = []
-        for number, result in run_round(task, numbers):
-            if isinstance(result, TaskLostError):
-                suspects.append(number)
-            else:
-                yield number, result
-        for number in suspects:
-            yield from run_round(task, [number], lives=1)
-
-    return run
+    return partial(_on_dask, scheduler) if scheduler else partial(_on_processes, count)
 
 
-def _on_processes(
-    count: int, task: Task, numbers: Sequence[int], lives: int = LIVES
-) -> Results:
+def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
     # Each process uses one core: its libraries must not start a thread per core.
     for library in ("MKL", "OMP", "OPENBLAS"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
@@ -146,7 +131,7 @@ def _on_processes(
                     busy.pop(pipe).end()
                 if found is None:
                     deaths[number] += 1
-                    if deaths[number] < lives:
+                    if deaths[number] < LIVES:
                         left.append(number)
                         continue
                     found = True, TaskLostError(_LOST)
@@ -224,9 +209,7 @@ def _in_turn(task: Task, number: int) -> Any:
         return task(number)
 
 
-def _on_dask(
-    scheduler: str, task: Task, numbers: Sequence[int], lives: int = LIVES
-) -> Results:
+def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
     """Run the tasks on the workers of a cluster, whose scheduler counts the lives of a task."""
     from distributed import as_completed
     from distributed.scheduler import KilledWorker

@@ -112,7 +112,7 @@ def test_the_table_shows_what_is_wrong():
         FileRow("squares", "odom.tum", False, "differs", 0.5, "x mean"),
         FileRow("dock", "a", True),
     ]
-    assert list(table(rows)) == [
+    assert table(rows) == [
         "job      file      twice    reference  largest difference",
         "squares  odom.tum  DIFFERS  DIFFERS    5.0e-01 of x mean",
         "dock     a         same     none",

@@ -22,7 +22,13 @@ from bullet_lab.studies.dock_campaign.results import (
     reported_docked,
 )
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
-from bullet_lab.studies.study import Record, clopper_pearson, panels, write_results
+from bullet_lab.studies.study import (
+    Record,
+    clopper_pearson,
+    panels,
+    text_table,
+    write_results,
+)
 
 CONFIDENCE = 0.95
 ENDS = ("value", "low", "high")
@@ -173,10 +179,9 @@ def describe(
     names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
 ) -> list[str]:
     """Return the comparison as lines for the user, with intervals of 95 %."""
-    lines = [f"{'':40}{names[0]:>24}{names[1]:>24}"]
-    for figure in columns[0]:
-        if figure != "failures":
-            lines.append(f"{figure:40}" + "".join(f"{_shown(c[figure]):>24}" for c in columns))
+    figures = [figure for figure in columns[0] if figure != "failures"]
+    rows = [(figure, *(_shown(column[figure]) for column in columns)) for figure in figures]
+    lines = text_table([("", *names), *rows])
     lines += [
         f"{name}: " + ", ".join(f"{result} {count}" for result, count in column["failures"].items())
         for name, column in zip(names, columns)

@@ -23,7 +23,7 @@ from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.paths import read_table
-from bullet_lab.studies.study import Record, clopper_pearson
+from bullet_lab.studies.study import Record, clopper_pearson, text_table
 
 SIDES = 4
 
@@ -412,12 +412,8 @@ def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
     if not summary["explained_by"]:
         return [*lines, "no combination explains figure 1b"]
     lines.append(f"most usual under: {summary['explained_by'][0]}, p = {rows[0]['p_all']:.2g}")
-    width = max(map(len, DEFECTS)) + 1
     if all(row["p_all_below"] >= SIGNIFICANCE for row in rows):
         lines.append("too few seeds to exclude any combination")
-    heads = "".join(f"{evidence:16}" for evidence in EVIDENCE)
-    lines.append(f"{'judged by':{width + 2}} {heads.rstrip()}")
-    for name in DEFECTS:
-        words = "".join(f"{summary['verdicts'][evidence][name]:16}" for evidence in EVIDENCE)
-        lines.append(f"  {name + ':':{width}} {words.rstrip()}")
-    return lines
+    verdicts = summary["verdicts"]
+    table = [(f"  {name}:", *(verdicts[one][name] for one in EVIDENCE)) for name in DEFECTS]
+    return [*lines, *text_table([("judged by", *EVIDENCE), *table])]
