@@ -109,9 +109,6 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
 _STOP_TIMEOUT = 5.0
 
 
-class VerifyError(LabError):
-    """A result or the file of references cannot be read."""
-
 
 @dataclass(frozen=True)
 class Fingerprint:
@@ -133,12 +130,12 @@ class Fingerprint:
         """Read a file.
 
         Raises:
-            VerifyError: the file cannot be read, or its content does not fit its suffix.
+            LabError: the file cannot be read, or its content does not fit its suffix.
         """
         try:
             content, columns = _content(path, left_out)
         except (OSError, ValueError, csv.Error) as error:
-            raise VerifyError(f"cannot read {path}: {error}") from error
+            raise LabError(f"cannot read {path}: {error}") from error
         numbers = _summary(columns).items()
         rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers}
         return Fingerprint(hashlib.sha256(content).hexdigest()[:_HASH_DIGITS], rounded)
@@ -259,7 +256,7 @@ class References:
 
     @staticmethod
     def read(path: Path) -> References:
-        """Read a file of references; raise VerifyError."""
+        """Read a file of references; raise LabError."""
         try:
             kept = json.loads(path.read_text())
             files = {
@@ -268,7 +265,7 @@ class References:
             }
             return References(kept["machine"], files)
         except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
-            raise VerifyError(f"cannot use {path}: {error}") from error
+            raise LabError(f"cannot use {path}: {error}") from error
 
     def elsewhere(self) -> List[str]:
         """Return a line for each property in which this machine differs from the reference's."""

@@ -19,6 +19,7 @@ from bullet_lab.core.trajectory import (
     trajectory_of,
     tum_row,
 )
+from bullet_lab.errors import LabError
 
 LONGEST_PATH = 1e7
 """m; longer paths are errors of units or of a file."""
@@ -175,9 +176,6 @@ MOST_POSES = 2_000_000
 _SAME_STAMP = 1e-6  # s; closer than messages ever are
 
 
-class ResamplingError(TrajectoryError):
-    """A path cannot be resampled at a rate."""
-
 
 def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     """Return the poses of messages at a rate: at start + k / rate, and at the end.
@@ -190,12 +188,12 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
         rate: Hz, > 0.
 
     Raises:
-        ResamplingError: the rate is too high for the path.
+        LabError: the rate is too high for the path.
     """
     start, end = trajectory.stamps[[0, -1]]
     count = (end - start) * rate
     if count >= MOST_POSES:
-        raise ResamplingError(f"{rate:g} Hz for {end - start:g} s are too many messages")
+        raise LabError(f"{rate:g} Hz for {end - start:g} s are too many messages")
     stamps = start + np.arange(math.floor(count) + 1) / rate
     if end - stamps[-1] > _SAME_STAMP:
         stamps = np.append(stamps, end)

@@ -39,9 +39,6 @@ If every process that ran the task has died, the result is a TaskLostError, whic
 """
 
 
-class WorkersError(UnfinishedError):
-    """The tasks cannot be run, or no worker is left."""
-
 
 class TaskLostError(UnfinishedError):
     """Every process that ran a task has died."""
@@ -99,7 +96,7 @@ def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> List
 def workers(count: int = 0, scheduler: str = "") -> Run:
     """Return a function that runs tasks.
 
-    If a process dies, another one runs its task again. The function raises WorkersError if the
+    If a process dies, another one runs its task again. The function raises UnfinishedError if the
     tasks cannot be run or no worker is left.
 
     Args:
@@ -137,7 +134,7 @@ def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
                     found = True, TaskLostError(_LOST)
                 done, value = found
                 if not done:
-                    raise WorkersError(f"a worker process failed: {value}")
+                    raise UnfinishedError(f"a worker process failed: {value}")
                 yield number, value
     finally:
         for worker in busy.values():
@@ -224,10 +221,10 @@ def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
             except KilledWorker:
                 result = TaskLostError(_LOST)
             except CancelledError:
-                raise WorkersError("the connection to the Dask scheduler is lost") from None
+                raise UnfinishedError("the connection to the Dask scheduler is lost") from None
             except Exception as error:  # of the task, or of a worker without the right libraries
                 kind = type(error).__name__
-                raise WorkersError(f"a worker process failed: {kind}: {error}") from error
+                raise UnfinishedError(f"a worker process failed: {kind}: {error}") from error
             yield number_of[future.key], result
             future.release()
 
@@ -243,10 +240,10 @@ def _dask_client(scheduler: str) -> Iterator[Any]:
     try:
         client = Client(scheduler, timeout=SECONDS_FOR_SCHEDULER, set_as_default=False)
     except (OSError, ValueError, TimeoutError):
-        raise WorkersError(f"no Dask scheduler answers at {scheduler}") from None
+        raise UnfinishedError(f"no Dask scheduler answers at {scheduler}") from None
     with contextlib.closing(client):
         try:
             client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
         except TimeoutError:
-            raise WorkersError(f"the Dask scheduler at {scheduler} has no workers") from None
+            raise UnfinishedError(f"the Dask scheduler at {scheduler} has no workers") from None
         yield client

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import find_jobs
 from bullet_lab.ros import verify
 from bullet_lab.ros.verify import (
@@ -19,7 +20,6 @@ from bullet_lab.ros.verify import (
     Fingerprint,
     References,
     Runs,
-    VerifyError,
     compared,
     table,
     this_machine,
@@ -79,7 +79,7 @@ def test_any_other_file_is_the_numbers_in_it(tmp_path):
 
 
 def test_invalid_json_is_refused(tmp_path):
-    with pytest.raises(VerifyError, match=r"cannot read .*a\.json"):
+    with pytest.raises(LabError, match=r"cannot read .*a\.json"):
         of(tmp_path, "a.json", "{")
 
 
@@ -126,7 +126,7 @@ def test_references_are_read_as_written(tmp_path):
     assert known.elsewhere() == []
     assert len(References({"python": "2"}, {}).elsewhere()) == len(this_machine())
     (tmp_path / "a.json").write_text("[]")
-    with pytest.raises(VerifyError, match=r"cannot use .*a\.json"):
+    with pytest.raises(LabError, match=r"cannot use .*a\.json"):
         References.read(tmp_path / "a.json")
 
 

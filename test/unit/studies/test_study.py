@@ -16,13 +16,14 @@ from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, boolean, integer, numbers, text
 from bullet_lab.studies.study import (
     Settings,
+    UnfinishedError,
     interrupt_once,
     progress,
     run_from,
     whole_results,
     write_table,
 )
-from bullet_lab.studies.workers import TaskLostError, WorkersError
+from bullet_lab.studies.workers import TaskLostError
 
 PACKAGE = Path(__file__).parents[3]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -168,7 +169,7 @@ def test_help_names_every_setting(capsys):
         (["out", "--nix"], None, 2, "unrecognized arguments: --nix"),
         (["/proc/nowhere"], None, 2, "cannot make the folder"),
         (["out"], FileError("cannot write"), 2, "cannot write"),
-        (["out"], WorkersError("nobody\nworks"), 1, "nobody works"),
+        (["out"], UnfinishedError("nobody\nworks"), 1, "nobody works"),
         (["out"], TaskLostError("lost"), 1, "lost"),
     ],
 )

@@ -17,11 +17,11 @@ import psutil
 import pytest
 
 from bullet_lab.core.parameters import ParameterError
+from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.workers import (
     LIVES,
     ClusterSettings,
     TaskLostError,
-    WorkersError,
     run_tasks,
     this_process,
     workers,
@@ -173,7 +173,7 @@ def test_interrupted_it_ends_its_workers():
 
 @pytest.mark.parametrize("task", [unknown_library, unable_to_travel])
 def test_workers_that_cannot_do_it_are_an_error_of_one_line(task):
-    with pytest.raises(WorkersError, match="a worker process failed: [A-Z]") as caught:
+    with pytest.raises(UnfinishedError, match="a worker process failed: [A-Z]") as caught:
         list(workers(1)(task, range(3)))
     assert "\n" not in str(caught.value)
 
@@ -227,7 +227,7 @@ def test_a_cluster_that_goes_away_is_an_error(monkeypatch):
         results = workers(scheduler=cluster.scheduler_address)(square, range(100))
         next(results)
         cluster.close()
-        with pytest.raises(WorkersError, match="connection to the Dask scheduler is lost"):
+        with pytest.raises(UnfinishedError, match="connection to the Dask scheduler is lost"):
             list(results)
 
 
@@ -243,11 +243,11 @@ def test_nobody_at_the_address(monkeypatch):
     with contextlib.closing(socket.socket()) as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(WorkersError, match="no Dask scheduler answers"):
+        with pytest.raises(UnfinishedError, match="no Dask scheduler answers"):
             list(workers(scheduler=address)(square, [1]))
 
 
 def test_a_scheduler_without_workers(monkeypatch):
     monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_WORKERS", 0.5)
-    with in_process_cluster(0) as cluster, pytest.raises(WorkersError, match="no workers"):
+    with in_process_cluster(0) as cluster, pytest.raises(UnfinishedError, match="no workers"):
         list(workers(scheduler=cluster.scheduler_address)(square, [1]))

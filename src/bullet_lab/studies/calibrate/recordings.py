@@ -13,7 +13,8 @@ import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import choice, integer, name_list, number, text
-from bullet_lab.core.trajectory import Trajectory, TrajectoryError
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
@@ -60,9 +61,6 @@ COVERAGE_COLUMNS = (
 )
 
 
-class RecordingError(TrajectoryError):
-    """A file or folder has no path with truth."""
-
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -100,7 +98,7 @@ class DataSettings:
         """Read the recordings; none if no file is given. Raises LabError."""
         base, topics = Path(self.base), (self.truth_topic, self.odometry_topic)
         if bool(self.truth) != bool(self.odometry):
-            raise RecordingError("truth and odometry are one recording: both files are needed")
+            raise LabError("truth and odometry are one recording: both files are needed")
         found: List[Recording] = []
         if self.truth:
             found.append(read_pair(base / self.truth, base / self.odometry, topics))
@@ -129,7 +127,7 @@ def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
     if not found:
         places = ", ".join(map(str, paths))
         names = ", ".join(f"*{truth}.tum with *{odometry}.tum" for truth, odometry in NAMES[:3])
-        raise RecordingError(
+        raise LabError(
             f"{places}: no bag, no table with both paths, and no two files such as {names}"
         )
     return found
@@ -137,7 +135,7 @@ def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
 
 def _recordings(path: Path, topics: Topics) -> Iterator[Recording]:
     if not os.path.exists(path):
-        raise RecordingError(f"cannot read {path}: there is no such file or folder")
+        raise LabError(f"cannot read {path}: there is no such file or folder")
     if not os.path.isdir(path):
         yield _read_file(path, topics)
         return
@@ -158,7 +156,7 @@ def _read_file(path: Path, topics: Topics) -> Recording:
         return read_pair(path, path, topics)
     prefixes = _prefixes(path)
     if prefixes is None:
-        raise RecordingError(
+        raise LabError(
             f"{path}: neither a bag nor a table with both paths, whose first line names stamp, "
             "x, y, yaw, noisy_x, noisy_y and noisy_yaw; two files are truth and odometry"
         )

@@ -57,9 +57,6 @@ _POINTS = 11
 _LIMIT = 3.841
 
 
-class UndeterminedError(LabError):
-    """The steps do not determine the parameters of a model."""
-
 
 @dataclass(frozen=True, eq=False)
 class ModelCalibration:
@@ -128,7 +125,7 @@ def calibrate(
         seed: of the bootstrap, >= 0.
 
     Raises:
-        UndeterminedError: the steps do not determine the parameters.
+        LabError: the steps do not determine the parameters.
     """
     make = functools.partial(Problem, model=model, systematic=systematic, wheel_base=wheel_base)
     length = (0.0, 0.0)
@@ -146,7 +143,7 @@ def calibrate(
         prediction = judged(list(predictions(make, steps, length)))
         ends = intervals(problem, found)[0]
     except np.linalg.LinAlgError:
-        raise UndeterminedError(
+        raise LabError(
             f"{model}: the steps do not determine its parameters: "
             "do odometry and truth belong together, and does the robot drive and turn?"
         ) from None

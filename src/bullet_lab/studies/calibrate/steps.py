@@ -64,9 +64,6 @@ LARGEST_SCALE = 2.0
 LEAST_SHARE = 0.05
 
 
-class StepsError(LabError):
-    """Truth and odometry do not match, or have too few steps in common."""
-
 
 @dataclass(frozen=True)
 class StepSettings:
@@ -163,13 +160,13 @@ class Steps:
         return [*found, *self.remarks]
 
     def check(self) -> None:
-        """Raise StepsError, with the likely cause, if odometry and truth do not match.
+        """Raise LabError, with the likely cause, if odometry and truth do not match.
 
         Distance ahead and turn of the odometry are compared with the truth's by their regression,
         which noise of the odometry does not bias.
         """
         if np.abs(self.true - self.odometry).max(initial=0.0) <= SAME:
-            raise StepsError("the odometry equals the truth: are both from one topic or column?")
+            raise LabError("the odometry equals the truth: are both from one topic or column?")
         kinds = ((0, "distance", "m", LEAST_DISTANCE), (2, "turn", "rad", LEAST_TURN))
         for column, what, unit, least in kinds:
             true, odometry = self.true[:, column], self.odometry[:, column]
@@ -177,12 +174,12 @@ class Steps:
                 continue
             share = float(true @ odometry / (true @ true))
             if share < 0.0:
-                raise StepsError(
+                raise LabError(
                     f"the odometry's {what} has the opposite sign of the truth's: "
                     f"is the sign of the {what}, or an axis, of one of them reversed?"
                 )
             if not 1.0 / LARGEST_SCALE <= share <= LARGEST_SCALE:
-                raise StepsError(
+                raise LabError(
                     f"the odometry's {what} is {share:.3g} times the truth's; "
                     f"at most {LARGEST_SCALE:g} times is plausible: are both in {unit}?"
                 )
@@ -192,7 +189,7 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     """Return the steps of a recording.
 
     Raises:
-        StepsError: the stamps have no time in common, or too short a one.
+        LabError: the stamps have no time in common, or too short a one.
     """
     truth, odometry = recording.truth, recording.odometry
     odometry = _shifted(odometry, settings.time_offset)
@@ -262,7 +259,7 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
 
 
 def joined(found: Sequence[Steps]) -> Steps:
-    """Return the steps of all recordings; raises StepsError if there are too few."""
+    """Return the steps of all recordings; raises LabError if there are too few."""
     steps = Steps(
         *(
             np.concatenate([getattr(one, name) for one in found])
@@ -274,7 +271,7 @@ def joined(found: Sequence[Steps]) -> Steps:
         remarks=tuple(remark for one in found for remark in one.remarks),
     )
     if len(steps) < FEWEST_STEPS:
-        raise StepsError(
+        raise LabError(
             f"{len(steps)} steps with a moving robot are too few: {FEWEST_STEPS} at least "
             f"({steps.resting} more stood still, {steps.gaps} went over a gap)"
         )
@@ -327,7 +324,7 @@ def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.nda
     start = max(truth.stamps[0], odometry.stamps[0])
     end = min(truth.stamps[-1], odometry.stamps[-1])
     if end <= start:
-        raise StepsError(
+        raise LabError(
             f"{name}: truth (stamps {truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s) and "
             f"odometry ({odometry.stamps[0]:.3f} to {odometry.stamps[-1]:.3f} s) have no time in "
             "common; time_offset is added to the odometry's"
@@ -338,7 +335,7 @@ def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.nda
     slower = int(len(inside[1]) <= len(inside[0]))
     stamps = inside[slower]
     if len(stamps) < 2:
-        raise StepsError(f"{name}: truth and odometry have fewer than two poses in common")
+        raise LabError(f"{name}: truth and odometry have fewer than two poses in common")
     return snapped(stamps, (truth, odometry)[1 - slower].stamps)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 from bullet_lab.core.parameters import choices, integer
+from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.calibrate.recordings import (
@@ -24,7 +25,6 @@ from bullet_lab.studies.calibrate.recordings import (
 )
 from bullet_lab.studies.calibrate.results import (
     ModelCalibration,
-    UndeterminedError,
     calibrate,
     calibration_summary,
     coverage_figure,
@@ -120,7 +120,7 @@ def run_calibration(
     ranked = sorted(found, key=ModelCalibration.rank)
     best = ranked[0]
     if best.limited:
-        raise UndeterminedError(
+        raise LabError(
             f"{', '.join(best.limited)} of {best.model} on the limit, and no model without: the "
             "odometry is too far from the truth, or the steps are too short to tell more than noise"
         )

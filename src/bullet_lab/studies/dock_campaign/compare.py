@@ -38,9 +38,6 @@ NAV2_THRESHOLD = 0.05
 """nav2's `docking_threshold`, m: within it a robot counts as docked, with any heading."""
 
 
-class ComparisonError(LabError):
-    """Two campaigns cannot be compared."""
-
 
 def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     """Compare the campaign of a folder with another one; write table, figure and numbers.
@@ -60,11 +57,11 @@ def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     own_drawn_from, second_records = read_log(folder / LOG)
     first, second = (one.pop("controller") for one in (drawn_from, own_drawn_from))
     if drawn_from != own_drawn_from:
-        raise ComparisonError(f"{beside} has other dockings than {folder}")
+        raise LabError(f"{beside} has other dockings than {folder}")
     indices = range(dockings)
     missing = [index for index in indices if index not in first_records]
     if missing:
-        raise ComparisonError(f"{beside} lacks {len(missing)} of {dockings} dockings")
+        raise LabError(f"{beside} lacks {len(missing)} of {dockings} dockings")
     names = [first, second]
     if first == second:
         names = [f"{first} ({beside.parent.name})", f"{second} ({folder.name})"]

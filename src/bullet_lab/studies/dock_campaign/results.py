@@ -109,16 +109,13 @@ def _shares(records: Sequence[Record], name: str) -> dict[str, Any]:
     return {value: f"{docked[value]} of {total[value]}" for value in sorted(total)}
 
 
-class DockLogError(LabError):
-    """The campaign cannot continue from a log."""
-
 
 def read_log(path: Path) -> tuple[dict[str, Any], dict[int, Record]]:
     """Return the parameters of a campaign, and its records by index, from its log.
 
     Raises:
         FileError: it cannot be read.
-        DockLogError: it is not the log of a campaign.
+        LabError: it is not the log of a campaign.
     """
     try:
         with file_errors(f"cannot read {path}"):
@@ -127,7 +124,7 @@ def read_log(path: Path) -> tuple[dict[str, Any], dict[int, Record]]:
         head, *lines = map(json.loads, text[: text.rfind("\n") + 1].splitlines())
         return dict(head["campaign"]), {line["index"]: line for line in lines}
     except (ValueError, KeyError, TypeError):
-        raise DockLogError(f"{path} is not the log of a campaign") from None
+        raise LabError(f"{path} is not the log of a campaign") from None
 
 
 class DockLog:
@@ -143,7 +140,7 @@ class DockLog:
         records: of the dockings, by index.
 
     Raises:
-        DockLogError: the file is the log of a campaign with other parameters, or is not a log.
+        LabError: the file is the log of a campaign with other parameters, or is not a log.
         FileError: it cannot be read or written.
     """
 
@@ -167,7 +164,7 @@ class DockLog:
             if found.get(name) != given.get(name)
         ]
         if differences:
-            raise DockLogError(
+            raise LabError(
                 f"{self._path} is the log of a campaign with other parameters "
                 f"({', '.join(differences)}): choose another folder, or remove it"
             )

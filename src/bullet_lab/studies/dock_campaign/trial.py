@@ -124,9 +124,6 @@ class DockingScenario:
     stress: Stress
 
 
-class ScenarioError(LabError):
-    """No scenario can be drawn."""
-
 
 @dataclass(frozen=True)
 class DrawSettings(Settings):
@@ -206,7 +203,7 @@ def _draw_start(rng: np.random.Generator, walls: tuple[Footprint, ...]) -> Plana
         x, y = dock_x - distance, dock_y + distance * math.tan(bearing)
         if all(wall.distance((x, y)) > _clearance(wall) for wall in walls):
             return x, y, heading
-    raise ScenarioError(f"{_MOST_ATTEMPTS} draws found no start with enough room for a robot")
+    raise LabError(f"{_MOST_ATTEMPTS} draws found no start with enough room for a robot")
 
 
 def _clearance(wall: Footprint) -> float:

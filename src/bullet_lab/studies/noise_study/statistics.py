@@ -54,9 +54,6 @@ METRICS = (
 """Columns of `PathMetrics.values`; a closure error for each lap follows."""
 
 
-class PathMetricsError(LabError):
-    """The metrics are not defined for a path."""
-
 
 class Laps(NamedTuple):
     """Indices of the first and the last pose of each lap of a path, shape (l,)."""
@@ -92,7 +89,7 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
         Indices of the first and second poses, two arrays of the same length.
 
     Raises:
-        PathMetricsError: there is no pair.
+        LabError: there is no pair.
     """
     travelled = trajectory.travelled()
     count = len(travelled)
@@ -109,7 +106,7 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
     second = np.where(below_miss <= above_miss, below, above)
     kept = np.minimum(below_miss, above_miss) <= DELTA_TOLERANCE * delta
     if not kept.any():
-        raise PathMetricsError(
+        raise LabError(
             f"no two poses are {delta:g} m apart along the path, give or take "
             f"{100 * DELTA_TOLERANCE:g} %: another delta or a higher rate is needed"
         )
@@ -125,7 +122,7 @@ class PathMetrics:
         delta: m, of the relative pose error and the drift.
 
     Raises:
-        PathMetricsError: no two poses are delta apart.
+        LabError: no two poses are delta apart.
     """
 
     def __init__(self, trajectory: Trajectory, steps: NoisySteps, delta: float):
@@ -203,7 +200,7 @@ def _tangents(steps: NoisySteps) -> np.ndarray:
     """
     moves = np.abs(steps.trans) >= MIN_TRANSLATION
     if not moves.any():
-        raise PathMetricsError("the path does not move")
+        raise LabError("the path does not move")
     begin = int(np.argmax(moves))
     latest = np.maximum.accumulate(np.where(moves, np.arange(len(steps)), begin))
     return steps.direction[np.concatenate([[begin], latest])]
@@ -296,7 +293,7 @@ def study_case(
         keep: number of paths to keep.
 
     Raises:
-        PathMetricsError: no two poses of the path are delta apart.
+        LabError: no two poses of the path are delta apart.
     """
     model, std, rate = case
     steps = noisy_steps(trajectory.poses, level_rule(model, std))

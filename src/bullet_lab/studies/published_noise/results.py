@@ -66,9 +66,6 @@ _SMALL = 1e-3
 _SAME = 1e-12
 
 
-class DrawnPathError(LabError):
-    """A path has no square, or the digitised figure lacks a path."""
-
 
 def drawn(points) -> np.ndarray:
     """Return the vertices that matplotlib draws of a path on the axes of figure 1b.
@@ -104,7 +101,7 @@ def find_corners(vertices) -> np.ndarray:
         Indices of the vertices, shape (5,), from the first to the last.
 
     Raises:
-        DrawnPathError: the path has no four sides.
+        LabError: the path has no four sides.
 
     >>> find_corners([(0, 0), (1, 0.1), (2, 0), (2, -2), (1, -2), (0, -2), (0, 0)]).tolist()
     [0, 2, 3, 5, 6]
@@ -119,7 +116,7 @@ def find_corners(vertices) -> np.ndarray:
         choices.append(sums.argmin(axis=0))
         least = sums.min(axis=0)
     if not np.isfinite(least[-1]):
-        raise DrawnPathError("the path has no four sides")
+        raise LabError("the path has no four sides")
     corners = [len(distances) - 1]
     for choice in reversed(choices):
         corners.append(int(choice[corners[-1]]))
@@ -153,7 +150,7 @@ def measure(vertices, perfect_corners) -> np.ndarray:
         perfect_corners: m, shape (5, 2).
 
     Raises:
-        DrawnPathError: the path has no four sides.
+        LabError: the path has no four sides.
     """
     vertices = np.asarray(vertices, dtype=float)
     indices = find_corners(vertices)
@@ -210,7 +207,7 @@ def _read_series(path: Path, name: str) -> np.ndarray:
         if row["series"] == name
     ]
     if not points:
-        raise DrawnPathError(f"{path} has no path {name}")
+        raise LabError(f"{path} has no path {name}")
     return np.array(points)
 
 

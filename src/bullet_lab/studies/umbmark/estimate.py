@@ -14,8 +14,9 @@ from scipy import optimize, stats
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
+from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, RunError, SquareRun, return_errors
+from bullet_lab.studies.umbmark.runs import DIRECTIONS, SquareRun, return_errors
 
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
@@ -256,7 +257,7 @@ class Benchmark:
 
     @classmethod
     def of(cls, runs: Sequence[SquareRun], side: Optional[float] = None) -> Benchmark:
-        """Evaluate runs; raises RunError unless there are runs in both directions.
+        """Evaluate runs; raises LabError unless there are runs in both directions.
 
         The fit counts turns by the base that was assumed, which includes a correction.
 
@@ -265,7 +266,7 @@ class Benchmark:
             side: m; the mean reported one by default.
         """
         if {run.direction for run in runs} != set(DIRECTIONS):
-            raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
+            raise LabError("squares have to be driven both ways, clockwise and counter-clockwise")
         length = float(np.mean([run.side() for run in runs])) if side is None else side
         return cls(tuple(runs), closed_forms(runs, length), fit(runs))
 

@@ -52,9 +52,6 @@ MULTIPLIERS = (
 CONTROLLER_TYPE = "diff_drive_controller/DiffDriveController"
 
 
-class RobotError(LabError):
-    """A robot does not have odometry by two wheels."""
-
 
 @dataclass(frozen=True)
 class Wheels:
@@ -149,7 +146,7 @@ class FloorRobot:
         if controller:
             plugin = _plugin(self._robot, RosControl)
             if plugin is None:
-                raise RobotError(f"{robot}: there is no plugin {RosControl.filenames[0]}")
+                raise LabError(f"{robot}: there is no plugin {RosControl.filenames[0]}")
             urdf = read_urdf_text(file)
             drive: Any = _load_controller(plugin, urdf, controller, factors)
             joints = [joint.name for joint in drive.joints]
@@ -219,13 +216,13 @@ def _with_other_plugin(robot: str, model: Model, factors: Mapping[str, float]) -
     """
     tag = next((tag for tag in model.plugins if tag.filename in DiffDrive.filenames), None)
     if tag is None:
-        raise RobotError(
+        raise LabError(
             f"{robot}: there is no plugin {DiffDrive.filenames[0]}, and no controller"
         )
     with Simulation.of(WORLD) as simulation:
         drive = _plugin(simulation.add(model), DiffDrive)
     if drive is None:
-        raise RobotError("the robot's diff_drive plugin does not work; see the warnings")
+        raise LabError("the robot's diff_drive plugin does not work; see the warnings")
     names = ("leftWheelDiameter", "rightWheelDiameter", "wheelSeparation")
     values = (*(2.0 * radius for radius in drive.radii), drive.separation)
     wheels = (repr(value * factor) for value, factor in zip(values, factors.values()))
@@ -277,14 +274,14 @@ def _find_controller(file: str) -> Tuple[Mapping[str, Any], str]:
     try:
         trees = [yaml.safe_load(path.read_text())]
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RobotError(f"cannot read {file}: {' '.join(str(error).split())}") from None
+        raise LabError(f"cannot read {file}: {' '.join(str(error).split())}") from None
     while trees:
         tree = trees.pop()
         for name, own in tree.items() if isinstance(tree, Mapping) else ():
             if isinstance(own, Mapping) and own.get("type") == CONTROLLER_TYPE:
                 return tree, name
             trees.append(own)
-    raise RobotError(f"{file}: there is no controller of the type {CONTROLLER_TYPE}")
+    raise LabError(f"{file}: there is no controller of the type {CONTROLLER_TYPE}")
 
 
 @dataclass(frozen=True)

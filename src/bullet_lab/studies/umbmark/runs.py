@@ -34,9 +34,6 @@ AT_REST = 0.01
 """m from the first or last pose, within which the robot counts as at rest."""
 
 
-class RunError(LabError):
-    """A recording is not a square that was driven by odometry."""
-
 
 @dataclass(frozen=True, eq=False)
 class SquareRun:
@@ -50,7 +47,7 @@ class SquareRun:
         base: distance of the wheels that the odometry assumed, m.
 
     Raises:
-        RunError: the odometry does not turn by 360°, or a number is out of range.
+        LabError: the odometry does not turn by 360°, or a number is out of range.
     """
 
     name: str
@@ -62,16 +59,16 @@ class SquareRun:
     def __post_init__(self) -> None:
         """Check that it is a square."""
         if len(self.odometry) < 2 or not np.isfinite(self.odometry).all():
-            raise RunError(f"{self.name}: there is no odometry of a square")
+            raise LabError(f"{self.name}: there is no odometry of a square")
         largest = max(np.abs(self.odometry).max(), *map(abs, (*self.start, *self.end)))
         if largest > FARTHEST:
-            raise RunError(
+            raise LabError(
                 f"{self.name}: {largest:g} is out of range: positions are in m, angles in rad, "
                 f"and at most {FARTHEST:g}"
             )
         turned = abs(self.turned())
         if not 0.75 < turned / (2.0 * np.pi) < 1.25:
-            raise RunError(
+            raise LabError(
                 f"{self.name}: the odometry turns by {np.degrees(turned):.0f}°, not once round, "
                 "as on a square with the turn after its last side"
             )
@@ -140,7 +137,7 @@ def read_runs(
         elif file.suffix == ".csv":
             runs += _read_csv(file, side, base)
     if not runs:
-        raise RunError(f"{path}: there is no bag, no table and no *{ODOMETRY} of a run")
+        raise LabError(f"{path}: there is no bag, no table and no *{ODOMETRY} of a run")
     return runs
 
 
@@ -150,7 +147,7 @@ def _run(file: Path, odometry: Trajectory, truth: Trajectory, base: float) -> Sq
     first, last = truth.poses[[0, -1]].tolist()
     turns = [se2.steps(one.poses)[:, 2].sum() for one in (odometry, truth)]
     if turns[0] * turns[1] < 0.0:
-        raise RunError(
+        raise LabError(
             f"{file}: odometry and truth turn in opposite directions: "
             "is the y axis or the yaw of one of them mirrored?"
         )
@@ -160,7 +157,7 @@ def _run(file: Path, odometry: Trajectory, truth: Trajectory, base: float) -> Sq
 
 
 def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
-    """Raise RunError unless the truth covers the time in which the robot drives."""
+    """Raise LabError unless the truth covers the time in which the robot drives."""
     from_start, from_end = (
         np.flatnonzero(np.hypot(*(odometry.poses - rest)[:, :2].T) > AT_REST)
         for rest in odometry.poses[[0, -1]]
@@ -169,7 +166,7 @@ def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
         return
     begin, end = odometry.stamps[[from_start[0], from_end[-1]]]
     if truth.stamps[0] > begin or truth.stamps[-1] < end:
-        raise RunError(
+        raise LabError(
             f"{file}: the robot drives from {begin:.3f} to {end:.3f} s, but the truth covers "
             f"{truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s: are both of one run and one clock?"
         )
@@ -185,7 +182,7 @@ def _read_csv(path: Path, side: float, base: float) -> List[SquareRun]:
 def _measured_run(where: str, row: Mapping[str, str], side: float, base: float) -> SquareRun:
     direction = (row["direction"] or "").strip().lower()
     if direction not in DIRECTIONS:
-        raise RunError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
+        raise LabError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
     x, y, yaw = finite_numbers([row[name] for name in RETURNS[1:]], where)
     square = perfect_square(side, direction)
     return SquareRun(where, square, (0.0, 0.0, 0.0), (x, y, yaw), base)

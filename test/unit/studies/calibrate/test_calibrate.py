@@ -9,6 +9,7 @@ import pytest
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import read_parameters
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import SYSTEMATIC
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.noise.prediction import path_of
@@ -20,7 +21,7 @@ from bullet_lab.studies.calibrate.recordings import (
     coverage,
     made_up,
 )
-from bullet_lab.studies.calibrate.steps import StepsError, StepSettings, take_steps
+from bullet_lab.studies.calibrate.steps import StepSettings, take_steps
 from bullet_lab.studies.calibrate.study import (
     CalibrateSettings,
     main,
@@ -193,11 +194,11 @@ def test_the_true_noise_of_a_drive_is_that_of_the_node():
 def test_odometry_that_cannot_be_is_refused_with_its_likely_cause(scale, line):
     taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
     taken.check()
-    with pytest.raises(StepsError, match=line):
+    with pytest.raises(LabError, match=line):
         replace(taken, odometry=taken.odometry * scale).check()
 
 
 def test_odometry_that_equals_the_truth_is_refused():
     taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
-    with pytest.raises(StepsError, match="equals the truth"):
+    with pytest.raises(LabError, match="equals the truth"):
         replace(taken, odometry=taken.true).check()

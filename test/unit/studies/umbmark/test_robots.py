@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
-from bullet_lab.studies.umbmark.robots import FloorRobot, RobotError
+from bullet_lab.studies.umbmark.robots import FloorRobot
 
 PACKAGE = Path(__file__).resolve().parents[4]
 TUTORIALS = PACKAGE / "test" / "tutorials"
@@ -99,7 +100,7 @@ def test_a_controller_gets_its_errors_as_multipliers(built):
     ],
 )
 def test_robots_without_wheels_to_calibrate_are_refused(robot, controller, said):
-    with pytest.raises(RobotError, match=said):
+    with pytest.raises(LabError, match=said):
         FloorRobot(robot, controller, NONE, NONE)
 
 
@@ -107,7 +108,7 @@ def test_the_log_says_once_why_a_plugin_does_not_work(tmp_path, caplog):
     text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
     robot = tmp_path / "robot.urdf"
     robot.write_text(text.replace("<leftJoint>", "<leftJoint>no_", 1))
-    with pytest.raises(RobotError, match="does not work; see the warnings"):
+    with pytest.raises(LabError, match="does not work; see the warnings"):
         FloorRobot(str(robot), "", NONE, NONE)
     (record,) = caplog.records
     assert "no movable joint 'no_" in record.message

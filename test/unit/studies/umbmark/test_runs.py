@@ -14,7 +14,7 @@ from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.paths import tum_text
 from bullet_lab.studies.umbmark.estimate import fit
 from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels, drive_square
-from bullet_lab.studies.umbmark.runs import RunError, perfect_square, read_runs
+from bullet_lab.studies.umbmark.runs import perfect_square, read_runs
 
 BELIEVED = Wheels(0.28, 0.28, 0.38)
 WRONG = SystematicErrors(diameter_error=0.004, base_error=-0.02)
@@ -72,7 +72,7 @@ def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
     true, reported = recorded(0.5)
     count = int(share * len(true.stamps))
     write_pair(tmp_path, "a", Trajectory(true.stamps[:count] + shift, true.poses[:count]), reported)
-    with pytest.raises(RunError, match="are both of one run and one clock"):
+    with pytest.raises(LabError, match="are both of one run and one clock"):
         read_runs(tmp_path, "", "", 1.0, 0.4)
 
 
@@ -109,5 +109,5 @@ def test_what_cannot_be_used_is_refused(text, said, tmp_path):
 
 
 def test_a_folder_without_runs_is_refused(tmp_path):
-    with pytest.raises(RunError, match="there is no bag"):
+    with pytest.raises(LabError, match="there is no bag"):
         read_runs(tmp_path, "/odom", "/truth", 1.0, 0.4)

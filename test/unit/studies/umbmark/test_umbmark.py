@@ -8,6 +8,7 @@ from scipy import stats
 
 from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.drive import Square
+from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import RateInvariantRule
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import UnfinishedError
@@ -25,7 +26,7 @@ from bullet_lab.studies.umbmark.robots import (
     drive_square,
     multipliers,
 )
-from bullet_lab.studies.umbmark.runs import RunError, SquareRun, perfect_square, return_errors
+from bullet_lab.studies.umbmark.runs import SquareRun, perfect_square, return_errors
 from bullet_lab.studies.umbmark.study import (
     RandomRobotSettings,
     calibrate_robot,
@@ -171,10 +172,10 @@ def test_a_centre_lies_within_its_ellipse_by_hotelling():
 
 def test_squares_have_to_go_both_ways():
     one_way = measured([("ccw", (0.0, 0.0, 0.0))])
-    with pytest.raises(RunError, match="both ways"):
+    with pytest.raises(LabError, match="both ways"):
         Benchmark.of(one_way)
     assert return_errors(one_way, "cw").shape == (0, 3)
-    with pytest.raises(RunError, match="not once round"):
+    with pytest.raises(LabError, match="not once round"):
         SquareRun("a side", np.array(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))), (0, 0, 0), (1, 0, 0), 0.4)
 
 
@@ -297,7 +298,7 @@ def test_odometry_that_equals_the_truth_is_not_trusted():
 
 
 def test_numbers_out_of_range_are_refused():
-    with pytest.raises(RunError, match="out of range"):
+    with pytest.raises(LabError, match="out of range"):
         told([("cw", (-1e7, 0.0, 0.0)), ("ccw", (0.0, 0.0, 0.0))])
 
 
