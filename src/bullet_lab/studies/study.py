@@ -76,10 +76,6 @@ class UnfinishedError(LabError):
     """The request is valid, but was not completed."""
 
 
-def silent(line: str) -> None:
-    """Print nothing."""
-
-
 def run_from(
     name: str,
     about: Optional[str],

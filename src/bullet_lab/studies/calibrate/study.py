@@ -43,7 +43,6 @@ from bullet_lab.studies.study import (
     progress,
     rows_of,
     run_from,
-    silent,
     write_results,
 )
 from bullet_lab.studies.workers import run_tasks, this_process
@@ -79,7 +78,7 @@ def run_calibration(
     steps: StepSettings,
     drive: DriveSettings,
     recordings: Sequence[Recording] = (),
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> Dict[str, Any]:
     """Calibrate; write noise.yaml, figures and summary.json; return the summary.
 
@@ -151,7 +150,7 @@ def run_calibration(
 
 
 def run_coverage(
-    folder: Path, settings: CalibrateSettings, drive: DriveSettings, tell: Tell = silent
+    folder: Path, settings: CalibrateSettings, drive: DriveSettings, tell: Tell = print
 ) -> Dict[str, Any]:
     """Count how often intervals hold the truth; write coverage.csv and .png, and summary.json.
 

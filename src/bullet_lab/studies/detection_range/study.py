@@ -32,7 +32,6 @@ from bullet_lab.studies.study import (
     Tell,
     rows_of,
     run_from,
-    silent,
     write_results,
 )
 from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, this_process, workers
@@ -173,7 +172,7 @@ def run_detection_range(
     folder: Path,
     settings: RangeSettings,
     run: Run = this_process,
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> dict[str, Any]:
     """Try all cells; write table, heat maps, figure and summary.json; return the summary.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Sequence
 from zlib import crc32
 
 import cv2
@@ -67,23 +67,15 @@ class PrintedMarker:
         return np.asarray(self.middle) + 0.5 * self.size * offsets
 
 
-@dataclass(frozen=True)
-class DetectionWorld:
-    """The wanted marker of a world, and other markers with the same id."""
-
-    wanted: PrintedMarker = PrintedMarker(0.20, MARKER)
-    others: tuple[PrintedMarker, ...] = ()
-
-
-WORLDS = {
-    "marker_panel": DetectionWorld(),
-    "docking": DetectionWorld(),
-    "docking_dots": DetectionWorld(),
-    "docking_nested": DetectionWorld(
-        PrintedMarker(0.075, MARKER), (PrintedMarker(0.8, (4.0, 0.05, 0.45)),)
-    ),
-    "docking_decoy": DetectionWorld(others=(PrintedMarker(0.35, (3.3, 1.65, 0.5)),)),
+WANTED = PrintedMarker(0.20, MARKER)
+WORLDS: dict[str, tuple[PrintedMarker, ...]] = {
+    "marker_panel": (WANTED,),
+    "docking": (WANTED,),
+    "docking_dots": (WANTED,),
+    "docking_nested": (PrintedMarker(0.075, MARKER), PrintedMarker(0.8, (4.0, 0.05, 0.45))),
+    "docking_decoy": (WANTED, PrintedMarker(0.35, (3.3, 1.65, 0.5))),
 }
+"""The wanted marker of each world, and other markers with the same id."""
 
 
 @dataclass(frozen=True)
@@ -304,7 +296,7 @@ def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResu
     image is returned.
     """
     camera = _free_camera(cell.world, cell.light, seed)
-    corners = WORLDS[cell.world].wanted.corners()
+    corners = WORLDS[cell.world][0].corners()
     visible = all(camera.sees(place, corners) for place in _places(cell))
     shots = cell_shots(cell, frames if visible else math.ceil(HIDDEN_SHARE * frames), seed)
     judged = tuple(_judged(camera, cell.world, shot) for shot in shots)
@@ -335,7 +327,7 @@ def _observed(
     camera: FreeCamera, world: str, shot: CameraShot
 ) -> tuple[ndarray, list[ObservedMarker]]:
     """Take an image and return it with the markers found."""
-    observer = MarkerObserver(DetectorSettings(DICTIONARY), WORLDS[world].wanted.size)
+    observer = MarkerObserver(DetectorSettings(DICTIONARY), WORLDS[world][0].size)
     picture = camera.take(*shot)
     return picture, observer.observe(picture, camera.camera).markers
 
@@ -348,15 +340,15 @@ def _snapshot(camera: FreeCamera, world: str, shot: CameraShot) -> MarkerImage:
 
 def _judged(camera: FreeCamera, world: str, shot: CameraShot) -> Frame:
     _, markers = _observed(camera, world, shot)
-    known = WORLDS[world]
-    return judge(markers, shot.pose, known.wanted, known.others, camera.camera)
+    wanted, *others = WORLDS[world]
+    return judge(markers, shot.pose, wanted, others, camera.camera)
 
 
 def judge(
     markers: list[ObservedMarker],
     pose: Pose,
     wanted: PrintedMarker,
-    others: tuple[PrintedMarker, ...],
+    others: Sequence[PrintedMarker],
     camera: PinholeCamera,
 ) -> Frame:
     """Compare the detections in an image with the truth.

@@ -48,7 +48,6 @@ from bullet_lab.studies.study import (
     progress,
     rows_of,
     run_from,
-    silent,
     write_results,
 )
 from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
@@ -81,7 +80,7 @@ def run_campaign(
     settings: DockCampaignSettings,
     run: Run,
     trial: Trial = run_trial,
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> dict[str, Any]:
     """Run the dockings that a campaign's log lacks; write log, table, figure and summary.json.
 
@@ -177,7 +176,7 @@ def run_each(
     settings: DockCampaignSettings,
     run: Run,
     trial: Trial = run_trial,
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> list[str]:
     """Run a campaign without stress, under each stress, and under all, each in its own folder.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -55,15 +55,10 @@ METRICS = (
 
 
 
-class Laps(NamedTuple):
-    """Indices of the first and the last pose of each lap of a path, shape (l,)."""
+def find_laps(trajectory: Trajectory) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
 
-    start: np.ndarray
-    end: np.ndarray
-
-
-def find_laps(trajectory: Trajectory) -> Laps:
-    """Cut a path where its heading has completed another full turn, in either direction.
+    A lap ends where the heading has completed another full turn, in either direction.
 
     The last lap may lack `LAP_TOLERANCE`. A path without a full turn has no laps; only the first
     `MOST_LAPS` count.
@@ -76,7 +71,7 @@ def find_laps(trajectory: Trajectory) -> Laps:
     is_whole = len(ends) == MOST_LAPS or last in ends
     if not is_whole and turned[-1] >= goals[len(ends)] - LAP_TOLERANCE:
         ends = np.append(ends, last)
-    return Laps(np.append(0, ends)[: len(ends)], ends)
+    return np.append(0, ends)[: len(ends)], ends
 
 
 def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -134,8 +129,8 @@ class PathMetrics:
         # The mean of a ratio is a product with these.
         self._share = 1.0 / (distance * len(distance))
         self._tangent = _tangents(steps).conj()
-        self.laps = find_laps(trajectory)
-        laps = [f"closure_error_lap_{i + 1}_m" for i in range(len(self.laps.end))]
+        self._starts, self._ends = find_laps(trajectory)
+        laps = [f"closure_error_lap_{i + 1}_m" for i in range(len(self._ends))]
         self.names = (*METRICS, *laps)
 
     def values(self, block: NoisyBlock) -> np.ndarray:
@@ -158,12 +153,12 @@ class PathMetrics:
             _rms(along),
             _rms(across),
         ]
-        laps = np.abs(block.position[:, self.laps.end] - block.position[:, self.laps.start])
+        laps = np.abs(block.position[:, self._ends] - block.position[:, self._starts])
         return np.column_stack([*columns, laps])
 
     def perfect_closure(self) -> list[float]:
         """Return the closure error (m) of the perfect path in each lap."""
-        return np.abs(self._position[self.laps.end] - self._position[self.laps.start]).tolist()
+        return np.abs(self._position[self._ends] - self._position[self._starts]).tolist()
 
     def _relative_errors(self, block: NoisyBlock) -> tuple[np.ndarray, np.ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).

@@ -41,7 +41,6 @@ from bullet_lab.studies.study import (
     Tell,
     rows_of,
     run_from,
-    silent,
     write_results,
 )
 
@@ -96,7 +95,7 @@ def simulated_square(laps: int = 1) -> Trajectory:
     return Trajectory(drive.stamps, drive.poses)
 
 
-def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) -> List[Case]:
+def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -> List[Case]:
     """Study every level, model and rate on a path, without writing files.
 
     Returns:
@@ -148,7 +147,7 @@ def run_study(
     settings: StudySettings,
     trajectory: Trajectory,
     source: str = "",
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> Dict[str, Any]:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 

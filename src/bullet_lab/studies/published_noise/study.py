@@ -58,7 +58,6 @@ from bullet_lab.studies.study import (
     Tell,
     rows_of,
     run_from,
-    silent,
     write_results,
 )
 from bullet_lab.studies.workers import run_tasks, this_process
@@ -144,7 +143,7 @@ class Replay:
 
 
 def run_published_noise(
-    folder: Path, settings: PublishedNoiseSettings, tell: Tell = silent
+    folder: Path, settings: PublishedNoiseSettings, tell: Tell = print
 ) -> Dict[str, Any]:
     """Run the study; write figures, tables and summary.json; return the summary.
 

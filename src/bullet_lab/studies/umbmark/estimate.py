@@ -15,6 +15,9 @@ from scipy import optimize, stats
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.errors import LabError
+from bullet_lab.noise.exact_moments import first_order_moments
+from bullet_lab.noise.noisy_paths import noisy_steps
+from bullet_lab.noise.odometry_noise import RateInvariantRule
 from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
 from bullet_lab.studies.umbmark.runs import DIRECTIONS, SquareRun, return_errors
 
@@ -120,7 +123,7 @@ def fit(runs: Sequence[SquareRun]) -> Estimate:
     Each reported step is an arc, whose length and turn give the assumed distance of each wheel.
     Other wheels make another arc of it; the arcs in a row end at the predicted pose. The squares of
     its errors (x, y and heading) are weighted as for a random walk of distance and heading
-    (`end_covariance`), for which this is maximum likelihood.
+    (`RateInvariantRule`), for which this is maximum likelihood to first order.
 
     The intervals do not rest on these weights: they follow from the differences between the runs
     of each direction, by each run's influence on the estimate, and Student's t. They are exact for
@@ -136,8 +139,10 @@ def fit(runs: Sequence[SquareRun]) -> Estimate:
     for row, steps in zip(reported, every):
         row[: len(steps)] = arcs(steps)
     moved = np.array([run.moved() for run in runs])
-    covariances = np.array([end_covariance(steps) for steps in every])
-    roots = np.linalg.inv(np.linalg.cholesky(covariances))
+    walk = RateInvariantRule(1.0)
+    odometry = (se2.between(run.odometry[0], run.odometry) for run in runs)
+    moments = [first_order_moments(noisy_steps(poses, walk)) for poses in odometry]
+    roots = np.linalg.inv(np.linalg.cholesky([one.covariance[-1] for one in moments]))
 
     def left(parameters: np.ndarray) -> np.ndarray:
         """Return the differences of the ends in units of their standard deviations."""
@@ -183,28 +188,6 @@ def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicError
     difference = moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1)))
     difference[:, 2] = wrap(difference[:, 2])
     return difference
-
-
-def end_covariance(steps: np.ndarray) -> np.ndarray:
-    """Return the first-order covariance (m², m rad, rad²) of the pose after some steps, (3, 3).
-
-    Distance gains 1 m² of variance per metre, heading 1 rad² per metre and per radian, as in the
-    rate-invariant noise of std 1; the frame is that of the first pose.
-
-    Args:
-        steps: (dx m, dy m, dyaw rad), shape (n, 3).
-    """
-    heading = np.cumsum(steps[:, 2]) - steps[:, 2]
-    moves = np.exp(1j * heading) * (steps[:, 0] + 1j * steps[:, 1])
-    ends = np.cumsum(moves)
-    lengths = np.abs(moves)
-    # A turn in the middle of a step swings the rest of the path.
-    rest = ends[-1] - (ends - 0.5 * moves)
-    levers = np.stack((-rest.imag, rest.real, np.ones(len(steps))), axis=-1)
-    alongs = moves / np.where(lengths > 0.0, lengths, 1.0)
-    alongs = np.stack((alongs.real, alongs.imag, np.zeros(len(steps))), axis=-1)
-    turned = lengths + np.abs(steps[:, 2])
-    return (levers.T * turned) @ levers + (alongs.T * lengths) @ alongs
 
 
 def _intervals(

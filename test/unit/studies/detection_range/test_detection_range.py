@@ -34,7 +34,7 @@ from bullet_lab.studies.detection_range.trial import (
 from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
 
-WANTED = WORLDS["docking"].wanted
+WANTED = WORLDS["docking"][0]
 
 
 def seen(printed, pose, identifier=0, shift=0.0):

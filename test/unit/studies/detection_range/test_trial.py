@@ -42,7 +42,7 @@ def test_a_bearing_is_seen_from_the_marker_and_the_camera_looks_back_at_it():
 
 
 def test_the_corners_are_those_of_an_upright_marker():
-    corners = WORLDS["docking"].wanted.corners()
+    corners = WORLDS["docking"][0].corners()
     corners = CAMERA.project(in_optical_frame(camera_pose(1.0, 0.0), corners))
     left, right = 319.5 - 50.23, 319.5 + 50.23
     assert corners[:, 0] == pytest.approx([left, right, right, left])
@@ -93,7 +93,7 @@ def test_strewn_places_are_all_over_the_world_but_not_in_its_walls():
 def test_walls_are_in_the_way(distance, degrees, world, reachable, visible):
     place = cell(distance, degrees, world)
     assert is_reachable(place) is reachable
-    camera, corners = FreeCamera(lit_world(world, "default")), WORLDS[world].wanted.corners()
+    camera, corners = FreeCamera(lit_world(world, "default")), WORLDS[world][0].corners()
     eyes = [camera_pose(distance, sign * place.bearing).position for sign in (-1.0, 1.0)]
     assert [camera.sees(eye, corners) for eye in eyes] == [visible, visible]
 
@@ -106,7 +106,7 @@ def test_a_world_in_another_light_is_the_same_world():
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_the_wanted_marker_and_the_others_are_where_the_pictures_have_them(name):
-    markers = [WORLDS[name].wanted, *WORLDS[name].others]
+    markers = WORLDS[name]
     assert all(tuple(marker.middle)[:2] != (0.0, 0.0) for marker in markers)
     # In a picture, black and white are where the corners say: just inside and outside.
     camera = FreeCamera(lit_world(name, "default"))

@@ -9,14 +9,12 @@ from scipy import stats
 from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.drive import Square
 from bullet_lab.errors import LabError
-from bullet_lab.noise.odometry_noise import RateInvariantRule
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.umbmark.estimate import (
     Benchmark,
     centre_ellipse,
     closed_forms,
-    end_covariance,
     fit,
 )
 from bullet_lab.studies.umbmark.robots import (
@@ -110,20 +108,6 @@ def test_corrected_parameters_keep_the_mean_of_the_diameters():
     assert (left, right) == pytest.approx((2.0 / 2.01, 2.0 / (1.0 / 1.01 + 1.0)))
     assert left + right == pytest.approx(2.0)
     assert base == 1.02
-
-
-def test_the_weight_is_that_of_a_random_walk():
-    count, length = 400, 3.0
-    steps = np.zeros((count, 3))
-    steps[:, 0] = length / count
-    found = end_covariance(steps)
-    assert found[0, 0] == pytest.approx(length)
-    assert found[1, 1] == pytest.approx(length**3 / 3.0, rel=1e-5)
-    assert (found[1, 2], found[2, 2]) == pytest.approx((length**2 / 2.0, length))
-    turning = np.zeros((10, 3))
-    turning[:, 2] = -0.1
-    assert np.diag(end_covariance(turning)) == pytest.approx((0.0, 0.0, 1.0))
-    assert RateInvariantRule(1.0).variances(0.0, length, 0.0)[1] == length
 
 
 def perturbed(generator, root):
