@@ -5,6 +5,7 @@ import pytest
 from recorded_bags import write_bag
 
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.studies.calibrate.recordings import find_recordings, read_pair
 from bullet_lab.studies.paths import tum_text
 
