@@ -28,7 +28,7 @@ from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Footprint, Model, footprints
+from bullet_lab.simulation.world.description import Footprint, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.dock_campaign.graceful import CONTROLLERS
@@ -233,20 +233,11 @@ def run_docking(scenario: DockingScenario) -> tuple[DockingResult, Record]:
         return _SimulatedDocking(scenario, dock, simulation).run()
 
 
-@functools.lru_cache(maxsize=None)
-def _docks() -> dict[str, Dock]:
-    return read_docks(ResourceFinder.anywhere().find(DATABASE))
-
-
-@functools.lru_cache(maxsize=None)
-def _robot() -> Model:
-    return read_urdf_file(ResourceFinder.anywhere().find(ROBOT))
-
-
 def dock_of(scenario: DockingScenario) -> Dock:
     """Return the dock from the database, at its true pose plus the scenario's error of it."""
     x, y, yaw = (a + b for a, b in zip(scenario.stress.dock, scenario.dock_error))
-    return replace(_docks()[scenario.dock], pose=(x, y, wrap(yaw)))
+    docks = read_docks(ResourceFinder.anywhere().find(DATABASE))
+    return replace(docks[scenario.dock], pose=(x, y, wrap(yaw)))
 
 
 class _SimulatedDocking:
@@ -257,7 +248,8 @@ class _SimulatedDocking:
         self._stress = stress = scenario.stress
         self._rng = np.random.default_rng((stress.seed, 0))
         x, y, yaw = _moved(scenario.start, MARKER_POSE, stress.dock)
-        robot = robot_under(stress, _robot(), CAMERA_FRAME)
+        file = ResourceFinder.anywhere().find(ROBOT)
+        robot = robot_under(stress, read_urdf_file(file), CAMERA_FRAME)
         place = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
         self._robot = simulation.add(robot, pose=place)
         self._camera = next(d for d in self._robot.plugins if isinstance(d, Camera))
