@@ -108,6 +108,11 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
     return first[kept], second[kept]
 
 
+ELLIPSES = ("first_order", "exact", "published")
+"""Ellipses of the last position: each of the first two around its mean, and the one that
+noisy_odom publishes, around the published pose."""
+
+
 class PathMetrics:
     """Metrics of noisy versions of one perfect path.
 
@@ -215,9 +220,8 @@ class Case:
         regions: coverage of the regions of all three coordinates along the path.
         paths: number of paths.
         metrics: for each metric its mean, 50 % and 95 % quantile.
-        coverage: share of the paths whose last position lies in the 95 % ellipse, by the ellipse:
-            "first_order" and "exact", each around its mean, and "published", the one that
-            noisy_odom publishes, around the published pose. None for an ellipse without area.
+        coverage: share of the paths whose last position lies in the 95 % ellipse, for each of
+            `ELLIPSES`. None for an ellipse without area.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
         kept: x + iy (m), the first paths, relative to their start, (k, n+1).
         kept_heading: rad, their heading errors, (k, n+1).
@@ -294,11 +298,27 @@ def study_case(
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
     known = theory(steps)
     metrics = PathMetrics(trajectory, steps, delta)
-    sums = _CaseSums(steps, known, metrics, paths, keep)
-    regions = Regions(trajectory, steps, known)
+    regions, ellipses = Regions(trajectory, steps, known), _last_ellipses(known)
+    squares, inside = np.zeros(len(steps) + 1), np.zeros(len(ELLIPSES), dtype=int)
+    sums, values = np.zeros(len(metrics.names)), []
+    kept, headings = [], []
+    # In memory that does not grow with the number of paths.
     for block in noisy_blocks(steps, generator, paths):
-        sums.add(block)
         regions.add(block)
+        error = block.position - steps.position
+        squares += np.einsum("ij,ij->j", error.real, error.real)
+        squares += np.einsum("ij,ij->j", error.imag, error.imag)
+        last = np.column_stack([error[:, -1].real, error[:, -1].imag])
+        nees = ellipses.nees(last[:, None])
+        inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
+        found = metrics.values(block)
+        sums += found.sum(axis=0)
+        values.append(found[: max(0, QUANTILE_PATHS - block.first)])
+        kept.append(block.position[: max(0, keep - block.first)])
+        headings.append(block.heading_error[: max(0, keep - block.first)])
+    median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
+    columns = zip((sums / paths).tolist(), median.tolist(), high.tolist())
+    shares = np.where(ellipses.known[:, 0], inside / paths, None)
     return Case(
         trajectory,
         model,
@@ -308,61 +328,17 @@ def study_case(
         metrics.perfect_closure(),
         regions,
         paths,
-        **sums.statistics(),
+        {name: dict(zip(("mean", "p50", "p95"), own)) for name, own in zip(metrics.names, columns)},
+        dict(zip(ELLIPSES, shares.tolist())),
+        np.sqrt(squares / paths),
+        np.concatenate(kept),
+        np.concatenate(headings),
     )
 
 
-class _CaseSums:
-    """Sums over blocks of noisy paths, in memory that does not grow with their number."""
-
-    def __init__(
-        self, steps: NoisySteps, known: Theory, metrics: PathMetrics, paths: int, keep: int
-    ):
-        self._steps = steps
-        self._metrics = metrics
-        self._paths = paths
-        published = known.exact.about_perfect()[-1, :2, :2]
-        covariances = (position_of(known.first_order), position_of(known.exact), published)
-        means = (np.zeros(2), known.exact.mean[-1, :2], np.zeros(2))
-        self._ellipses = Ellipsoids(np.array(means)[:, None], np.array(covariances)[:, None])
-        self._metric_sums = np.zeros(len(metrics.names))
-        self._metric_values = np.empty((min(paths, QUANTILE_PATHS), len(metrics.names)))
-        self._inside = np.zeros(len(means), dtype=int)
-        self._distance_squares = np.zeros(len(steps) + 1)
-        self._kept = np.empty((min(keep, paths), len(steps) + 1), dtype=complex)
-        self._kept_heading = np.empty(self._kept.shape)
-
-    def add(self, block: NoisyBlock) -> None:
-        error = block.position - self._steps.position
-        self._distance_squares += np.einsum("ij,ij->j", error.real, error.real)
-        self._distance_squares += np.einsum("ij,ij->j", error.imag, error.imag)
-        last = np.column_stack([error[:, -1].real, error[:, -1].imag])
-        nees = self._ellipses.nees(last[:, None])
-        self._inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
-        values = self._metrics.values(block)
-        self._metric_sums += values.sum(axis=0)
-        for kept, new in (
-            (self._metric_values, values),
-            (self._kept, block.position),
-            (self._kept_heading, block.heading_error),
-        ):
-            # A slice beyond the end of an array is empty.
-            room = kept[block.first : block.first + len(block)]
-            room[:] = new[: len(room)]
-
-    def statistics(self) -> Dict[str, Any]:
-        """Return the statistics as attributes of `Case`."""
-        n, names = self._paths, ("first_order", "exact", "published")
-        median, high = np.quantile(self._metric_values, [0.5, 0.95], axis=0)
-        columns = zip((self._metric_sums / n).tolist(), median.tolist(), high.tolist())
-        shares = np.where(self._ellipses.known[:, 0], self._inside / n, None)
-        return {
-            "metrics": {
-                name: dict(zip(("mean", "p50", "p95"), values))
-                for name, values in zip(self._metrics.names, columns)
-            },
-            "coverage": dict(zip(names, shares.tolist())),
-            "rms_distance": np.sqrt(self._distance_squares / n),
-            "kept": self._kept,
-            "kept_heading": self._kept_heading,
-        }
+def _last_ellipses(known: Theory) -> Ellipsoids:
+    """Return the 95 % `ELLIPSES` of the last position."""
+    published = known.exact.about_perfect()[-1, :2, :2]
+    covariances = (position_of(known.first_order), position_of(known.exact), published)
+    means = (np.zeros(2), known.exact.mean[-1, :2], np.zeros(2))
+    return Ellipsoids(np.array(means)[:, None], np.array(covariances)[:, None])
