@@ -20,7 +20,6 @@ from bullet_lab.studies.detection_range.figures import heat_map, range_figure, r
 from bullet_lab.studies.detection_range.trial import (
     WORLDS,
     Cell,
-    CellResult,
     count_false,
     is_reachable,
     try_cell,
@@ -43,6 +42,7 @@ FULLY_LIT = ("marker_panel", "docking")
 """Worlds that are tried in all lights, the others only in their own: the marker is the same."""
 
 MOST_FRAMES = 100_000
+Task = Callable[[], Any]
 LARGEST_DISTANCE = 50.0
 
 
@@ -74,20 +74,22 @@ class RangeSettings(Settings):
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
 
 
-def tasks(settings: RangeSettings) -> list[Callable[[], Any]]:
-    """Return all tasks, in the order of the results: of the cells, and of blocks of dots."""
+def tasks(settings: RangeSettings) -> tuple[list[Task], list[Task]]:
+    """Return the tasks of the cells, and those of blocks of the dots."""
     frames, seed = settings.frames, settings.seed
-    found = [
+    of_cells = [
         functools.partial(
             try_cell, cell, frames, seed, cell.light == DEFAULT_LIGHT and cell.bearing == 0.0
         )
         for cell in _cells(settings)
         if is_reachable(cell)
     ]
-    for block, first in enumerate(range(0, settings.dots, DOTS_PER_BLOCK)):
-        count = min(DOTS_PER_BLOCK, settings.dots - first)
-        found.append(functools.partial(count_false, DOTS, block, count, seed))
-    return found
+    firsts = range(0, settings.dots, DOTS_PER_BLOCK)
+    of_dots = [
+        functools.partial(count_false, DOTS, block, min(DOTS_PER_BLOCK, settings.dots - one), seed)
+        for block, one in enumerate(firsts)
+    ]
+    return of_cells, of_dots
 
 
 def _cells(settings: RangeSettings) -> Iterator[Cell]:
@@ -97,7 +99,7 @@ def _cells(settings: RangeSettings) -> Iterator[Cell]:
                 yield Cell(world, light, distance, math.radians(bearing))
 
 
-def _do(todo: Sequence[Callable[[], Any]], number: int) -> Any:
+def _do(todo: Sequence[Task], number: int) -> Any:
     return todo[number]()
 
 
@@ -181,11 +183,11 @@ def run_detection_range(
     Raises:
         LabError: nothing can be rendered, the folder cannot be written to, or a task was lost.
     """
-    todo = tasks(settings)
+    of_cells, of_dots = tasks(settings)
+    todo = [*of_cells, *of_dots]
     results = run_tasks(functools.partial(_do, todo), len(todo), run, tell, "cells")
-    of_cells = [result for result in results if isinstance(result, CellResult)]
-    of_dots = results[len(of_cells) :]
-    rows = [result.row() for result in of_cells]
+    cells, dots = results[: len(of_cells)], results[len(of_cells) :]
+    rows = [row for row, _ in cells]
     summary = {
         "job": "detection_range",
         "seed": settings.seed,
@@ -194,15 +196,11 @@ def run_detection_range(
         **detection_summary(rows),
         "dots": {
             "frames": settings.dots,
-            "false_detections": sum(false for false, _ in of_dots),
-            "frames_with_the_marker_found": sum(found for _, found in of_dots),
+            "false_detections": sum(false for false, _ in dots),
+            "frames_with_the_marker_found": sum(found for _, found in dots),
         },
     }
-    pictures = {
-        (result.cell.world, result.cell.distance): result.snapshot
-        for result in of_cells
-        if result.snapshot is not None
-    }
+    pictures = {(row["world"], row["distance_m"]): image for row, image in cells if image}
     figures = {
         f"heat_map_{world}.png": heat_map(world, [row for row in rows if row["world"] == world])
         for world in settings.worlds

@@ -22,12 +22,11 @@ from bullet_lab.studies.detection_range.study import (
 )
 from bullet_lab.studies.detection_range.trial import (
     WORLDS,
-    Cell,
-    CellResult,
     Frame,
     MarkerImage,
     PrintedMarker,
     camera_pose,
+    cell_row,
     in_optical_frame,
     judge,
 )
@@ -92,7 +91,7 @@ def test_a_cell_comes_down_to_rates_and_spreads():
         Frame(True, 0, 1, 0, -0.03, 0.004, math.radians(4.0), True),
         Frame(False, 0, 0, 2),
     )
-    row = CellResult(cell(2.0, 30.0), True, frames, 6.25).row()
+    row = cell_row(cell(2.0, 30.0), True, frames, 6.25)
     assert (row["frames"], row["found"], row["rate"]) == (3, 2, pytest.approx(2.0 / 3.0))
     counts = [row[f"{name}_detections"] for name in ("other", "double", "false")]
     assert counts == [1, 1, 2] and row["flipped"] == 1
@@ -100,7 +99,7 @@ def test_a_cell_comes_down_to_rates_and_spreads():
     assert row["distance_error_m_max"] == pytest.approx(0.03)
     assert row["rotation_error_deg_max"] == pytest.approx(4.0)
     assert (row["distance_m"], row["bearing_deg"]) == (2.0, 30.0)
-    empty = CellResult(cell(2.0), True, frames[2:], 6.25).row()
+    empty = cell_row(cell(2.0), True, frames[2:], 6.25)
     assert empty["rate"] == 0.0 and empty["lateral_error_m_median"] is None
 
 
@@ -193,11 +192,11 @@ SMALL = RangeSettings(("marker_panel", "docking"), ("default",), (0.5, 4.0), (0.
 
 def test_worlds_but_two_are_tried_in_their_own_light():
     settings = RangeSettings(distances=(1.0,), bearings=(0.0,), dots=60)
-    done = [task.args for task in tasks(settings)]
-    cells = [one for one, *_ in done if isinstance(one, Cell)]
+    of_cells, of_dots = tasks(settings)
+    cells = [task.args[0] for task in of_cells]
     assert [c.light for c in cells if c.world == "docking"] == list(LIGHTS)
     assert [c.light for c in cells if c.world == "docking_dots"] == ["default"]
-    assert [count for *_, count, _ in done[len(cells) :]] == [25, 25, 10]
+    assert [task.args[2] for task in of_dots] == [25, 25, 10]
 
 
 @pytest.fixture(scope="module")

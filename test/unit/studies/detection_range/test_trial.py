@@ -93,7 +93,7 @@ def test_strewn_places_are_all_over_the_world_but_not_in_its_walls():
 def test_walls_are_in_the_way(distance, degrees, world, reachable, visible):
     place = cell(distance, degrees, world)
     assert is_reachable(place) is reachable
-    camera, corners = FreeCamera(lit_world(world, "default")), WORLDS[world][0].corners()
+    camera, corners = FreeCamera(world), WORLDS[world][0].corners()
     eyes = [camera_pose(distance, sign * place.bearing).position for sign in (-1.0, 1.0)]
     assert [camera.sees(eye, corners) for eye in eyes] == [visible, visible]
 
@@ -109,7 +109,7 @@ def test_the_wanted_marker_and_the_others_are_where_the_pictures_have_them(name)
     markers = WORLDS[name]
     assert all(tuple(marker.middle)[:2] != (0.0, 0.0) for marker in markers)
     # In a picture, black and white are where the corners say: just inside and outside.
-    camera = FreeCamera(lit_world(name, "default"))
+    camera = FreeCamera(name)
     pose = Pose.from_rpy((0.5, 0.4, 0.44), (0.0, 0.0, 0.0))
     picture = camera.take(pose, 0).astype(float)
     for marker in markers:
@@ -128,7 +128,7 @@ def project(camera, pose, points):
 
 
 def test_the_free_camera_is_that_of_the_robot():
-    camera = FreeCamera(lit_world("marker_panel", "default"))
+    camera = FreeCamera("marker_panel")
     assert (camera.camera.width, camera.camera.height) == (640, 480)
     assert camera.camera.fx == pytest.approx(502.3, abs=0.1)
     pose = camera_pose(1.0, 0.0)
