@@ -27,7 +27,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from PIL import Image
@@ -77,7 +77,7 @@ MOST_COLUMNS = 100
 LONGEST = 900.0
 """Wall seconds after which a job is killed."""
 
-PROCESSORS: Dict[str, Dict[str, str]] = {
+PROCESSORS: dict[str, dict[str, str]] = {
     "this": {},
     # An x86-64 of 2006: libraries that look at the processor believe that it has no more.
     "plain": {
@@ -137,7 +137,7 @@ class Fingerprint:
         rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers}
         return Fingerprint(hashlib.sha256(content).hexdigest()[:_HASH_DIGITS], rounded)
 
-    def difference(self, reference: Fingerprint) -> Tuple[float, str]:
+    def difference(self, reference: Fingerprint) -> tuple[float, str]:
         """Return the largest difference from the numbers of a reference, and that number's name.
 
         Differences are relative for numbers beyond 1, absolute below, and infinite for a number
@@ -159,7 +159,7 @@ class Fingerprint:
         return max(differences)
 
 
-def _content(path: Path, left_out: Sequence[str]) -> Tuple[bytes, Dict[str, Iterable[Any]]]:
+def _content(path: Path, left_out: Sequence[str]) -> tuple[bytes, dict[str, Iterable[Any]]]:
     """Return the bytes of a file that are hashed, and its columns by their names."""
     data = path.read_bytes()
     if path.suffix == ".png":
@@ -176,18 +176,18 @@ def _content(path: Path, left_out: Sequence[str]) -> Tuple[bytes, Dict[str, Iter
     if path.suffix not in (".json", ".jsonl"):
         return data, {"numbers": _NUMBER.findall(text)}
 
-    def without(value: Dict[str, Any]) -> Dict[str, Any]:
+    def without(value: dict[str, Any]) -> dict[str, Any]:
         return {key: entry for key, entry in value.items() if key not in left_out}
 
     texts = text.splitlines() if path.suffix == ".jsonl" else [text]
     values = [json.loads(entry, object_hook=without) for entry in texts]
-    columns: Dict[str, List[float]] = {}
+    columns: dict[str, list[float]] = {}
     for name, number in _leaves(values, ""):
         columns.setdefault(name, []).append(number)
     return json.dumps(values).encode(), columns
 
 
-def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
+def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for key, entry in value.items():
             yield from _leaves(entry, f"{name}.{key}" if name else key)
@@ -198,11 +198,11 @@ def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
         yield name, float(value)
 
 
-def _summary(columns: Mapping[str, Iterable[Any]]) -> Dict[str, float]:
+def _summary(columns: Mapping[str, Iterable[Any]]) -> dict[str, float]:
     """Summarize columns by their names; ignore entries that are not finite numbers."""
     if len(columns) > MOST_COLUMNS:
         columns = {"all columns": [entry for column in columns.values() for entry in column]}
-    numbers: Dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for name, column in columns.items():
         entries = [number for number in map(_number, column) if math.isfinite(number)]
         if len(entries) == 1:
@@ -229,7 +229,7 @@ Results = Mapping[str, Fingerprint]
 class VerifySettings(Settings):
     """Parameters of the job."""
 
-    jobs: Tuple[str, ...] = name_list("jobs with spaces between them; empty: all of them")
+    jobs: tuple[str, ...] = name_list("jobs with spaces between them; empty: all of them")
     processor: str = choice(
         "this",
         "computes as this processor does, or as a plain one without AVX and FMA would",
@@ -239,7 +239,7 @@ class VerifySettings(Settings):
     workers: int = integer(0, "jobs at a time; 0: one for each core", 0, 64)
 
 
-def read_references(path: Path) -> Tuple[Mapping[str, str], Dict[str, Results]]:
+def read_references(path: Path) -> tuple[Mapping[str, str], dict[str, Results]]:
     """Return the machine of the references, as `this_machine`, and their results by job.
 
     Raises:
@@ -273,7 +273,7 @@ class FileRow:
     file: str
     twice: bool
     reference: str = NONE
-    difference: Optional[float] = None
+    difference: float | None = None
     where: str = ""
 
     @property
@@ -282,7 +282,7 @@ class FileRow:
         return self.twice and self.reference != DIFFERS
 
 
-def run_job(job: Job, folder: Path, environment: Mapping[str, str]) -> Union[Results, str]:
+def run_job(job: Job, folder: Path, environment: Mapping[str, str]) -> Results | str:
     """Run a job; return its results, or its status and its last line if it failed."""
     # It ends when this process ends, and gets the signals of this process group.
     command = tied(sys.executable, "-m", "bullet_lab.ros.launcher", job.name)
@@ -322,8 +322,8 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
         with ThreadPoolExecutor(settings.workers or len(os.sched_getaffinity(0))) as pool:
             runs = pool.map(lambda one: run_job(*one, environment), todo)
             found = list(progress(runs, "runs", len(todo), tell))
-        rows: List[FileRow] = []
-        results: Dict[str, Results] = {}
+        rows: list[FileRow] = []
+        results: dict[str, Results] = {}
         for job, first, second in zip(jobs, found[::2], found[1::2]):
             failures = [one for one in (first, second) if isinstance(one, str)]
             if failures:
@@ -367,7 +367,7 @@ def compared(job: str, first: Results, second: Results, references: Results) -> 
         yield FileRow(job, name, twice, reference, difference, where)
 
 
-def table(rows: Sequence[FileRow]) -> List[str]:
+def table(rows: Sequence[FileRow]) -> list[str]:
     """Return the lines of the table that is printed."""
     cells = [("job", "file", "twice", "reference", "largest difference")]
     for row in rows:
@@ -401,7 +401,7 @@ def _write(
     write_json(part / SUMMARY, summary)
 
 
-def this_machine() -> Dict[str, str]:
+def this_machine() -> dict[str, str]:
     """Return the properties of this machine that results may depend on, by their names."""
     found = {"architecture": platform.machine()}
     with contextlib.suppress(OSError):

@@ -6,7 +6,7 @@ import csv
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def check_path(trajectory: Trajectory) -> None:
 
 def read_table(
     path: Path, *choices: Sequence[str]
-) -> Tuple[Sequence[str], List[Tuple[str, Mapping[str, str]]]]:
+) -> tuple[Sequence[str], list[tuple[str, Mapping[str, str]]]]:
     """Read a CSV file whose first line names its columns.
 
     Args:
@@ -158,7 +158,7 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
     return trajectory_of([_pose_row(message) for message in messages], path, places)
 
 
-def _pose_row(message: Any) -> List[float]:
+def _pose_row(message: Any) -> list[float]:
     place, turn = _POSES[message._type](message)
     yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
     return [message.header.stamp.to_sec(), place.x, place.y, yaw]

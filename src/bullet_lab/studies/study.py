@@ -18,16 +18,11 @@ from pathlib import Path
 from typing import (
     Any,
     Callable,
-    Dict,
     Iterable,
     Iterator,
-    List,
     Mapping,
     NoReturn,
-    Optional,
     Sequence,
-    Tuple,
-    Type,
     TypeVar,
 )
 
@@ -78,10 +73,10 @@ class UnfinishedError(LabError):
 
 def run_from(
     name: str,
-    about: Optional[str],
-    settings: Sequence[Type],
-    run: Callable[..., Optional[Iterable[str]]],
-    words: Optional[Sequence[str]] = None,
+    about: str | None,
+    settings: Sequence[type],
+    run: Callable[..., Iterable[str] | None],
+    words: Sequence[str] | None = None,
 ) -> NoReturn:
     """Run a study from the command line, and exit: 0 done, 1 unfinished, 2 bad input, 130 stopped.
 
@@ -199,18 +194,18 @@ def write_table(path: Path, rows: Iterable[Iterable[Any]]) -> None:
         csv.writer(file, lineterminator="\n").writerows(map(_entries, rows))
 
 
-def _entries(row: Iterable[Any]) -> List[Any]:
+def _entries(row: Iterable[Any]) -> list[Any]:
     return [str(entry).lower() if isinstance(entry, bool) else entry for entry in row]
 
 
 def write_results(
     folder: Path,
-    summary: Dict[str, Any],
+    summary: dict[str, Any],
     tables: Mapping[str, Iterable[Iterable[Any]]],
     figures: Mapping[str, Figure],
     texts: Mapping[str, str],
     name: str = SUMMARY,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Write all results of a study, or none of them, and return the summary.
 
     Args:
@@ -236,12 +231,12 @@ def write_results(
     return summary
 
 
-def rows_of(records: Sequence[Record]) -> List[Iterable[Any]]:
+def rows_of(records: Sequence[Record]) -> list[Iterable[Any]]:
     """Return a header and a row for each of the records, which have the same names."""
     return [records[0], *(record.values() for record in records)]
 
 
-def clopper_pearson(hits: int, trials: int, tail: float) -> Tuple[float, float]:
+def clopper_pearson(hits: int, trials: int, tail: float) -> tuple[float, float]:
     """Return Clopper and Pearson's interval of the probability of a hit.
 
     Each end is the probability for which at least so many hits, or at most so many, have the
@@ -257,20 +252,20 @@ def clopper_pearson(hits: int, trials: int, tail: float) -> Tuple[float, float]:
     return float(low), float(high)
 
 
-def text_table(rows: Sequence[Sequence[str]]) -> List[str]:
+def text_table(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return lines with the words of each row in columns."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
 def panels(
-    shape: Tuple[int, int],
-    size: Tuple[float, float],
+    shape: tuple[int, int],
+    size: tuple[float, float],
     title: str = "",
-    labels: Tuple[str, str] = ("", ""),
+    labels: tuple[str, str] = ("", ""),
     grid: bool = True,
     **more: Any,
-) -> Tuple[Figure, np.ndarray]:
+) -> tuple[Figure, np.ndarray]:
     """Return a figure and its axes, an array of a shape.
 
     Args:
@@ -318,9 +313,9 @@ def legend_entry(label: str, **style: Any) -> Line2D:
     return Line2D([], [], label=label, **style)
 
 
-def labelled(*every: Axes) -> List[Artist]:
+def labelled(*every: Axes) -> list[Artist]:
     """Return the artists of some axes that have a label, one for each label."""
-    handles: Dict[str, Artist] = {}
+    handles: dict[str, Artist] = {}
     for axes in every:
         for handle, label in zip(*axes.get_legend_handles_labels()):
             handles.setdefault(label, handle)

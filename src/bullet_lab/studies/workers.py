@@ -13,7 +13,7 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import connection, get_context, parent_process, resource_tracker
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Sequence, Tuple
+from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
 
 import cv2
 
@@ -72,7 +72,7 @@ def this_process(task: Task, numbers: Sequence[int]) -> Results:
     return ((number, task(number)) for number in numbers)
 
 
-def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> List[Any]:
+def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> list[Any]:
     """Run a task for the numbers from 0 on and return the results in this order.
 
     Args:
@@ -85,7 +85,7 @@ def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> List
     Raises:
         TaskLostError: every process that ran one of the tasks has died.
     """
-    results: Dict[int, Any] = {}
+    results: dict[int, Any] = {}
     for number, result in progress(run(task, range(count)), things, count, tell):
         if isinstance(result, TaskLostError):
             raise TaskLostError(f"number {number} of {things}: {result}")
@@ -113,7 +113,7 @@ def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     most = count or len(os.sched_getaffinity(0))
     left, deaths = list(reversed(numbers)), Counter()
-    busy: Dict[Any, _Worker] = {}
+    busy: dict[Any, _Worker] = {}
     try:
         while left or busy:
             while left and len(busy) < most:

@@ -16,7 +16,7 @@ import sys
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any
 
 from roslib.message import get_message_class
 
@@ -61,10 +61,10 @@ class Grader:
     """Grades submissions to the exercise in a file; `results` has a folder for each of them."""
 
     file: Path
-    submissions: List[Path]
-    results: List[Path]
+    submissions: list[Path]
+    results: list[Path]
 
-    def kept(self, number: int) -> Dict[str, Any]:
+    def kept(self, number: int) -> dict[str, Any]:
         """Return the mark from an earlier run with the same files; empty if there is none."""
         try:
             mark = json.loads((self.results[number] / GRADE).read_text())
@@ -82,7 +82,7 @@ class Grader:
                 digest.update(path.read_bytes())
         return digest.hexdigest()
 
-    def __call__(self, number: int) -> Dict[str, Any]:
+    def __call__(self, number: int) -> dict[str, Any]:
         """Run and grade a submission, write the files of its mark, and return the mark."""
         exercise, folder = read_exercise(self.file), self.submissions[number]
         out = make_folder(self.results[number])
@@ -140,7 +140,7 @@ def check_topics(exercise: Exercise, name: str) -> None:
             raise LabError(f"{name}: criterion {number}: {what}") from None
 
 
-def _run(out: Path, settings: GradeSettings, tell: Tell) -> List[str]:
+def _run(out: Path, settings: GradeSettings, tell: Tell) -> list[str]:
     base = Path(settings.base)
     file = find_exercise(settings.exercise, base).resolve()
     exercise = read_exercise(file)

@@ -6,7 +6,6 @@ And steps that are joined to longer ones.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
@@ -54,7 +53,7 @@ def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
 
 def joined_ends(
     steps: np.ndarray, follows: np.ndarray, distance: float, angle: float
-) -> Tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Join steps until they are long enough, within rows of which each follows the one before.
 
     Args:
@@ -95,7 +94,7 @@ def resolution(path: Trajectory) -> float:
     return RESOLUTION
 
 
-def jitter(true_steps, steps, follows: np.ndarray) -> Tuple[float, float]:
+def jitter(true_steps, steps, follows: np.ndarray) -> tuple[float, float]:
     """Return the standard deviation of white noise on the truth's poses, m and rad; 0 without.
 
     White noise of a pose goes into two steps, with opposite signs: the difference of the truth's
@@ -178,10 +177,10 @@ class Marker:
         error: standard errors of the same.
     """
 
-    place: Tuple[float, float, float]
-    error: Tuple[float, float, float]
+    place: tuple[float, float, float]
+    error: tuple[float, float, float]
 
-    def sure(self) -> Tuple[float, float, float]:
+    def sure(self) -> tuple[float, float, float]:
         """Return the place, with 0 for what is not surely different from it."""
         rows = zip(self.place, self.error, _NOTEWORTHY_PLACE)
         x, y, yaw = (v if abs(v) > max(SURE * error, least) else 0.0 for v, error, least in rows)
@@ -218,7 +217,7 @@ def marker_place(true_poses, poses, stamps: np.ndarray) -> Marker:
     )
 
 
-def robust_fit(columns: np.ndarray, values: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def robust_fit(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return Huber's estimate of values = columns @ x, (k,), and its standard errors, (k,).
 
     The errors allow for a spread that differs from value to value (the sandwich).

@@ -7,7 +7,7 @@ import os
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Iterator, Sequence, Tuple
 
 import numpy as np
 
@@ -85,7 +85,7 @@ Topics = Tuple[str, str]
 class DataSettings:
     """Files of the paths."""
 
-    data: Tuple[str, ...] = name_list(
+    data: tuple[str, ...] = name_list(
         "bags, tables with both paths, or folders of recordings; none: a made-up drive"
     )
     truth: str = text("", "file of the truth, instead of data")
@@ -94,12 +94,12 @@ class DataSettings:
     odometry_topic: str = text("/noisy_odom", "topic of the odometry in bags")
     base: str = text("", "folder that relative paths start from")
 
-    def recordings(self) -> List[Recording]:
+    def recordings(self) -> list[Recording]:
         """Read the recordings; none if no file is given. Raises LabError."""
         base, topics = Path(self.base), (self.truth_topic, self.odometry_topic)
         if bool(self.truth) != bool(self.odometry):
             raise LabError("truth and odometry are one recording: both files are needed")
-        found: List[Recording] = []
+        found: list[Recording] = []
         if self.truth:
             found.append(read_pair(base / self.truth, base / self.odometry, topics))
         if self.data:
@@ -113,7 +113,7 @@ def read_pair(truth: Path, odometry: Path, topics: Topics) -> Recording:
     return Recording(str(odometry), *paths)
 
 
-def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
+def find_recordings(paths: Sequence[Path], topics: Topics) -> list[Recording]:
     """Read all recordings in files and folders.
 
     A recording is a bag with two topics, a table with both paths such as paths.csv of the squares,
@@ -163,7 +163,7 @@ def _read_file(path: Path, topics: Topics) -> Recording:
     return Recording(str(path), *(read_path(path, prefix=prefix) for prefix in prefixes))
 
 
-def _prefixes(path: Path) -> Optional[Tuple[str, str]]:
+def _prefixes(path: Path) -> tuple[str, str] | None:
     """Return the prefixes of the columns of both paths, None if a file lacks one of them."""
     if path.suffix != ".csv":
         return None
@@ -181,7 +181,7 @@ def _prefixes(path: Path) -> Optional[Tuple[str, str]]:
     return truth, odometry
 
 
-def _pairs(files: Sequence[Path]) -> Iterator[Tuple[Path, Path]]:
+def _pairs(files: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
     by_stem = {file.stem.lower(): file for file in files if file.suffix in _SUFFIXES}
     taken = set()
     for truth, odometry in NAMES:
@@ -215,7 +215,7 @@ class DriveSettings(noise_parameters(), SystematicErrors):
         """Return the rule of a noise model, with the parameters of the drive."""
         return rule_of(model, asdict(self))
 
-    def noise(self) -> Dict[str, float]:
+    def noise(self) -> dict[str, float]:
         """Return the parameters of the drive's noise model by name."""
         return asdict(self.rule(self.model))
 
@@ -225,7 +225,7 @@ def calibration_drive(settings: DriveSettings) -> Trajectory:
     period = 1.0 / settings.rate
     lap = [(v, w) for v, w, s in _COMMANDS for _ in range(max(1, round(s * settings.rate)))]
     arcs = np.array([(v * period, 0.0, w * period) for v, w in lap * settings.laps])
-    poses: List[np.ndarray] = [np.zeros(3)]
+    poses: list[np.ndarray] = [np.zeros(3)]
     for step in chords(arcs):
         poses.append(se2.compose(poses[-1], step))
     return Trajectory(period * np.arange(len(poses)), np.array(poses))
@@ -246,7 +246,7 @@ def coverage(
     systematic: Sequence[str],
     paths: int,
     seed: int,
-) -> List[Record]:
+) -> list[Record]:
     """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
 
     Returns:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ class ModelCalibration:
     intervals: np.ndarray
     goodness: Goodness
     prediction: Prediction
-    length: Tuple[float, float]
+    length: tuple[float, float]
 
     @property
     def model(self) -> str:
@@ -84,15 +84,15 @@ class ModelCalibration:
         return self.fit.model
 
     @property
-    def limited(self) -> List[str]:
+    def limited(self) -> list[str]:
         """The parameters that lie on a limit: then nothing of the model is a result."""
         return on_limit(self.problem, self.fit)
 
-    def rank(self) -> Tuple[bool, float]:
+    def rank(self) -> tuple[bool, float]:
         """Return what sorts models, the best one first."""
         return bool(self.limited), -self.prediction.density
 
-    def published(self) -> Dict[str, float]:
+    def published(self) -> dict[str, float]:
         """Return noise and systematic errors as they predict, with the spread of the latter."""
         values = self.fit.values()
         dispersion = self.prediction.dispersion
@@ -101,7 +101,7 @@ class ModelCalibration:
         spreads = zip(self.problem.systematic, np.sqrt(variances).tolist())
         return {**values, **asdict(rule), **{f"{name}_std": spread for name, spread in spreads}}
 
-    def parameters(self) -> Dict[str, Tuple[float, float, float]]:
+    def parameters(self) -> dict[str, tuple[float, float, float]]:
         """Return estimate, and low and high end of the interval, of each parameter by name."""
         return {
             name: (value, *map(float, ends))
@@ -155,7 +155,7 @@ def calibrate(
     return ModelCalibration(problem, found, wider, quality, prediction, length)
 
 
-def predictions(make: Callable[[StepPairs], Problem], steps: Steps, length: Tuple[float, float]):
+def predictions(make: Callable[[StepPairs], Problem], steps: Steps, length: tuple[float, float]):
     """Yield windows of each half of the steps, and the variances V of a fit of the other."""
     for number in (0, 1):
         own, other = part_of(steps, number), part_of(steps, 1 - number)
@@ -187,12 +187,12 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(ranked: Sequence[ModelCalibration]) -> Dict[str, Any]:
+def calibration_summary(ranked: Sequence[ModelCalibration]) -> dict[str, Any]:
     """Return the figures of all models, the best one first, for summary.json."""
     return {"best": ranked[0].model, "models": [_summary(one) for one in ranked]}
 
 
-def _summary(one: ModelCalibration) -> Dict[str, Any]:
+def _summary(one: ModelCalibration) -> dict[str, Any]:
     fitted = one.goodness
     return {
         "model": one.model,
@@ -225,22 +225,22 @@ def _summary(one: ModelCalibration) -> Dict[str, Any]:
     }
 
 
-def _by_part(values: np.ndarray) -> Dict[str, Optional[float]]:
+def _by_part(values: np.ndarray) -> dict[str, float | None]:
     return {part: _finite(value) for part, value in zip(PARTS, values.tolist())}
 
 
-def _finite(value: float) -> Optional[float]:
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
+def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Return the results of all models as lines for the user.
 
     Args:
         ranked: calibration of each model, the best one first.
         true: true values by model and name, if they are known.
     """
-    text: List[str] = []
+    text: list[str] = []
     for one in ranked:
         known = true.get(one.model, {})
         less = ranked[0].prediction.density - one.prediction.density

@@ -8,7 +8,7 @@ velocity between two of its poses.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -115,7 +115,7 @@ class Steps:
     unseen: int
     truth_std_m: float
     truth_std_rad: float
-    remarks: Tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.true)
@@ -129,7 +129,7 @@ class Steps:
         less = min(ahead[ahead > 0.0].sum(), -ahead[ahead < 0.0].sum())
         return less >= LEAST_SHARE * np.abs(ahead).sum()
 
-    def summary(self) -> Dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the figures for summary.json."""
         return {
             "count": len(self),
@@ -144,7 +144,7 @@ class Steps:
             "remarks": self.remarks,
         }
 
-    def lines(self) -> List[str]:
+    def lines(self) -> list[str]:
         """Return the numbers and the remarks as lines for the user."""
         about = self.summary()
         found = [
@@ -354,7 +354,7 @@ def _over_gap(stamps: np.ndarray, paths: Sequence[Trajectory], most: float) -> n
     return broken
 
 
-def long_length(short: Steps) -> Tuple[float, float]:
+def long_length(short: Steps) -> tuple[float, float]:
     """Return the longest of `LONG` of which there are enough; 0, 0 if there is none."""
     for length in LONG:
         if len(joined_ends(short.true, short.follows, *length)[0]) >= FEWEST_LONG:
@@ -382,7 +382,7 @@ def pairs_of(steps: Steps) -> StepPairs:
     )
 
 
-def long_pairs(short: Steps, length: Tuple[float, float]) -> Tuple[StepPairs, np.ndarray]:
+def long_pairs(short: Steps, length: tuple[float, float]) -> tuple[StepPairs, np.ndarray]:
     """Return long steps that consist of short ones, and whether each follows the one before.
 
     Args:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Sequence
 
 from bullet_lab.core.parameters import choices, integer
 from bullet_lab.errors import LabError
@@ -54,8 +54,8 @@ MOST_COVERAGE_PATHS = 100_000
 class CalibrateSettings(Settings):
     """Models and errors to fit."""
 
-    models: Tuple[str, ...] = choices(tuple(MODELS), "noise models to fit and compare", MODELS)
-    systematic: Tuple[str, ...] = choices(
+    models: tuple[str, ...] = choices(tuple(MODELS), "noise models to fit and compare", MODELS)
+    systematic: tuple[str, ...] = choices(
         SYSTEMATIC, "systematic errors to fit with them", (*SYSTEMATIC, NO_ERRORS)
     )
     seed: int = integer(1, "seed of the bootstrap and of what is made up", 0, MOST_SEED)
@@ -67,7 +67,7 @@ class CalibrateSettings(Settings):
     )
 
     @property
-    def errors(self) -> Tuple[str, ...]:
+    def errors(self) -> tuple[str, ...]:
         """The systematic errors to fit."""
         return tuple(name for name in self.systematic if name != NO_ERRORS)
 
@@ -79,7 +79,7 @@ def run_calibration(
     drive: DriveSettings,
     recordings: Sequence[Recording] = (),
     tell: Tell = print,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Calibrate; write noise.yaml, figures and summary.json; return the summary.
 
     Args:
@@ -93,7 +93,7 @@ def run_calibration(
     Raises:
         LabError: recordings that are not usable, or a folder that cannot be written to.
     """
-    true: Dict[str, Dict[str, float]] = {}
+    true: dict[str, dict[str, float]] = {}
     if not recordings:
         recordings = [made_up(drive, settings.seed)]
         errors = {name: getattr(drive, name) for name in settings.errors}
@@ -151,7 +151,7 @@ def run_calibration(
 
 def run_coverage(
     folder: Path, settings: CalibrateSettings, drive: DriveSettings, tell: Tell = print
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Count how often intervals hold the truth; write coverage.csv and .png, and summary.json.
 
     All random and systematic errors are fitted together.
@@ -159,7 +159,7 @@ def run_coverage(
     Raises:
         LabError: the folder cannot be written to.
     """
-    found: List[Record] = []
+    found: list[Record] = []
     lap = replace(drive, laps=1)
     for model in progress(settings.models, "models", len(settings.models), tell):
         found += coverage(lap, model, SYSTEMATIC, settings.coverage, settings.seed)

@@ -6,7 +6,7 @@ first-order ones vermilion and dashed.
 
 from __future__ import annotations
 
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -254,11 +254,11 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
 
 def _model_panels(
     cases: Sequence[Case],
-    size: Tuple[int, float, float, float],
+    size: tuple[int, float, float, float],
     title: str,
-    labels: Tuple[str, str],
+    labels: tuple[str, str],
     note: str = "",
-) -> Tuple[Figure, np.ndarray, Dict[str, List[Case]]]:
+) -> tuple[Figure, np.ndarray, dict[str, list[Case]]]:
     """Return a figure with a column for each model, its axes, and the cases of each model.
 
     Args:
@@ -364,7 +364,7 @@ def _draw_error(axes: Axes, case: Case, colour) -> None:
     _label(axes, f"{case.std:g}", (far[-1], case.rms_distance[-1]), 5)
 
 
-def _label(axes: Axes, text: str, point: Tuple[float, float], gap: float) -> None:
+def _label(axes: Axes, text: str, point: tuple[float, float], gap: float) -> None:
     axes.annotate(
         text, point, (gap, 0), textcoords="offset points", va="center", fontsize=9
     )
@@ -400,7 +400,7 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
 def _draw_shares(
     axes: Axes,
     places: Sequence[float],
-    found: Sequence[Optional[Region]],
+    found: Sequence[Region | None],
     method: str,
     level: int,
 ) -> None:

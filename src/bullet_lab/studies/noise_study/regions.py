@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -100,7 +100,7 @@ def position_of(moments: Moments) -> np.ndarray:
     return moments.covariance[-1, :2, :2]
 
 
-def inverse_of(covariance: np.ndarray) -> Optional[np.ndarray]:
+def inverse_of(covariance: np.ndarray) -> np.ndarray | None:
     """Return the inverse of a covariance, None if it is singular to rounding."""
     scale = np.sqrt(np.abs(np.diag(covariance)))
     if (scale == 0.0).any():
@@ -161,10 +161,10 @@ class Region:
         nees_band: its 95 % interval.
     """
 
-    coverage: Tuple[float, ...]
-    bands: Tuple[Tuple[float, float], ...]
+    coverage: tuple[float, ...]
+    bands: tuple[tuple[float, float], ...]
     nees: float
-    nees_band: Tuple[float, float]
+    nees_band: tuple[float, float]
 
     def wrong(self) -> bool:
         """Return whether the 95 % region does not hold 95 ± 1 %, with confidence `BAND`."""
@@ -173,8 +173,8 @@ class Region:
 
 
 def right_up_to(
-    places: Sequence[float], regions: Sequence[Optional[Region]]
-) -> Optional[float]:
+    places: Sequence[float], regions: Sequence[Region | None]
+) -> float | None:
     """Return the last of some places before the first wrong region; 0 if the first one is wrong.
 
     Returns None if there is no region.
@@ -290,7 +290,7 @@ class Regions:
             (first_order, exact, exponential.covariance, published),
         )
         self._paths = 0
-        self._cloud: List[np.ndarray] = []
+        self._cloud: list[np.ndarray] = []
         shape = self._ellipsoids.known.shape
         self._inside = np.zeros((*shape, len(LEVELS)), dtype=int)
         self._sums = np.zeros((2, *shape))
@@ -308,14 +308,14 @@ class Regions:
         self._sums += nees.sum(axis=1), np.square(nees).sum(axis=1)
 
     @functools.cached_property
-    def found(self) -> Dict[str, List[Optional[Region]]]:
+    def found(self) -> dict[str, list[Region | None]]:
         """For each method and pose the region of all paths, None if it has no volume."""
         places = range(len(self.poses))
         return {
             name: [self._region(row, k) for k in places] for row, name in enumerate(METHODS)
         }
 
-    def _region(self, row: int, k: int) -> Optional[Region]:
+    def _region(self, row: int, k: int) -> Region | None:
         if not self._ellipsoids.known[row, k]:
             return None
         n, inside = self._paths, self._inside[row, k].tolist()
@@ -338,11 +338,11 @@ class Regions:
         exponential = _gaussian_at(self._exponential, k)
         return Cloud(points, float(self.travelled[k]), *gaussians, exponential)
 
-    def right_until(self, method: str) -> Optional[float]:
+    def right_until(self, method: str) -> float | None:
         """Return the distance (m) up to which the 95 % region is right, None without regions."""
         return right_up_to(self.travelled, self.found[method])
 
-    def rows(self) -> Iterator[List]:
+    def rows(self) -> Iterator[list]:
         """Yield a row for each method and pose; see `HEADER`."""
         for method, regions in self.found.items():
             for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -55,7 +55,7 @@ METRICS = (
 
 
 
-def find_laps(trajectory: Trajectory) -> Tuple[np.ndarray, np.ndarray]:
+def find_laps(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
 
     A lap ends where the heading has completed another full turn, in either direction.
@@ -232,17 +232,17 @@ class Case:
     rate: float
     std: float
     theory: Theory
-    perfect_closure: List[float]
+    perfect_closure: list[float]
     regions: Regions
     paths: int
-    metrics: Dict[str, Dict[str, float]]
-    coverage: Dict[str, Optional[float]]
+    metrics: dict[str, dict[str, float]]
+    coverage: dict[str, float | None]
     rms_distance: np.ndarray
     kept: np.ndarray
     kept_heading: np.ndarray
 
     @property
-    def key(self) -> Dict[str, Any]:
+    def key(self) -> dict[str, Any]:
         """The case in the tables, by the names of their columns."""
         return {"model": self.model, "rate_hz": self.rate, "std": self.std}
 
@@ -254,20 +254,20 @@ class Case:
         return Trajectory(self.trajectory.stamps, np.column_stack([x, y, yaw]))
 
 
-def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
+def by_model_of(cases: Sequence[Case]) -> dict[str, list[Case]]:
     """Return the cases of each model, in the given order."""
-    result: Dict[str, List[Case]] = {}
+    result: dict[str, list[Case]] = {}
     for case in cases:
         result.setdefault(case.model, []).append(case)
     return result
 
 
-def shown_levels(cases: Sequence[Case], count: int) -> List[Case]:
+def shown_levels(cases: Sequence[Case], count: int) -> list[Case]:
     """Return some of the cases with noise, from low to high."""
     return spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
 
 
-def spread(values: Sequence, count: int) -> List:
+def spread(values: Sequence, count: int) -> list:
     """Return some of the values, evenly spread, with the first and the last."""
     indices = np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)
     return [values[i] for i in indices]

@@ -11,7 +11,7 @@ import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Sequence, Tuple
+from typing import Any, Iterable, Iterator, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -64,14 +64,14 @@ class StudySettings(Settings):
     For the rate-invariant model it is per square root of them.
     """
 
-    levels: Tuple[float, ...] = numbers(
+    levels: tuple[float, ...] = numbers(
         (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5),
         "levels of noise, values of std",
         0.0,
         maximum=LARGEST_STD,
     )
-    models: Tuple[str, ...] = choices(STUDIED, "rules that scale the noise", MODELS)
-    rates: Tuple[float, ...] = numbers((0.9, 5.0, 20.0), "message rates, Hz", above=0.0)
+    models: tuple[str, ...] = choices(STUDIED, "rules that scale the noise", MODELS)
+    rates: tuple[float, ...] = numbers((0.9, 5.0, 20.0), "message rates, Hz", above=0.0)
     paths: int = integer(3000, "noisy paths for each level, model and rate", 2, MOST_PATHS)
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
     delta: float = number(
@@ -95,7 +95,7 @@ def simulated_square(laps: int = 1) -> Trajectory:
     return Trajectory(drive.stamps, drive.poses)
 
 
-def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -> List[Case]:
+def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -> list[Case]:
     """Study every level, model and rate on a path, without writing files.
 
     Returns:
@@ -105,7 +105,7 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -
         LabError: the path is not usable, or a setting does not suit it.
     """
     check_path(trajectory)
-    cases: List[Case] = []
+    cases: list[Case] = []
     for model in settings.models:
         for rate in settings.rates:
             start = time.monotonic()
@@ -148,7 +148,7 @@ def run_study(
     trajectory: Trajectory,
     source: str = "",
     tell: Tell = print,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
     The same settings and path give the same tables. The source names the origin of the path.
@@ -190,7 +190,7 @@ def run_study(
     return write_results(folder, summary, tables, figures, texts)
 
 
-def case_records(cases: Sequence[Case]) -> List[Record]:
+def case_records(cases: Sequence[Case]) -> list[Record]:
     """Return a record of each case: metrics, coverage, NEES, errors of first order."""
     # At a low rate a lap may be missing.
     fullest = max((case.metrics for case in cases), key=len)
@@ -218,7 +218,7 @@ def case_records(cases: Sequence[Case]) -> List[Record]:
     return records
 
 
-def distance_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
+def distance_rows(cases: Sequence[Case]) -> list[Iterable[Any]]:
     """Return a header and rows with the rms distance from the perfect path, sampled and exact."""
     records = []
     for case in cases:
@@ -243,7 +243,7 @@ def region_rows(cases: Sequence[Case]) -> Iterator[Iterable[Any]]:
         yield from ([*case.key.values(), *row] for row in case.regions.rows())
 
 
-def where_right_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
+def where_right_rows(cases: Sequence[Case]) -> list[Iterable[Any]]:
     """Return a header and a row for each case: the distance (m) up to which 95 % regions are right.
 
     A region is right as long as the band around its share overlaps 95 ± 1 %. None: it has no
@@ -264,7 +264,7 @@ def where_right_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
 
 def _figures(
     cases: Sequence[Case], fastest: Sequence[Case], trajectory: Trajectory, seed: int
-) -> Dict[str, Figure]:
+) -> dict[str, Figure]:
     figures = {
         f"levels_{model}.png": levels_figure(of_model)
         for model, of_model in by_model_of(fastest).items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Callable, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -249,7 +249,7 @@ def _draw_switches(axes: Axes, rows: Sequence[Sequence[Result]]) -> None:
         spine.set_visible(False)
 
 
-def _mark(switch: Optional[bool]) -> dict:
+def _mark(switch: bool | None) -> dict:
     """Return the style of a switch that is on, off, or None: without effect."""
     if switch is None:
         return {"linestyle": "", "marker": "_", "color": BLACK, "markersize": 7}
@@ -295,8 +295,8 @@ def _p_text(p_value: PValue, equals: str = "") -> str:
 
 
 def first_turns_figure(
-    runs: Mapping[Defects, Tuple[np.ndarray, np.ndarray, np.ndarray]],
-    third_side: Tuple[float, float],
+    runs: Mapping[Defects, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    third_side: tuple[float, float],
 ) -> Figure:
     """Draw the heading, the first rotation of each step and the error of replays.
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 from matplotlib import path as drawing
@@ -295,19 +295,19 @@ def nearest(measured: np.ndarray, lengths: np.ndarray) -> int:
     return int(np.abs(ratios).sum(axis=1).argmin())
 
 
-def ranked(results: Sequence[Result]) -> List[Result]:
+def ranked(results: Sequence[Result]) -> list[Result]:
     """Return the results, those with the largest p-value first."""
 
-    def key(result: Result) -> Tuple[float, float]:
+    def key(result: Result) -> tuple[float, float]:
         return result.p_values["all"].value, sum(p.value for p in result.p_values.values())
 
     # Of equal ones the first stays first.
     return sorted(results, key=key, reverse=True)
 
 
-def groups_of_same(results: Sequence[Result]) -> List[List[Result]]:
+def groups_of_same(results: Sequence[Result]) -> list[list[Result]]:
     """Return groups of equal results, in the given order."""
-    groups: List[List[Result]] = []
+    groups: list[list[Result]] = []
     for result in results:
         same = next((group for group in groups if group[0].does_the_same_as(result)), None)
         if same is None:
@@ -338,7 +338,7 @@ def published_summary(
     figure: Mapping[str, Any],
     results: Sequence[Result],
     records: Sequence[Record],
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Return the content of summary.json.
 
     Args:
@@ -364,12 +364,12 @@ def published_summary(
     }
 
 
-def combination_records(results: Sequence[Result]) -> List[Record]:
+def combination_records(results: Sequence[Result]) -> list[Record]:
     """Return a record for each combination, as in combinations.csv; m and %."""
-    records: List[Record] = []
+    records: list[Record] = []
     for rank, result in enumerate(results, 1):
         switches = map(int, astuple(result.defects))
-        record: Dict[str, Any] = {"rank": rank, **dict(zip(DEFECTS, switches))}
+        record: dict[str, Any] = {"rank": rank, **dict(zip(DEFECTS, switches))}
         for evidence, p in result.p_values.items():
             record[f"p_{evidence}"], record[f"p_{evidence}_below"] = rounded((p.value, p.high))
         percentiles = rounded(100.0 * result.percentiles, 1)
@@ -381,14 +381,14 @@ def combination_records(results: Sequence[Result]) -> List[Record]:
     return records
 
 
-def rounded(values: Sequence[float], digits: int = 5) -> List[float]:
+def rounded(values: Sequence[float], digits: int = 5) -> list[float]:
     """Return rounded values for a table."""
     return [round(float(value), digits) for value in values]
 
 
-def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
+def length_rows(results: Sequence[Result], first_seed: int) -> list[list[Any]]:
     """Return lengths.csv: a header, and a row for each combination and seed; m."""
-    rows: List[List[Any]] = [["seed", *DEFECTS, *(f"{length}_m" for length in LENGTHS)]]
+    rows: list[list[Any]] = [["seed", *DEFECTS, *(f"{length}_m" for length in LENGTHS)]]
     for result in results:
         switches = list(map(int, astuple(result.defects)))
         for seed, lengths in enumerate(result.lengths, start=first_seed):
@@ -396,7 +396,7 @@ def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
     return rows
 
 
-def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
+def verdict_lines(summary: Mapping[str, Any]) -> list[str]:
     """Return the main results of a summary as lines for the user."""
     figure, rows = summary["figure_1b"], summary["combinations"]
     shown = {name: f"{1e3 * length:.1f}" for name, length in figure["lengths_m"].items()}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -144,7 +144,7 @@ class Replay:
 
 def run_published_noise(
     folder: Path, settings: PublishedNoiseSettings, tell: Tell = print
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Run the study; write figures, tables and summary.json; return the summary.
 
     The same settings give the same files.
@@ -172,7 +172,7 @@ def run_published_noise(
 
 def _results(
     replay: Replay, figure: PublishedFigure, settings: PublishedNoiseSettings, tell: Tell
-) -> List[Result]:
+) -> list[Result]:
     starts = range(0, settings.seeds, _SEEDS_AT_A_TIME)
     blocks = [range(start, min(start + _SEEDS_AT_A_TIME, settings.seeds)) for start in starts]
     # With aliasing, `unbent` changes nothing, to the last bit.
@@ -193,7 +193,7 @@ def _results(
     return [*results, *(replace(r, defects=replace(r.defects, unbent=True)) for r in aliased)]
 
 
-def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]:
+def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> dict[str, Any]:
     simulated, shown = (
         float(np.hypot(*(corners[3] - corners[2])))
         for corners in (drive.corners, figure.perfect_corners)
@@ -209,9 +209,9 @@ def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]
 def _figures(
     replay: Replay,
     figure: PublishedFigure,
-    results: List[Result],
+    results: list[Result],
     settings: PublishedNoiseSettings,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     drive, corners = replay.drive, replay.corners
     by_defects = {result.defects: result for result in results}
     example = nearest(figure.lengths, by_defects[ALL].lengths)
@@ -219,7 +219,7 @@ def _figures(
     def examples(defects: Defects) -> np.ndarray:
         return replay.noisy(defects, range(_EXAMPLES))[..., :2]
 
-    def shown(defects: Defects) -> Tuple[np.ndarray, PValue]:
+    def shown(defects: Defects) -> tuple[np.ndarray, PValue]:
         return examples(defects), by_defects[defects].p_values["all"]
 
     moved = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)

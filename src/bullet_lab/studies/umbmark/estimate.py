@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 from scipy import optimize, stats
@@ -42,7 +42,7 @@ SURE = 3.0
 SAME = 1e-9
 
 
-def closed_forms(runs: Sequence[SquareRun], side: float) -> Dict[str, Any]:
+def closed_forms(runs: Sequence[SquareRun], side: float) -> dict[str, Any]:
     """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
@@ -96,10 +96,10 @@ class Estimate:
     """
 
     errors: SystematicErrors
-    intervals: Optional[Dict[str, Tuple[float, float]]]
+    intervals: dict[str, tuple[float, float]] | None
     residual: float
 
-    def on_bounds(self) -> List[str]:
+    def on_bounds(self) -> list[str]:
         """Return the names of the parameters that lie on the bounds of the fit."""
         return [name for name in PARAMETERS if abs(getattr(self.errors, name)) > 0.999 * LARGEST]
 
@@ -192,7 +192,7 @@ def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicError
 
 def _intervals(
     found: np.ndarray, shares: np.ndarray, directions: np.ndarray
-) -> Optional[Dict[str, Tuple[float, float]]]:
+) -> dict[str, tuple[float, float]] | None:
     """Return the intervals of the parameters from the influence of each run on them, (n, 2)."""
     if np.abs(found).max() > 0.999 * LARGEST:
         # On a bound the sum of squares has no minimum, so that no interval holds.
@@ -206,11 +206,11 @@ def _intervals(
         # The runs of each direction are equal: their spread is unknown.
         return None
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
-    ends: List[Tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
+    ends: list[tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
     return dict(zip(PARAMETERS, ends))
 
 
-def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
+def centre_ellipse(errors: np.ndarray) -> np.ndarray | None:
     """Return a 2x2 matrix (m²) whose 95 % ellipse is that of the centre of return errors.
 
     `core.se2.ellipse_points` draws the ellipse of a known covariance. This one is estimated from
@@ -234,12 +234,12 @@ def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
 class Benchmark:
     """Runs and their evaluation."""
 
-    runs: Tuple[SquareRun, ...]
-    figures: Dict[str, Any]
+    runs: tuple[SquareRun, ...]
+    figures: dict[str, Any]
     estimate: Estimate
 
     @classmethod
-    def of(cls, runs: Sequence[SquareRun], side: Optional[float] = None) -> Benchmark:
+    def of(cls, runs: Sequence[SquareRun], side: float | None = None) -> Benchmark:
         """Evaluate runs; raises LabError unless there are runs in both directions.
 
         The fit counts turns by the base that was assumed, which includes a correction.
@@ -258,7 +258,7 @@ class Benchmark:
         """The base (m) that the odometry assumed."""
         return self.runs[0].base
 
-    def warnings(self) -> List[str]:
+    def warnings(self) -> list[str]:
         """Return the reasons to distrust the result, with likely causes; empty without any."""
         largest, left = self.figures["e_max_syst_m"], self.estimate.residual
         side = float(np.mean([run.side() for run in self.runs]))
@@ -289,7 +289,7 @@ class Benchmark:
             for one in errors
         )
 
-    def summary(self) -> Dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the figures of the benchmark by their usual names."""
         squares = {d: sum(run.direction == d for run in self.runs) for d in DIRECTIONS}
         return {"squares": squares, **self.figures}

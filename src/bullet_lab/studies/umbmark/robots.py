@@ -6,7 +6,7 @@ import contextlib
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import yaml
@@ -87,7 +87,7 @@ class IdealRobot:
         self._rolled = DeadReckoning(wheels.base, 0.5 * wheels.left, 0.5 * wheels.right)
         self._counted = DeadReckoning(assumed.base, 0.5 * assumed.left, 0.5 * assumed.right)
         self._angles = (0.0, 0.0)
-        self.odometry: List[PlanarPose] = [self._counted.pose]
+        self.odometry: list[PlanarPose] = [self._counted.pose]
 
     def pose(self) -> PlanarPose:
         """Return the true pose: (m, m, rad)."""
@@ -156,7 +156,7 @@ class FloorRobot:
         left, right = (2.0 * radius for radius in drive.radii)
         self.assumed = Wheels(left, right, drive.separation)
         self._axle = _middle(model, joints)
-        self.odometry: List[PlanarPose] = []
+        self.odometry: list[PlanarPose] = []
         drive.odometry.connect(self._add_odometry)
         self._command = drive.command
         self.drive(0.0, 0.0, SETTLING_SECONDS)
@@ -234,7 +234,7 @@ def _with_other_plugin(robot: str, model: Model, factors: Mapping[str, float]) -
     return replace(model, plugins=plugins)
 
 
-def multipliers(errors: SystematicErrors) -> Dict[str, float]:
+def multipliers(errors: SystematicErrors) -> dict[str, float]:
     """Return the `MULTIPLIERS` that undo errors.
 
     They keep the mean of the diameters: 2 / (E_d + 1), 2 / (1 / E_d + 1) and E_b.
@@ -244,7 +244,7 @@ def multipliers(errors: SystematicErrors) -> Dict[str, float]:
 
 def assumed_multipliers(
     errors: SystematicErrors, correction: SystematicErrors
-) -> Dict[str, float]:
+) -> dict[str, float]:
     """Return the `MULTIPLIERS` of odometry with errors, and with a correction of them."""
     wrong, corrected = multipliers(errors), multipliers(correction)
     return {name: corrected[name] / wrong[name] for name in MULTIPLIERS}
@@ -268,7 +268,7 @@ def _load_controller(
     return controller
 
 
-def _find_controller(file: str) -> Tuple[Mapping[str, Any], str]:
+def _find_controller(file: str) -> tuple[Mapping[str, Any], str]:
     """Return the mapping that holds the parameters of a diff_drive_controller, and its name."""
     path = Path(ResourceFinder.anywhere().find(file))
     try:
@@ -339,7 +339,7 @@ def drive_run(
     settings: BenchmarkSettings,
     correction: SystematicErrors,
     laps: int,
-    ideal_base: Optional[float],
+    ideal_base: float | None,
     number: int,
 ) -> SquareRun:
     """Drive a run, clockwise if its number is even.
@@ -367,7 +367,7 @@ def drive_run(
 
 
 def drive_square(
-    robot: Union[IdealRobot, FloorRobot],
+    robot: IdealRobot | FloorRobot,
     square: Square,
     name: str,
     noisy: Callable[[PlanarPose], PlanarPose] = lambda pose: pose,
@@ -386,7 +386,7 @@ def drive_square(
     driver = SquareDriver(square, CLOSED_LOOP)
     start, period = robot.pose(), 1.0 / driver.rate
     first = len(robot.odometry) - 1
-    reported: List[PlanarPose] = []
+    reported: list[PlanarPose] = []
 
     def newest() -> PlanarPose:
         reported.extend(map(noisy, robot.odometry[first + len(reported) :]))

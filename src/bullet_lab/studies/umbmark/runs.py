@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List, Mapping, Sequence
+from typing import Mapping, Sequence
 
 import numpy as np
 
@@ -109,7 +109,7 @@ def return_errors(runs: Sequence[SquareRun], direction: str) -> np.ndarray:
 
 def read_runs(
     path: Path, topic: str, truth_topic: str, side: float, base: float
-) -> List[SquareRun]:
+) -> list[SquareRun]:
     """Read a run from each bag, table of two paths, or pair of TUM files in a folder.
 
     In a table of two paths (`PAIRS`, as paths.csv of the squares) the true pose comes first and
@@ -127,7 +127,7 @@ def read_runs(
         LabError: a file cannot be read, or there is none.
     """
     files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
-    runs: List[SquareRun] = []
+    runs: list[SquareRun] = []
     for file in files:
         if file.name.endswith(ODOMETRY):
             truth = file.with_name(file.name[: -len(ODOMETRY)] + TRUTH)
@@ -172,7 +172,7 @@ def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
         )
 
 
-def _read_csv(path: Path, side: float, base: float) -> List[SquareRun]:
+def _read_csv(path: Path, side: float, base: float) -> list[SquareRun]:
     columns, rows = read_table(path, PAIRS, RETURNS)
     if columns == PAIRS:
         return [_run(path, read_path(path, prefix="noisy_"), read_path(path), base)]

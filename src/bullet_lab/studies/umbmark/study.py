@@ -12,7 +12,7 @@ import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
 import yaml
@@ -92,10 +92,10 @@ class FileSettings(Settings):
 def run_umbmark(
     folder: Path,
     before: Benchmark,
-    after: Optional[Benchmark],
-    about: Dict[str, Any],
+    after: Benchmark | None,
+    about: dict[str, Any],
     floor: systematic.SystematicErrors = NO_ERRORS,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Write tables, figure, corrected parameters and summary.json; return the summary.
 
     Args:
@@ -108,7 +108,7 @@ def run_umbmark(
     found = before.estimate
     recovered = found.relative_to(floor)
     warnings = before.warnings()
-    summary: Dict[str, Any] = {
+    summary: dict[str, Any] = {
         "job": "umbmark",
         **about,
         "finished": True,
@@ -141,18 +141,18 @@ def run_umbmark(
     )
 
 
-def _by_name(errors: systematic.SystematicErrors) -> Dict[str, float]:
+def _by_name(errors: systematic.SystematicErrors) -> dict[str, float]:
     return {name: getattr(errors, name) for name in PARAMETERS}
 
 
-def _return_rows(before: Benchmark, after: Optional[Benchmark]) -> Iterator[Tuple[Any, ...]]:
+def _return_rows(before: Benchmark, after: Benchmark | None) -> Iterator[tuple[Any, ...]]:
     yield ("correction", "run", "direction", "x_m", "y_m", "yaw_rad")
     for name, benchmark in (("before", before), ("after", after)):
         for run in benchmark.runs if benchmark is not None else ():
             yield (name, run.name, run.direction, *run.return_error().tolist())
 
 
-def clusters_figure(before: Benchmark, after: Optional[Benchmark]) -> Figure:
+def clusters_figure(before: Benchmark, after: Benchmark | None) -> Figure:
     """Draw the return errors of `Benchmark`s, to one scale, and those after the correction larger.
 
     A filled ellipse holds a centre of gravity with 95 % confidence, an open one 95 % of the runs.
@@ -197,8 +197,8 @@ def _draw_clusters(axes: Axes, benchmark: Benchmark) -> None:
 
 
 def describe(
-    before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NO_ERRORS
-) -> List[str]:
+    before: Benchmark, after: Benchmark | None, floor: systematic.SystematicErrors = NO_ERRORS
+) -> list[str]:
     """Return the results as lines for the user."""
     lines = [f"NOT TO BE TRUSTED: {warning}" for warning in before.warnings()]
     lines += _figures(before)
@@ -223,11 +223,11 @@ def describe(
     return lines
 
 
-def _joined(values: Dict[str, float]) -> str:
+def _joined(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.6f}" for name, value in values.items())
 
 
-def _figures(benchmark: Benchmark) -> List[str]:
+def _figures(benchmark: Benchmark) -> list[str]:
     figures = benchmark.figures
     lines = []
     for direction in DIRECTIONS:
@@ -243,7 +243,7 @@ def _figures(benchmark: Benchmark) -> List[str]:
 
 def draw_robot(
     drive: BenchmarkSettings, floor: bool, index: int
-) -> Tuple[BenchmarkSettings, float]:
+) -> tuple[BenchmarkSettings, float]:
     """Return the drive of a robot, and its assumed base (m); they depend on seed and index only.
 
     Sizes of errors are uniform within `DIAMETER_ERRORS` and `BASE_ERRORS`, their signs are
@@ -290,7 +290,7 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
     after = benchmark(quiet, before.estimate.errors)
     noisy = benchmark(drawn, NO_ERRORS).estimate.relative_to(right)
     found_quiet = before.estimate.relative_to(right).errors
-    record: Dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
+    record: dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
     for name, closed in zip(PARAMETERS, (before.figures["e_d"], before.figures["e_b"])):
         injected = getattr(quiet, name)
         found = getattr(found_quiet, name)
@@ -327,11 +327,11 @@ def run_campaign(
     return write_results(folder, summary, {"campaign.csv": table}, {"campaign.png": figure}, {})
 
 
-def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
+def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
     """Return the totals of a campaign."""
     ends = [(record["e_max_syst_m"], record["e_max_syst_after_m"]) for record in records]
     falls = [before / after for before, after in ends if after > 0.0]
-    summary: Dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
+    summary: dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
     for name in PARAMETERS:
         misses = [abs(r[f"{name}_found"] - r[name]) for r in records]
         closed = [abs(r[f"{name}_closed_form"] - r[name]) / abs(r[name]) for r in records]
@@ -345,9 +345,9 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
     return summary
 
 
-def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
+def describe_campaign(records: int, summary: Mapping[str, Any]) -> list[str]:
     """Return the totals of a campaign as lines for the user."""
-    lines: List[str] = []
+    lines: list[str] = []
     for name in PARAMETERS:
         own = summary[name]
         lines += [
@@ -393,7 +393,7 @@ def _run(
     campaign: RandomRobotSettings,
     work: WorkerSettings,
     tell: Tell,
-) -> List[str]:
+) -> list[str]:
     if not files.path:
         # Errors and warnings appear once here, instead of in each worker.
         FloorRobot(drive.robot, drive.controller, NO_ERRORS, NO_ERRORS).close()
