@@ -18,13 +18,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.odometry_noise import (
-    MODELS,
-    NoiseRule,
-    NoisyPath,
-    noise_parameters,
-    rule_of,
-)
+from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, NoisyPath, noise_parameters, rule_of
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.paths import read_path
 from bullet_lab.studies.study import Record, clopper_pearson

@@ -16,14 +16,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
-from bullet_lab.noise.calibration import (
-    Fit,
-    Problem,
-    fit,
-    intervals,
-    on_limit,
-    profile,
-)
+from bullet_lab.noise.calibration import Fit, Problem, fit, intervals, on_limit, profile
 from bullet_lab.noise.goodness import Goodness, goodness
 from bullet_lab.noise.likelihood import PARTS, StepPairs
 from bullet_lab.noise.odometry_noise import MODELS, WalkRule, rule_of
@@ -37,13 +30,7 @@ from bullet_lab.noise.prediction import (
 )
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.calibrate.recordings import Recording
-from bullet_lab.studies.calibrate.steps import (
-    Steps,
-    long_length,
-    long_pairs,
-    pairs_of,
-    part_of,
-)
+from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
 from bullet_lab.studies.study import Record, labelled, legend_below, panels
 
 MOST_PATHS = 4  # in a figure

@@ -52,14 +52,7 @@ from bullet_lab.studies.published_noise.results import (
     verdict_lines,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import (
-    MOST_SEED,
-    Settings,
-    Tell,
-    rows_of,
-    run_from,
-    write_results,
-)
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, rows_of, run_from, write_results
 from bullet_lab.studies.workers import run_tasks, this_process
 
 FIGURE_DATA = "data/fig1_paths.csv"
