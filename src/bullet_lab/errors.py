@@ -10,8 +10,8 @@ QUOTED = 150
 class LabError(Exception):
     """An error with a cause outside the program; the message is one line for the user.
 
-    Executables catch it, print the line and exit with a non-zero status. A module derives its
-    errors from this class.
+    Executables catch it, print the line and exit with a non-zero status. A module derives only
+    errors from this class that somebody catches.
     """
 
     def __str__(self) -> str:

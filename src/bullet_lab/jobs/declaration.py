@@ -16,8 +16,8 @@ sentence. For other arguments, the bracket at the end of ``doc`` gives the allow
     [folder]             a path, relative to the caller's folder
     [file]               an existing file, or a package:// URI, or empty
     [true|false]         one of the words; two or more, or true or false alone
-    [integer >= 0]       a whole number, with or without bounds: >= <=
-    [number > 0 <= 1]    a finite number, with or without bounds: > >= <=
+    [integer]            a whole number
+    [number]             a finite number
 
 The constant ``smallest`` holds the arguments of the smallest useful run.
 
@@ -51,7 +51,6 @@ FILE = "file"
 SMALLEST = "smallest"
 _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)
 _DOC = re.compile(r"(.*?)(\s*\[([^\[\]]+)\])?")
-_BOUNDS = {">=": "minimum", "<=": "maximum", ">": "above"}
 _WORDS = re.compile(r"true|false|[\w.-]+(\|[\w.-]+)+")
 _ARGUMENT = re.compile(r"\$\(arg (\w+)\)")
 _OPTION = re.compile(r"--?([\w-]+)[= ]'?\$\(arg (\w+)\)")
@@ -250,30 +249,25 @@ def _argument(name: str, element: Element, targets: tuple[Target, ...], path: Pa
     doc, _, bracket = _DOC.fullmatch(" ".join(element.get("doc", "").split())).groups("")
     try:
         own = declared(name, _bracket_check(bracket)) if bracket not in ("", "text") else None
-    except (LookupError, ValueError, TypeError) as error:
+    except LookupError as error:
         raise UsageError(
             f"{path}: the doc of {name} ends with [{bracket}]; a bracket is text, folder, file, "
-            "words with | between them, or number or integer with bounds (>= <=, number: >)"
+            "number, integer, or words with | between them"
         ) from error
     return Argument(name, element.get("default"), doc, bracket, own, targets)
 
 
 def _bracket_check(bracket: str) -> Any:
-    """Return what a bracket declares; raise LookupError, ValueError or TypeError if unknown."""
+    """Return what a bracket declares; raise LookupError if it is unknown."""
     missing: Any = MISSING
-    if bracket == "folder":
-        return parameters.checked(missing, "", "a folder", _filled)
-    if bracket == FILE:
-        return parameters.checked(missing, "", "a file that exists", _existing)
     if _WORDS.fullmatch(bracket):
         return parameters.choice(missing, "", bracket.split("|"))
-    kinds: Any = {"number": (parameters.number, float), "integer": (parameters.integer, int)}
-    kind, *limits = bracket.split()
-    declare, convert = kinds[kind]
-    if len(limits) % 2:
-        raise ValueError("a bound is a sign and a number")
-    bounds = zip(limits[::2], limits[1::2])
-    return declare(missing, "", **{_BOUNDS[sign]: convert(limit) for sign, limit in bounds})
+    return {
+        "folder": parameters.checked(missing, "", "a folder", _filled),
+        FILE: parameters.checked(missing, "", "a file that exists", _existing),
+        "number": parameters.number(missing, ""),
+        "integer": parameters.integer(missing, ""),
+    }[bracket]
 
 
 def _filled(value: str) -> str:

@@ -20,7 +20,6 @@ import platform
 import re
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 from collections import Counter
@@ -28,7 +27,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from PIL import Image
@@ -44,11 +43,12 @@ from bullet_lab.studies.study import (
     Settings,
     Tell,
     UnfinishedError,
+    progress,
     run_from,
+    text_table,
     whole_results,
     write_table,
 )
-from bullet_lab.studies.workers import Task, run_tasks
 
 NAME = "verify"
 TABLE = "verify.csv"
@@ -77,7 +77,7 @@ MOST_COLUMNS = 100
 LONGEST = 900.0
 """Wall seconds after which a job is killed."""
 
-PROCESSORS: Dict[str, Dict[str, str]] = {
+PROCESSORS: dict[str, dict[str, str]] = {
     "this": {},
     # An x86-64 of 2006: libraries that look at the processor believe that it has no more.
     "plain": {
@@ -104,12 +104,7 @@ _DIGITS = 9
 _HASH_DIGITS = 16
 _TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
-# Wall seconds; the launcher needs as long to stop its nodes.
-_STOP_TIMEOUT = 5.0
 
-
-class VerifyError(LabError):
-    """A result or the file of references cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -132,17 +127,17 @@ class Fingerprint:
         """Read a file.
 
         Raises:
-            VerifyError: the file cannot be read, or its content does not fit its suffix.
+            LabError: the file cannot be read, or its content does not fit its suffix.
         """
         try:
             content, columns = _content(path, left_out)
         except (OSError, ValueError, csv.Error) as error:
-            raise VerifyError(f"cannot read {path}: {error}") from error
+            raise LabError(f"cannot read {path}: {error}") from error
         numbers = _summary(columns).items()
         rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers}
         return Fingerprint(hashlib.sha256(content).hexdigest()[:_HASH_DIGITS], rounded)
 
-    def difference(self, reference: Fingerprint) -> Tuple[float, str]:
+    def difference(self, reference: Fingerprint) -> tuple[float, str]:
         """Return the largest difference from the numbers of a reference, and that number's name.
 
         Differences are relative for numbers beyond 1, absolute below, and infinite for a number
@@ -164,7 +159,7 @@ class Fingerprint:
         return max(differences)
 
 
-def _content(path: Path, left_out: Sequence[str]) -> Tuple[bytes, Dict[str, Iterable[Any]]]:
+def _content(path: Path, left_out: Sequence[str]) -> tuple[bytes, dict[str, Iterable[Any]]]:
     """Return the bytes of a file that are hashed, and its columns by their names."""
     data = path.read_bytes()
     if path.suffix == ".png":
@@ -181,18 +176,18 @@ def _content(path: Path, left_out: Sequence[str]) -> Tuple[bytes, Dict[str, Iter
     if path.suffix not in (".json", ".jsonl"):
         return data, {"numbers": _NUMBER.findall(text)}
 
-    def without(value: Dict[str, Any]) -> Dict[str, Any]:
+    def without(value: dict[str, Any]) -> dict[str, Any]:
         return {key: entry for key, entry in value.items() if key not in left_out}
 
     texts = text.splitlines() if path.suffix == ".jsonl" else [text]
     values = [json.loads(entry, object_hook=without) for entry in texts]
-    columns: Dict[str, List[float]] = {}
+    columns: dict[str, list[float]] = {}
     for name, number in _leaves(values, ""):
         columns.setdefault(name, []).append(number)
     return json.dumps(values).encode(), columns
 
 
-def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
+def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for key, entry in value.items():
             yield from _leaves(entry, f"{name}.{key}" if name else key)
@@ -203,11 +198,11 @@ def _leaves(value: Any, name: str) -> Iterator[Tuple[str, Any]]:
         yield name, float(value)
 
 
-def _summary(columns: Mapping[str, Iterable[Any]]) -> Dict[str, float]:
+def _summary(columns: Mapping[str, Iterable[Any]]) -> dict[str, float]:
     """Summarize columns by their names; ignore entries that are not finite numbers."""
     if len(columns) > MOST_COLUMNS:
         columns = {"all columns": [entry for column in columns.values() for entry in column]}
-    numbers: Dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for name, column in columns.items():
         entries = [number for number in map(_number, column) if math.isfinite(number)]
         if len(entries) == 1:
@@ -234,7 +229,7 @@ Results = Mapping[str, Fingerprint]
 class VerifySettings(Settings):
     """Parameters of the job."""
 
-    jobs: Tuple[str, ...] = name_list("jobs with spaces between them; empty: all of them")
+    jobs: tuple[str, ...] = name_list("jobs with spaces between them; empty: all of them")
     processor: str = choice(
         "this",
         "computes as this processor does, or as a plain one without AVX and FMA would",
@@ -244,47 +239,21 @@ class VerifySettings(Settings):
     workers: int = integer(0, "jobs at a time; 0: one for each core", 0, 64)
 
 
-@dataclass(frozen=True)
-class References:
-    """Results from another machine or another day.
+def read_references(path: Path) -> tuple[Mapping[str, str], dict[str, Results]]:
+    """Return the machine of the references, as `this_machine`, and their results by job.
 
-    Attributes:
-        machine: processor and library versions there, as `this_machine` returns them.
-        files: results by the name of the job.
+    Raises:
+        LabError: the file cannot be used.
     """
-
-    machine: Mapping[str, str]
-    files: Mapping[str, Results]
-
-    @staticmethod
-    def read(path: Path) -> References:
-        """Read a file of references; raise VerifyError."""
-        try:
-            kept = json.loads(path.read_text())
-            files = {
-                job: {name: Fingerprint(**entry) for name, entry in results.items()}
-                for job, results in kept["files"].items()
-            }
-            return References(kept["machine"], files)
-        except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
-            raise VerifyError(f"cannot use {path}: {error}") from error
-
-    def elsewhere(self) -> List[str]:
-        """Return a line for each property in which this machine differs from the reference's."""
-        return [
-            f"{name}: {mine} (reference: {self.machine.get(name, 'unknown')})"
-            for name, mine in this_machine().items()
-            if self.machine.get(name) != mine
-        ]
-
-    def renew(self, path: Path, found: Mapping[str, Results]) -> None:
-        """Write results to a file of references; raise FileError.
-
-        Those of other jobs are kept if they are from a machine like this one.
-        """
-        machine = this_machine()
-        files = {**(self.files if machine == self.machine else {}), **found}
-        write_json(path, asdict(References(machine, dict(sorted(files.items())))))
+    try:
+        kept = json.loads(path.read_text())
+        files = {
+            job: {name: Fingerprint(**entry) for name, entry in results.items()}
+            for job, results in kept["files"].items()
+        }
+        return kept["machine"], files
+    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+        raise LabError(f"cannot use {path}: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -304,7 +273,7 @@ class FileRow:
     file: str
     twice: bool
     reference: str = NONE
-    difference: Optional[float] = None
+    difference: float | None = None
     where: str = ""
 
     @property
@@ -313,61 +282,31 @@ class FileRow:
         return self.twice and self.reference != DIFFERS
 
 
-class Runs:
-    """Runs of jobs on threads, each in a process with its own ROS master.
-
-    Args:
-        jobs: a job of each run, and the folder for its results.
-        processor: one of `PROCESSORS`.
-    """
-
-    def __init__(self, jobs: Sequence[Tuple[Job, Path]], processor: str):
-        self._jobs = jobs
-        self._environment = {**environment_without_ros(), **PROCESSORS[processor]}
-        self._processes: List[subprocess.Popen] = []
-
-    def on_threads(self, task: Task, numbers: Sequence[int], at_once: int) -> Iterator[Any]:
-        """Run a task for each number, as a `workers.Run`; stop the jobs if anything fails."""
-        with ThreadPoolExecutor(at_once) as pool:
-            try:
-                yield from zip(numbers, pool.map(task, numbers))
-            finally:
-                for process in self._processes:
-                    process.send_signal(signal.SIGINT)
-                for process in self._processes:
-                    with contextlib.suppress(subprocess.TimeoutExpired):
-                        process.wait(_STOP_TIMEOUT)
-                    process.kill()
-
-    def run(self, number: int) -> Union[Results, str]:
-        """Run a job; return its results, or its status and its last line if it failed."""
-        job, folder = self._jobs[number]
-        arguments = (*shlex.split(job.smallest), f"out:={folder}")
-        log = folder.with_suffix(".log")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("wb") as output:
-            process = subprocess.Popen(
-                # It ends when this process ends.
-                tied(sys.executable, "-m", "bullet_lab.ros.launcher", job.name, *arguments),
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=self._environment,
-            )
-        self._processes.append(process)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(LONGEST)
-        process.kill()
-        if process.wait() != 0:
-            lines = log.read_text(errors="replace").split("\n")
-            last = next((line for line in reversed(lines) if line.strip()), "")
-            return f"status {process.returncode}: {last}"
-        shutil.rmtree(folder / "log", ignore_errors=True)
-        log.unlink()
-        keys = (*WALL_CLOCK_KEYS, *LEFT_OUT.get(job.name, ()))
-        paths = (path for path in folder.rglob("*") if path.is_file())
-        files = {str(path.relative_to(folder)): path for path in paths}
-        return {name: Fingerprint.of(path, keys) for name, path in sorted(files.items())}
+def run_job(job: Job, folder: Path, environment: Mapping[str, str]) -> Results | str:
+    """Run a job; return its results, or its status and its last line if it failed."""
+    # It ends when this process ends, and gets the signals of this process group.
+    command = tied(sys.executable, "-m", "bullet_lab.ros.launcher", job.name)
+    log = folder.with_suffix(".log")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("wb") as output, contextlib.suppress(subprocess.TimeoutExpired):
+        status: Any = f"none after {LONGEST:g} s"
+        status = subprocess.run(
+            [*command, *shlex.split(job.smallest), f"out:={folder}"],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            timeout=LONGEST,
+        ).returncode
+    if status != 0:
+        lines = log.read_text(errors="replace").split("\n")
+        last = next((line for line in reversed(lines) if line.strip()), "")
+        return f"status {status}: {last}"
+    shutil.rmtree(folder / "log", ignore_errors=True)
+    log.unlink()
+    keys = (*WALL_CLOCK_KEYS, *LEFT_OUT.get(job.name, ()))
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): Fingerprint.of(path, keys) for path in paths}
 
 
 def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
@@ -376,27 +315,33 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
     jobs = [choose_job(known, name) for name in settings.jobs or known if name not in UNREPEATABLE]
     for job in jobs:
         read_assignments(job, shlex.split(job.smallest))
-    references = References.read(package / REFERENCES)
+    machine, references = read_references(package / REFERENCES)
     with whole_results(out) as part:
         todo = [(job, part / "runs" / job.name / w) for job in jobs for w in ("first", "second")]
-        runs = Runs(todo, settings.processor)
-        at_once = settings.workers or len(os.sched_getaffinity(0))
-        pool = functools.partial(runs.on_threads, at_once=at_once)
-        found = run_tasks(runs.run, len(todo), pool, tell, "verifying", "run", " runs")
-        rows: List[FileRow] = []
-        results: Dict[str, Results] = {}
+        environment = {**environment_without_ros(), **PROCESSORS[settings.processor]}
+        with ThreadPoolExecutor(settings.workers or len(os.sched_getaffinity(0))) as pool:
+            runs = pool.map(lambda one: run_job(*one, environment), todo)
+            found = list(progress(runs, "runs", len(todo), tell))
+        rows: list[FileRow] = []
+        results: dict[str, Results] = {}
         for job, first, second in zip(jobs, found[::2], found[1::2]):
             failures = [one for one in (first, second) if isinstance(one, str)]
             if failures:
                 rows.append(FileRow(job.name, failures[0], False))
                 continue
             results[job.name] = first
-            rows += compared(job.name, first, second, references.files.get(job.name, {}))
-        _write(part, settings.processor, rows, references)
-    for line in [*table(rows), *references.elsewhere()]:
+            rows += compared(job.name, first, second, references.get(job.name, {}))
+        _write(part, settings.processor, rows, machine)
+    here = this_machine()
+    for line in table(rows):
         print(line, flush=True)
+    for name in [name for name, mine in here.items() if machine.get(name) != mine]:
+        print(f"{name}: {here[name]} (reference: {machine.get(name, 'unknown')})", flush=True)
     if settings.renew:
-        references.renew(package / REFERENCES, results)
+        # Those of other jobs are kept if they are from a machine like this one.
+        files = {**(references if machine == here else {}), **results}
+        kept = {job: {n: asdict(one) for n, one in of.items()} for job, of in sorted(files.items())}
+        write_json(package / REFERENCES, {"machine": here, "files": kept})
         tell(f"new references written to {REFERENCES}")
     bad = [row for row in rows if not row.good and not (settings.renew and row.twice)]
     if bad:
@@ -422,20 +367,20 @@ def compared(job: str, first: Results, second: Results, references: Results) -> 
         yield FileRow(job, name, twice, reference, difference, where)
 
 
-def table(rows: Sequence[FileRow]) -> Iterator[str]:
-    """Yield the lines of the table that is printed."""
+def table(rows: Sequence[FileRow]) -> list[str]:
+    """Return the lines of the table that is printed."""
     cells = [("job", "file", "twice", "reference", "largest difference")]
     for row in rows:
         twice = "same" if row.twice else "DIFFERS"
         reference = DIFFERS.upper() if row.reference == DIFFERS else row.reference
         off = f"{row.difference:.1e} of {row.where}" if row.difference else ""
         cells.append((row.job, row.file, twice, reference, off))
-    widths = [max(map(len, column)) for column in zip(*cells)]
-    for line in cells:
-        yield "  ".join(map(str.ljust, line, widths)).rstrip()
+    return text_table(cells)
 
 
-def _write(part: Path, processor: str, rows: Sequence[FileRow], known: References) -> None:
+def _write(
+    part: Path, processor: str, rows: Sequence[FileRow], machine: Mapping[str, str]
+) -> None:
     entries = [asdict(row) for row in rows]
     write_table(part / TABLE, [FileRow.__annotations__, *(entry.values() for entry in entries)])
     for entry in entries:
@@ -450,13 +395,13 @@ def _write(part: Path, processor: str, rows: Sequence[FileRow], known: Reference
         "differ_between_two_runs": sum(not row.twice for row in rows),
         "reference": dict(Counter(row.reference for row in rows)),
         "machine": this_machine(),
-        "machine_of_references": known.machine,
+        "machine_of_references": machine,
         "rows": entries,
     }
     write_json(part / SUMMARY, summary)
 
 
-def this_machine() -> Dict[str, str]:
+def this_machine() -> dict[str, str]:
     """Return the properties of this machine that results may depend on, by their names."""
     found = {"architecture": platform.machine()}
     with contextlib.suppress(OSError):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Sequence
+from typing import Any, Sequence
 
 import cv2
 import numpy as np
@@ -81,7 +81,7 @@ def read_picture(path: Path) -> np.ndarray:
     return picture
 
 
-def _answers(picture: np.ndarray, settings: PictureSettings) -> Dict[str, Any]:
+def _answers(picture: np.ndarray, settings: PictureSettings) -> dict[str, Any]:
     """Return the detail of each reading of VisionReport by its topic."""
     levels, tags = grey(picture), settings.tags
     drawn = {name: picture.copy() for name in PICTURES}
@@ -103,7 +103,7 @@ def _answers(picture: np.ndarray, settings: PictureSettings) -> Dict[str, Any]:
     }
 
 
-def _run(folder: Path, settings: PictureSettings, _tell: Tell) -> List[str]:
+def _run(folder: Path, settings: PictureSettings, _tell: Tell) -> list[str]:
     found = run_detectors(folder, settings).found
     return [f"{name}: {line}" for name, line in found.items()]
 

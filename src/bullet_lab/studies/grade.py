@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Mapping, NamedTuple, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
@@ -55,20 +55,20 @@ class Record:
         notes: why the run was not as it should be, a line each.
     """
 
-    path: List[Sequence[float]] = field(default_factory=list)
-    boxes: Dict[str, Sequence[float]] = field(default_factory=dict)
-    touched: List[str] = field(default_factory=list)
-    messages: Dict[str, List[Sequence[float]]] = field(default_factory=dict)
-    files: Dict[str, str] = field(default_factory=dict)
-    status: Optional[int] = None
-    notes: List[str] = field(default_factory=list)
+    path: list[Sequence[float]] = field(default_factory=list)
+    boxes: dict[str, Sequence[float]] = field(default_factory=dict)
+    touched: list[str] = field(default_factory=list)
+    messages: dict[str, list[Sequence[float]]] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
+    status: int | None = None
+    notes: list[str] = field(default_factory=list)
 
     def track(self) -> np.ndarray:
         """Return x, y (m) of the path, shape (n, 2)."""
         return np.array(self.path, dtype=float).reshape(-1, 3)[:, 1:]
 
 
-def _places(value: Any) -> Tuple[Tuple[float, float], ...]:
+def _places(value: Any) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in value)
 
 
@@ -81,7 +81,7 @@ class Criterion:
     points: float = number(1.0, "points", above=0.0)
     at_least: float = number(-math.inf, "least value")
     at_most: float = number(math.inf, "largest value")
-    places: Tuple[Tuple[float, float], ...] = checked(
+    places: tuple[tuple[float, float], ...] = checked(
         ((0.0, 0.0),), "places in m", "a list of places [x, y]", _places
     )
     topic: str = text("", "its name")
@@ -109,7 +109,7 @@ class Criterion:
         limits += [f"<= {self.at_most:g}"] * math.isfinite(self.at_most)
         return f"{' and '.join(limits)} {MEASURES[self.measure].unit}".strip()
 
-    def value(self, record: Record) -> Optional[float]:
+    def value(self, record: Record) -> float | None:
         """Return the measured value; None if the run has none."""
         measure = MEASURES[self.measure]
         track = record.track()
@@ -118,7 +118,7 @@ class Criterion:
         value = measure.of(self, record)
         return float(value) if value is not None and math.isfinite(value) else None
 
-    def holds(self, value: Optional[float]) -> bool:
+    def holds(self, value: float | None) -> bool:
         """Return whether a value is within the limits."""
         return value is not None and self.at_least <= value <= self.at_most
 
@@ -144,12 +144,12 @@ def _clearance(_: Criterion, record: Record) -> float:
     return np.hypot(*np.maximum(outside, 0.0).T).min(initial=math.inf)
 
 
-def _file_error(criterion: Criterion, record: Record) -> Optional[float]:
+def _file_error(criterion: Criterion, record: Record) -> float | None:
     found = NUMBER.findall(record.files.get(criterion.file, ""))
     return abs(float(found[-1]) - criterion.number) if found else None
 
 
-def _rate(criterion: Criterion, record: Record) -> Optional[float]:
+def _rate(criterion: Criterion, record: Record) -> float | None:
     stamps = [row[0] for row in record.messages.get(criterion.key, [])]
     seconds = stamps[-1] - stamps[0] if stamps else 0.0
     return (len(stamps) - 1) / seconds if seconds > 0.0 else None
@@ -158,7 +158,7 @@ def _rate(criterion: Criterion, record: Record) -> Optional[float]:
 def _errors(summary: Callable[[np.ndarray], float]) -> Callable[[Criterion, Record], Any]:
     """Return a measure that summarizes how a topic's values differ from the truth."""
 
-    def measure(criterion: Criterion, record: Record) -> Optional[float]:
+    def measure(criterion: Criterion, record: Record) -> float | None:
         rows = np.array(record.messages.get(criterion.key, []), dtype=float)
         if len(rows) < LEAST_MESSAGES:
             return None
@@ -203,7 +203,7 @@ class Exercise:
     title: str = text("", "what is to be done")
     world: str = text("package://bullet_lab/worlds/empty.world", "SDF world")
     robot: str = text("package://bullet_lab/urdf/block_robot.urdf", "URDF of the robot")
-    start: Tuple[float, ...] = number_list((0.0, 0.0, 0.0), "x y in m and yaw in degrees")
+    start: tuple[float, ...] = number_list((0.0, 0.0, 0.0), "x y in m and yaw in degrees")
     rtf: float = number(4.0, "simulated seconds per second", above=0.0, maximum=100.0)
     simulated_limit: float = number(60.0, "simulated s for the submission", above=0.0)
     wall_limit: float = number(60.0, "wall s for the submission", above=0.0)
@@ -211,7 +211,7 @@ class Exercise:
     output_limit: int = integer(1000, "kB that may be printed", 1)
     seed: int = integer(1, "of the first run", 0)
     runs: int = integer(1, "runs, each with its own seed; a criterion must hold in all", 1, 100)
-    criteria: Tuple[Criterion, ...] = ()
+    criteria: tuple[Criterion, ...] = ()
 
 
 def find_exercise(name: str, base: Path) -> Path:
@@ -254,7 +254,7 @@ def _criterion(entry: Any, where: str) -> Criterion:
     return Criterion(**{"name": name, **found})
 
 
-def _read(kind: type, given: Any, where: str, allowed: List[str]) -> Dict[str, Any]:
+def _read(kind: type, given: Any, where: str, allowed: list[str]) -> dict[str, Any]:
     """Return the checked values of a dataclass from the entries of a file."""
     if not isinstance(given, dict):
         raise LabError(f"{where} is {str(given)[:80]}: it must be keys with values")
@@ -265,7 +265,7 @@ def _read(kind: type, given: Any, where: str, allowed: List[str]) -> Dict[str, A
     return {key: known[key].read(value, f"{where}: {key}") for key, value in given.items()}
 
 
-def grade(name: str, exercise: Exercise, records: Sequence[Record]) -> Dict[str, Any]:
+def grade(name: str, exercise: Exercise, records: Sequence[Record]) -> dict[str, Any]:
     """Return the mark of a submission for its runs, as in grade.json."""
     rows = []
     for criterion in exercise.criteria:

@@ -6,7 +6,7 @@ import csv
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from bullet_lab.core.trajectory import (
     trajectory_of,
     tum_row,
 )
+from bullet_lab.errors import LabError
 
 LONGEST_PATH = 1e7
 """m; longer paths are errors of units or of a file."""
@@ -86,7 +87,7 @@ def check_path(trajectory: Trajectory) -> None:
 
 def read_table(
     path: Path, *choices: Sequence[str]
-) -> Tuple[Sequence[str], List[Tuple[str, Mapping[str, str]]]]:
+) -> tuple[Sequence[str], list[tuple[str, Mapping[str, str]]]]:
     """Read a CSV file whose first line names its columns.
 
     Args:
@@ -157,7 +158,7 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
     return trajectory_of([_pose_row(message) for message in messages], path, places)
 
 
-def _pose_row(message: Any) -> List[float]:
+def _pose_row(message: Any) -> list[float]:
     place, turn = _POSES[message._type](message)
     yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
     return [message.header.stamp.to_sec(), place.x, place.y, yaw]
@@ -175,9 +176,6 @@ MOST_POSES = 2_000_000
 _SAME_STAMP = 1e-6  # s; closer than messages ever are
 
 
-class ResamplingError(TrajectoryError):
-    """A path cannot be resampled at a rate."""
-
 
 def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     """Return the poses of messages at a rate: at start + k / rate, and at the end.
@@ -190,12 +188,12 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
         rate: Hz, > 0.
 
     Raises:
-        ResamplingError: the rate is too high for the path.
+        LabError: the rate is too high for the path.
     """
     start, end = trajectory.stamps[[0, -1]]
     count = (end - start) * rate
     if count >= MOST_POSES:
-        raise ResamplingError(f"{rate:g} Hz for {end - start:g} s are too many messages")
+        raise LabError(f"{rate:g} Hz for {end - start:g} s are too many messages")
     stamps = start + np.arange(math.floor(count) + 1) / rate
     if end - stamps[-1] > _SAME_STAMP:
         stamps = np.append(stamps, end)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Callable, Iterator, List, Mapping, Sequence, Tuple
+from typing import Any, Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -68,8 +68,8 @@ def drive_square(square: Square, mode: str = OPEN_LOOP, rest: float = 0.5) -> Sq
         LabError: the mode is unknown, or the simulation's files are missing.
     """
     driver = SquareDriver(square, mode)
-    rows: List[Tuple[int, PlanarPose, int, Sequence[float]]] = []
-    corners: List[Tuple[float, float]] = []
+    rows: list[tuple[int, PlanarPose, int, Sequence[float]]] = []
+    corners: list[tuple[float, float]] = []
 
     def record(sample: OdometrySample) -> None:
         side = NO_SIDE + len(corners)
@@ -147,7 +147,7 @@ def _run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
 
 def _noise(
     settings: SquaresSettings,
-) -> Callable[[int, Sequence[float]], Iterator[Tuple[PlanarPose, np.ndarray]]]:
+) -> Callable[[int, Sequence[float]], Iterator[tuple[PlanarPose, np.ndarray]]]:
     """Return a function that yields the noisy poses (0 or 1) for a perfect one, as noisy_odom.
 
     With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
@@ -158,7 +158,7 @@ def _noise(
     path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 
-    def noisy(step: int, pose: Sequence[float]) -> Iterator[Tuple[PlanarPose, np.ndarray]]:
+    def noisy(step: int, pose: Sequence[float]) -> Iterator[tuple[PlanarPose, np.ndarray]]:
         reported = errors.update(*pose).pose
         if not settings.as_published:
             moved = path.update(*reported)
@@ -170,7 +170,7 @@ def _noise(
     return noisy
 
 
-def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> List[str]:
+def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> list[str]:
     return [SquaresReport.line(_run_squares(folder, settings))]
 
 

@@ -1,8 +1,8 @@
-"""The program around a study: command line, exit status, progress and complete results.
+"""The program around a study: command line, exit status, progress, complete results, figures.
 
 A study consists of settings (frozen dataclasses, with parameters declared by `core.parameters`)
 and a function that takes them. `run_from` makes a program of the two. `studies.workers` runs the
-tasks of a study; `studies.results` writes its tables, figures and summary.
+tasks of a study; `write_results` writes its tables, figures and summary.
 """
 
 from __future__ import annotations
@@ -15,11 +15,18 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Iterable, Iterator, NoReturn, Optional, Sequence, Tuple, Type
+from typing import Any, Callable, Iterable, Iterator, Mapping, NoReturn, Sequence, TypeVar
 
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from scipy.special import betaincinv
 from tqdm import tqdm
 
-from bullet_lab.core.files import PART, file_errors, make_folder
+from bullet_lab.core.figures import new_figure, save
+from bullet_lab.core.files import PART, file_errors, make_folder, write_json
 from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
@@ -31,6 +38,10 @@ MOST_SEED = 2**63 - 1
 LINES = 10
 """Number of lines that report the progress if there is no terminal."""
 
+Record = Mapping[str, Any]
+"""A row of a table by the names of its columns."""
+
+T = TypeVar("T")
 Tell = Callable[[str], None]
 """Prints a line for the user."""
 
@@ -51,17 +62,12 @@ class UnfinishedError(LabError):
     """The request is valid, but was not completed."""
 
 
-def silent(line: str) -> None:
-    """Print nothing."""
-
-
 def run_from(
     name: str,
-    about: Optional[str],
-    settings: Sequence[Type],
-    run: Callable[..., Optional[Iterable[str]]],
-    words: Optional[Sequence[str]] = None,
-    short: Sequence[Tuple[str, str]] = (),
+    about: str | None,
+    settings: Sequence[type],
+    run: Callable[..., Iterable[str] | None],
+    words: Sequence[str] | None = None,
 ) -> NoReturn:
     """Run a study from the command line, and exit: 0 done, 1 unfinished, 2 bad input, 130 stopped.
 
@@ -72,7 +78,6 @@ def run_from(
         run: gets the folder for the results, which exists, an instance of each of `settings`, and
             a function that prints a line; may return lines to print; raises LabError.
         words: of the command line; those of this process by default.
-        short: short options, such as -n, each with the name of its parameter.
     """
     words = sys.argv[1:] if words is None else words
 
@@ -86,8 +91,6 @@ def run_from(
         parser.add_argument("out", type=Path, help="folder for the results")
         for kind in settings:
             add_options(parser, kind)
-        for option, parameter in short:
-            parser.add_argument(option, dest=parameter, metavar=parameter.upper())
         # roslaunch adds __name:=… and __log:=…
         values = vars(parser.parse_args([w for w in words if not re.match(r"__\w+:=", w)]))
         read = [read_options(kind, values) for kind in settings]
@@ -125,43 +128,33 @@ def _ignore_interrupts() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-@contextlib.contextmanager
 def progress(
-    title: str,
+    items: Iterable[T],
+    things: str,
     total: int,
     tell: Tell,
     done: int = 0,
-    unit: str = "cell",
-    things: str = "",
     counts: Callable[[], str] = str,
-) -> Iterator[Callable[[], None]]:
-    """Show the progress of work: a bar on a terminal, at most `LINES` lines elsewhere.
-
-    Yields a function to call after each unit of work.
+) -> Iterator[T]:
+    """Yield items, and show the progress: a bar on a terminal, at most `LINES` lines elsewhere.
 
     Args:
-        title: of the bar.
-        total: number of units.
+        items: of which the next one is asked for when the work on one is done.
+        things: name of the items.
+        total: number of all items.
         tell: prints a line.
-        done: number of units that were done before.
-        unit: name of a unit, for the bar.
-        things: name of the units in the lines, with a space before it; may be empty.
-        counts: returns a summary of the units that are done.
+        done: number of items that were done before.
+        counts: returns a summary of the items that are done.
     """
-    with tqdm(total=total, initial=done, unit=unit, desc=title, disable=None) as bar:
-
-        def note() -> None:
-            nonlocal done
+    with tqdm(total=total, initial=done, desc=things, disable=None) as bar:
+        for item in items:
+            yield item
             done += 1
             bar.update()
             if not bar.disable:
                 bar.set_postfix_str(counts())
             elif done * LINES // total > (done - 1) * LINES // total:
-                tell(", ".join(filter(None, (f"{done} of {total}{things} done", counts()))))
-
-        if not bar.disable:
-            bar.set_postfix_str(counts())
-        yield note
+                tell(", ".join(filter(None, (f"{done} of {total} {things} done", counts()))))
 
 
 @contextlib.contextmanager
@@ -187,6 +180,134 @@ def whole_results(folder: Path) -> Iterator[Path]:
 
 
 def write_table(path: Path, rows: Iterable[Iterable[Any]]) -> None:
-    """Write rows, the header first, as CSV; None becomes an empty entry."""
+    """Write rows, the header first, as CSV; None becomes an empty entry, a bool true or false."""
     with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+        csv.writer(file, lineterminator="\n").writerows(map(_entries, rows))
+
+
+def _entries(row: Iterable[Any]) -> list[Any]:
+    return [str(entry).lower() if isinstance(entry, bool) else entry for entry in row]
+
+
+def write_results(
+    folder: Path,
+    summary: dict[str, Any],
+    tables: Mapping[str, Iterable[Iterable[Any]]],
+    figures: Mapping[str, Figure],
+    texts: Mapping[str, str],
+    name: str = SUMMARY,
+) -> dict[str, Any]:
+    """Write all results of a study, or none of them, and return the summary.
+
+    Args:
+        folder: for the files.
+        summary: content of a JSON file.
+        tables: rows of CSV files, the header first, by the names of the files.
+        figures: by the names of PNG files.
+        texts: content of other files by their names, which may begin with a folder.
+        name: of the file with the summary.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    with whole_results(folder) as part:
+        for file, rows in tables.items():
+            write_table(part / file, rows)
+        for file, figure in figures.items():
+            save(figure, part / file)
+        for file, text in texts.items():
+            (part / file).parent.mkdir(exist_ok=True)
+            (part / file).write_text(text)
+        write_json(part / name, summary)
+    return summary
+
+
+def rows_of(records: Sequence[Record]) -> list[Iterable[Any]]:
+    """Return a header and a row for each of the records, which have the same names."""
+    return [records[0], *(record.values() for record in records)]
+
+
+def clopper_pearson(hits: int, trials: int, tail: float) -> tuple[float, float]:
+    """Return Clopper and Pearson's interval of the probability of a hit.
+
+    Each end is the probability for which at least so many hits, or at most so many, have the
+    probability `tail`: a quantile of the beta distribution. The true probability, whatever its
+    value, is beyond an end in at most that share of all experiments.
+    (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934.)
+
+    >>> [round(end, 3) for end in clopper_pearson(95, 100, 0.025)]
+    [0.887, 0.984]
+    """
+    low = betaincinv(hits, trials - hits + 1, tail) if hits else 0.0
+    high = betaincinv(hits + 1, trials - hits, 1.0 - tail) if hits < trials else 1.0
+    return float(low), float(high)
+
+
+def text_table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return lines with the words of each row in columns."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
+def panels(
+    shape: tuple[int, int],
+    size: tuple[float, float],
+    title: str = "",
+    labels: tuple[str, str] = ("", ""),
+    grid: bool = True,
+    **more: Any,
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure and its axes, an array of a shape.
+
+    Args:
+        shape: numbers of rows and columns.
+        size: width and height in inches.
+        title: of the figure.
+        labels: of x below the last row, and of y beside the first column.
+        grid: whether to draw grids.
+        more: as in `Figure.subplots`.
+    """
+    figure = new_figure(*size)
+    if title:
+        figure.suptitle(title)
+    every = figure.subplots(*shape, squeeze=False, **more)
+    for axes in every.flat if grid else ():
+        axes.grid(alpha=0.3)
+    for axes in every[-1]:
+        axes.set_xlabel(labels[0])
+    for axes in every[:, 0]:
+        axes.set_ylabel(labels[1])
+    return figure, every
+
+
+def legend_below(
+    figure: Figure, handles: Sequence[Artist], columns: int = 0, bottom: float = 0.0, **more: Any
+) -> None:
+    """Add a legend below the panels of a figure.
+
+    Args:
+        figure: to draw on.
+        handles: with labels.
+        columns: of the legend; 0 for a single row.
+        bottom: share of the height for the legend; the panels are laid out above it. 0 keeps them.
+        more: as in `Figure.legend`.
+    """
+    more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
+    if handles:
+        figure.legend(handles=handles, **more)
+    if bottom:
+        figure.tight_layout(rect=(0.0, bottom, 1.0, 1.0))
+
+
+def legend_entry(label: str, **style: Any) -> Line2D:
+    """Return an entry for a legend: a line or marker in a style, with a label."""
+    return Line2D([], [], label=label, **style)
+
+
+def labelled(*every: Axes) -> list[Artist]:
+    """Return the artists of some axes that have a label, one for each label."""
+    handles: dict[str, Artist] = {}
+    for axes in every:
+        for handle, label in zip(*axes.get_legend_handles_labels()):
+            handles.setdefault(label, handle)
+    return list(handles.values())

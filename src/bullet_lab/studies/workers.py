@@ -13,18 +13,17 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import connection, get_context, parent_process, resource_tracker
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Sequence, Tuple
+from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
 
 import cv2
 
-from bullet_lab.core.parameters import checked, choice, integer
-from bullet_lab.simulation.rendering.graphics import AUTO, CHOICES, check_choice
+from bullet_lab.core.parameters import checked, integer
 from bullet_lab.studies.study import Settings, Tell, UnfinishedError, progress
 
 SECONDS_FOR_SCHEDULER = 10.0
 SECONDS_FOR_WORKERS = 30.0
-LIVES = 2
-"""Number of processes that may die on a task before it is tried alone, by one more process."""
+LIVES = 3
+"""Number of processes that may die on a task; another task may have been the cause."""
 
 MOST_WORKERS = 1024
 
@@ -40,9 +39,6 @@ If every process that ran the task has died, the result is a TaskLostError, whic
 """
 
 
-class WorkersError(UnfinishedError):
-    """The tasks cannot be run, or no worker is left."""
-
 
 class TaskLostError(UnfinishedError):
     """Every process that ran a task has died."""
@@ -53,11 +49,6 @@ class WorkerSettings(Settings):
     """Number of processes on this machine."""
 
     workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
-    renderer: str = choice(AUTO, "ignored: Panda3D draws all pictures", CHOICES)
-
-    def __post_init__(self) -> None:  # noqa: D105 - inherited
-        super().__post_init__()
-        check_choice(self.renderer)
 
 
 def _address(value: Any) -> str:
@@ -81,9 +72,7 @@ def this_process(task: Task, numbers: Sequence[int]) -> Results:
     return ((number, task(number)) for number in numbers)
 
 
-def run_tasks(
-    task: Task, count: int, run: Run, tell: Tell, title: str, unit: str, things: str
-) -> List[Any]:
+def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> list[Any]:
     """Run a task for the numbers from 0 on and return the results in this order.
 
     Args:
@@ -91,59 +80,40 @@ def run_tasks(
         count: how many numbers.
         run: runs the tasks.
         tell: prints a line.
-        title: for `progress`, as are the next two.
-        unit: name of a task.
         things: name of the tasks.
 
     Raises:
         TaskLostError: every process that ran one of the tasks has died.
     """
-    results: Dict[int, Any] = {}
-    with progress(title, count, tell, unit=unit, things=things) as note:
-        for number, result in run(task, range(count)):
-            if isinstance(result, TaskLostError):
-                raise TaskLostError(f"{unit} {number}: {result}")
-            results[number] = result
-            note()
+    results: dict[int, Any] = {}
+    for number, result in progress(run(task, range(count)), things, count, tell):
+        if isinstance(result, TaskLostError):
+            raise TaskLostError(f"number {number} of {things}: {result}")
+        results[number] = result
     return [results[number] for number in range(count)]
 
 
 def workers(count: int = 0, scheduler: str = "") -> Run:
     """Return a function that runs tasks.
 
-    If a process dies, another one runs its task again. At last the task runs alone, since another
-    task may have been the cause. The function raises WorkersError if the tasks cannot be run or no
-    worker is left.
+    If a process dies, another one runs its task again. The function raises UnfinishedError if the
+    tasks cannot be run or no worker is left.
 
     Args:
         count: processes of this machine; 0 for one per core. They share nothing, and end with
             this process, however it ends.
         scheduler: address, such as tcp://host:8786, of a Dask cluster to use instead.
     """
-    run_round = partial(_on_dask, scheduler) if scheduler else partial(_on_processes, count)
-
-    def run(task: Task, numbers: Sequence[int]) -> Results:
-        suspects = []
-        for number, result in run_round(task, numbers):
-            if isinstance(result, TaskLostError):
-                suspects.append(number)
-            else:
-                yield number, result
-        for number in suspects:
-            yield from run_round(task, [number], lives=1)
-
-    return run
+    return partial(_on_dask, scheduler) if scheduler else partial(_on_processes, count)
 
 
-def _on_processes(
-    count: int, task: Task, numbers: Sequence[int], lives: int = LIVES
-) -> Results:
+def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
     # Each process uses one core: its libraries must not start a thread per core.
     for library in ("MKL", "OMP", "OPENBLAS"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     most = count or len(os.sched_getaffinity(0))
     left, deaths = list(reversed(numbers)), Counter()
-    busy: Dict[Any, _Worker] = {}
+    busy: dict[Any, _Worker] = {}
     try:
         while left or busy:
             while left and len(busy) < most:
@@ -158,13 +128,13 @@ def _on_processes(
                     busy.pop(pipe).end()
                 if found is None:
                     deaths[number] += 1
-                    if deaths[number] < lives:
+                    if deaths[number] < LIVES:
                         left.append(number)
                         continue
                     found = True, TaskLostError(_LOST)
                 done, value = found
                 if not done:
-                    raise WorkersError(f"a worker process failed: {value}")
+                    raise UnfinishedError(f"a worker process failed: {value}")
                 yield number, value
     finally:
         for worker in busy.values():
@@ -236,9 +206,7 @@ def _in_turn(task: Task, number: int) -> Any:
         return task(number)
 
 
-def _on_dask(
-    scheduler: str, task: Task, numbers: Sequence[int], lives: int = LIVES
-) -> Results:
+def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
     """Run the tasks on the workers of a cluster, whose scheduler counts the lives of a task."""
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
@@ -253,10 +221,10 @@ def _on_dask(
             except KilledWorker:
                 result = TaskLostError(_LOST)
             except CancelledError:
-                raise WorkersError("the connection to the Dask scheduler is lost") from None
+                raise UnfinishedError("the connection to the Dask scheduler is lost") from None
             except Exception as error:  # of the task, or of a worker without the right libraries
                 kind = type(error).__name__
-                raise WorkersError(f"a worker process failed: {kind}: {error}") from error
+                raise UnfinishedError(f"a worker process failed: {kind}: {error}") from error
             yield number_of[future.key], result
             future.release()
 
@@ -272,10 +240,10 @@ def _dask_client(scheduler: str) -> Iterator[Any]:
     try:
         client = Client(scheduler, timeout=SECONDS_FOR_SCHEDULER, set_as_default=False)
     except (OSError, ValueError, TimeoutError):
-        raise WorkersError(f"no Dask scheduler answers at {scheduler}") from None
+        raise UnfinishedError(f"no Dask scheduler answers at {scheduler}") from None
     with contextlib.closing(client):
         try:
             client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
         except TimeoutError:
-            raise WorkersError(f"the Dask scheduler at {scheduler} has no workers") from None
+            raise UnfinishedError(f"the Dask scheduler at {scheduler} has no workers") from None
         yield client

@@ -7,7 +7,7 @@ from typing import Sequence
 
 import numpy as np
 
-from bullet_lab.studies.shares import clopper_pearson
+from bullet_lab.studies.study import clopper_pearson
 
 CONFIDENCE = 0.95
 _DRAWS = 4000

@@ -27,7 +27,7 @@ TEXT = """<?xml version="1.0"?>
      here. -->
 <launch>
   <arg name="std" default="0.1" doc="Noise
-    per metre [number >= 0]"/>
+    per metre [number]"/>
   <arg name="empty" default=""/>
   <arg name="fixed" value="1"/>
   <arg name="smallest" value="std:=0 empty:='a b'"/>
@@ -57,7 +57,7 @@ def of_argument(words, folder):
 def test_job_is_read_from_its_launch_file(job):
     assert (job.name, job.summary) == ("thing", "Does one thing well.")
     assert [(a.name, a.default, a.doc, a.bracket) for a in job.arguments.values()] == [
-        ("std", "0.1", "Noise per metre", "number >= 0"),
+        ("std", "0.1", "Noise per metre", "number"),
         ("empty", "", "", ""),
     ]
     assert job.smallest == "std:=0 empty:='a b'"
@@ -83,7 +83,7 @@ def test_assignments_are_checked_and_the_last_counts(job):
         ("stf:=1", "no argument 'stf' .did you mean 'std'"),
         ("fixed:=2", "no argument 'fixed'"),
         ("inner:=2", "no argument 'inner'"),
-        ("std:=-1", "^std is '-1': it must be a number >= 0$"),
+        ("std:=x", "^std is 'x': it must be a number$"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(job, word, message):
@@ -101,10 +101,8 @@ def test_argument_without_default_is_required(tmp_path):
     ("doc", "good", "bad"),
     yaml.safe_load(
         f"""
-        - ["Noise [number >= 0]", ["0", "1e-3", ".5", "2."], ["-0.1", nan, inf, x, ""]]
-        - ["Part [number > 0 <= 1]", ["0.5", "1"], ["0", "1.01"]]
-        - ["Seed [integer >= 0]", ["0", "42"], ["-1", "1.0", "1e3", "٣"]]
-        - ["Any [number]", ["-1e300"], ["1e999", "1_000", "0x10", " 1"]]
+        - ["Seed [integer]", ["0", "42"], ["1.0", "1e3", "٣"]]
+        - ["Any [number]", ["-1e300", "1e-3", ".5"], ["1e999", "1_000", "0x10", " 1", nan, x, ""]]
         - ["Show [true|false]", ["true", "false"], ["True", "1", "yes", ""]]
         - ["Rule [report|rate_invariant]", [rate_invariant], [report|rate_invariant, rep]]
         - ["Where [folder]", [a/b c, /tmp], [""]]
@@ -143,8 +141,7 @@ def test_a_name_that_is_too_long_is_refused(tmp_path, name):
 @pytest.mark.parametrize(
     "doc",
     [
-        *("x [nubmer >= 0]", "x [number => 0]", "x [only]", "x [a||b]", "x [number >= --1]"),
-        *("x [number >=]", "x [integer > 0]", "x [ ]"),
+        *("x [nubmer]", "x [number >= 0]", "x [only]", "x [a||b]", "x [ ]"),
     ],
 )
 def test_bracket_outside_the_grammar_is_an_error(tmp_path, doc):
@@ -174,7 +171,7 @@ def test_unknown_job_is_refused_with_a_hint(job):
 def test_help_lists_resolved_defaults(job):
     lines = help_on(job, {"std": "0.5"}).splitlines()
     assert lines[0] == "thing: Does one thing well."
-    assert lines[3:] == ["  std:=0.5  Noise per metre [number >= 0]", "  empty:="]
+    assert lines[3:] == ["  std:=0.5  Noise per metre [number]", "  empty:="]
 
 
 def test_list_has_a_line_for_each_job(job):
@@ -185,7 +182,7 @@ NODES = """
 <launch>
   <arg name="noise" default=""/>
   <arg name="seed" default="1" doc="Of all"/>
-  <arg name="speed" default="0.5" doc="How fast [number &gt;= 0.1]"/>
+  <arg name="speed" default="0.5" doc="How fast [number]"/>
   <arg name="many" default=""/>
   <arg name="count" default=""/>
   <group if="true">
@@ -225,7 +222,7 @@ def test_arguments_are_described_by_the_parameters_that_they_set(tmp_path):
     assert "  noise:=0.1  Standard deviation per metre" in text
     assert "[a number >= 0 and <= 1e+06]" in text
     assert "  seed:=1     Of all [a whole number from 0 to 2147483647]" in text
-    assert "  speed:=0.5  How fast [number >= 0.1]" in text
+    assert "  speed:=0.5  How fast [number]" in text
 
 
 @pytest.mark.parametrize(
@@ -233,7 +230,7 @@ def test_arguments_are_described_by_the_parameters_that_they_set(tmp_path):
     [
         ("noise:=-1", r"^noise is '-1': it must be a number >= 0 and <= 1e\+06$"),
         ("seed:=0.5", "^seed is '0.5': it must be a whole number from 0 to 2147483647$"),
-        ("speed:=0.05", "^speed is '0.05': it must be a number >= 0.1$"),
+        ("speed:=x", "^speed is 'x': it must be a number$"),
     ],
 )
 def test_values_that_a_node_would_refuse_are_refused_before_it_starts(tmp_path, word, message):

@@ -2,8 +2,8 @@ import os
 
 import pytest
 
+from bullet_lab.jobs.command import OutputFolder, shown
 from bullet_lab.jobs.declaration import UsageError
-from bullet_lab.jobs.folder import OutputFolder, shown
 
 
 def test_folder_is_created_with_room_for_logs(tmp_path):

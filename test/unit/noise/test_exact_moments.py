@@ -123,7 +123,7 @@ def case_of(name, model, std, paths=PATHS):
 
 def test_no_noise_is_no_error():
     case = case_of("square", "report", 0.0, 10)
-    assert np.abs(case.covariance).max() < 1e-24
+    assert case.rms_distance.max() < 1e-12
     assert case.metrics["ape_rmse_m"]["p95"] < 1e-12
     assert {name: set(found) for name, found in case.regions.found.items()} == {
         name: {None} for name in METHODS
@@ -152,8 +152,6 @@ def test_a_mean_of_blocks_is_the_mean_of_all():
     case = case_of("square", "rate_invariant", 0.2)
     steps = noisy_steps(PATHS_BY_NAME["square"], level_rule("rate_invariant", 0.2))
     errors = drawn_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
-    np.testing.assert_allclose(case.mean, errors.mean(axis=0), rtol=1e-9)
-    np.testing.assert_allclose(case.covariance, np.cov(errors.T), rtol=1e-9)
     distances = np.hypot(errors[:, 0], errors[:, 1])
     metric = case.metrics["final_error_m"]
     expected = [distances.mean(), np.median(distances), np.quantile(distances, 0.95)]

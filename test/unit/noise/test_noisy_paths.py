@@ -10,6 +10,7 @@ from recorded_paths import poses_of
 
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import (
@@ -19,7 +20,7 @@ from bullet_lab.noise.odometry_noise import (
     ReportRule,
 )
 from bullet_lab.studies.noise_study.regions import level_rule
-from bullet_lab.studies.paths import ResamplingError, find_corners, resample
+from bullet_lab.studies.paths import find_corners, resample
 
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 
@@ -120,7 +121,7 @@ def test_a_heading_is_interpolated_the_short_way_round():
 
 
 def test_a_rate_that_is_too_high():
-    with pytest.raises(ResamplingError, match="1e\\+09 Hz for .* are too many messages"):
+    with pytest.raises(LabError, match="1e\\+09 Hz for .* are too many messages"):
         resample(square_drive(), 1e9)
 
 

@@ -16,13 +16,14 @@ from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, boolean, integer, numbers, text
 from bullet_lab.studies.study import (
     Settings,
+    UnfinishedError,
     interrupt_once,
     progress,
     run_from,
     whole_results,
     write_table,
 )
-from bullet_lab.studies.workers import TaskLostError, WorkersError
+from bullet_lab.studies.workers import TaskLostError
 
 PACKAGE = Path(__file__).parents[3]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -43,7 +44,7 @@ REFUSED = [
     ("detection_range", "--frames 0", "it must be a whole number from 1 to 100000"),
     ("detection_range", "--dots -1", "it must be a whole number from 0 to 100000"),
     ("detection_range", "--workers -1", "--workers is '-1'"),
-    ("dock_campaign", "-n 0", "--dockings is '0': it must be a whole number from 1 to 1000000"),
+    ("dock_campaign", "--dockings 0", "it must be a whole number from 1 to 1000000"),
     ("dock_campaign", "--worlds kitchen", "--worlds is 'kitchen'"),
     ("dock_campaign", "--lights candle", "--lights is 'candle'"),
     ("dock_campaign", "--odometry gps", "--odometry is 'gps'"),
@@ -89,7 +90,7 @@ class Place:
     world: str = text("", "where")
 
 
-def ended(words, run=lambda *_: None, **options):
+def ended(words, run=lambda *_: None):
     """The status that a study ends with, and what it was run with."""
     found = []
 
@@ -98,7 +99,7 @@ def ended(words, run=lambda *_: None, **options):
         run(*given)
 
     with pytest.raises(SystemExit) as end:
-        run_from("a_study", "Studies.\nMore.", (Noise, Place), body, words, **options)
+        run_from("a_study", "Studies.\nMore.", (Noise, Place), body, words)
     return end.value.code, found
 
 
@@ -133,8 +134,8 @@ def test_the_second_signal_does_not_interrupt_what_the_first_one_has_begun(first
 
 
 def test_settings_make_the_command_line(capsys):
-    words = ["out", "--levels", "0", "0.5", "--all-of-it", "--world", "moon", "-p", "7"]
-    status, found = ended([*words, "__name:=a", "__log:=/a b.log"], short=[("-p", "paths")])
+    words = ["out", "--levels", "0", "0.5", "--all-of-it", "--world", "moon", "--paths", "7"]
+    status, found = ended([*words, "__name:=a", "__log:=/a b.log"])
     folder, settings, place, tell = found
     assert status == 0
     assert (folder, settings) == (Path("out"), Noise((0.0, 0.5), 7, True))
@@ -168,7 +169,7 @@ def test_help_names_every_setting(capsys):
         (["out", "--nix"], None, 2, "unrecognized arguments: --nix"),
         (["/proc/nowhere"], None, 2, "cannot make the folder"),
         (["out"], FileError("cannot write"), 2, "cannot write"),
-        (["out"], WorkersError("nobody\nworks"), 1, "nobody works"),
+        (["out"], UnfinishedError("nobody\nworks"), 1, "nobody works"),
         (["out"], TaskLostError("lost"), 1, "lost"),
     ],
 )
@@ -216,11 +217,8 @@ def test_bad_words_end_a_study_with_one_line_and_nothing_written(name, words, sa
 @pytest.mark.parametrize(("total", "before"), [(30, 0), (7, 3)])
 def test_without_a_terminal_some_lines_tell_of_the_progress(total, before):
     lines = []
-    with progress(
-        "work", total, lines.append, before, things=" cells", counts=lambda: "3 bad"
-    ) as note:
-        for _ in range(total - before):
-            note()
+    work = range(before, total)
+    assert list(progress(work, "cells", total, lines.append, before, lambda: "3 bad")) == list(work)
     assert len(lines) == min(10, total - before)
     assert lines[-1] == f"{total} of {total} cells done, 3 bad"
 

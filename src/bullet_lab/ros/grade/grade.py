@@ -16,14 +16,14 @@ import sys
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any
 
 from roslib.message import get_message_class
 
 from bullet_lab.core.files import file_errors, make_folder, write_json
 from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
-from bullet_lab.ros.grade.submission import SubmissionError, adopt_orphans, command_of, end_children
+from bullet_lab.ros.grade.trial import SubmissionError, adopt_orphans, command_of, end_children
 from bullet_lab.ros.launcher.output import environment_without_ros, temporary_folder, tied
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.studies.grade import (
@@ -61,10 +61,10 @@ class Grader:
     """Grades submissions to the exercise in a file; `results` has a folder for each of them."""
 
     file: Path
-    submissions: List[Path]
-    results: List[Path]
+    submissions: list[Path]
+    results: list[Path]
 
-    def kept(self, number: int) -> Dict[str, Any]:
+    def kept(self, number: int) -> dict[str, Any]:
         """Return the mark from an earlier run with the same files; empty if there is none."""
         try:
             mark = json.loads((self.results[number] / GRADE).read_text())
@@ -82,7 +82,7 @@ class Grader:
                 digest.update(path.read_bytes())
         return digest.hexdigest()
 
-    def __call__(self, number: int) -> Dict[str, Any]:
+    def __call__(self, number: int) -> dict[str, Any]:
         """Run and grade a submission, write the files of its mark, and return the mark."""
         exercise, folder = read_exercise(self.file), self.submissions[number]
         out = make_folder(self.results[number])
@@ -140,7 +140,7 @@ def check_topics(exercise: Exercise, name: str) -> None:
             raise LabError(f"{name}: criterion {number}: {what}") from None
 
 
-def _run(out: Path, settings: GradeSettings, tell: Tell) -> List[str]:
+def _run(out: Path, settings: GradeSettings, tell: Tell) -> list[str]:
     base = Path(settings.base)
     file = find_exercise(settings.exercise, base).resolve()
     exercise = read_exercise(file)
@@ -159,13 +159,12 @@ def _run(out: Path, settings: GradeSettings, tell: Tell) -> List[str]:
     marks = {number: grader.kept(number) for number in range(len(submissions))}
     todo = [number for number, mark in marks.items() if not mark]
     done, total = len(submissions) - len(todo), len(submissions)
-    with progress("grading", total, tell, done, "submission", " submissions") as note:
-        for number, mark in workers(settings.workers)(grader, todo):
-            if isinstance(mark, TaskLostError):
-                lost = Record(notes=[f"it has killed its grader: {mark}"])
-                mark = grade(submissions[number].name, exercise, [lost])
-            marks[number] = mark
-            note()
+    found = workers(settings.workers)(grader, todo)
+    for number, mark in progress(found, "submissions", total, tell, done):
+        if isinstance(mark, TaskLostError):
+            lost = Record(notes=[f"it has killed its grader: {mark}"])
+            mark = grade(submissions[number].name, exercise, [lost])
+        marks[number] = mark
     rows = [(m["submission"], m["points"], m["of"], "; ".join(m["why"])) for m in marks.values()]
     with file_errors(f"cannot write {out / TABLE}"):
         write_table(out / TABLE, [("submission", "points", "of", "why"), *rows])

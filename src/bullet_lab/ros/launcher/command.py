@@ -17,12 +17,13 @@ from bullet_lab.errors import LabError
 from bullet_lab.jobs.command import (
     STATUS_BAD_VALUE,
     STATUS_FAILED,
+    OutputFolder,
     print_end,
     read_command,
+    shown,
     status_of,
 )
 from bullet_lab.jobs.declaration import FILE, Job, find_jobs
-from bullet_lab.jobs.folder import OutputFolder, shown
 from bullet_lab.ros.launcher.output import VirtualScreen, temporary_folder, words_to
 from bullet_lab.simulation.world.resources import ros_package_folder
 from bullet_lab.simulation.world.xml import parse_text, read_text

@@ -87,9 +87,6 @@ def words_to(path: Path):
             yield
 
 
-class ScreenError(LabError):
-    """The virtual screen cannot be started."""
-
 
 class VirtualScreen:
     """An Xvfb on a free display, which is set as DISPLAY; its output goes to a log file."""
@@ -101,7 +98,7 @@ class VirtualScreen:
         self._display = ""
 
     def __enter__(self) -> VirtualScreen:
-        """Start the screen, for all programs that are started later; raise ScreenError."""
+        """Start the screen, for all programs that are started later; raise LabError."""
         # Xvfb finds a free display and prints its number. A new session keeps Ctrl-C in the
         # terminal from it: it must outlive RViz.
         command = tied("Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp")
@@ -110,13 +107,13 @@ class VirtualScreen:
             with self._log.open("w") as log:
                 self._server = subprocess.Popen(command, stderr=log, **streams)
         except OSError as error:
-            raise ScreenError(f"cannot start Xvfb: {error.strerror}") from error
+            raise LabError(f"cannot start Xvfb: {error.strerror}") from error
         answer = self._server.stdout
         ready, _, _ = select.select([answer], [], [], _START_TIMEOUT)
         number = answer.readline().strip() if ready else ""
         if not number:
             self.__exit__()
-            raise ScreenError(f"Xvfb does not start, see {self._log}")
+            raise LabError(f"Xvfb does not start, see {self._log}")
         self._display = f":{number}"
         os.environ["DISPLAY"] = self._display
         os.environ["LIBGL_ALWAYS_SOFTWARE"] = "1"

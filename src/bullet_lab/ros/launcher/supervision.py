@@ -34,9 +34,6 @@ STOCK_URI = "http://localhost:11311"
 _CONNECT_TIMEOUT = 2.0
 
 
-class SupervisionError(LabError):
-    """The launch file cannot be run, or no master answers at ROS_MASTER_URI."""
-
 
 class RunMaster(NamedTuple):
     """A running master: its URI, the run id of its logs, and whether this process started it."""
@@ -53,7 +50,7 @@ def prepare_master() -> RunMaster:
     ends with this process. The environment is set for all processes that are started later.
 
     Raises:
-        SupervisionError: the variable has another value than STOCK_URI, and no master answers.
+        LabError: the variable has another value than STOCK_URI, and no master answers.
     """
     uri = os.environ.get("ROS_MASTER_URI", "").strip()
     is_stock = uri.rstrip("/") == STOCK_URI
@@ -63,7 +60,7 @@ def prepare_master() -> RunMaster:
         code, _, run_id = Master(uri=uri).get().getParam("/roslaunch", "/run_id")
         return RunMaster(uri, str(run_id) if code == 1 else "nodes", own=False)
     if uri and not is_stock:
-        raise SupervisionError(f"no ROS master answers at ROS_MASTER_URI={uri}")
+        raise LabError(f"no ROS master answers at ROS_MASTER_URI={uri}")
     # roslaunch prefers ROS_HOSTNAME, which would open the master to the network.
     os.environ.pop("ROS_HOSTNAME", None)
     os.environ.pop("ROS_IPV6", None)
@@ -173,7 +170,7 @@ class Launch:
         )
 
     def __enter__(self) -> Launch:
-        """Start the nodes; raise SupervisionError if one of them cannot be started."""
+        """Start the nodes; raise LabError if one of them cannot be started."""
         # Nodes that are ended early report that by their status.
         os.environ[JOB] = "1"
         # roslib keeps the signal handlers of interactive programs.
@@ -182,7 +179,7 @@ class Launch:
             self._start()
         except roslaunch.RLException as error:
             self.__exit__()
-            raise SupervisionError(_one_line(error)) from error
+            raise LabError(_one_line(error)) from error
         return self
 
     def _start(self) -> None:
@@ -247,7 +244,7 @@ def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfi
 
 
 def resolved_defaults(path: Path) -> dict[str, str]:
-    """Return the resolved defaults of a launch file's arguments; raise SupervisionError."""
+    """Return the resolved defaults of a launch file's arguments; raise LabError."""
     import roslaunch.arg_dump
 
     with _as_supervision_error():
@@ -260,7 +257,7 @@ def _as_supervision_error():
     try:
         yield
     except (roslaunch.RLException, rospkg.ResourceNotFound) as error:
-        raise SupervisionError(_one_line(error)) from error
+        raise LabError(_one_line(error)) from error
 
 
 def _one_line(error: Exception) -> str:

@@ -1,9 +1,11 @@
-"""How truth and odometry belong together: clocks, noise of the truth, and the truth's marker."""
+"""How truth and odometry belong together: clocks, noise of the truth, and the truth's marker.
+
+And steps that are joined to longer ones.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Tuple
 
 import numpy as np
 
@@ -49,6 +51,35 @@ def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
     return se2.compose(path.poses[before], chords(share[:, np.newaxis] * whole))
 
 
+def joined_ends(
+    steps: np.ndarray, follows: np.ndarray, distance: float, angle: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Join steps until they are long enough, within rows of which each follows the one before.
+
+    Args:
+        steps: dx (m), dy (m) and dyaw (rad), shape (n, 3).
+        follows: whether each begins at the end of the one before, shape (n,).
+        distance: m from its begin after which a joined one ends.
+        angle: rad, likewise; 0, 0: with each step.
+
+    Returns:
+        The first step of each joined one, and the one after its last, (k,) and (k,).
+    """
+    first, last = [], []
+    begin, place, heading = 0, 0j, 0.0
+    rows = zip(*np.asarray(steps).T.tolist(), follows.tolist())
+    for index, (dx, dy, turn, on) in enumerate(rows):
+        if not on:
+            begin, place, heading = index, 0j, 0.0
+        place += complex(dx, dy) * np.exp(1j * heading)
+        heading += turn
+        if abs(place) >= distance or abs(heading) >= angle:
+            first.append(begin)
+            last.append(index + 1)
+            begin, place, heading = index + 1, 0j, 0.0
+    return np.array(first, dtype=int), np.array(last, dtype=int)
+
+
 def resolution(path: Trajectory) -> float:
     """Return the standard deviation (m or rad) of the rounding of a file's poses.
 
@@ -63,7 +94,7 @@ def resolution(path: Trajectory) -> float:
     return RESOLUTION
 
 
-def jitter(true_steps, steps, follows: np.ndarray) -> Tuple[float, float]:
+def jitter(true_steps, steps, follows: np.ndarray) -> tuple[float, float]:
     """Return the standard deviation of white noise on the truth's poses, m and rad; 0 without.
 
     White noise of a pose goes into two steps, with opposite signs: the difference of the truth's
@@ -146,10 +177,10 @@ class Marker:
         error: standard errors of the same.
     """
 
-    place: Tuple[float, float, float]
-    error: Tuple[float, float, float]
+    place: tuple[float, float, float]
+    error: tuple[float, float, float]
 
-    def sure(self) -> Tuple[float, float, float]:
+    def sure(self) -> tuple[float, float, float]:
         """Return the place, with 0 for what is not surely different from it."""
         rows = zip(self.place, self.error, _NOTEWORTHY_PLACE)
         x, y, yaw = (v if abs(v) > max(SURE * error, least) else 0.0 for v, error, least in rows)
@@ -186,7 +217,7 @@ def marker_place(true_poses, poses, stamps: np.ndarray) -> Marker:
     )
 
 
-def robust_fit(columns: np.ndarray, values: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def robust_fit(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return Huber's estimate of values = columns @ x, (k,), and its standard errors, (k,).
 
     The errors allow for a spread that differs from value to value (the sandwich).

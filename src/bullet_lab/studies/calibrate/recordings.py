@@ -7,26 +7,21 @@ import os
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Iterator, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import choice, integer, name_list, number, part_of, text
-from bullet_lab.core.trajectory import Trajectory, TrajectoryError
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.odometry_noise import (
-    MODELS,
-    NoiseRule,
-    NoisyPath,
-    noise_parameters,
-    rule_of,
-)
+from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, NoisyPath, noise_parameters, rule_of
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.paths import read_path
-from bullet_lab.studies.shares import clopper_pearson
+from bullet_lab.studies.study import Record, clopper_pearson
 
 NAMES = (
     ("odom", "noisy_odom"),
@@ -54,9 +49,11 @@ _COMMANDS = (
 )
 """Commands of a lap: m/s, rad/s and s."""
 
+COVERAGE_COLUMNS = (
+    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
+    *("mean_estimate", "mean_low", "mean_high"),
+)
 
-class RecordingError(TrajectoryError):
-    """A file or folder has no path with truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +79,7 @@ Topics = Tuple[str, str]
 class DataSettings:
     """Files of the paths."""
 
-    data: Tuple[str, ...] = name_list(
+    data: tuple[str, ...] = name_list(
         "bags, tables with both paths, or folders of recordings; none: a made-up drive"
     )
     truth: str = text("", "file of the truth, instead of data")
@@ -91,12 +88,12 @@ class DataSettings:
     odometry_topic: str = text("/noisy_odom", "topic of the odometry in bags")
     base: str = text("", "folder that relative paths start from")
 
-    def recordings(self) -> List[Recording]:
+    def recordings(self) -> list[Recording]:
         """Read the recordings; none if no file is given. Raises LabError."""
         base, topics = Path(self.base), (self.truth_topic, self.odometry_topic)
         if bool(self.truth) != bool(self.odometry):
-            raise RecordingError("truth and odometry are one recording: both files are needed")
-        found: List[Recording] = []
+            raise LabError("truth and odometry are one recording: both files are needed")
+        found: list[Recording] = []
         if self.truth:
             found.append(read_pair(base / self.truth, base / self.odometry, topics))
         if self.data:
@@ -110,7 +107,7 @@ def read_pair(truth: Path, odometry: Path, topics: Topics) -> Recording:
     return Recording(str(odometry), *paths)
 
 
-def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
+def find_recordings(paths: Sequence[Path], topics: Topics) -> list[Recording]:
     """Read all recordings in files and folders.
 
     A recording is a bag with two topics, a table with both paths such as paths.csv of the squares,
@@ -124,7 +121,7 @@ def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
     if not found:
         places = ", ".join(map(str, paths))
         names = ", ".join(f"*{truth}.tum with *{odometry}.tum" for truth, odometry in NAMES[:3])
-        raise RecordingError(
+        raise LabError(
             f"{places}: no bag, no table with both paths, and no two files such as {names}"
         )
     return found
@@ -132,7 +129,7 @@ def find_recordings(paths: Sequence[Path], topics: Topics) -> List[Recording]:
 
 def _recordings(path: Path, topics: Topics) -> Iterator[Recording]:
     if not os.path.exists(path):
-        raise RecordingError(f"cannot read {path}: there is no such file or folder")
+        raise LabError(f"cannot read {path}: there is no such file or folder")
     if not os.path.isdir(path):
         yield _read_file(path, topics)
         return
@@ -153,14 +150,14 @@ def _read_file(path: Path, topics: Topics) -> Recording:
         return read_pair(path, path, topics)
     prefixes = _prefixes(path)
     if prefixes is None:
-        raise RecordingError(
+        raise LabError(
             f"{path}: neither a bag nor a table with both paths, whose first line names stamp, "
             "x, y, yaw, noisy_x, noisy_y and noisy_yaw; two files are truth and odometry"
         )
     return Recording(str(path), *(read_path(path, prefix=prefix) for prefix in prefixes))
 
 
-def _prefixes(path: Path) -> Optional[Tuple[str, str]]:
+def _prefixes(path: Path) -> tuple[str, str] | None:
     """Return the prefixes of the columns of both paths, None if a file lacks one of them."""
     if path.suffix != ".csv":
         return None
@@ -178,7 +175,7 @@ def _prefixes(path: Path) -> Optional[Tuple[str, str]]:
     return truth, odometry
 
 
-def _pairs(files: Sequence[Path]) -> Iterator[Tuple[Path, Path]]:
+def _pairs(files: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
     by_stem = {file.stem.lower(): file for file in files if file.suffix in _SUFFIXES}
     taken = set()
     for truth, odometry in NAMES:
@@ -212,7 +209,7 @@ class DriveSettings(noise_parameters(), SystematicErrors):
         """Return the rule of a noise model, with the parameters of the drive."""
         return rule_of(model, asdict(self))
 
-    def noise(self) -> Dict[str, float]:
+    def noise(self) -> dict[str, float]:
         """Return the parameters of the drive's noise model by name."""
         return asdict(self.rule(self.model))
 
@@ -222,7 +219,7 @@ def calibration_drive(settings: DriveSettings) -> Trajectory:
     period = 1.0 / settings.rate
     lap = [(v, w) for v, w, s in _COMMANDS for _ in range(max(1, round(s * settings.rate)))]
     arcs = np.array([(v * period, 0.0, w * period) for v, w in lap * settings.laps])
-    poses: List[np.ndarray] = [np.zeros(3)]
+    poses: list[np.ndarray] = [np.zeros(3)]
     for step in chords(arcs):
         poses.append(se2.compose(poses[-1], step))
     return Trajectory(period * np.arange(len(poses)), np.array(poses))
@@ -237,44 +234,19 @@ def made_up(settings: DriveSettings, seed: int) -> Recording:
     return Recording("a drive that was made up", truth, Trajectory(truth.stamps, np.array(poses)))
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """Estimates of a parameter over many paths.
-
-    Attributes:
-        model: name of the noise model.
-        name: of the parameter.
-        true: its value.
-        paths: number of paths.
-        held: number of intervals that hold the true value.
-        mean: of the estimates.
-        low: mean of the finite lower ends.
-        high: mean of the finite upper ends.
-        share: of the intervals that hold the true value.
-        band_95: 95 % band (Clopper and Pearson) of the share.
-    """
-
-    model: str
-    name: str
-    true: float
-    paths: int
-    held: int
-    mean: float
-    low: float
-    high: float
-    share: float
-    band_95: Tuple[float, float]
-
-
 def coverage(
     settings: DriveSettings,
     model: str,
     systematic: Sequence[str],
     paths: int,
     seed: int,
-    note: Callable[[], None] = lambda: None,
-) -> List[Coverage]:
+) -> list[Record]:
     """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
+
+    Returns:
+        For each parameter the number of paths, that of the intervals that hold its true value,
+        their share with its 95 % band (Clopper and Pearson), and the means of the estimates and of
+        the finite ends of the intervals.
 
     Args:
         settings: of the drive, with the true values.
@@ -282,7 +254,6 @@ def coverage(
         systematic: systematic errors that are applied and fitted; the others are 0.
         paths: number of paths.
         seed: of the paths, >= 0.
-        note: called after each path.
     """
     errors = {name: getattr(settings, name) for name in systematic}
     true = {**asdict(settings.rule(model)), **errors}
@@ -292,17 +263,15 @@ def coverage(
         found = fit(problem)
         estimates.append(found.estimates)
         ends.append(intervals(problem, found))
-        for _ in range(len(problem)):
-            note()
     values, bounds = np.concatenate(estimates), np.concatenate(ends)
     result = []
     for j, name in enumerate(problem.names):
         low, high = bounds[:, j].T
         held = int(((low <= true[name]) & (true[name] <= high)).sum())
         means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
-        band = clopper_pearson(held, paths, 0.025)
-        share = held / paths
-        result.append(Coverage(model, name, true[name], paths, held, *means, share, band))
+        shares = (held / paths, *clopper_pearson(held, paths, 0.025))
+        row = (model, name, true[name], paths, held, *shares, *means)
+        result.append(dict(zip(COVERAGE_COLUMNS, row)))
     return result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,15 +16,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
-from bullet_lab.noise.calibration import (
-    Fit,
-    Problem,
-    covariance,
-    fit,
-    intervals,
-    on_limit,
-    profile,
-)
+from bullet_lab.noise.calibration import Fit, Problem, fit, intervals, on_limit, profile
 from bullet_lab.noise.goodness import Goodness, goodness
 from bullet_lab.noise.likelihood import PARTS, StepPairs
 from bullet_lab.noise.odometry_noise import MODELS, WalkRule, rule_of
@@ -37,17 +29,9 @@ from bullet_lab.noise.prediction import (
     predicted,
 )
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.calibrate.lengths import (
-    long_length,
-    long_pairs,
-    pairs_of,
-    part_of,
-)
-from bullet_lab.studies.calibrate.recordings import Coverage, Recording
-from bullet_lab.studies.calibrate.steps import Steps
-from bullet_lab.studies.results import labelled, legend_below, panels
-
-_INSEPARABLE = 0.99  # correlation of two estimates that the steps cannot separate
+from bullet_lab.studies.calibrate.recordings import Recording
+from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
+from bullet_lab.studies.study import Record, labelled, legend_below, panels
 
 MOST_PATHS = 4  # in a figure
 _PART_TITLES = ("turn before the way", "way", "turn after the way")
@@ -59,9 +43,6 @@ _POINTS = 11
 # Chi-square's 95 % with one degree of freedom.
 _LIMIT = 3.841
 
-
-class UndeterminedError(LabError):
-    """The steps do not determine the parameters of a model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +63,7 @@ class ModelCalibration:
     intervals: np.ndarray
     goodness: Goodness
     prediction: Prediction
-    length: Tuple[float, float]
+    length: tuple[float, float]
 
     @property
     def model(self) -> str:
@@ -90,15 +71,15 @@ class ModelCalibration:
         return self.fit.model
 
     @property
-    def limited(self) -> List[str]:
+    def limited(self) -> list[str]:
         """The parameters that lie on a limit: then nothing of the model is a result."""
         return on_limit(self.problem, self.fit)
 
-    def rank(self) -> Tuple[bool, float]:
+    def rank(self) -> tuple[bool, float]:
         """Return what sorts models, the best one first."""
         return bool(self.limited), -self.prediction.density
 
-    def published(self) -> Dict[str, float]:
+    def published(self) -> dict[str, float]:
         """Return noise and systematic errors as they predict, with the spread of the latter."""
         values = self.fit.values()
         dispersion = self.prediction.dispersion
@@ -107,20 +88,12 @@ class ModelCalibration:
         spreads = zip(self.problem.systematic, np.sqrt(variances).tolist())
         return {**values, **asdict(rule), **{f"{name}_std": spread for name, spread in spreads}}
 
-    def parameters(self) -> Dict[str, Tuple[float, float, float]]:
+    def parameters(self) -> dict[str, tuple[float, float, float]]:
         """Return estimate, and low and high end of the interval, of each parameter by name."""
         return {
             name: (value, *map(float, ends))
             for (name, value), ends in zip(self.fit.values().items(), self.intervals)
         }
-
-    def inseparable(self) -> List[Tuple[str, str]]:
-        """Return pairs of parameters that the steps cannot separate."""
-        inverse = covariance(self.fit.information)[0][0]
-        spread = np.sqrt(np.diagonal(inverse))
-        correlated = np.abs(inverse / np.outer(spread, spread)) > _INSEPARABLE
-        pairs = np.argwhere(np.triu(correlated, 1)).tolist()
-        return [(self.fit.names[i], self.fit.names[j]) for i, j in pairs]
 
 
 def calibrate(
@@ -139,7 +112,7 @@ def calibrate(
         seed: of the bootstrap, >= 0.
 
     Raises:
-        UndeterminedError: the steps do not determine the parameters.
+        LabError: the steps do not determine the parameters.
     """
     make = functools.partial(Problem, model=model, systematic=systematic, wheel_base=wheel_base)
     length = (0.0, 0.0)
@@ -157,7 +130,7 @@ def calibrate(
         prediction = judged(list(predictions(make, steps, length)))
         ends = intervals(problem, found)[0]
     except np.linalg.LinAlgError:
-        raise UndeterminedError(
+        raise LabError(
             f"{model}: the steps do not determine its parameters: "
             "do odometry and truth belong together, and does the robot drive and turn?"
         ) from None
@@ -169,7 +142,7 @@ def calibrate(
     return ModelCalibration(problem, found, wider, quality, prediction, length)
 
 
-def predictions(make: Callable[[StepPairs], Problem], steps: Steps, length: Tuple[float, float]):
+def predictions(make: Callable[[StepPairs], Problem], steps: Steps, length: tuple[float, float]):
     """Yield windows of each half of the steps, and the variances V of a fit of the other."""
     for number in (0, 1):
         own, other = part_of(steps, number), part_of(steps, 1 - number)
@@ -201,12 +174,12 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(ranked: Sequence[ModelCalibration]) -> Dict[str, Any]:
+def calibration_summary(ranked: Sequence[ModelCalibration]) -> dict[str, Any]:
     """Return the figures of all models, the best one first, for summary.json."""
     return {"best": ranked[0].model, "models": [_summary(one) for one in ranked]}
 
 
-def _summary(one: ModelCalibration) -> Dict[str, Any]:
+def _summary(one: ModelCalibration) -> dict[str, Any]:
     fitted = one.goodness
     return {
         "model": one.model,
@@ -236,26 +209,25 @@ def _summary(one: ModelCalibration) -> Dict[str, Any]:
             },
             "said": fitted.words(),
         },
-        "inseparable": one.inseparable(),
     }
 
 
-def _by_part(values: np.ndarray) -> Dict[str, Optional[float]]:
+def _by_part(values: np.ndarray) -> dict[str, float | None]:
     return {part: _finite(value) for part, value in zip(PARTS, values.tolist())}
 
 
-def _finite(value: float) -> Optional[float]:
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, float]]) -> List[str]:
+def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Return the results of all models as lines for the user.
 
     Args:
         ranked: calibration of each model, the best one first.
         true: true values by model and name, if they are known.
     """
-    text: List[str] = []
+    text: list[str] = []
     for one in ranked:
         known = true.get(one.model, {})
         less = ranked[0].prediction.density - one.prediction.density
@@ -271,12 +243,6 @@ def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, fl
                 f"   {meaning(one.model, name)}"
             )
         text += [f"  does not fit: {reason}" for reason in one.goodness.words()]
-        if one is ranked[0]:
-            text += [
-                f"  {first} and {second} can hardly be separated on this path; leave one of them "
-                "out by systematic:=, or drive backwards as well"
-                for first, second in one.inseparable()
-            ]
     return text
 
 
@@ -335,7 +301,8 @@ def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:
     """Draw the whitened residuals of each model against quantiles of the normal distribution."""
     title = "Errors of the steps: on the line, the model is right"
     size = 4.2 * len(found), 4.6
-    figure, (row,) = panels((1, len(found)), size, title, sharex=True, sharey=True)
+    labels = ("standard normal", "error / standard deviation by the model")
+    figure, (row,) = panels((1, len(found)), size, title, labels, sharex=True, sharey=True)
     for axes, one in zip(row, found):
         axes.plot([-4.0, 4.0], [-4.0, 4.0], color=BLACK, linewidth=0.8)
         for values, part, colour in zip(one.goodness.whitened.T, _PART_TITLES, _COLOURS):
@@ -347,9 +314,7 @@ def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:
         fitted = one.goodness
         verdict = f"{'fits' if fitted.fits else 'does not fit'}, p = {fitted.p_value:.2g}"
         axes.set_title(f"{MODELS[one.model].title}: {verdict}", fontsize=10)
-        axes.set(xlabel="standard normal", xlim=(-4.0, 4.0), ylim=(-_WIDEST, _WIDEST))
-        axes.grid(alpha=0.3)
-    row[0].set_ylabel("error / standard deviation by the model")
+        axes.set(xlim=(-4.0, 4.0), ylim=(-_WIDEST, _WIDEST))
     row[0].legend(loc="upper left", fontsize=8)
     figure.tight_layout()
     return figure
@@ -362,7 +327,7 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
     rows = -(-len(parameters) // columns)
     title = f"{MODELS[one.model].title}: profile likelihoods and 95 % intervals"
     size = 3.1 * columns + 0.4, 2.7 * rows + 0.5
-    figure, grid = panels((rows, columns), size, title, sharey=True)
+    figure, grid = panels((rows, columns), size, title, ("", "fall of 2 log L"), sharey=True)
     for axes, (name, found) in zip(grid.flat, parameters.items()):
         _draw_profile(axes, one, name, found)
         if name in true:
@@ -373,8 +338,7 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
         axes.locator_params(axis="x", nbins=4)
     for axes in grid.flat[len(parameters) :]:
         axes.set_axis_off()
-    for axes in grid[:, 0]:
-        axes.set(ylabel="fall of 2 log L", ylim=(0.0, 8.0 * one.prediction.dispersion))
+    grid[0, 0].set_ylim(0.0, 8.0 * one.prediction.dispersion)
     figure.tight_layout()
     return figure
 
@@ -382,7 +346,6 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
 def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
     value, low, high = found
     axes.axhline(_LIMIT * one.prediction.dispersion, color=GREY, linewidth=0.8, linestyle="--")
-    axes.grid(alpha=0.3)
     axes.axvline(value, color=BLUE, linewidth=1.0)
     if not (math.isfinite(low) and math.isfinite(high)):
         axes.text(0.5, 0.5, "the steps do not end it", transform=axes.transAxes, ha="center")
@@ -429,22 +392,23 @@ def paths_figure(recordings: Sequence[Recording], one: ModelCalibration) -> Figu
     return figure
 
 
-def coverage_figure(found: Sequence[Coverage]) -> Figure:
+def coverage_figure(found: Sequence[Record]) -> Figure:
     """Draw the share of intervals of each parameter that hold the truth, with bands."""
-    figure, ((axes,),) = panels((1, 1), (8.0, 1.6 + 0.28 * len(found)))
+    labels = ("95 % intervals that hold the truth (%)", "")
+    figure, ((axes,),) = panels((1, 1), (8.0, 1.6 + 0.28 * len(found)), "", labels, False)
     axes.axvspan(93.0, 97.0, color=GREY, alpha=0.25, linewidth=0.0)
     axes.axvline(95.0, color=BLACK, linewidth=0.8)
-    models = list(dict.fromkeys(one.model for one in found))
+    models = list(dict.fromkeys(one["model"] for one in found))
     for row, one in enumerate(found):
-        colour = _COLOURS[models.index(one.model) % len(_COLOURS)]
-        low, high = one.band_95
-        axes.plot([100.0 * low, 100.0 * high], [row, row], color=colour, linewidth=2.0)
-        axes.plot(100.0 * one.held / one.paths, row, "o", color=colour)
+        colour = _COLOURS[models.index(one["model"]) % len(_COLOURS)]
+        band = [100.0 * one["band_low"], 100.0 * one["band_high"]]
+        axes.plot(band, [row, row], color=colour, linewidth=2.0)
+        axes.plot(100.0 * one["share"], row, "o", color=colour)
     axes.set_yticks(range(len(found)))
-    axes.set_yticklabels([f"{one.model}: {one.name}" for one in found], fontsize=8)
+    names = [f"{one['model']}: {one['parameter']}" for one in found]
+    axes.set_yticklabels(names, fontsize=8)
     axes.invert_yaxis()
     axes.grid(alpha=0.3, axis="x")
-    axes.set(xlabel="95 % intervals that hold the truth (%)")
-    axes.set_title(f"{found[0].paths} paths for each model", fontsize=10)
+    axes.set_title(f"{found[0]['paths']} paths for each model", fontsize=10)
     figure.tight_layout()
     return figure

@@ -8,7 +8,7 @@ velocity between two of its poses.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -16,12 +16,15 @@ from bullet_lab.core import se2
 from bullet_lab.core.parameters import boolean, number
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
+from bullet_lab.noise.likelihood import StepPairs
+from bullet_lab.noise.systematic import end_of
 from bullet_lab.studies.calibrate.alignment import (
     FEWEST_STEPS,
     SURE,
     clock_offset,
     interpolated,
     jitter,
+    joined_ends,
     marker_place,
     resolution,
 )
@@ -35,6 +38,21 @@ _MOST_WAITS = 0.98
 _NOTEWORTHY = 1e-5  # m and rad, of the truth's noise
 _TIMES = 100.0  # shortest step as a multiple of the truth's noise
 
+SHORT = (0.02, 0.04)
+"""m and rad, within which a motion is taken as an arc."""
+
+LONG = ((0.5, 1.0), (0.25, 0.5), (0.125, 0.25))
+"""m and rad of long steps: errors within them are not those that remain after some metres."""
+
+LEAST_STD = 3e-3
+"""m and rad: standard deviation of the ends of long steps, at least.
+
+A robot that turns on the spot has no way, and a random walk no noise of it.
+"""
+
+FEWEST_LONG = 36
+"""Of the long steps of a fit."""
+
 # m and rad: equal except for rounding.
 SAME = 1e-9
 # m and rad in all, for a check of the scale.
@@ -45,9 +63,6 @@ LARGEST_SCALE = 2.0
 # Of the distance, forwards and backwards, to fit both the gyro's bias and unequal wheels.
 LEAST_SHARE = 0.05
 
-
-class StepsError(LabError):
-    """Truth and odometry do not match, or have too few steps in common."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +115,7 @@ class Steps:
     unseen: int
     truth_std_m: float
     truth_std_rad: float
-    remarks: Tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.true)
@@ -114,7 +129,7 @@ class Steps:
         less = min(ahead[ahead > 0.0].sum(), -ahead[ahead < 0.0].sum())
         return less >= LEAST_SHARE * np.abs(ahead).sum()
 
-    def summary(self) -> Dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the figures for summary.json."""
         return {
             "count": len(self),
@@ -129,7 +144,7 @@ class Steps:
             "remarks": self.remarks,
         }
 
-    def lines(self) -> List[str]:
+    def lines(self) -> list[str]:
         """Return the numbers and the remarks as lines for the user."""
         about = self.summary()
         found = [
@@ -145,13 +160,13 @@ class Steps:
         return [*found, *self.remarks]
 
     def check(self) -> None:
-        """Raise StepsError, with the likely cause, if odometry and truth do not match.
+        """Raise LabError, with the likely cause, if odometry and truth do not match.
 
         Distance ahead and turn of the odometry are compared with the truth's by their regression,
         which noise of the odometry does not bias.
         """
         if np.abs(self.true - self.odometry).max(initial=0.0) <= SAME:
-            raise StepsError("the odometry equals the truth: are both from one topic or column?")
+            raise LabError("the odometry equals the truth: are both from one topic or column?")
         kinds = ((0, "distance", "m", LEAST_DISTANCE), (2, "turn", "rad", LEAST_TURN))
         for column, what, unit, least in kinds:
             true, odometry = self.true[:, column], self.odometry[:, column]
@@ -159,12 +174,12 @@ class Steps:
                 continue
             share = float(true @ odometry / (true @ true))
             if share < 0.0:
-                raise StepsError(
+                raise LabError(
                     f"the odometry's {what} has the opposite sign of the truth's: "
                     f"is the sign of the {what}, or an axis, of one of them reversed?"
                 )
             if not 1.0 / LARGEST_SCALE <= share <= LARGEST_SCALE:
-                raise StepsError(
+                raise LabError(
                     f"the odometry's {what} is {share:.3g} times the truth's; "
                     f"at most {LARGEST_SCALE:g} times is plausible: are both in {unit}?"
                 )
@@ -174,7 +189,7 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     """Return the steps of a recording.
 
     Raises:
-        StepsError: the stamps have no time in common, or too short a one.
+        LabError: the stamps have no time in common, or too short a one.
     """
     truth, odometry = recording.truth, recording.odometry
     odometry = _shifted(odometry, settings.time_offset)
@@ -212,7 +227,12 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
     if max(std_m, std_rad) > _NOTEWORTHY:
         settings = _long_enough(settings, true_poses, std_m, std_rad)
         remarks.append(_about_jitter(settings, std_m, std_rad))
-    first, last = _ends(true_poses, broken, settings)
+    whole = np.flatnonzero(~broken)
+    # A length that is not given ends no step that the other one does not end.
+    lengths = settings.min_distance, settings.min_angle
+    lengths = tuple(one or np.inf for one in lengths) if any(lengths) else lengths
+    first, last = joined_ends(se2.steps(true_poses)[whole], follows[whole], *lengths)
+    first, last = whole[first], whole[last - 1] + 1
     true = se2.between(true_poses[first], true_poses[last])
     reported = se2.between(poses[first], poses[last])
     still = np.any([(np.abs(one) < _STILL).all(axis=1) for one in (true, reported)], axis=0)
@@ -239,7 +259,7 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
 
 
 def joined(found: Sequence[Steps]) -> Steps:
-    """Return the steps of all recordings; raises StepsError if there are too few."""
+    """Return the steps of all recordings; raises LabError if there are too few."""
     steps = Steps(
         *(
             np.concatenate([getattr(one, name) for one in found])
@@ -251,7 +271,7 @@ def joined(found: Sequence[Steps]) -> Steps:
         remarks=tuple(remark for one in found for remark in one.remarks),
     )
     if len(steps) < FEWEST_STEPS:
-        raise StepsError(
+        raise LabError(
             f"{len(steps)} steps with a moving robot are too few: {FEWEST_STEPS} at least "
             f"({steps.resting} more stood still, {steps.gaps} went over a gap)"
         )
@@ -304,7 +324,7 @@ def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.nda
     start = max(truth.stamps[0], odometry.stamps[0])
     end = min(truth.stamps[-1], odometry.stamps[-1])
     if end <= start:
-        raise StepsError(
+        raise LabError(
             f"{name}: truth (stamps {truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s) and "
             f"odometry ({odometry.stamps[0]:.3f} to {odometry.stamps[-1]:.3f} s) have no time in "
             "common; time_offset is added to the odometry's"
@@ -315,7 +335,7 @@ def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.nda
     slower = int(len(inside[1]) <= len(inside[0]))
     stamps = inside[slower]
     if len(stamps) < 2:
-        raise StepsError(f"{name}: truth and odometry have fewer than two poses in common")
+        raise LabError(f"{name}: truth and odometry have fewer than two poses in common")
     return snapped(stamps, (truth, odometry)[1 - slower].stamps)
 
 
@@ -334,21 +354,77 @@ def _over_gap(stamps: np.ndarray, paths: Sequence[Trajectory], most: float) -> n
     return broken
 
 
-def _ends(poses: np.ndarray, broken: np.ndarray, settings: StepSettings):
-    """Return the indices of the poses at the begin and the end of each step, (n,) and (n,)."""
-    if settings.min_distance == 0.0 and settings.min_angle == 0.0:
-        whole = np.flatnonzero(~broken)
-        return whole, whole + 1
-    distance = settings.min_distance or np.inf
-    angle = settings.min_angle or np.inf
-    first, last, begin = [], [], 0
-    for index in range(1, len(poses)):
-        if broken[index - 1]:
-            begin = index
-            continue
-        dx, dy, dyaw = poses[index] - poses[begin]
-        if np.hypot(dx, dy) >= distance or abs(se2.wrap(float(dyaw))) >= angle:
-            first.append(begin)
-            last.append(index)
-            begin = index
-    return np.array(first, dtype=int), np.array(last, dtype=int)
+def long_length(short: Steps) -> tuple[float, float]:
+    """Return the longest of `LONG` of which there are enough; 0, 0 if there is none."""
+    for length in LONG:
+        if len(joined_ends(short.true, short.follows, *length)[0]) >= FEWEST_LONG:
+            return length
+    return 0.0, 0.0
+
+
+def short_steps(steps: Steps) -> Steps:
+    """Return steps between messages joined to steps of `SHORT`; longer ones are kept."""
+    first, last = joined_ends(steps.true, steps.follows, *SHORT)
+    true, odometry = (end_of(_within(one, first, last)) for one in (steps.true, steps.odometry))
+    return replace(
+        steps,
+        true=_wrapped(true),
+        odometry=_wrapped(odometry),
+        follows=_follows(steps, first, last),
+        seconds=np.add.reduceat(steps.seconds, first) if len(first) else steps.seconds[:0],
+    )
+
+
+def pairs_of(steps: Steps) -> StepPairs:
+    """Return the steps for a likelihood."""
+    return StepPairs(
+        steps.true, steps.odometry[np.newaxis], steps.truth_std_m, steps.truth_std_rad
+    )
+
+
+def long_pairs(short: Steps, length: tuple[float, float]) -> tuple[StepPairs, np.ndarray]:
+    """Return long steps that consist of short ones, and whether each follows the one before.
+
+    Args:
+        short: as of `short_steps`.
+        length: m and rad after which a long step ends; 0, 0: with each short one.
+    """
+    first, last = joined_ends(short.true, short.follows, *length)
+    within = _within(short.true, first, last)
+    reported = _wrapped(end_of(_within(short.odometry, first, last)))
+    pairs = StepPairs(
+        _wrapped(end_of(within)),
+        reported[np.newaxis],
+        max(short.truth_std_m, LEAST_STD),
+        max(short.truth_std_rad, LEAST_STD),
+        within,
+    )
+    return pairs, _follows(short, first, last)
+
+
+def part_of(steps: Steps, number: int) -> Steps:
+    """Return the first (0) or the second half (1) of steps."""
+    middle = len(steps) // 2
+    rows = slice(None, middle) if number == 0 else slice(middle, None)
+    names = ("true", "odometry", "follows", "seconds")
+    return replace(steps, **{name: getattr(steps, name)[rows] for name in names})
+
+
+def _within(rows: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Return the rows of each joined step, filled up with zeros, (n, m, 3)."""
+    counts = last - first
+    found = np.zeros((len(first), int(counts.max(initial=1)), 3))
+    for row, begin, end in zip(found, first, last):
+        row[: end - begin] = rows[begin:end]
+    return found
+
+
+def _follows(steps: Steps, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    found = np.zeros(len(first), dtype=bool)
+    found[1:] = (first[1:] == last[:-1]) & steps.follows[first[1:]]
+    return found
+
+
+def _wrapped(steps: np.ndarray) -> np.ndarray:
+    steps[:, 2] = se2.wrap(steps[:, 2])
+    return steps

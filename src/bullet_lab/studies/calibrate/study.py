@@ -8,16 +8,15 @@ Example:
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Sequence
 
 from bullet_lab.core.parameters import choices, integer
+from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SYSTEMATIC
-from bullet_lab.studies.calibrate.lengths import short_steps
 from bullet_lab.studies.calibrate.recordings import (
-    Coverage,
     DataSettings,
     DriveSettings,
     Recording,
@@ -26,7 +25,6 @@ from bullet_lab.studies.calibrate.recordings import (
 )
 from bullet_lab.studies.calibrate.results import (
     ModelCalibration,
-    UndeterminedError,
     calibrate,
     calibration_summary,
     coverage_figure,
@@ -36,26 +34,28 @@ from bullet_lab.studies.calibrate.results import (
     profiles_figure,
     residuals_figure,
 )
-from bullet_lab.studies.calibrate.steps import StepSettings, joined, take_steps
-from bullet_lab.studies.results import write_results
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, silent
+from bullet_lab.studies.calibrate.steps import StepSettings, joined, short_steps, take_steps
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Record,
+    Settings,
+    Tell,
+    progress,
+    rows_of,
+    run_from,
+    write_results,
+)
 from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"
 WHEELS, GYRO = SYSTEMATIC[2:4]
 MOST_COVERAGE_PATHS = 100_000
-COVERAGE_COLUMNS = (
-    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
-    *("mean_estimate", "mean_low", "mean_high"),
-)
-
-
 @dataclass(frozen=True)
 class CalibrateSettings(Settings):
     """Models and errors to fit."""
 
-    models: Tuple[str, ...] = choices(tuple(MODELS), "noise models to fit and compare", MODELS)
-    systematic: Tuple[str, ...] = choices(
+    models: tuple[str, ...] = choices(tuple(MODELS), "noise models to fit and compare", MODELS)
+    systematic: tuple[str, ...] = choices(
         SYSTEMATIC, "systematic errors to fit with them", (*SYSTEMATIC, NO_ERRORS)
     )
     seed: int = integer(1, "seed of the bootstrap and of what is made up", 0, MOST_SEED)
@@ -67,7 +67,7 @@ class CalibrateSettings(Settings):
     )
 
     @property
-    def errors(self) -> Tuple[str, ...]:
+    def errors(self) -> tuple[str, ...]:
         """The systematic errors to fit."""
         return tuple(name for name in self.systematic if name != NO_ERRORS)
 
@@ -78,8 +78,8 @@ def run_calibration(
     steps: StepSettings,
     drive: DriveSettings,
     recordings: Sequence[Recording] = (),
-    tell: Tell = silent,
-) -> Dict[str, Any]:
+    tell: Tell = print,
+) -> dict[str, Any]:
     """Calibrate; write noise.yaml, figures and summary.json; return the summary.
 
     Args:
@@ -93,7 +93,7 @@ def run_calibration(
     Raises:
         LabError: recordings that are not usable, or a folder that cannot be written to.
     """
-    true: Dict[str, Dict[str, float]] = {}
+    true: dict[str, dict[str, float]] = {}
     if not recordings:
         recordings = [made_up(drive, settings.seed)]
         errors = {name: getattr(drive, name) for name in settings.errors}
@@ -115,11 +115,11 @@ def run_calibration(
         return calibrate(taken, model, fitted, drive.wheel_base, settings.seed)
 
     count = len(settings.models)
-    found = run_tasks(calibrate_model, count, this_process, tell, "calibrate", "model", " models")
+    found = run_tasks(calibrate_model, count, this_process, tell, "models")
     ranked = sorted(found, key=ModelCalibration.rank)
     best = ranked[0]
     if best.limited:
-        raise UndeterminedError(
+        raise LabError(
             f"{', '.join(best.limited)} of {best.model} on the limit, and no model without: the "
             "odometry is too far from the truth, or the steps are too short to tell more than noise"
         )
@@ -150,8 +150,8 @@ def run_calibration(
 
 
 def run_coverage(
-    folder: Path, settings: CalibrateSettings, drive: DriveSettings, tell: Tell = silent
-) -> Dict[str, Any]:
+    folder: Path, settings: CalibrateSettings, drive: DriveSettings, tell: Tell = print
+) -> dict[str, Any]:
     """Count how often intervals hold the truth; write coverage.csv and .png, and summary.json.
 
     All random and systematic errors are fitted together.
@@ -159,29 +159,20 @@ def run_coverage(
     Raises:
         LabError: the folder cannot be written to.
     """
-    found: List[Coverage] = []
+    found: list[Record] = []
     lap = replace(drive, laps=1)
-    total = settings.coverage * len(settings.models)
-    with progress("coverage", total, tell, unit="path", things=" paths") as note:
-        for model in settings.models:
-            found += coverage(lap, model, SYSTEMATIC, settings.coverage, settings.seed, note)
-    table: List[Sequence[Any]] = [COVERAGE_COLUMNS]
+    for model in progress(settings.models, "models", len(settings.models), tell):
+        found += coverage(lap, model, SYSTEMATIC, settings.coverage, settings.seed)
     for one in found:
-        low, high = one.band_95
         tell(
-            f"{one.model:15} {one.name:20} true {one.true:8.4g}, mean {one.mean:8.4g}: "
-            f"{100.0 * one.share:5.1f} % of {one.paths} intervals hold it "
-            f"(band {100.0 * low:.1f} to {100.0 * high:.1f} %)"
+            f"{one['model']:15} {one['parameter']:20} true {one['true']:8.4g}, "
+            f"mean {one['mean_estimate']:8.4g}: {100.0 * one['share']:5.1f} % of {one['paths']} "
+            f"intervals hold it (band {100.0 * one['band_low']:.1f} to "
+            f"{100.0 * one['band_high']:.1f} %)"
         )
-        counts = (one.paths, one.held, one.share, low, high)
-        table.append((one.model, one.name, one.true, *counts, one.mean, one.low, one.high))
-    summary = {
-        "job": "calibrate",
-        "seed": settings.seed,
-        "coverage": [asdict(one) for one in found],
-    }
-    figures = {"coverage.png": coverage_figure(found)}
-    return write_results(folder, summary, {"coverage.csv": table}, figures, {})
+    summary = {"job": "calibrate", "seed": settings.seed, "coverage": found}
+    tables = {"coverage.csv": rows_of(found)}
+    return write_results(folder, summary, tables, {"coverage.png": coverage_figure(found)}, {})
 
 
 def _run(

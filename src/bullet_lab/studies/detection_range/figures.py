@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
 from bullet_lab.studies.detection_range.trial import MarkerImage
-from bullet_lab.studies.results import Record, panels
+from bullet_lab.studies.study import Record, panels
 from bullet_lab.studies.worlds import DEFAULT_LIGHT
 
 Ends = Tuple[Optional[float], Optional[float]]
@@ -45,13 +45,15 @@ def heat_map(world: str, rows: Sequence[Record]) -> Figure:
     width = max(1.6 + 0.52 * len(distances), 6.0)
     height = 1.3 + len(lights) * (0.75 + 0.34 * len(bearings))
     title = f"{world}: pictures in which the marker is found, in %"
-    figure, grid = panels((len(lights), 1), (width, height), title)
+    labels = (
+        "distance from camera to marker (m); grey: behind a wall; white: no room",
+        "bearing (°)",
+    )
+    figure, grid = panels((len(lights), 1), (width, height), title, labels, False)
     for axes, light in zip(grid.flat, lights):
         of_light = [row for row in rows if row["light"] == light]
         _draw_map(axes, of_light, distances, bearings)
         axes.set_title(f"{light} light", fontsize=10, loc="left")
-        axes.set_ylabel("bearing (°)")
-    axes.set_xlabel("distance from camera to marker (m); grey: behind a wall; white: no room")
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.05 / height))
     return figure
 

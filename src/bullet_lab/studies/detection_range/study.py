@@ -12,10 +12,9 @@ import math
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence
+from typing import Any, Callable, Iterator, Mapping, Sequence
 
-from bullet_lab.core.files import make_folder
-from bullet_lab.core.parameters import boolean, choices, integer, numbers
+from bullet_lab.core.parameters import choices, integer, numbers
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import heat_map, range_figure, ranges_of
 from bullet_lab.studies.detection_range.trial import (
@@ -25,18 +24,25 @@ from bullet_lab.studies.detection_range.trial import (
     is_reachable,
     try_cell,
 )
-from bullet_lab.studies.results import Record, rows_of, write_results
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Record,
+    Settings,
+    Tell,
+    rows_of,
+    run_from,
+    write_results,
+)
 from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, this_process, workers
 from bullet_lab.studies.worlds import DEFAULT_LIGHT, LIGHTS
 
 DOTS = "docking_dots"
 DOTS_PER_BLOCK = 25
-PANEL = "marker_panel"
-FULLY_LIT = (PANEL, "docking")
+FULLY_LIT = ("marker_panel", "docking")
 """Worlds that are tried in all lights, the others only in their own: the marker is the same."""
 
 MOST_FRAMES = 100_000
+Task = Callable[[], Any]
 LARGEST_DISTANCE = 50.0
 
 
@@ -66,76 +72,45 @@ class RangeSettings(Settings):
     frames: int = integer(10, "images for each distance, bearing and light", 1, MOST_FRAMES)
     dots: int = integer(1000, "images of the dots to count false detections in", 0, MOST_FRAMES)
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
-    every_light: bool = boolean(
-        False, "try each world in each light, not only marker_panel and docking"
-    )
 
 
-@dataclass(frozen=True)
-class Task:
-    """A task for a worker: a cell, or a block of images of the dots."""
-
-    cell: Cell | None
-    block: int = 0
-    frames: int = 0
-
-
-@functools.lru_cache(maxsize=4)
-def tasks(settings: RangeSettings) -> tuple[Task, ...]:
-    """Return all tasks, in the order of the results."""
-    found = [Task(cell) for cell in _cells(settings) if is_reachable(cell)]
-    for block, first in enumerate(range(0, settings.dots, DOTS_PER_BLOCK)):
-        found.append(Task(None, block, min(DOTS_PER_BLOCK, settings.dots - first)))
-    return tuple(found)
+def tasks(settings: RangeSettings) -> tuple[list[Task], list[Task]]:
+    """Return the tasks of the cells, and those of blocks of the dots."""
+    frames, seed = settings.frames, settings.seed
+    of_cells = [
+        functools.partial(
+            try_cell, cell, frames, seed, cell.light == DEFAULT_LIGHT and cell.bearing == 0.0
+        )
+        for cell in _cells(settings)
+        if is_reachable(cell)
+    ]
+    firsts = range(0, settings.dots, DOTS_PER_BLOCK)
+    of_dots = [
+        functools.partial(count_false, DOTS, block, min(DOTS_PER_BLOCK, settings.dots - one), seed)
+        for block, one in enumerate(firsts)
+    ]
+    return of_cells, of_dots
 
 
 def _cells(settings: RangeSettings) -> Iterator[Cell]:
     for world, light in product(settings.worlds, settings.lights):
-        if light == DEFAULT_LIGHT or world in FULLY_LIT or settings.every_light:
+        if light == DEFAULT_LIGHT or world in FULLY_LIT:
             for bearing, distance in product(settings.bearings, settings.distances):
                 yield Cell(world, light, distance, math.radians(bearing))
 
 
-def do_task(settings: RangeSettings, number: int) -> Any:
-    """Run one of the `tasks`; return a CellResult, or false detections and finds of a block."""
-    task = tasks(settings)[number]
-    if task.cell is None:
-        return count_false(DOTS, task.block, task.frames, settings.seed)
-    keep = task.cell.light == DEFAULT_LIGHT and task.cell.bearing == 0.0
-    return try_cell(task.cell, settings.frames, settings.seed, keep)
+def _do(todo: Sequence[Task], number: int) -> Any:
+    return todo[number]()
 
 
 LEAST_RATE = 0.95
 """Smallest share of the images for which a marker counts as found."""
 
-CLOSEST_TARGET = 0.35
-NEAREST_ASIDE = 0.5
-"""m; at smaller distances the image cuts off a marker that is seen from the side."""
-
-TARGETS = (
-    (0.0, NEAREST_ASIDE, 4.0, 1.0),
-    (15.0, NEAREST_ASIDE, 4.0, 1.0),
-    (30.0, NEAREST_ASIDE, 4.0, 1.0),
-    (45.0, NEAREST_ASIDE, 3.0, 1.0),
-    (60.0, NEAREST_ASIDE, 2.0, 1.0),
-    (0.0, 5.0, 5.0, 0.95),
-)
-"""For the panel in its own light: bearing (deg), smallest and largest m, rate."""
-
 COUNTS = ("other_detections", "double_detections", "false_detections")
 
 
-def _entry(value: Any) -> Any:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else value
-
-
 def detection_summary(rows: Sequence[Record]) -> dict[str, Any]:
-    """Return the ranges of each world and light, and the results of the panel's targets.
-
-    The rows are those of all cells, as in the table.
-    """
+    """Return the ranges of each world and light from the rows of all cells, as in the table."""
     worlds: dict[str, Any] = {}
     for world, light in dict.fromkeys((row["world"], row["light"]) for row in rows):
         of_light = [row for row in rows if (row["world"], row["light"]) == (world, light)]
@@ -151,7 +126,7 @@ def detection_summary(rows: Sequence[Record]) -> dict[str, Any]:
             entry.update(figures)
         else:
             entry.setdefault("lights", {})[light] = figures
-    return {"least_rate": LEAST_RATE, "worlds": worlds, "targets": _targets(rows)}
+    return {"least_rate": LEAST_RATE, "worlds": worlds}
 
 
 def found_range(rows: Sequence[Record], bearing: float) -> tuple[float | None, float | None]:
@@ -169,36 +144,10 @@ def found_range(rows: Sequence[Record], bearing: float) -> tuple[float | None, f
     return (best[0], best[-1]) if best else (None, None)
 
 
-def _targets(rows: Sequence[Record]) -> list[dict[str, Any]]:
-    """Return, for each target that was tried, the numbers of images and of finds."""
-    panel = [row for row in rows if (row["world"], row["light"]) == (PANEL, DEFAULT_LIGHT)]
-    judged: list[dict[str, Any]] = []
-    for bearing, least, most, rate in TARGETS:
-        aligned = [row for row in panel if row["bearing_deg"] == bearing]
-        chosen = [row for row in aligned if least <= row["distance_m"] <= most]
-        frames, found = (sum(row[name] for row in chosen) for name in ("frames", "found"))
-        where = f"at {most:g} m" if least == most else f"up to {most:g} m"
-        if frames:
-            name = f"{100 * rate:g} % {where}, {bearing:g} deg"
-            met = found >= rate * frames
-            judged.append({"target": name, "frames": frames, "found": found, "met": met})
-    if any(row["bearing_deg"] == 0.0 and row["distance_m"] <= CLOSEST_TARGET for row in panel):
-        closest = found_range(panel, 0.0)[0]
-        met = closest is not None and closest <= CLOSEST_TARGET
-        judged.append({"target": f"closest {CLOSEST_TARGET:g} m", "closest_m": closest, "met": met})
-    return judged
-
-
 def describe(summary: Mapping[str, Any]) -> list[str]:
     """Return the main figures as lines for the user."""
     ranges = ranges_of(summary)
     lines = [f"{world}, {light} light: {_sentence(entry)}" for world, light, entry in ranges]
-    for target in summary["targets"]:
-        if "frames" in target:
-            count = f"{target['found']} of {target['frames']} frames"
-        else:
-            count = _metres(target["closest_m"])
-        lines.append(f"target {target['target']}: {count}, {'met' if target['met'] else 'MISSED'}")
     dots = summary["dots"]
     if dots["frames"]:
         lines.append(
@@ -225,7 +174,7 @@ def run_detection_range(
     folder: Path,
     settings: RangeSettings,
     run: Run = this_process,
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> dict[str, Any]:
     """Try all cells; write table, heat maps, figure and summary.json; return the summary.
 
@@ -234,13 +183,11 @@ def run_detection_range(
     Raises:
         LabError: nothing can be rendered, the folder cannot be written to, or a task was lost.
     """
-    make_folder(folder)
-    todo = tasks(settings)
-    task = functools.partial(do_task, settings)
-    results = run_tasks(task, len(todo), run, tell, "detection_range", "cell", " cells")
-    of_cells = [result for result, one in zip(results, todo) if one.cell is not None]
-    of_dots = results[len(of_cells) :]
-    rows = [result.row() for result in of_cells]
+    of_cells, of_dots = tasks(settings)
+    todo = [*of_cells, *of_dots]
+    results = run_tasks(functools.partial(_do, todo), len(todo), run, tell, "cells")
+    cells, dots = results[: len(of_cells)], results[len(of_cells) :]
+    rows = [row for row, _ in cells]
     summary = {
         "job": "detection_range",
         "seed": settings.seed,
@@ -249,21 +196,21 @@ def run_detection_range(
         **detection_summary(rows),
         "dots": {
             "frames": settings.dots,
-            "false_detections": sum(false for false, _ in of_dots),
-            "frames_with_the_marker_found": sum(found for _, found in of_dots),
+            "false_detections": sum(false for false, _ in dots),
+            "frames_with_the_marker_found": sum(found for _, found in dots),
         },
     }
-    pictures = {
-        (result.cell.world, result.cell.distance): result.snapshot
-        for result in of_cells
-        if result.snapshot is not None
-    }
+    pictures = {(row["world"], row["distance_m"]): image for row, image in cells if image}
     figures = {
         f"heat_map_{world}.png": heat_map(world, [row for row in rows if row["world"] == world])
         for world in settings.worlds
     }
     figures["detection_range.png"] = range_figure(rows, summary, pictures)
-    table = [[_entry(value) for value in row] for row in rows_of(rows)]
+    # Enough digits to read.
+    table = [
+        [f"{value:.6g}" if isinstance(value, float) else value for value in row]
+        for row in rows_of(rows)
+    ]
     return write_results(folder, summary, {"cells.csv": table}, figures, {})
 
 

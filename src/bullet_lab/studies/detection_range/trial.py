@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Sequence
 from zlib import crc32
 
 import cv2
@@ -14,11 +14,13 @@ from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Box, Link, Model, World, footprints
+from bullet_lab.simulation.world.description import Link, Model, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
+from bullet_lab.studies.study import Record
 from bullet_lab.studies.worlds import DEFAULT_LIGHT, ROBOT, lit_world
 from bullet_lab.vision.images import grey, mean_side
 from bullet_lab.vision.marker_detector import DetectorSettings
@@ -66,23 +68,15 @@ class PrintedMarker:
         return np.asarray(self.middle) + 0.5 * self.size * offsets
 
 
-@dataclass(frozen=True)
-class DetectionWorld:
-    """The wanted marker of a world, and other markers with the same id."""
-
-    wanted: PrintedMarker = PrintedMarker(0.20, MARKER)
-    others: tuple[PrintedMarker, ...] = ()
-
-
-WORLDS = {
-    "marker_panel": DetectionWorld(),
-    "docking": DetectionWorld(),
-    "docking_dots": DetectionWorld(),
-    "docking_nested": DetectionWorld(
-        PrintedMarker(0.075, MARKER), (PrintedMarker(0.8, (4.0, 0.05, 0.45)),)
-    ),
-    "docking_decoy": DetectionWorld(others=(PrintedMarker(0.35, (3.3, 1.65, 0.5)),)),
+WANTED = PrintedMarker(0.20, MARKER)
+WORLDS: dict[str, tuple[PrintedMarker, ...]] = {
+    "marker_panel": (WANTED,),
+    "docking": (WANTED,),
+    "docking_dots": (WANTED,),
+    "docking_nested": (PrintedMarker(0.075, MARKER), PrintedMarker(0.8, (4.0, 0.05, 0.45))),
+    "docking_decoy": (WANTED, PrintedMarker(0.35, (3.3, 1.65, 0.5))),
 }
+"""The wanted marker of each world, and other markers with the same id."""
 
 
 @dataclass(frozen=True)
@@ -165,59 +159,40 @@ def is_reachable(cell: Cell) -> bool:
     return all(one.distance(place[:2]) >= CLEARANCE for one in plan for place in _places(cell))
 
 
-def is_visible(cell: Cell) -> bool:
-    """Return whether no box hides the wanted marker from the camera, on both sides."""
-    corners = WORLDS[cell.world].wanted.corners()
-    # Not to the very end: the marker lies on the surface of a box.
-    rays = [(np.array(eye), 0.999 * (corners - eye)) for eye in _places(cell)]
-    return not any(
-        _cuts(model.pose * link.pose * shape.pose, shape.geometry, *ray)
-        for model in lit_world(cell.world, cell.light).models
-        for link in model.links
-        for shape in link.collisions
-        if isinstance(shape.geometry, Box)
-        for ray in rays
-    )
-
-
-def _cuts(pose: Pose, box: Box, eye: ndarray, rays: ndarray) -> bool:
-    """Return whether a box cuts one of the rays (n, 3) from an eye (slab method)."""
-    turn = pose.rotation_matrix()
-    start, rays, half = (eye - pose.position) @ turn, rays @ turn, 0.5 * np.array(box.size)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = (-half - start) / rays, (half - start) / rays
-    enter = np.nanmax(np.minimum(first, second), axis=1)
-    leave = np.nanmin(np.maximum(first, second), axis=1)
-    return bool((np.maximum(enter, 0.0) < np.minimum(leave, 1.0)).any())
-
-
 class FreeCamera:
     """The camera of the robot, noise included, at any pose in a world.
 
     Args:
-        world: to take images of.
+        world: its name.
+        light: its light, one of `LIGHTS`.
         seed: of the noise.
 
     Attributes:
         camera: geometry of the images.
+        printed: the wanted marker of the world, and others with its id.
 
     Raises:
         LabError: a file cannot be read.
     """
 
-    def __init__(self, world: World, seed: int = 0):
+    def __init__(self, world: str, light: str = DEFAULT_LIGHT, seed: int = 0):
+        self.printed = WORLDS[world]
         robot = read_urdf_file(ResourceFinder.anywhere().find(ROBOT))
         plugin = next(p for p in robot.plugins if p.filename in Camera.filenames)
         plugin = replace(plugin, link="camera")
         model = Model("free_camera", (Link("camera"),), plugins=(plugin,), static=True)
-        self._simulation = Simulation(world, seed)
+        self._simulation = Simulation(lit_world(world, light), seed)
         self._instance = self._simulation.add(model)
         self._device: Camera = self._instance.plugins[0]
         self.camera: PinholeCamera = self._device.camera
 
-    def close(self) -> None:
-        """Close the simulation."""
-        self._simulation.close()
+    def sees(self, eye: Vector, points: ndarray) -> bool:
+        """Return whether nothing hides any of the points (m), shape (n, 3), from a place (m)."""
+        # Not to the very end: the marker lies on the surface of a box.
+        ends = np.asarray(eye) + 0.999 * (points - eye)
+        client = self._simulation.client
+        hits = pybullet.rayTestBatch([eye] * len(ends), ends.tolist(), physicsClientId=client)
+        return all(body < 0 for body, *_ in hits)
 
     def take(self, pose: Pose, number: int) -> ndarray:
         """Return the image from a pose, (height, width) of uint8, grey; raises LabError.
@@ -228,6 +203,17 @@ class FreeCamera:
         """
         self._instance.place(pose)
         return grey(self._device.take(number), self._device.encoding)
+
+    def observed(self, shot: CameraShot) -> tuple[ndarray, list[ObservedMarker]]:
+        """Take an image and return it with the markers found."""
+        observer = MarkerObserver(DetectorSettings(DICTIONARY), self.printed[0].size)
+        picture = self.take(*shot)
+        return picture, observer.observe(picture, self.camera).markers
+
+    def judged(self, shot: CameraShot) -> Frame:
+        """Take an image and compare the detections in it with the truth."""
+        wanted, *others = self.printed
+        return judge(self.observed(shot)[1], shot.pose, wanted, others, self.camera)
 
 
 def in_optical_frame(pose: Pose, points: ndarray) -> ndarray:
@@ -269,45 +255,36 @@ class MarkerImage:
     corners: ndarray
 
 
-@dataclass(frozen=True)
-class CellResult:
-    """The detections in a cell of the grid.
+def cell_row(
+    cell: Cell, visible: bool, frames: Sequence[Frame], pixels_per_cell: float
+) -> Record:
+    """Return the row of a cell in the table; without finds, the errors are None.
 
-    Attributes:
+    Args:
         cell: of the grid.
         visible: whether the marker is not hidden.
         frames: detections in each image.
         pixels_per_cell: mean size of a cell of the marker.
-        snapshot: one of the images, if it is kept.
     """
-
-    cell: Cell
-    visible: bool
-    frames: tuple[Frame, ...]
-    pixels_per_cell: float
-    snapshot: MarkerImage | None = None
-
-    def row(self) -> dict[str, Any]:
-        """Return the row of the table; without finds, the errors are None."""
-        found = [frame for frame in self.frames if frame.found]
-        return {
-            "world": self.cell.world,
-            "light": self.cell.light,
-            "distance_m": self.cell.distance,
-            "bearing_deg": round(math.degrees(self.cell.bearing), 6),
-            "visible": self.visible,
-            "frames": len(self.frames),
-            "found": len(found),
-            "rate": len(found) / len(self.frames),
-            "other_detections": sum(frame.others for frame in self.frames),
-            "double_detections": sum(frame.doubles for frame in self.frames),
-            "false_detections": sum(frame.false for frame in self.frames),
-            "pixels_per_cell": self.pixels_per_cell,
-            **_spread("distance_error_m", [frame.distance_error for frame in found]),
-            **_spread("lateral_error_m", [frame.lateral_error for frame in found]),
-            **_spread("rotation_error_deg", [math.degrees(f.rotation_error) for f in found]),
-            "flipped": sum(frame.flipped for frame in found),
-        }
+    found = [frame for frame in frames if frame.found]
+    return {
+        "world": cell.world,
+        "light": cell.light,
+        "distance_m": cell.distance,
+        "bearing_deg": round(math.degrees(cell.bearing), 6),
+        "visible": visible,
+        "frames": len(frames),
+        "found": len(found),
+        "rate": len(found) / len(frames),
+        "other_detections": sum(frame.others for frame in frames),
+        "double_detections": sum(frame.doubles for frame in frames),
+        "false_detections": sum(frame.false for frame in frames),
+        "pixels_per_cell": pixels_per_cell,
+        **_spread("distance_error_m", [frame.distance_error for frame in found]),
+        **_spread("lateral_error_m", [frame.lateral_error for frame in found]),
+        **_spread("rotation_error_deg", [math.degrees(f.rotation_error) for f in found]),
+        "flipped": sum(frame.flipped for frame in found),
+    }
 
 
 def _spread(name: str, values: list[float]) -> dict[str, float | None]:
@@ -318,21 +295,29 @@ def _spread(name: str, values: list[float]) -> dict[str, float | None]:
     }
 
 
-def try_cell(cell: Cell, frames: int, seed: int, keep: bool = False) -> CellResult:
+def try_cell(
+    cell: Cell, frames: int, seed: int, keep: bool = False
+) -> tuple[Record, MarkerImage | None]:
     """Take images of a cell and compare the detections with the truth; raises LabError.
 
-    If the marker is hidden, only `HIDDEN_SHARE` of the frames are taken. With `keep`, the first
-    image is returned.
+    If the marker is hidden, only `HIDDEN_SHARE` of the frames are taken.
+
+    Returns:
+        The row of the table, and the first image if it is to be kept.
     """
-    visible = is_visible(cell)
-    count = frames if visible else math.ceil(HIDDEN_SHARE * frames)
-    camera, shots = _free_camera(cell.world, cell.light, seed), cell_shots(cell, count, seed)
-    judged = tuple(_judged(camera, cell.world, shot) for shot in shots)
-    corners = WORLDS[cell.world].wanted.corners()
+    camera = _free_camera(cell.world, cell.light, seed)
+    corners = camera.printed[0].corners()
+    visible = all(camera.sees(place, corners) for place in _places(cell))
+    shots = cell_shots(cell, frames if visible else math.ceil(HIDDEN_SHARE * frames), seed)
+    judged = [camera.judged(shot) for shot in shots]
     seen = [camera.camera.project(in_optical_frame(shot.pose, corners)) for shot in shots]
     pixels_per_cell = float(np.mean(mean_side(np.stack(seen)))) / CELLS_PER_SIDE
-    snapshot = _snapshot(camera, cell.world, shots[0]) if keep else None
-    return CellResult(cell, visible, judged, pixels_per_cell, snapshot)
+    row = cell_row(cell, visible, judged, pixels_per_cell)
+    if not keep:
+        return row, None
+    picture, markers = camera.observed(shots[0])
+    found = np.array([m.corners for m in markers]).reshape(-1, 4, 2)
+    return row, MarkerImage(cv2.imencode(".png", picture)[1].tobytes(), found)
 
 
 def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, int]:
@@ -342,42 +327,20 @@ def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, in
         The numbers of false detections, and of images with the marker found.
     """
     camera = _free_camera(world, DEFAULT_LIGHT, seed)
-    shots = strewn_shots(world, frames, seed, block)
-    judged = [_judged(camera, world, shot) for shot in shots]
+    judged = [camera.judged(shot) for shot in strewn_shots(world, frames, seed, block)]
     return sum(frame.false for frame in judged), sum(frame.found for frame in judged)
 
 
 @functools.lru_cache(maxsize=None)
 def _free_camera(world: str, light: str, seed: int) -> FreeCamera:
-    return FreeCamera(lit_world(world, light), seed)
-
-
-def _observed(
-    camera: FreeCamera, world: str, shot: CameraShot
-) -> tuple[ndarray, list[ObservedMarker]]:
-    """Take an image and return it with the markers found."""
-    observer = MarkerObserver(DetectorSettings(DICTIONARY), WORLDS[world].wanted.size)
-    picture = camera.take(*shot)
-    return picture, observer.observe(picture, camera.camera).markers
-
-
-def _snapshot(camera: FreeCamera, world: str, shot: CameraShot) -> MarkerImage:
-    picture, markers = _observed(camera, world, shot)
-    png = cv2.imencode(".png", picture)[1].tobytes()
-    return MarkerImage(png, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
-
-
-def _judged(camera: FreeCamera, world: str, shot: CameraShot) -> Frame:
-    _, markers = _observed(camera, world, shot)
-    known = WORLDS[world]
-    return judge(markers, shot.pose, known.wanted, known.others, camera.camera)
+    return FreeCamera(world, light, seed)
 
 
 def judge(
     markers: list[ObservedMarker],
     pose: Pose,
     wanted: PrintedMarker,
-    others: tuple[PrintedMarker, ...],
+    others: Sequence[PrintedMarker],
     camera: PinholeCamera,
 ) -> Frame:
     """Compare the detections in an image with the truth.

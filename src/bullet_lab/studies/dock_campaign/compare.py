@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from pathlib import Path
@@ -14,12 +13,11 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION
-from bullet_lab.core.files import FileError
 from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
-from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, reported_docked
+from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, read_log, reported_docked
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
-from bullet_lab.studies.results import Record, panels, write_results
+from bullet_lab.studies.study import Record, clopper_pearson, panels, text_table, write_results
 
 CONFIDENCE = 0.95
 ENDS = ("value", "low", "high")
@@ -28,25 +26,6 @@ ENDS = ("value", "low", "high")
 NAV2_THRESHOLD = 0.05
 """nav2's `docking_threshold`, m: within it a robot counts as docked, with any heading."""
 
-
-class ComparisonError(LabError):
-    """Two campaigns cannot be compared."""
-
-
-def read_campaign(path: Path) -> tuple[str, dict[str, Any], dict[int, Record]]:
-    """Read the log of a campaign; raises FileError or ComparisonError.
-
-    Returns:
-        Its controller, its other parameters, and the records by index.
-    """
-    try:
-        first, *lines = [json.loads(line) for line in path.read_text().splitlines()]
-        parameters = dict(first["campaign"])
-        return parameters.pop("controller"), parameters, {line["index"]: line for line in lines}
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError):
-        raise ComparisonError(f"{path} is not the log of a finished campaign") from None
 
 
 def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
@@ -63,14 +42,15 @@ def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     Raises:
         LabError: the other campaign has other dockings, or lacks some of them.
     """
-    first, drawn_from, first_records = read_campaign(beside)
-    second, own_drawn_from, second_records = read_campaign(folder / LOG)
+    drawn_from, first_records = read_log(beside)
+    own_drawn_from, second_records = read_log(folder / LOG)
+    first, second = (one.pop("controller") for one in (drawn_from, own_drawn_from))
     if drawn_from != own_drawn_from:
-        raise ComparisonError(f"{beside} has other dockings than {folder}")
+        raise LabError(f"{beside} has other dockings than {folder}")
     indices = range(dockings)
     missing = [index for index in indices if index not in first_records]
     if missing:
-        raise ComparisonError(f"{beside} lacks {len(missing)} of {dockings} dockings")
+        raise LabError(f"{beside} lacks {len(missing)} of {dockings} dockings")
     names = [first, second]
     if first == second:
         names = [f"{first} ({beside.parent.name})", f"{second} ({folder.name})"]
@@ -95,8 +75,7 @@ def share(hits: int, trials: int) -> dict[str, Any]:
     >>> {end: round(value, 2) for end, value in share(199, 200).items()}
     {'value': 99.5, 'low': 97.25, 'high': 99.99}
     """
-    interval = stats.binomtest(hits, trials).proportion_ci(CONFIDENCE, method="exact")
-    low, high = map(float, interval)
+    low, high = clopper_pearson(hits, trials, 0.5 * (1.0 - CONFIDENCE))
     return {"value": 100.0 * hits / trials, "low": 100.0 * low, "high": 100.0 * high}
 
 
@@ -186,10 +165,9 @@ def describe(
     names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
 ) -> list[str]:
     """Return the comparison as lines for the user, with intervals of 95 %."""
-    lines = [f"{'':40}{names[0]:>24}{names[1]:>24}"]
-    for figure in columns[0]:
-        if figure != "failures":
-            lines.append(f"{figure:40}" + "".join(f"{_shown(c[figure]):>24}" for c in columns))
+    figures = [figure for figure in columns[0] if figure != "failures"]
+    rows = [(figure, *(_shown(column[figure]) for column in columns)) for figure in figures]
+    lines = text_table([("", *names), *rows])
     lines += [
         f"{name}: " + ", ".join(f"{result} {count}" for result, count in column["failures"].items())
         for name, column in zip(names, columns)
@@ -214,7 +192,7 @@ def comparison_figure(
 ) -> Figure:
     """Draw shares with their intervals, times pair by pair, and the distributions of the errors."""
     title = f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)"
-    figure, (above, below) = panels((2, 3), (11.0, 7.0), title)
+    figure, (above, below) = panels((2, 3), (11.0, 7.0), title, grid=False)
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.92, wspace=0.28, hspace=0.38)
     _draw_shares(above[0], names, columns)
     _draw_results(above[1], columns)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import errno
-import fcntl
+import contextlib
 import json
 import math
-import os
 from collections import Counter
 from pathlib import Path
 from typing import Any, Iterable, Mapping, Sequence
@@ -16,13 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, draw_plan, new_figure
-from bullet_lab.core.files import FileError, replace_file
+from bullet_lab.core.files import file_errors, replace_file
 from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Footprint
 from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
-from bullet_lab.studies.results import Record
-from bullet_lab.studies.shares import clopper_pearson
+from bullet_lab.studies.study import Record, clopper_pearson
 
 LOG = "dockings.jsonl"
 
@@ -33,17 +30,6 @@ QUANTITIES = {
     "yaw_error_deg": ("yaw error", "°", 1.0),
 }
 """Name, unit and factor, for the user, of columns of the table."""
-
-
-def lower_bound(successes: int, trials: int, confidence: float = 0.95) -> float:
-    """Return Clopper and Pearson's one-sided lower bound of a probability of success.
-
-    Without a failure it is (1 - confidence)^(1 / trials), some 1 - 3 / trials at 95 %.
-
-    >>> round(lower_bound(200, 200), 4)
-    0.9851
-    """
-    return clopper_pearson(successes, trials, 1.0 - confidence)[0]
 
 
 def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
@@ -62,7 +48,7 @@ def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
         "dockings": len(records),
         "docked": len(docked),
         "success_rate": len(docked) / len(records),
-        "success_rate_lower_95": lower_bound(len(docked), len(records)),
+        "success_rate_lower_95": clopper_pearson(len(docked), len(records), 1.0 - 0.95)[0],
         "failures": dict(sorted(failures.items())),
         "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
         **{name: error_figures([r[name] for r in reported_docked(records)]) for name in ERRORS},
@@ -111,22 +97,6 @@ def stress_row(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def stress_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the table of stresses as lines for the user."""
-    lines = [f"{'stress':9s} docked      contacts  median / max: distance, lateral mm; yaw deg"]
-    for row in rows:
-        errors = []
-        for error in ERRORS:
-            _, _, factor = QUANTITIES[error]
-            parts = [row[f"{error}_{part}"] for part in ("median", "max")]
-            errors.append(" / ".join("–" if v is None else f"{factor * v:.2f}" for v in parts))
-        docked = f"{row['docked']} of {row['dockings']}"
-        why = f"  ({row['failures']})" if row["failures"] else ""
-        head = f"{row['stress']:9s} {docked:11s} {row['with_contact']:8d}  "
-        lines.append(f"{head}{', '.join(errors[:2])}; {errors[2]}{why}")
-    return lines
-
-
 def reported_docked(records: Sequence[Record]) -> list[Record]:
     """Return the dockings after which the robot reports that it has docked."""
     return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
@@ -139,23 +109,28 @@ def _shares(records: Sequence[Record], name: str) -> dict[str, Any]:
     return {value: f"{docked[value]} of {total[value]}" for value in sorted(total)}
 
 
-class DockLogError(LabError):
-    """The campaign cannot continue from a log."""
 
+def read_log(path: Path) -> tuple[dict[str, Any], dict[int, Record]]:
+    """Return the parameters of a campaign, and its records by index, from its log.
 
-def _finite(text: str) -> float:
-    """Return a number; raises ValueError for NaN and infinite ones."""
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(text)
-    return value
+    Raises:
+        FileError: it cannot be read.
+        LabError: it is not the log of a campaign.
+    """
+    try:
+        with file_errors(f"cannot read {path}"):
+            text = path.read_text()
+        # If the machine or the disk has failed, the last line may be incomplete.
+        head, *lines = map(json.loads, text[: text.rfind("\n") + 1].splitlines())
+        return dict(head["campaign"]), {line["index"]: line for line in lines}
+    except (ValueError, KeyError, TypeError):
+        raise LabError(f"{path} is not the log of a campaign") from None
 
 
 class DockLog:
     """Lines of JSON: the campaign's parameters, then one line per docking, in order of completion.
 
-    Each line is written at once. If the machine or the disk fails, the last line may be
-    incomplete: it is removed, and its docking runs again.
+    Each line is written at once. A docking whose line is incomplete runs again.
 
     Args:
         path: of the file, which is created if necessary.
@@ -165,100 +140,56 @@ class DockLog:
         records: of the dockings, by index.
 
     Raises:
-        DockLogError: the file is the log of a campaign with other parameters, is not a log, or
-            another campaign writes to it.
+        LabError: the file is the log of a campaign with other parameters, or is not a log.
         FileError: it cannot be read or written.
     """
 
     def __init__(self, path: Path, parameters: Mapping[str, Any]):
         self._path = path
-        self._header = _line({"campaign": parameters})
+        # As they are read again.
+        self._parameters = json.loads(_line(parameters))
         self.records: dict[int, Record] = {}
-        try:
-            # Unbuffered, so that a line is in the file even if this process is killed.
-            self._file = path.open("a+b", buffering=0)
-        except OSError as error:
-            raise FileError(f"cannot write {path}: {error.strerror}") from error
-        try:
-            self._read()
-        except LabError:
-            self.close()
-            raise
+        with file_errors(f"cannot write {path}"):
+            if path.exists() and "\n" in path.read_text(errors="replace"):
+                found, self.records = read_log(path)
+                self._check(found)
+            self.sort()
+            self._file = path.open("a", buffering=1)
 
-    def append(self, record: Record) -> None:
-        """Add the record of a docking, with its "index"; raises FileError."""
-        self._write(_line(record))
-        self.records[record["index"]] = record
-
-    def sort(self) -> None:
-        """Sort the lines by index; nothing is appended after that. Raises FileError."""
-        lines = [self._header, *(_line(self.records[index]) for index in sorted(self.records))]
-        replace_file(self._path, lambda part: part.write_bytes(b"".join(lines)))
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _read(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise DockLogError(
-                f"another campaign is writing to {self._path}; choose another folder, or wait"
-            ) from None
-        self._file.seek(0)
-        data = self._file.readall()
-        whole = data[: data.rfind(b"\n") + 1]
-        if len(whole) < len(data):
-            self._file.truncate(len(whole))
-        lines = whole.splitlines(keepends=True)
-        if not lines:
-            self._write(self._header)
-            return
-        self._check_header(lines[0])
-        for number, line in enumerate(lines[1:], start=2):
-            record = self._parse(line, number)
-            if not isinstance(record.get("index"), int):
-                raise DockLogError(f"{self._path}, line {number}: this is not a docking")
-            self.records[record["index"]] = record
-
-    def _check_header(self, line: bytes) -> None:
-        if line == self._header:
-            return
-        found = self._parse(line, 1).get("campaign")
-        if not isinstance(found, dict):
-            raise DockLogError(f"{self._path} is not the log of a campaign")
-        given = json.loads(self._header)["campaign"]
+    def _check(self, found: Mapping[str, Any]) -> None:
+        given = self._parameters
         differences = [
             f"{name} {_shown(found.get(name))}, not {_shown(given.get(name))}"
             for name in {**given, **found}
             if found.get(name) != given.get(name)
         ]
-        raise DockLogError(
-            f"{self._path} is the log of a campaign with other parameters "
-            f"({', '.join(differences)}): choose another folder, or remove it"
-        )
+        if differences:
+            raise LabError(
+                f"{self._path} is the log of a campaign with other parameters "
+                f"({', '.join(differences)}): choose another folder, or remove it"
+            )
 
-    def _parse(self, line: bytes, number: int) -> dict[str, Any]:
-        try:
-            values = json.loads(line, parse_constant=_finite, parse_float=_finite)
-        except ValueError:
-            values = None
-        if not isinstance(values, dict):
-            raise DockLogError(f"{self._path}, line {number}: this is not a line of a log")
-        return values
+    def append(self, record: Record) -> None:
+        """Add the record of a docking, with its "index"; raises FileError."""
+        with file_errors(f"cannot write {self._path}"):
+            self._file.write(_line(record))
+        self.records[record["index"]] = record
 
-    def _write(self, line: bytes) -> None:
-        try:
-            written = self._file.write(line)
-        except OSError as error:
-            raise FileError(f"cannot write {self._path}: {error.strerror}") from error
-        if written < len(line):
-            raise FileError(f"cannot write {self._path}: {os.strerror(errno.ENOSPC)}")
+    def sort(self) -> None:
+        """Sort the lines by index; nothing is appended after that. Raises FileError."""
+        lines = [{"campaign": self._parameters}, *(r for _, r in sorted(self.records.items()))]
+        text = "".join(map(_line, lines))
+        replace_file(self._path, lambda part: part.write_text(text))
+
+    def close(self) -> None:
+        """Close the file."""
+        # A line for which there was no room has been reported.
+        with contextlib.suppress(OSError):
+            self._file.close()
 
 
-def _line(values: Mapping[str, Any]) -> bytes:
-    return (json.dumps(values, allow_nan=False) + "\n").encode()
+def _line(values: Mapping[str, Any]) -> str:
+    return json.dumps(values, allow_nan=False) + "\n"
 
 
 def _shown(value: Any) -> str:

@@ -19,14 +19,14 @@ from typing import Any, Callable
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import ParameterError, integer, text
 from bullet_lab.docking.database import DOCKED, ERRORS
-from bullet_lab.studies.dock_campaign.compare import compare, read_campaign
+from bullet_lab.studies.dock_campaign.compare import compare
 from bullet_lab.studies.dock_campaign.results import (
     LOG,
     QUANTITIES,
     DockLog,
     campaign_figure,
     campaign_summary,
-    stress_lines,
+    read_log,
     stress_row,
 )
 from bullet_lab.studies.dock_campaign.stress import STRESSES
@@ -41,8 +41,15 @@ from bullet_lab.studies.dock_campaign.trial import (
     obstacles,
     run_trial,
 )
-from bullet_lab.studies.results import Record, rows_of, write_results
-from bullet_lab.studies.study import Settings, Tell, progress, run_from, silent
+from bullet_lab.studies.study import (
+    Record,
+    Settings,
+    Tell,
+    progress,
+    rows_of,
+    run_from,
+    write_results,
+)
 from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
 
 MOST_DOCKINGS = 1_000_000
@@ -73,7 +80,7 @@ def run_campaign(
     settings: DockCampaignSettings,
     run: Run,
     trial: Trial = run_trial,
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> dict[str, Any]:
     """Run the dockings that a campaign's log lacks; write log, table, figure and summary.json.
 
@@ -127,13 +134,12 @@ def _run_missing(
         return f"docked {results[True]}, failed {results[False]}"
 
     start = time.monotonic()
-    with progress("docking", count, tell, done, unit="docking", counts=counts) as note:
-        for index, result in run(functools.partial(trial, settings), missing):
-            if isinstance(result, TaskLostError):
-                result = crashed_record(settings, index, str(result))
-            log.append(result)
-            results[result["result"] == DOCKED] += 1
-            note()
+    found = run(functools.partial(trial, settings), missing)
+    for index, result in progress(found, "dockings", count, tell, done, counts):
+        if isinstance(result, TaskLostError):
+            result = crashed_record(settings, index, str(result))
+        log.append(result)
+        results[result["result"] == DOCKED] += 1
     return time.monotonic() - start, [log.records[index] for index in missing]
 
 
@@ -170,12 +176,12 @@ def run_each(
     settings: DockCampaignSettings,
     run: Run,
     trial: Trial = run_trial,
-    tell: Tell = silent,
+    tell: Tell = print,
 ) -> list[str]:
     """Run a campaign without stress, under each stress, and under all, each in its own folder.
 
     An index has the same start in all of them. Writes a table and summary.json of all; returns
-    lines for the user.
+    lines for the user on each.
 
     Raises:
         LabError: as `run_campaign`.
@@ -185,10 +191,10 @@ def run_each(
         tell(f"stress {name}")
         one = replace(settings, stress=(name,))
         summaries[name] = run_campaign(folder / name, one, run, trial, tell)
-    rows = [stress_row(name, summary) for name, summary in summaries.items()]
+    rows = [stress_row(name, one) for name, one in summaries.items()]
     summary = {"job": "dock_campaign", **settings.drawn_from(), "by_stress": summaries}
     write_results(folder, summary, {"stresses.csv": rows_of(rows)}, {}, {})
-    return stress_lines(rows)
+    return [f"{name}: {line}" for name, one in summaries.items() for line in describe(one)]
 
 
 def _run(
@@ -203,7 +209,7 @@ def _run(
     if comparison.beside:
         if EACH in settings.stress:
             raise ParameterError("beside: it takes the campaign under one stress, not under each")
-        read_campaign(Path(comparison.beside))
+        read_log(Path(comparison.beside))
     run = workers(cluster.workers, cluster.scheduler)
     if EACH in settings.stress:
         return run_each(folder, settings, run, tell=tell)
@@ -214,6 +220,4 @@ def _run(
 
 
 SETTINGS = (DockCampaignSettings, ClusterSettings, ComparisonSettings)
-main = functools.partial(
-    run_from, "dock_campaign", __doc__, SETTINGS, _run, short=[("-n", "dockings")]
-)
+main = functools.partial(run_from, "dock_campaign", __doc__, SETTINGS, _run)

@@ -6,7 +6,7 @@ import functools
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Footprint, Model, footprints
+from bullet_lab.simulation.world.description import Footprint, footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.dock_campaign.graceful import CONTROLLERS
@@ -42,8 +42,7 @@ from bullet_lab.studies.dock_campaign.stress import (
     stress_columns,
     world_under,
 )
-from bullet_lab.studies.results import Record
-from bullet_lab.studies.study import MOST_SEED, Settings
+from bullet_lab.studies.study import MOST_SEED, Record, Settings
 from bullet_lab.studies.worlds import LIGHTS, ROBOT, lit_world, read_world
 from bullet_lab.vision.dictionaries import dictionary_named
 from bullet_lab.vision.images import grey
@@ -125,9 +124,6 @@ class DockingScenario:
     stress: Stress
 
 
-class ScenarioError(LabError):
-    """No scenario can be drawn."""
-
 
 @dataclass(frozen=True)
 class DrawSettings(Settings):
@@ -207,36 +203,25 @@ def _draw_start(rng: np.random.Generator, walls: tuple[Footprint, ...]) -> Plana
         x, y = dock_x - distance, dock_y + distance * math.tan(bearing)
         if all(wall.distance((x, y)) > _clearance(wall) for wall in walls):
             return x, y, heading
-    raise ScenarioError(f"{_MOST_ATTEMPTS} draws found no start with enough room for a robot")
+    raise LabError(f"{_MOST_ATTEMPTS} draws found no start with enough room for a robot")
 
 
 def _clearance(wall: Footprint) -> float:
     return TURNING_RADIUS if wall.name == DOCK_MODEL else UNKNOWN_CLEARANCE
 
 
-class DockingOutcome(NamedTuple):
-    """What came of a docking.
-
-    Attributes:
-        result: as the robot reports it.
-        errors: of the robot at rest by the simulator's truth, see `docking_errors`.
-        wall_contacts: number of times that the robot began to touch anything but the floor.
-        sim_time_s: until the end.
-        end: x, y (m) and yaw (rad) of the robot at that time, for the dock's pose in the world's
-            file.
-        renderer: driver that drew the images; empty if there were none.
-    """
-
-    result: DockingResult
-    errors: dict[str, float]
-    wall_contacts: int
-    sim_time_s: float
-    end: PlanarPose
-    renderer: str
+MEASURED = (
+    *(*ERRORS, "wall_contacts", "retries", "sim_time_s"),
+    *("end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
+)
+"""Columns with what is measured: the errors of the robot at rest by the simulator's truth, see
+`docking_errors`; how often the robot began to touch anything but the floor; the seconds until the
+end; the robot's pose at that time, for the dock's pose in the world's file; and the driver that
+drew the images, empty if there were none."""
 
 
-def run_docking(scenario: DockingScenario) -> DockingOutcome:
-    """Dock once.
+def run_docking(scenario: DockingScenario) -> tuple[DockingResult, Record]:
+    """Dock once; return what the robot reports, and the columns `MEASURED`.
 
     Raises:
         LabError: a world, dock or file of the scenario does not exist.
@@ -248,20 +233,11 @@ def run_docking(scenario: DockingScenario) -> DockingOutcome:
         return _SimulatedDocking(scenario, dock, simulation).run()
 
 
-@functools.lru_cache(maxsize=None)
-def _docks() -> dict[str, Dock]:
-    return read_docks(ResourceFinder.anywhere().find(DATABASE))
-
-
-@functools.lru_cache(maxsize=None)
-def _robot() -> Model:
-    return read_urdf_file(ResourceFinder.anywhere().find(ROBOT))
-
-
 def dock_of(scenario: DockingScenario) -> Dock:
     """Return the dock from the database, at its true pose plus the scenario's error of it."""
     x, y, yaw = (a + b for a, b in zip(scenario.stress.dock, scenario.dock_error))
-    return replace(_docks()[scenario.dock], pose=(x, y, wrap(yaw)))
+    docks = read_docks(ResourceFinder.anywhere().find(DATABASE))
+    return replace(docks[scenario.dock], pose=(x, y, wrap(yaw)))
 
 
 class _SimulatedDocking:
@@ -272,7 +248,8 @@ class _SimulatedDocking:
         self._stress = stress = scenario.stress
         self._rng = np.random.default_rng((stress.seed, 0))
         x, y, yaw = _moved(scenario.start, MARKER_POSE, stress.dock)
-        robot = robot_under(stress, _robot(), CAMERA_FRAME)
+        file = ResourceFinder.anywhere().find(ROBOT)
+        robot = robot_under(stress, read_urdf_file(file), CAMERA_FRAME)
         place = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
         self._robot = simulation.add(robot, pose=place)
         self._camera = next(d for d in self._robot.plugins if isinstance(d, Camera))
@@ -293,7 +270,7 @@ class _SimulatedDocking:
         self._touching = False
         self._stamp = 0.0
 
-    def run(self) -> DockingOutcome:
+    def run(self) -> tuple[DockingResult, Record]:
         """Drive to the end."""
         simulation = self._simulation
         simulation.run_until(_SETTLE_STEPS)
@@ -310,15 +287,16 @@ class _SimulatedDocking:
                 self._task.add_observation(self._delayed.popleft()[1])
             v, w = self._task.tick(simulation.seconds)
             self._robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
-        seconds, end = simulation.seconds, _moved(self._pose(), self._stress.dock, MARKER_POSE)
+        seconds, result = simulation.seconds, self._task.result
+        x, y, yaw = _moved(self._pose(), self._stress.dock, MARKER_POSE)
         simulation.run_for(0.5)
         errors = docking_errors(
             self._pose(), self._stress.dock, self._mount.x, self._dock.docked_distance
         )
         renderer = simulation.renderer().driver if self._images else ""
-        return DockingOutcome(
-            self._task.result, errors, self._contacts, seconds, end, renderer
-        )
+        end = x, y, math.degrees(yaw)
+        values = *errors.values(), self._contacts, result.retries, seconds, *end, renderer
+        return result, dict(zip(MEASURED, values))
 
     def _add_odometry(self, sample: OdometrySample) -> None:
         """Give odometry to the task, with stress and noise."""
@@ -369,33 +347,24 @@ def _moved(pose: PlanarPose, before: PlanarPose, after: PlanarPose) -> PlanarPos
     return tuple(se2.compose(after, se2.between(before, pose)).tolist())
 
 
-_MEASURED = (
-    *(*ERRORS, "wall_contacts", "retries", "sim_time_s"),
-    *("end_x_m", "end_y_m", "end_yaw_deg", "renderer"),
-)
-
-
 def run_trial(
     settings: DrawSettings,
     index: int,
-    dock: Callable[[DockingScenario], DockingOutcome] = run_docking,
+    dock: Callable[[DockingScenario], tuple[DockingResult, Record]] = run_docking,
 ) -> Record:
     """Run the docking of an index and return its record; an error becomes a crashed record."""
     scenario = draw_scenario(settings, index)
     try:
-        outcome = dock(scenario)
+        result, measured = dock(scenario)
     except Exception as error:  # one docking must not end the campaign
         return crashed_record(settings, index, f"{type(error).__name__}: {error}")
-    result, errors, contacts, seconds, (x, y, yaw), renderer = outcome
     known = dock_of(scenario)
     tolerance = scenario.stress.allowed(known.tolerance, known.docked_distance)
-    end = x, y, math.degrees(yaw)
-    measured = *errors.values(), contacts, result.retries, seconds, *end, renderer
     return {
         **_drawn(index, scenario),
-        "result": judge(result.error, errors, tolerance, contacts),
+        "result": judge(result.error, measured, tolerance, measured["wall_contacts"]),
         "message": result.message,
-        **dict(zip(_MEASURED, measured)),
+        **measured,
         **found_columns(result.calibration),
     }
 
@@ -406,7 +375,7 @@ def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
         **_drawn(index, draw_scenario(settings, index)),
         "result": CRASHED,
         "message": " ".join(why.split()),
-        **dict.fromkeys(_MEASURED),
+        **dict.fromkeys(MEASURED),
         **found_columns(None),
     }
 

@@ -6,7 +6,7 @@ first-order ones vermilion and dashed.
 
 from __future__ import annotations
 
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ from bullet_lab.studies.noise_study.regions import (
 )
 from bullet_lab.studies.noise_study.statistics import Case, by_model_of, shown_levels, spread
 from bullet_lab.studies.paths import find_corners, resample
-from bullet_lab.studies.results import labelled, legend_below, legend_entry, panels
+from bullet_lab.studies.study import labelled, legend_below, legend_entry, panels
 
 COLUMNS = 5
 CURVES = 5
@@ -79,16 +79,13 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
         f"{MODELS[first.model].title} noise at {first.rate:g} Hz: "
         f"{len(first.kept)} of {first.paths} paths at each level"
     )
-    figure, grid = panels((rows, columns), size, title, sharex=True, sharey=True)
+    labels = ("x (m)", "y (m)")
+    figure, grid = panels((rows, columns), size, title, labels, False, sharex=True, sharey=True)
     for axes, case in zip(grid.flat, cases):
         _draw_sheet(axes, case, window)
         axes.set_title(f"std {case.std:g}", fontsize=10)
     for axes in grid.flat[len(cases) :]:
         axes.set_axis_off()
-    for axes in grid[-1]:
-        axes.set_xlabel("x (m)")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("y (m)")
     _add_sheet_legend(figure)
     return figure
 
@@ -96,17 +93,16 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
 def distance_figure(cases: Sequence[Case]) -> Figure:
     """Draw the error against the distance travelled, and the closed form over it; one rate."""
     title = "Error against distance"
-    figure, (row,), by_model = _model_panels(cases, 1, (4.3, 0.6), 4.6, title)
+    labels = ("distance travelled (m)", "rms distance from the perfect path (m)")
+    figure, (row,), by_model = _model_panels(cases, (1, 4.3, 0.6, 4.6), title, labels)
     for axes, (model, of_model) in zip(row, by_model.items()):
         shown = shown_levels(of_model, CURVES)
         for case, colour in zip(shown, _colours(len(shown))):
             _draw_error(axes, case, colour)
-        axes.set(title=MODELS[model].title, xlabel="distance travelled (m)", yscale="log")
+        axes.set(title=MODELS[model].title, yscale="log")
         _plain_numbers(axes.yaxis)
-        axes.grid(alpha=0.3)
         axes.margins(x=0.0)
         axes.set_xlim(right=1.2 * cases[0].trajectory.length())
-    row[0].set_ylabel("rms distance from the perfect path (m)")
     handles = [
         legend_entry("sample (colour: std)", color=GREY, linewidth=3.2),
         legend_entry("closed form, exact", linestyle="--", color=BLACK, linewidth=1.0),
@@ -130,6 +126,8 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
         (len(by_model), len(rates) + 1),
         (2.5 * len(rates) + 4.4, 0.9 + 2.75 * len(by_model)),
         f"Dependence on the message rate; paths at std {level:g}",
+        ("x (m)", ""),
+        False,
         gridspec_kw={"width_ratios": [1.0] * len(rates) + [1.35]},
     )
     for row, (model, of_model) in zip(grid, by_model.items()):
@@ -139,8 +137,6 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
             axes.set_title(f"{rate:g} Hz", fontsize=10)
         row[0].set_ylabel(f"{MODELS[model].title}\n\ny (m)")
         _draw_rates(row[-1], of_model, trajectory)
-    for axes in grid[-1, :-1]:
-        axes.set_xlabel("x (m)")
     grid[0, -1].set_title("rms error at the end (m) by std", fontsize=10)
     grid[-1, -1].set_xlabel("message rate (Hz); line: exact")
     shared = [axes.get_ylim() for axes in grid[:, -1]]
@@ -152,9 +148,8 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
 
 def coverage_figure(cases: Sequence[Case]) -> Figure:
     """Draw the levels at which the 95 % ellipses are right, and why not at others; one rate."""
-    figure, grid, by_model = _model_panels(
-        cases, 2, (4.0, 0.8), 6.0, "How far to trust an ellipse: last position"
-    )
+    title = "How far to trust an ellipse: last position"
+    figure, grid, by_model = _model_panels(cases, (2, 4.0, 0.8, 6.0), title, ("std", ""))
     for (shares, ratios), (model, of_model) in zip(grid.T, by_model.items()):
         known = [case for case in of_model if case.coverage["first_order"] is not None]
         _draw_coverage(shares, known)
@@ -167,8 +162,7 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
         areas = [case.theory.area_ratio() for case in known]
         label = "area of the ellipse, first order / exact"
         ratios.plot(std, areas, "s--", color=VERMILION, label=label)
-        ratios.set(xlabel="std", yscale="log", ylim=(1e-3, 10.0))
-        ratios.grid(alpha=0.3)
+        ratios.set(yscale="log", ylim=(1e-3, 10.0))
         _plain_numbers(ratios.yaxis)
     grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
     grid[1, 0].set_ylabel("ratio; grey: Gaussian enough")
@@ -178,9 +172,8 @@ def coverage_figure(cases: Sequence[Case]) -> Figure:
 
 def regions_figure(cases: Sequence[Case]) -> Figure:
     """Draw coverage at each level of confidence, and the NEES, at the end; one rate."""
-    figure, grid, by_model = _model_panels(
-        cases, len(LEVELS) + 1, (4.0, 0.8), 10.5, "Regions of x, y and heading at the end", BANDS
-    )
+    size, title = (len(LEVELS) + 1, 4.0, 0.8, 10.5), "Regions of x, y and heading at the end"
+    figure, grid, by_model = _model_panels(cases, size, title, ("std", ""), BANDS)
     for column, (model, of_model) in zip(grid.T, by_model.items()):
         *shares, nees = column
         column[0].set_title(MODELS[model].title)
@@ -192,7 +185,7 @@ def regions_figure(cases: Sequence[Case]) -> Figure:
             rows = [(x, r.nees, *r.nees_band) for x, r in zip(std, found) if r]
             _draw_band(nees, rows, method)
         nees.axhline(3.0, color=GREY, linewidth=5.0, alpha=0.5, zorder=0.5)
-        nees.set(yscale="log", xlabel="std")
+        nees.set(yscale="log")
         _plain_numbers(nees.yaxis)
     for level, axes in zip(LEVELS, grid[:, 0]):
         axes.set_ylabel(f"in the {100 * level:g} % region (%)")
@@ -206,16 +199,15 @@ def distances_figure(cases: Sequence[Case]) -> Figure:
     shown = {m: shown_levels(its, PANELS) for m, its in by_model_of(cases).items()}
     rows = max(1, *map(len, shown.values()))
     title = "95 % regions of x, y and heading along the path"
-    figure, grid, _ = _model_panels(cases, rows, (4.0, 0.8), 2.7 * rows + 0.8, title, BANDS)
+    labels = ("distance travelled (m)", "in the 95 % region (%)")
+    size = (rows, 4.0, 0.8, 2.7 * rows + 0.8)
+    figure, grid, _ = _model_panels(cases, size, title, labels, BANDS)
     for column, (model, levels) in zip(grid.T, shown.items()):
         for axes, case in zip(column, levels):
             regions = case.regions
             for method in METHODS:
                 _draw_shares(axes, regions.travelled, regions.found[method], method, MEANT)
             axes.set_title(f"{MODELS[model].title}, std {case.std:g}", fontsize=10)
-        column[-1].set_xlabel("distance travelled (m)")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("in the 95 % region (%)")
     _add_method_legend(figure, grid)
     return figure
 
@@ -238,19 +230,17 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
         f"{MODELS[most.model].title} noise: where the robot is, and 95 % regions; "
         "above the path where it is bent most, below a straight line"
     )
-    figure, grid = panels((2, len(levels)), (4.0 * max(2, len(levels)) + 0.6, 8.4), title)
+    size = 4.0 * max(2, len(levels)) + 0.6, 8.4
+    figure, grid = panels((2, len(levels)), size, title, ("error of x (m)", "error of y (m)"))
     for column, case in zip(grid.T, levels):
         rule = level_rule(case.model, case.std)
         # A rate that no case has selects draws that no case has.
         generator = study_generator(seed, case.model, case.std, -1.0)
         length, count = case.trajectory.length(), len(case.trajectory)
         on_line = line_cloud(length, count, rule, generator)
-        for axes, cloud in zip(column, (case.regions.bent_cloud(case.theory), on_line)):
+        for axes, cloud in zip(column, (case.regions.bent_cloud(), on_line)):
             _draw_cloud(axes, cloud)
             axes.set_title(f"std {case.std:g}, after {cloud.travelled:.1f} m", fontsize=10)
-        column[-1].set_xlabel("error of x (m)")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("error of y (m)")
     handles = [
         legend_entry("noisy", linestyle="", marker=".", color=BLUE),
         legend_entry("perfect", linestyle="", marker="+", color=ORANGE, markeredgewidth=2.5),
@@ -264,30 +254,26 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
 
 def _model_panels(
     cases: Sequence[Case],
-    rows: int,
-    width: Tuple[float, float],
-    height: float,
+    size: tuple[int, float, float, float],
     title: str,
+    labels: tuple[str, str],
     note: str = "",
-) -> Tuple[Figure, np.ndarray, Dict[str, List[Case]]]:
+) -> tuple[Figure, np.ndarray, dict[str, list[Case]]]:
     """Return a figure with a column for each model, its axes, and the cases of each model.
 
     Args:
         cases: of one rate, which is added to the title.
-        rows: their number.
-        width: of a column, and of the rest of the figure, in inches.
-        height: of the figure, in inches.
+        size: number of rows, width of a column and of the rest, and height, in inches.
         title: of the figure.
+        labels: as of `panels`.
         note: added to the title.
     """
     by_model = by_model_of(cases)
-    figure, grid = panels(
-        (rows, len(by_model)),
-        (width[0] * len(by_model) + width[1], height),
-        f"{title}, at {cases[0].rate:g} Hz{note}",
-        sharex=True,
-        sharey="row",
-    )
+    rows, column, rest, height = size
+    shape = rows, len(by_model)
+    inches = column * len(by_model) + rest, height
+    title = f"{title}, at {cases[0].rate:g} Hz{note}"
+    figure, grid = panels(shape, inches, title, labels, sharex=True, sharey="row")
     return figure, grid, by_model
 
 
@@ -303,7 +289,6 @@ def _draw_coverage(axes: Axes, cases: Sequence[Case]) -> None:
         values = [100.0 * case.coverage[name] for case in cases]
         style, colour = STYLES[name]
         axes.plot(std, values, style, color=colour, label=METHODS[name], markersize=5)
-    axes.grid(alpha=0.3)
 
 
 def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
@@ -379,7 +364,7 @@ def _draw_error(axes: Axes, case: Case, colour) -> None:
     _label(axes, f"{case.std:g}", (far[-1], case.rms_distance[-1]), 5)
 
 
-def _label(axes: Axes, text: str, point: Tuple[float, float], gap: float) -> None:
+def _label(axes: Axes, text: str, point: tuple[float, float], gap: float) -> None:
     axes.annotate(
         text, point, (gap, 0), textcoords="offset points", va="center", fontsize=9
     )
@@ -415,7 +400,7 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
 def _draw_shares(
     axes: Axes,
     places: Sequence[float],
-    found: Sequence[Optional[Region]],
+    found: Sequence[Region | None],
     method: str,
     level: int,
 ) -> None:
@@ -428,7 +413,6 @@ def _draw_shares(
 
 def _draw_band(axes: Axes, rows: Sequence, method: str) -> None:
     """Draw a line with its band from rows of place, value, and the ends of the band."""
-    axes.grid(alpha=0.3)
     if len(rows):
         style, colour = STYLES[method]
         x, values, low, high = np.transpose(rows)
@@ -450,7 +434,6 @@ def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
         curves.append(x + 1j * y)
     _draw_bent_region(axes, *cloud.exponential, np.concatenate(curves))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(alpha=0.3)
 
 
 def _draw_bent_region(axes: Axes, mean, covariance, around: np.ndarray) -> None:

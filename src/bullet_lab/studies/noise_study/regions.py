@@ -8,9 +8,10 @@ sample deviation.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -27,7 +28,7 @@ from bullet_lab.noise.exact_moments import (
 )
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS, NoiseRule
-from bullet_lab.studies.shares import clopper_pearson
+from bullet_lab.studies.study import clopper_pearson
 
 FIRST_ORDER_SHARE = 0.05
 GAUSSIAN_SHARE = 0.1
@@ -99,7 +100,7 @@ def position_of(moments: Moments) -> np.ndarray:
     return moments.covariance[-1, :2, :2]
 
 
-def inverse_of(covariance: np.ndarray) -> Optional[np.ndarray]:
+def inverse_of(covariance: np.ndarray) -> np.ndarray | None:
     """Return the inverse of a covariance, None if it is singular to rounding."""
     scale = np.sqrt(np.abs(np.diag(covariance)))
     if (scale == 0.0).any():
@@ -160,10 +161,10 @@ class Region:
         nees_band: its 95 % interval.
     """
 
-    coverage: Tuple[float, ...]
-    bands: Tuple[Tuple[float, float], ...]
+    coverage: tuple[float, ...]
+    bands: tuple[tuple[float, float], ...]
     nees: float
-    nees_band: Tuple[float, float]
+    nees_band: tuple[float, float]
 
     def wrong(self) -> bool:
         """Return whether the 95 % region does not hold 95 ± 1 %, with confidence `BAND`."""
@@ -172,8 +173,8 @@ class Region:
 
 
 def right_up_to(
-    places: Sequence[float], regions: Sequence[Optional[Region]]
-) -> Optional[float]:
+    places: Sequence[float], regions: Sequence[Region | None]
+) -> float | None:
     """Return the last of some places before the first wrong region; 0 if the first one is wrong.
 
     Returns None if there is no region.
@@ -231,56 +232,6 @@ def _gaussian_at(moments: Moments, pose: int) -> Gaussian:
     return moments.mean[pose], moments.covariance[pose]
 
 
-@dataclass(frozen=True, eq=False)
-class Regions:
-    """The regions of a case.
-
-    Attributes:
-        poses: indices of their poses, shape (k,).
-        travelled: m, up to these poses, shape (k,).
-        gaussian_enough: whether the error at each pose is; see `Theory`.
-        found: for each method and pose, None if the region has no volume.
-        exponential: moments in exponential coordinates, at each pose.
-        cloud: x + iy (m), errors of the first paths' positions at each pose, shape (b, k).
-    """
-
-    poses: np.ndarray
-    travelled: np.ndarray
-    gaussian_enough: List[bool]
-    found: Dict[str, List[Optional[Region]]]
-    exponential: Moments
-    cloud: np.ndarray
-
-    def bent_cloud(self, known: Theory) -> Cloud:
-        """Return the cloud at the pose where it is bent most, by the moments of the case."""
-        k = int(np.argmax([known.quadratic_share(pose) for pose in self.poses]))
-        moments, pose = (known.exact, known.first_order), self.poses[k]
-        gaussians = [_gaussian_at(one, pose) for one in moments]
-        gaussians.append(_gaussian_at(self.exponential, k))
-        return Cloud(self.cloud[:, k], float(self.travelled[k]), *gaussians)
-
-    def right_until(self, method: str) -> Optional[float]:
-        """Return the distance (m) up to which the 95 % region is right, None without regions."""
-        return right_up_to(self.travelled, self.found[method])
-
-    def rows(self) -> Iterator[List]:
-        """Yield a row for each method and pose; see `HEADER`."""
-        for method, regions in self.found.items():
-            for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):
-                if region is not None:
-                    shares = zip(region.coverage, region.bands)
-                    figures = [f for share, band in shares for f in (share, *band)]
-                    nees = (region.nees, *region.nees_band)
-                    yield [method, float(travelled), str(enough).lower(), *figures, *nees]
-
-
-HEADER = (
-    *("method", "travelled_m", "gaussian_enough"),
-    *(f"coverage_{100 * level:g}{end}" for level in LEVELS for end in ("", "_low", "_high")),
-    *("nees_mean", "nees_low", "nees_high"),
-)
-
-
 class Ellipsoids:
     """Regions around the means of errors by several methods, at several poses.
 
@@ -309,19 +260,25 @@ class Ellipsoids:
 _ORDER = ["einsum_path", (0, 1), (0, 1)]
 
 
-class RegionCounter:
-    """Counts the noisy paths in the regions, in memory that does not grow with their number.
+class Regions:
+    """The noisy paths in the regions of a case, in memory that does not grow with their number.
 
     Args:
         trajectory: the perfect path.
         steps: of the path.
         known: moments of its noisy versions.
+
+    Attributes:
+        poses: indices of the poses with regions, shape (k,).
+        travelled: m, up to these poses, shape (k,).
+        gaussian_enough: whether the error at each pose is; see `Theory`.
     """
 
     def __init__(self, trajectory: Trajectory, steps: NoisySteps, known: Theory):
-        self._poses = at = checkpoints(trajectory)
-        self._travelled = trajectory.travelled()[at]
-        self._enough = [known.gaussian_enough(pose) for pose in at]
+        self._known = known
+        self.poses = at = checkpoints(trajectory)
+        self.travelled = trajectory.travelled()[at]
+        self.gaussian_enough = [known.gaussian_enough(pose) for pose in at]
         self._perfect = steps.position[at]
         self._exponential = exponential = exponential_moments(steps, at)
         nothing = np.zeros((len(at), 3))
@@ -333,15 +290,15 @@ class RegionCounter:
             (first_order, exact, exponential.covariance, published),
         )
         self._paths = 0
-        self._cloud: List[np.ndarray] = []
+        self._cloud: list[np.ndarray] = []
         shape = self._ellipsoids.known.shape
         self._inside = np.zeros((*shape, len(LEVELS)), dtype=int)
         self._sums = np.zeros((2, *shape))
 
     def add(self, block: NoisyBlock) -> None:
         """Count the paths of a block."""
-        off = block.position[:, self._poses] - self._perfect
-        heading = wrap(block.heading_error[:, self._poses])
+        off = block.position[:, self.poses] - self._perfect
+        heading = wrap(block.heading_error[:, self.poses])
         if self._paths < CLOUD:
             self._cloud.append(off[: CLOUD - self._paths])
         errors = np.stack([off.real, off.imag, heading], axis=-1)
@@ -350,16 +307,15 @@ class RegionCounter:
         self._inside += np.count_nonzero(nees[..., None] <= BOUNDS, axis=1)
         self._sums += nees.sum(axis=1), np.square(nees).sum(axis=1)
 
-    def regions(self) -> Regions:
-        """Return the statistics of all paths."""
-        found = {
-            name: [self._region(row, k) for k in range(len(self._poses))]
-            for row, name in enumerate(METHODS)
+    @functools.cached_property
+    def found(self) -> dict[str, list[Region | None]]:
+        """For each method and pose the region of all paths, None if it has no volume."""
+        places = range(len(self.poses))
+        return {
+            name: [self._region(row, k) for k in places] for row, name in enumerate(METHODS)
         }
-        cloud = np.concatenate(self._cloud)
-        return Regions(self._poses, self._travelled, self._enough, found, self._exponential, cloud)
 
-    def _region(self, row: int, k: int) -> Optional[Region]:
+    def _region(self, row: int, k: int) -> Region | None:
         if not self._ellipsoids.known[row, k]:
             return None
         n, inside = self._paths, self._inside[row, k].tolist()
@@ -371,6 +327,37 @@ class RegionCounter:
             mean,
             (mean - half, mean + half),
         )
+
+    def bent_cloud(self) -> Cloud:
+        """Return the cloud at the pose where it is bent most, by the moments of the case."""
+        k = int(np.argmax([self._known.quadratic_share(pose) for pose in self.poses]))
+        points = np.concatenate(self._cloud)[:, k]
+        gaussians = [
+            _gaussian_at(one, self.poses[k]) for one in (self._known.exact, self._known.first_order)
+        ]
+        exponential = _gaussian_at(self._exponential, k)
+        return Cloud(points, float(self.travelled[k]), *gaussians, exponential)
+
+    def right_until(self, method: str) -> float | None:
+        """Return the distance (m) up to which the 95 % region is right, None without regions."""
+        return right_up_to(self.travelled, self.found[method])
+
+    def rows(self) -> Iterator[list]:
+        """Yield a row for each method and pose; see `HEADER`."""
+        for method, regions in self.found.items():
+            for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):
+                if region is not None:
+                    shares = zip(region.coverage, region.bands)
+                    figures = [f for share, band in shares for f in (share, *band)]
+                    nees = (region.nees, *region.nees_band)
+                    yield [method, float(travelled), enough, *figures, *nees]
+
+
+HEADER = (
+    *("method", "travelled_m", "gaussian_enough"),
+    *(f"coverage_{100 * level:g}{end}" for level in LEVELS for end in ("", "_low", "_high")),
+    *("nees_mean", "nees_low", "nees_high"),
+)
 
 
 def position_density(mean: np.ndarray, covariance: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
 from bullet_lab.studies.noise_study.regions import (
-    MEANT,
     Ellipsoids,
-    RegionCounter,
     Regions,
     Theory,
     level_rule,
@@ -56,19 +54,11 @@ METRICS = (
 """Columns of `PathMetrics.values`; a closure error for each lap follows."""
 
 
-class PathMetricsError(LabError):
-    """The metrics are not defined for a path."""
 
+def find_laps(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
 
-class Laps(NamedTuple):
-    """Indices of the first and the last pose of each lap of a path, shape (l,)."""
-
-    start: np.ndarray
-    end: np.ndarray
-
-
-def find_laps(trajectory: Trajectory) -> Laps:
-    """Cut a path where its heading has completed another full turn, in either direction.
+    A lap ends where the heading has completed another full turn, in either direction.
 
     The last lap may lack `LAP_TOLERANCE`. A path without a full turn has no laps; only the first
     `MOST_LAPS` count.
@@ -81,7 +71,7 @@ def find_laps(trajectory: Trajectory) -> Laps:
     is_whole = len(ends) == MOST_LAPS or last in ends
     if not is_whole and turned[-1] >= goals[len(ends)] - LAP_TOLERANCE:
         ends = np.append(ends, last)
-    return Laps(np.append(0, ends)[: len(ends)], ends)
+    return np.append(0, ends)[: len(ends)], ends
 
 
 def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -94,7 +84,7 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
         Indices of the first and second poses, two arrays of the same length.
 
     Raises:
-        PathMetricsError: there is no pair.
+        LabError: there is no pair.
     """
     travelled = trajectory.travelled()
     count = len(travelled)
@@ -111,11 +101,16 @@ def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray,
     second = np.where(below_miss <= above_miss, below, above)
     kept = np.minimum(below_miss, above_miss) <= DELTA_TOLERANCE * delta
     if not kept.any():
-        raise PathMetricsError(
+        raise LabError(
             f"no two poses are {delta:g} m apart along the path, give or take "
             f"{100 * DELTA_TOLERANCE:g} %: another delta or a higher rate is needed"
         )
     return first[kept], second[kept]
+
+
+ELLIPSES = ("first_order", "exact", "published")
+"""Ellipses of the last position: each of the first two around its mean, and the one that
+noisy_odom publishes, around the published pose."""
 
 
 class PathMetrics:
@@ -127,7 +122,7 @@ class PathMetrics:
         delta: m, of the relative pose error and the drift.
 
     Raises:
-        PathMetricsError: no two poses are delta apart.
+        LabError: no two poses are delta apart.
     """
 
     def __init__(self, trajectory: Trajectory, steps: NoisySteps, delta: float):
@@ -139,8 +134,8 @@ class PathMetrics:
         # The mean of a ratio is a product with these.
         self._share = 1.0 / (distance * len(distance))
         self._tangent = _tangents(steps).conj()
-        self.laps = find_laps(trajectory)
-        laps = [f"closure_error_lap_{i + 1}_m" for i in range(len(self.laps.end))]
+        self._starts, self._ends = find_laps(trajectory)
+        laps = [f"closure_error_lap_{i + 1}_m" for i in range(len(self._ends))]
         self.names = (*METRICS, *laps)
 
     def values(self, block: NoisyBlock) -> np.ndarray:
@@ -163,12 +158,12 @@ class PathMetrics:
             _rms(along),
             _rms(across),
         ]
-        laps = np.abs(block.position[:, self.laps.end] - block.position[:, self.laps.start])
+        laps = np.abs(block.position[:, self._ends] - block.position[:, self._starts])
         return np.column_stack([*columns, laps])
 
     def perfect_closure(self) -> list[float]:
         """Return the closure error (m) of the perfect path in each lap."""
-        return np.abs(self._position[self.laps.end] - self._position[self.laps.start]).tolist()
+        return np.abs(self._position[self._ends] - self._position[self._starts]).tolist()
 
     def _relative_errors(self, block: NoisyBlock) -> tuple[np.ndarray, np.ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).
@@ -205,7 +200,7 @@ def _tangents(steps: NoisySteps) -> np.ndarray:
     """
     moves = np.abs(steps.trans) >= MIN_TRANSLATION
     if not moves.any():
-        raise PathMetricsError("the path does not move")
+        raise LabError("the path does not move")
     begin = int(np.argmax(moves))
     latest = np.maximum.accumulate(np.where(moves, np.arange(len(steps)), begin))
     return steps.direction[np.concatenate([[begin], latest])]
@@ -224,12 +219,9 @@ class Case:
         perfect_closure: m, closure error of the perfect path in each lap.
         regions: coverage of the regions of all three coordinates along the path.
         paths: number of paths.
-        mean: of the errors of the last pose: x (m), y (m), heading (rad, not wrapped), (3,).
-        covariance: of the same, (3, 3).
         metrics: for each metric its mean, 50 % and 95 % quantile.
-        coverage: share of the paths whose last position lies in the 95 % ellipse, by the ellipse:
-            "first_order" and "exact", each around its mean, and "published", the one that
-            noisy_odom publishes, around the published pose. None for an ellipse without area.
+        coverage: share of the paths whose last position lies in the 95 % ellipse, for each of
+            `ELLIPSES`. None for an ellipse without area.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
         kept: x + iy (m), the first paths, relative to their start, (k, n+1).
         kept_heading: rad, their heading errors, (k, n+1).
@@ -240,19 +232,17 @@ class Case:
     rate: float
     std: float
     theory: Theory
-    perfect_closure: List[float]
+    perfect_closure: list[float]
     regions: Regions
     paths: int
-    mean: np.ndarray
-    covariance: np.ndarray
-    metrics: Dict[str, Dict[str, float]]
-    coverage: Dict[str, Optional[float]]
+    metrics: dict[str, dict[str, float]]
+    coverage: dict[str, float | None]
     rms_distance: np.ndarray
     kept: np.ndarray
     kept_heading: np.ndarray
 
     @property
-    def key(self) -> Dict[str, Any]:
+    def key(self) -> dict[str, Any]:
         """The case in the tables, by the names of their columns."""
         return {"model": self.model, "rate_hz": self.rate, "std": self.std}
 
@@ -263,55 +253,21 @@ class Case:
         yaw = perfect[:, 2] + self.kept_heading[number]
         return Trajectory(self.trajectory.stamps, np.column_stack([x, y, yaw]))
 
-    def summary(self) -> Dict[str, Any]:
-        """Return the figures of the case for summary.json; None if they are not defined."""
-        known, published = self.theory, self.regions.found["published"][-1]
-        return {
-            **self.key,
-            "messages": len(self.trajectory),
-            "paths": self.paths,
-            "final_pose_error": {
-                "sample_mean": self.mean.tolist(),
-                "exact_mean": known.exact.mean[-1].tolist(),
-                "sample_covariance": self.covariance.tolist(),
-                "exact_covariance": known.exact.covariance[-1].tolist(),
-                "first_order_covariance": known.first_order.covariance[-1].tolist(),
-            },
-            "first_order": {
-                "mean_missed_by_std": known.shift(),
-                "ellipse_area_over_exact": known.area_ratio(),
-                "good_enough": known.first_order_enough(),
-            },
-            "quadratic_share": known.quadratic_share(),
-            "gaussian_enough": known.gaussian_enough(),
-            "coverage_of_95_percent_ellipse": self.coverage,
-            "nees": {
-                "mean": published and published.nees,
-                "expected": 3.0,
-                "share_within_95_percent": published and published.coverage[MEANT],
-            },
-            "region_right_until_m": {
-                name: self.regions.right_until(name) for name in self.regions.found
-            },
-            "metrics": self.metrics,
-            "perfect_closure_m": self.perfect_closure,
-        }
 
-
-def by_model_of(cases: Sequence[Case]) -> Dict[str, List[Case]]:
+def by_model_of(cases: Sequence[Case]) -> dict[str, list[Case]]:
     """Return the cases of each model, in the given order."""
-    result: Dict[str, List[Case]] = {}
+    result: dict[str, list[Case]] = {}
     for case in cases:
         result.setdefault(case.model, []).append(case)
     return result
 
 
-def shown_levels(cases: Sequence[Case], count: int) -> List[Case]:
+def shown_levels(cases: Sequence[Case], count: int) -> list[Case]:
     """Return some of the cases with noise, from low to high."""
     return spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
 
 
-def spread(values: Sequence, count: int) -> List:
+def spread(values: Sequence, count: int) -> list:
     """Return some of the values, evenly spread, with the first and the last."""
     indices = np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)
     return [values[i] for i in indices]
@@ -336,17 +292,33 @@ def study_case(
         keep: number of paths to keep.
 
     Raises:
-        PathMetricsError: no two poses of the path are delta apart.
+        LabError: no two poses of the path are delta apart.
     """
     model, std, rate = case
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
     known = theory(steps)
     metrics = PathMetrics(trajectory, steps, delta)
-    sums = _CaseSums(steps, known, metrics, paths, keep)
-    counter = RegionCounter(trajectory, steps, known)
+    regions, ellipses = Regions(trajectory, steps, known), _last_ellipses(known)
+    squares, inside = np.zeros(len(steps) + 1), np.zeros(len(ELLIPSES), dtype=int)
+    sums, values = np.zeros(len(metrics.names)), []
+    kept, headings = [], []
+    # In memory that does not grow with the number of paths.
     for block in noisy_blocks(steps, generator, paths):
-        sums.add(block)
-        counter.add(block)
+        regions.add(block)
+        error = block.position - steps.position
+        squares += np.einsum("ij,ij->j", error.real, error.real)
+        squares += np.einsum("ij,ij->j", error.imag, error.imag)
+        last = np.column_stack([error[:, -1].real, error[:, -1].imag])
+        nees = ellipses.nees(last[:, None])
+        inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
+        found = metrics.values(block)
+        sums += found.sum(axis=0)
+        values.append(found[: max(0, QUANTILE_PATHS - block.first)])
+        kept.append(block.position[: max(0, keep - block.first)])
+        headings.append(block.heading_error[: max(0, keep - block.first)])
+    median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
+    columns = zip((sums / paths).tolist(), median.tolist(), high.tolist())
+    shares = np.where(ellipses.known[:, 0], inside / paths, None)
     return Case(
         trajectory,
         model,
@@ -354,73 +326,19 @@ def study_case(
         std,
         known,
         metrics.perfect_closure(),
-        counter.regions(),
+        regions,
         paths,
-        **sums.statistics(),
+        {name: dict(zip(("mean", "p50", "p95"), own)) for name, own in zip(metrics.names, columns)},
+        dict(zip(ELLIPSES, shares.tolist())),
+        np.sqrt(squares / paths),
+        np.concatenate(kept),
+        np.concatenate(headings),
     )
 
 
-class _CaseSums:
-    """Sums over blocks of noisy paths, in memory that does not grow with their number."""
-
-    def __init__(
-        self, steps: NoisySteps, known: Theory, metrics: PathMetrics, paths: int, keep: int
-    ):
-        self._steps = steps
-        self._metrics = metrics
-        self._paths = paths
-        self._exact_mean = known.exact.mean[-1]
-        published = known.exact.about_perfect()[-1, :2, :2]
-        covariances = (position_of(known.first_order), position_of(known.exact), published)
-        means = (np.zeros(2), self._exact_mean[:2], np.zeros(2))
-        self._ellipses = Ellipsoids(np.array(means)[:, None], np.array(covariances)[:, None])
-        self._sum = np.zeros(3)
-        self._squares = np.zeros((3, 3))
-        self._metric_sums = np.zeros(len(metrics.names))
-        self._metric_values = np.empty((min(paths, QUANTILE_PATHS), len(metrics.names)))
-        self._inside = np.zeros(len(means), dtype=int)
-        self._distance_squares = np.zeros(len(steps) + 1)
-        self._kept = np.empty((min(keep, paths), len(steps) + 1), dtype=complex)
-        self._kept_heading = np.empty(self._kept.shape)
-
-    def add(self, block: NoisyBlock) -> None:
-        error = block.position - self._steps.position
-        self._distance_squares += np.einsum("ij,ij->j", error.real, error.real)
-        self._distance_squares += np.einsum("ij,ij->j", error.imag, error.imag)
-        last = np.column_stack([error[:, -1].real, error[:, -1].imag, block.heading_error[:, -1]])
-        # Relative to the exact mean, for small rounding errors.
-        centred = last - self._exact_mean
-        self._sum += centred.sum(axis=0)
-        self._squares += centred.T @ centred
-        nees = self._ellipses.nees(last[:, None, :2])
-        self._inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
-        values = self._metrics.values(block)
-        self._metric_sums += values.sum(axis=0)
-        for kept, new in (
-            (self._metric_values, values),
-            (self._kept, block.position),
-            (self._kept_heading, block.heading_error),
-        ):
-            # A slice beyond the end of an array is empty.
-            room = kept[block.first : block.first + len(block)]
-            room[:] = new[: len(room)]
-
-    def statistics(self) -> Dict[str, Any]:
-        """Return the statistics as attributes of `Case`."""
-        n, names = self._paths, ("first_order", "exact", "published")
-        shift = self._sum / n
-        median, high = np.quantile(self._metric_values, [0.5, 0.95], axis=0)
-        columns = zip((self._metric_sums / n).tolist(), median.tolist(), high.tolist())
-        shares = np.where(self._ellipses.known[:, 0], self._inside / n, None)
-        return {
-            "mean": self._exact_mean + shift,
-            "covariance": (self._squares - n * np.outer(shift, shift)) / (n - 1),
-            "metrics": {
-                name: dict(zip(("mean", "p50", "p95"), values))
-                for name, values in zip(self._metrics.names, columns)
-            },
-            "coverage": dict(zip(names, shares.tolist())),
-            "rms_distance": np.sqrt(self._distance_squares / n),
-            "kept": self._kept,
-            "kept_heading": self._kept_heading,
-        }
+def _last_ellipses(known: Theory) -> Ellipsoids:
+    """Return the 95 % `ELLIPSES` of the last position."""
+    published = known.exact.about_perfect()[-1, :2, :2]
+    covariances = (position_of(known.first_order), position_of(known.exact), published)
+    means = (np.zeros(2), known.exact.mean[-1, :2], np.zeros(2))
+    return Ellipsoids(np.array(means)[:, None], np.array(covariances)[:, None])

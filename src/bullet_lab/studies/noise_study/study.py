@@ -11,12 +11,11 @@ import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Sequence, Tuple
+from typing import Any, Iterable, Iterator, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import choices, integer, number, numbers, text
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive import Square
@@ -34,9 +33,16 @@ from bullet_lab.studies.noise_study.figures import (
 from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS, right_up_to
 from bullet_lab.studies.noise_study.statistics import Case, by_model_of, study_case
 from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
-from bullet_lab.studies.results import rows_of, write_results
 from bullet_lab.studies.squares import drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Record,
+    Settings,
+    Tell,
+    rows_of,
+    run_from,
+    write_results,
+)
 
 LARGEST_STD = 10.0
 """At this level the heading is random after some centimetres."""
@@ -58,14 +64,14 @@ class StudySettings(Settings):
     For the rate-invariant model it is per square root of them.
     """
 
-    levels: Tuple[float, ...] = numbers(
+    levels: tuple[float, ...] = numbers(
         (0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5),
         "levels of noise, values of std",
         0.0,
         maximum=LARGEST_STD,
     )
-    models: Tuple[str, ...] = choices(STUDIED, "rules that scale the noise", MODELS)
-    rates: Tuple[float, ...] = numbers((0.9, 5.0, 20.0), "message rates, Hz", above=0.0)
+    models: tuple[str, ...] = choices(STUDIED, "rules that scale the noise", MODELS)
+    rates: tuple[float, ...] = numbers((0.9, 5.0, 20.0), "message rates, Hz", above=0.0)
     paths: int = integer(3000, "noisy paths for each level, model and rate", 2, MOST_PATHS)
     seed: int = integer(1, "seed of all that is random", 0, MOST_SEED)
     delta: float = number(
@@ -89,7 +95,7 @@ def simulated_square(laps: int = 1) -> Trajectory:
     return Trajectory(drive.stamps, drive.poses)
 
 
-def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) -> List[Case]:
+def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -> list[Case]:
     """Study every level, model and rate on a path, without writing files.
 
     Returns:
@@ -99,7 +105,7 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = silent) 
         LabError: the path is not usable, or a setting does not suit it.
     """
     check_path(trajectory)
-    cases: List[Case] = []
+    cases: list[Case] = []
     for model in settings.models:
         for rate in settings.rates:
             start = time.monotonic()
@@ -141,8 +147,8 @@ def run_study(
     settings: StudySettings,
     trajectory: Trajectory,
     source: str = "",
-    tell: Tell = silent,
-) -> Dict[str, Any]:
+    tell: Tell = print,
+) -> dict[str, Any]:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
     The same settings and path give the same tables. The source names the origin of the path.
@@ -152,6 +158,7 @@ def run_study(
             written to.
     """
     cases = study(trajectory, settings, tell)
+    records = case_records(cases)
     summary = {
         "job": "noise_study",
         "seed": settings.seed,
@@ -167,10 +174,10 @@ def run_study(
             "duration_s": float(trajectory.stamps[-1] - trajectory.stamps[0]),
             "laps": len(cases[0].perfect_closure),
         },
-        "cases": [case.summary() for case in cases],
+        "cases": records,
     }
     tables = {
-        "metrics.csv": metrics_rows(cases),
+        "metrics.csv": rows_of(records),
         "error_by_distance.csv": distance_rows(cases),
         "regions.csv": region_rows(cases),
         "where_right.csv": where_right_rows(cases),
@@ -183,8 +190,8 @@ def run_study(
     return write_results(folder, summary, tables, figures, texts)
 
 
-def metrics_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
-    """Return a header and a row for each case: metrics, coverage, NEES, errors of first order."""
+def case_records(cases: Sequence[Case]) -> list[Record]:
+    """Return a record of each case: metrics, coverage, NEES, errors of first order."""
     # At a low rate a lap may be missing.
     fullest = max((case.metrics for case in cases), key=len)
     records = []
@@ -205,13 +212,13 @@ def metrics_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
                 "mean_missed_by_std": known.shift(),
                 "area_over_exact": known.area_ratio(),
                 "quadratic_share": known.quadratic_share(),
-                "gaussian_enough": str(known.gaussian_enough()).lower(),
+                "gaussian_enough": known.gaussian_enough(),
             }
         )
-    return rows_of(records)
+    return records
 
 
-def distance_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
+def distance_rows(cases: Sequence[Case]) -> list[Iterable[Any]]:
     """Return a header and rows with the rms distance from the perfect path, sampled and exact."""
     records = []
     for case in cases:
@@ -236,7 +243,7 @@ def region_rows(cases: Sequence[Case]) -> Iterator[Iterable[Any]]:
         yield from ([*case.key.values(), *row] for row in case.regions.rows())
 
 
-def where_right_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
+def where_right_rows(cases: Sequence[Case]) -> list[Iterable[Any]]:
     """Return a header and a row for each case: the distance (m) up to which 95 % regions are right.
 
     A region is right as long as the band around its share overlaps 95 ± 1 %. None: it has no
@@ -257,7 +264,7 @@ def where_right_rows(cases: Sequence[Case]) -> List[Iterable[Any]]:
 
 def _figures(
     cases: Sequence[Case], fastest: Sequence[Case], trajectory: Trajectory, seed: int
-) -> Dict[str, Figure]:
+) -> dict[str, Figure]:
     figures = {
         f"levels_{model}.png": levels_figure(of_model)
         for model, of_model in by_model_of(fastest).items()
@@ -281,8 +288,6 @@ def _run(folder: Path, settings: StudySettings, perfect: PathSettings, tell: Tel
     else:
         source = "the report's square, simulated"
         trajectory = simulated_square(perfect.laps)
-    # A folder that cannot be written to shows here, instead of after the work.
-    make_folder(folder)
     run_study(folder, settings, trajectory, source, tell)
 
 

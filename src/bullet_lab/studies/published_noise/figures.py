@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Callable, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +22,7 @@ from bullet_lab.studies.published_noise.results import (
     Result,
     groups_of_same,
 )
-from bullet_lab.studies.results import legend_below, legend_entry, panels
+from bullet_lab.studies.study import legend_below, legend_entry, panels
 
 PLAIN_NAMES = {
     "aliasing": "aliasing",
@@ -56,7 +56,8 @@ def compare_figure(
         replays: points of the two algorithms (m), shape (n, 2).
         seed: of both.
     """
-    figure, (row,) = panels((1, 3), (11.0, 4.3), sharex=True, sharey=True)
+    labels = ("x (m)", "y (m)")
+    figure, (row,) = panels((1, 3), (11.0, 4.3), "", labels, sharex=True, sharey=True)
     figure.subplots_adjust(left=0.06, right=0.99, top=0.91, bottom=0.2, wspace=0.06)
     contents = (
         ("Figure 1b as published", figure_1b.points, figure_1b.perfect_corners),
@@ -66,10 +67,8 @@ def compare_figure(
     for axes, (title, noisy, square) in zip(row, contents):
         _frame(axes)
         axes.set_title(title, fontsize=11)
-        axes.set_xlabel("x (m)")
         axes.plot(*noisy.T, **_NOISY)
         axes.plot(*square.T, **_PERFECT)
-    row[0].set_ylabel("y (m)")
     noisy = legend_entry("noisy odometry", **_NOISY)
     legend_below(figure, [noisy, legend_entry("perfect odometry", **_PERFECT)])
     return figure
@@ -114,7 +113,6 @@ def defects_figure(
 def _frame(axes: Axes) -> None:
     axes.set_aspect("equal")
     axes.set(xlim=_WINDOW[0], ylim=_WINDOW[1], xticks=(0, 1, 2), yticks=(0, -1, -2))
-    axes.grid(alpha=0.3)
 
 
 def _draw_paths(
@@ -168,7 +166,8 @@ def corners_figure(
         corners: of the simulated perfect path (m), shape (5, 2).
         shown: noisy paths (m), shape (n, m, 2), by name; the first is in bold.
     """
-    figure, grid = panels((2, 1 + len(shown)), (11.0, 6.4), sharex="row", sharey="row")
+    shape, labels = (2, 1 + len(shown)), ("", "y (mm)")
+    figure, grid = panels(shape, (11.0, 6.4), "", labels, sharex="row", sharey="row")
     figure.subplots_adjust(left=0.07, right=0.99, top=0.94, bottom=0.16, wspace=0.06, hspace=0.27)
     published = figure_1b.points[:, np.newaxis], figure_1b.perfect_corners
     contents = {"figure 1b": published, **{name: (p, corners) for name, p in shown.items()}}
@@ -179,11 +178,8 @@ def corners_figure(
             axes.plot(*lines[:, :, 1:], **_OTHERS)
             axes.plot(*lines[:, :, 0], marker="o", markersize=4, **_NOISY)
             axes.plot(*(1e3 * (square - place)).T, **_PERFECT)
-            axes.grid(alpha=0.3)
         start.set(xlim=(-30, 900), ylim=(-8, 8), xlabel="x from the start (mm)")
         corner.set(xlim=(-80, 80), ylim=(-40, 20), xlabel="x from corner 1 (mm)")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("y (mm)")
     handles = [
         legend_entry("noisy odometry", marker="o", **_NOISY),
         legend_entry("other seeds", **_OTHERS),
@@ -253,7 +249,7 @@ def _draw_switches(axes: Axes, rows: Sequence[Sequence[Result]]) -> None:
         spine.set_visible(False)
 
 
-def _mark(switch: Optional[bool]) -> dict:
+def _mark(switch: bool | None) -> dict:
     """Return the style of a switch that is on, off, or None: without effect."""
     if switch is None:
         return {"linestyle": "", "marker": "_", "color": BLACK, "markersize": 7}
@@ -299,8 +295,8 @@ def _p_text(p_value: PValue, equals: str = "") -> str:
 
 
 def first_turns_figure(
-    runs: Mapping[Defects, Tuple[np.ndarray, np.ndarray, np.ndarray]],
-    third_side: Tuple[float, float],
+    runs: Mapping[Defects, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    third_side: tuple[float, float],
 ) -> Figure:
     """Draw the heading, the first rotation of each step and the error of replays.
 
@@ -309,13 +305,13 @@ def first_turns_figure(
             algorithm sees and the noisy ones, shapes (n,), (n, 3) and (n, 3).
         third_side: when it begins and ends (s).
     """
-    figure, rows = panels((3, len(runs)), (9.0, 6.2), sharex=True, sharey="row")
+    shape, labels = (3, len(runs)), ("time (s)", "")
+    figure, rows = panels(shape, (9.0, 6.2), "", labels, sharex=True, sharey="row")
     figure.subplots_adjust(left=0.1, right=0.985, top=0.94, bottom=0.15, wspace=0.06, hspace=0.14)
     for column, (defects, run) in zip(rows.T, runs.items()):
         _draw_turns(column, defects.unwrapped, *run)
         for axes in column:
             axes.axvspan(*third_side, color="0.88", zorder=0, linewidth=0)
-            axes.grid(alpha=0.3)
     labels = ("published yaw (°)", "rot1 of the step (°)", "position error (mm)")
     for axes, label in zip(rows[:, 0], labels):
         axes.set_ylabel(label)
@@ -344,4 +340,3 @@ def _draw_turns(
     turn.plot(stamps[1:], np.degrees(rot1), "o-", markersize=3, **_NOISY)
     distance = np.hypot(*(noisy - perfect)[:, :2].T)
     error.plot(stamps, 1e3 * distance, "o-", markersize=3, **_NOISY)
-    error.set_xlabel("time (s)")

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 from matplotlib import path as drawing
@@ -23,8 +23,7 @@ from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.paths import read_table
-from bullet_lab.studies.results import rows_of
-from bullet_lab.studies.shares import clopper_pearson
+from bullet_lab.studies.study import Record, clopper_pearson, text_table
 
 SIDES = 4
 
@@ -67,9 +66,6 @@ _SMALL = 1e-3
 _SAME = 1e-12
 
 
-class DrawnPathError(LabError):
-    """A path has no square, or the digitised figure lacks a path."""
-
 
 def drawn(points) -> np.ndarray:
     """Return the vertices that matplotlib draws of a path on the axes of figure 1b.
@@ -105,7 +101,7 @@ def find_corners(vertices) -> np.ndarray:
         Indices of the vertices, shape (5,), from the first to the last.
 
     Raises:
-        DrawnPathError: the path has no four sides.
+        LabError: the path has no four sides.
 
     >>> find_corners([(0, 0), (1, 0.1), (2, 0), (2, -2), (1, -2), (0, -2), (0, 0)]).tolist()
     [0, 2, 3, 5, 6]
@@ -120,7 +116,7 @@ def find_corners(vertices) -> np.ndarray:
         choices.append(sums.argmin(axis=0))
         least = sums.min(axis=0)
     if not np.isfinite(least[-1]):
-        raise DrawnPathError("the path has no four sides")
+        raise LabError("the path has no four sides")
     corners = [len(distances) - 1]
     for choice in reversed(choices):
         corners.append(int(choice[corners[-1]]))
@@ -154,7 +150,7 @@ def measure(vertices, perfect_corners) -> np.ndarray:
         perfect_corners: m, shape (5, 2).
 
     Raises:
-        DrawnPathError: the path has no four sides.
+        LabError: the path has no four sides.
     """
     vertices = np.asarray(vertices, dtype=float)
     indices = find_corners(vertices)
@@ -211,7 +207,7 @@ def _read_series(path: Path, name: str) -> np.ndarray:
         if row["series"] == name
     ]
     if not points:
-        raise DrawnPathError(f"{path} has no path {name}")
+        raise LabError(f"{path} has no path {name}")
     return np.array(points)
 
 
@@ -299,19 +295,19 @@ def nearest(measured: np.ndarray, lengths: np.ndarray) -> int:
     return int(np.abs(ratios).sum(axis=1).argmin())
 
 
-def ranked(results: Sequence[Result]) -> List[Result]:
+def ranked(results: Sequence[Result]) -> list[Result]:
     """Return the results, those with the largest p-value first."""
 
-    def key(result: Result) -> Tuple[float, float]:
+    def key(result: Result) -> tuple[float, float]:
         return result.p_values["all"].value, sum(p.value for p in result.p_values.values())
 
     # Of equal ones the first stays first.
     return sorted(results, key=key, reverse=True)
 
 
-def groups_of_same(results: Sequence[Result]) -> List[List[Result]]:
+def groups_of_same(results: Sequence[Result]) -> list[list[Result]]:
     """Return groups of equal results, in the given order."""
-    groups: List[List[Result]] = []
+    groups: list[list[Result]] = []
     for result in results:
         same = next((group for group in groups if group[0].does_the_same_as(result)), None)
         if same is None:
@@ -338,14 +334,18 @@ def verdict(name: str, results: Sequence[Result], evidence: str) -> str:
 
 
 def published_summary(
-    about: Mapping[str, Any], figure: Mapping[str, Any], results: Sequence[Result]
-) -> Dict[str, Any]:
+    about: Mapping[str, Any],
+    figure: Mapping[str, Any],
+    results: Sequence[Result],
+    records: Sequence[Record],
+) -> dict[str, Any]:
     """Return the content of summary.json.
 
     Args:
         about: the settings.
         figure: values of the published figure.
         results: of all combinations, ranked.
+        records: of the same.
     """
     verdicts = {
         evidence: {name: verdict(name, results, evidence) for name in DEFECTS}
@@ -360,55 +360,35 @@ def published_summary(
         "needed": [name for name in DEFECTS if overall[name] == NEEDED],
         "cannot_be_told": [name for name in DEFECTS if overall[name] == UNKNOWN],
         "verdicts": verdicts,
-        "combinations": [
-            {"rank": rank, **_describe(result, results)} for rank, result in enumerate(results, 1)
-        ],
+        "combinations": records,
     }
 
 
-def _describe(result: Result, results: Sequence[Result]) -> Dict[str, Any]:
-    return {
-        "name": str(result.defects),
-        "defects": list(result.defects.names),
-        "p_values": {
-            name: {"p": round(p.value, 5), "below": round(p.high, 5)}
-            for name, p in result.p_values.items()
-        },
-        "lengths_m": {
-            length: dict(zip(_SHARES, rounded(column)))
-            for length, column in zip(LENGTHS, result.quantiles.T)
-        },
-        "percentiles_of_figure_1b": dict(zip(LENGTHS, rounded(100.0 * result.percentiles, 1))),
-        "same_as": [
-            str(other.defects)
-            for other in results
-            if other is not result and result.does_the_same_as(other)
-        ],
-    }
+def combination_records(results: Sequence[Result]) -> list[Record]:
+    """Return a record for each combination, as in combinations.csv; m and %."""
+    records: list[Record] = []
+    for rank, result in enumerate(results, 1):
+        switches = map(int, astuple(result.defects))
+        record: dict[str, Any] = {"rank": rank, **dict(zip(DEFECTS, switches))}
+        for evidence, p in result.p_values.items():
+            record[f"p_{evidence}"], record[f"p_{evidence}_below"] = rounded((p.value, p.high))
+        percentiles = rounded(100.0 * result.percentiles, 1)
+        for length, quantiles, percentile in zip(LENGTHS, result.quantiles.T, percentiles):
+            names = (f"{length}_{share}_m" for share in _SHARES)
+            record.update(zip(names, rounded(quantiles)))
+            record[f"{length}_percentile"] = percentile
+        records.append(record)
+    return records
 
 
-def rounded(values: Sequence[float], digits: int = 5) -> List[float]:
+def rounded(values: Sequence[float], digits: int = 5) -> list[float]:
     """Return rounded values for a table."""
     return [round(float(value), digits) for value in values]
 
 
-def combination_rows(summary: Mapping[str, Any]) -> List[Iterable[Any]]:
-    """Return combinations.csv: the combinations of the summary as a table; m and %."""
-    records = []
-    for one in summary["combinations"]:
-        record = {"rank": one["rank"], **{name: int(name in one["defects"]) for name in DEFECTS}}
-        for evidence, p in one["p_values"].items():
-            record.update({f"p_{evidence}": p["p"], f"p_{evidence}_below": p["below"]})
-        for length, quantiles in one["lengths_m"].items():
-            record.update({f"{length}_{share}_m": value for share, value in quantiles.items()})
-            record[f"{length}_percentile"] = one["percentiles_of_figure_1b"][length]
-        records.append(record)
-    return rows_of(records)
-
-
-def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
+def length_rows(results: Sequence[Result], first_seed: int) -> list[list[Any]]:
     """Return lengths.csv: a header, and a row for each combination and seed; m."""
-    rows: List[List[Any]] = [["seed", *DEFECTS, *(f"{length}_m" for length in LENGTHS)]]
+    rows: list[list[Any]] = [["seed", *DEFECTS, *(f"{length}_m" for length in LENGTHS)]]
     for result in results:
         switches = list(map(int, astuple(result.defects)))
         for seed, lengths in enumerate(result.lengths, start=first_seed):
@@ -416,9 +396,9 @@ def length_rows(results: Sequence[Result], first_seed: int) -> List[List[Any]]:
     return rows
 
 
-def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
+def verdict_lines(summary: Mapping[str, Any]) -> list[str]:
     """Return the main results of a summary as lines for the user."""
-    figure, best = summary["figure_1b"], summary["combinations"][0]
+    figure, rows = summary["figure_1b"], summary["combinations"]
     shown = {name: f"{1e3 * length:.1f}" for name, length in figure["lengths_m"].items()}
     lines = [
         f"figure 1b strays {', '.join([shown[name] for name in LENGTHS[:SIDES]])} mm on sides "
@@ -428,13 +408,9 @@ def verdict_lines(summary: Mapping[str, Any]) -> List[str]:
     ]
     if not summary["explained_by"]:
         return [*lines, "no combination explains figure 1b"]
-    lines.append(f"most usual under: {best['name']}, p = {best['p_values']['all']['p']:.2g}")
-    width = max(map(len, DEFECTS)) + 1
-    if all(row["p_values"]["all"]["below"] >= SIGNIFICANCE for row in summary["combinations"]):
+    lines.append(f"most usual under: {summary['explained_by'][0]}, p = {rows[0]['p_all']:.2g}")
+    if all(row["p_all_below"] >= SIGNIFICANCE for row in rows):
         lines.append("too few seeds to exclude any combination")
-    heads = "".join(f"{evidence:16}" for evidence in EVIDENCE)
-    lines.append(f"{'judged by':{width + 2}} {heads.rstrip()}")
-    for name in DEFECTS:
-        words = "".join(f"{summary['verdicts'][evidence][name]:16}" for evidence in EVIDENCE)
-        lines.append(f"  {name + ':':{width}} {words.rstrip()}")
-    return lines
+    verdicts = summary["verdicts"]
+    table = [(f"  {name}:", *(verdicts[one][name] for one in EVIDENCE)) for name in DEFECTS]
+    return [*lines, *text_table([("judged by", *EVIDENCE), *table])]

@@ -9,11 +9,10 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 
-from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive import OPEN_LOOP_RATE, Square
 from bullet_lab.noise.odometry_noise import MIN_TRANSLATION
@@ -40,7 +39,7 @@ from bullet_lab.studies.published_noise.results import (
     PublishedFigure,
     PValue,
     Result,
-    combination_rows,
+    combination_records,
     drawn,
     find_corners,
     length_rows,
@@ -52,9 +51,8 @@ from bullet_lab.studies.published_noise.results import (
     rounded,
     verdict_lines,
 )
-from bullet_lab.studies.results import write_results
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, silent
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, rows_of, run_from, write_results
 from bullet_lab.studies.workers import run_tasks, this_process
 
 FIGURE_DATA = "data/fig1_paths.csv"
@@ -138,8 +136,8 @@ class Replay:
 
 
 def run_published_noise(
-    folder: Path, settings: PublishedNoiseSettings, tell: Tell = silent
-) -> Dict[str, Any]:
+    folder: Path, settings: PublishedNoiseSettings, tell: Tell = print
+) -> dict[str, Any]:
     """Run the study; write figures, tables and summary.json; return the summary.
 
     The same settings give the same files.
@@ -152,13 +150,13 @@ def run_published_noise(
     Raises:
         LabError: the folder cannot be written to, or files of the package are missing.
     """
-    make_folder(folder)
     figure = read_published_figure(package_share() / FIGURE_DATA)
     replay = Replay(replay_drive(), settings)
     results = ranked(_results(replay, figure, settings, tell))
-    summary = published_summary(asdict(settings), _figure_facts(figure, replay.drive), results)
+    records, facts = combination_records(results), _figure_facts(figure, replay.drive)
+    summary = published_summary(asdict(settings), facts, results, records)
     tables = {
-        "combinations.csv": combination_rows(summary),
+        "combinations.csv": rows_of(records),
         "lengths.csv": length_rows(results, settings.seed),
     }
     figures = _figures(replay, figure, results, settings)
@@ -167,7 +165,7 @@ def run_published_noise(
 
 def _results(
     replay: Replay, figure: PublishedFigure, settings: PublishedNoiseSettings, tell: Tell
-) -> List[Result]:
+) -> list[Result]:
     starts = range(0, settings.seeds, _SEEDS_AT_A_TIME)
     blocks = [range(start, min(start + _SEEDS_AT_A_TIME, settings.seeds)) for start in starts]
     # With aliasing, `unbent` changes nothing, to the last bit.
@@ -178,9 +176,7 @@ def _results(
         len(todo),
         this_process,
         tell,
-        "published_noise",
-        "block",
-        " blocks",
+        "blocks",
     )
     results = [
         Result.of(defects, np.concatenate(lengths[first : first + len(blocks)]), figure.lengths)
@@ -190,7 +186,7 @@ def _results(
     return [*results, *(replace(r, defects=replace(r.defects, unbent=True)) for r in aliased)]
 
 
-def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]:
+def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> dict[str, Any]:
     simulated, shown = (
         float(np.hypot(*(corners[3] - corners[2])))
         for corners in (drive.corners, figure.perfect_corners)
@@ -206,9 +202,9 @@ def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Dict[str, Any]
 def _figures(
     replay: Replay,
     figure: PublishedFigure,
-    results: List[Result],
+    results: list[Result],
     settings: PublishedNoiseSettings,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     drive, corners = replay.drive, replay.corners
     by_defects = {result.defects: result for result in results}
     example = nearest(figure.lengths, by_defects[ALL].lengths)
@@ -216,7 +212,7 @@ def _figures(
     def examples(defects: Defects) -> np.ndarray:
         return replay.noisy(defects, range(_EXAMPLES))[..., :2]
 
-    def shown(defects: Defects) -> Tuple[np.ndarray, PValue]:
+    def shown(defects: Defects) -> tuple[np.ndarray, PValue]:
         return examples(defects), by_defects[defects].p_values["all"]
 
     moved = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)

@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Sequence
 
 import numpy as np
 from scipy import optimize, stats
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
+from bullet_lab.errors import LabError
+from bullet_lab.noise.exact_moments import first_order_moments
+from bullet_lab.noise.noisy_paths import noisy_steps
+from bullet_lab.noise.odometry_noise import RateInvariantRule
 from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, RunError, SquareRun, return_errors
+from bullet_lab.studies.umbmark.runs import DIRECTIONS, SquareRun, return_errors
 
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
@@ -38,7 +42,7 @@ SURE = 3.0
 SAME = 1e-9
 
 
-def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[str, Any]:
+def closed_forms(runs: Sequence[SquareRun], side: float) -> dict[str, Any]:
     """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
@@ -49,7 +53,6 @@ def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[st
     Args:
         runs: in both directions.
         side: L, m.
-        base: the assumed one, m.
 
     Returns:
         centre_cw_m: x, y (m) of the centre of gravity of the return errors, clockwise.
@@ -66,7 +69,7 @@ def closed_forms(runs: Sequence[SquareRun], side: float, base: float) -> Dict[st
     alpha = float(cw[0] + ccw[0]) / (-4.0 * side)
     beta = float(cw[0] - ccw[0]) / (-4.0 * side)
     # R = (L / 2) / sin(beta / 2) and E_d = (R + b / 2) / (R - b / 2), without dividing by 0.
-    bend = base * math.sin(0.5 * beta) / side
+    bend = runs[0].base * math.sin(0.5 * beta) / side
     r_cw, r_ccw = float(np.hypot(*cw)), float(np.hypot(*ccw))
     return {
         "centre_cw_m": cw.tolist(),
@@ -93,10 +96,10 @@ class Estimate:
     """
 
     errors: SystematicErrors
-    intervals: Optional[Dict[str, Tuple[float, float]]]
+    intervals: dict[str, tuple[float, float]] | None
     residual: float
 
-    def on_bounds(self) -> List[str]:
+    def on_bounds(self) -> list[str]:
         """Return the names of the parameters that lie on the bounds of the fit."""
         return [name for name in PARAMETERS if abs(getattr(self.errors, name)) > 0.999 * LARGEST]
 
@@ -114,30 +117,32 @@ class Estimate:
         return Estimate(replace(self.errors, **errors), intervals, self.residual)
 
 
-def fit(runs: Sequence[SquareRun], base: float) -> Estimate:
+def fit(runs: Sequence[SquareRun]) -> Estimate:
     """Fit diameter_error and base_error to the true pose at the end of each run.
 
     Each reported step is an arc, whose length and turn give the assumed distance of each wheel.
     Other wheels make another arc of it; the arcs in a row end at the predicted pose. The squares of
     its errors (x, y and heading) are weighted as for a random walk of distance and heading
-    (`end_covariance`), for which this is maximum likelihood.
+    (`RateInvariantRule`), for which this is maximum likelihood to first order.
 
     The intervals do not rest on these weights: they follow from the differences between the runs
     of each direction, by each run's influence on the estimate, and Student's t. They are exact for
     any Gaussian noise that is small enough for the model to be linear in it.
 
     Args:
-        runs: in both directions.
-        base: the assumed one, m.
+        runs: in both directions, of odometry that assumed the same base.
     """
+    base = runs[0].base
     every = [run.steps() for run in runs]
     # Shorter runs are filled with zeros.
     reported = np.zeros((len(runs), max(map(len, every)), 3))
     for row, steps in zip(reported, every):
         row[: len(steps)] = arcs(steps)
     moved = np.array([run.moved() for run in runs])
-    covariances = np.array([end_covariance(steps) for steps in every])
-    roots = np.linalg.inv(np.linalg.cholesky(covariances))
+    walk = RateInvariantRule(1.0)
+    odometry = (se2.between(run.odometry[0], run.odometry) for run in runs)
+    moments = [first_order_moments(noisy_steps(poses, walk)) for poses in odometry]
+    roots = np.linalg.inv(np.linalg.cholesky([one.covariance[-1] for one in moments]))
 
     def left(parameters: np.ndarray) -> np.ndarray:
         """Return the differences of the ends in units of their standard deviations."""
@@ -185,31 +190,9 @@ def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicError
     return difference
 
 
-def end_covariance(steps: np.ndarray) -> np.ndarray:
-    """Return the first-order covariance (m², m rad, rad²) of the pose after some steps, (3, 3).
-
-    Distance gains 1 m² of variance per metre, heading 1 rad² per metre and per radian, as in the
-    rate-invariant noise of std 1; the frame is that of the first pose.
-
-    Args:
-        steps: (dx m, dy m, dyaw rad), shape (n, 3).
-    """
-    heading = np.cumsum(steps[:, 2]) - steps[:, 2]
-    moves = np.exp(1j * heading) * (steps[:, 0] + 1j * steps[:, 1])
-    ends = np.cumsum(moves)
-    lengths = np.abs(moves)
-    # A turn in the middle of a step swings the rest of the path.
-    rest = ends[-1] - (ends - 0.5 * moves)
-    levers = np.stack((-rest.imag, rest.real, np.ones(len(steps))), axis=-1)
-    alongs = moves / np.where(lengths > 0.0, lengths, 1.0)
-    alongs = np.stack((alongs.real, alongs.imag, np.zeros(len(steps))), axis=-1)
-    turned = lengths + np.abs(steps[:, 2])
-    return (levers.T * turned) @ levers + (alongs.T * lengths) @ alongs
-
-
 def _intervals(
     found: np.ndarray, shares: np.ndarray, directions: np.ndarray
-) -> Optional[Dict[str, Tuple[float, float]]]:
+) -> dict[str, tuple[float, float]] | None:
     """Return the intervals of the parameters from the influence of each run on them, (n, 2)."""
     if np.abs(found).max() > 0.999 * LARGEST:
         # On a bound the sum of squares has no minimum, so that no interval holds.
@@ -223,11 +206,11 @@ def _intervals(
         # The runs of each direction are equal: their spread is unknown.
         return None
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
-    ends: List[Tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
+    ends: list[tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
     return dict(zip(PARAMETERS, ends))
 
 
-def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
+def centre_ellipse(errors: np.ndarray) -> np.ndarray | None:
     """Return a 2x2 matrix (m²) whose 95 % ellipse is that of the centre of return errors.
 
     `core.se2.ellipse_points` draws the ellipse of a known covariance. This one is estimated from
@@ -251,34 +234,31 @@ def centre_ellipse(errors: np.ndarray) -> Optional[np.ndarray]:
 class Benchmark:
     """Runs and their evaluation."""
 
-    runs: Tuple[SquareRun, ...]
-    base: float
-    figures: Dict[str, Any]
+    runs: tuple[SquareRun, ...]
+    figures: dict[str, Any]
     estimate: Estimate
 
     @classmethod
-    def of(cls, runs: Sequence[SquareRun], base: float, side: Optional[float] = None) -> Benchmark:
-        """Evaluate runs; raises RunError unless there are runs in both directions.
+    def of(cls, runs: Sequence[SquareRun], side: float | None = None) -> Benchmark:
+        """Evaluate runs; raises LabError unless there are runs in both directions.
+
+        The fit counts turns by the base that was assumed, which includes a correction.
 
         Args:
             runs: in both directions.
-            base: m, as odometry assumes it.
             side: m; the mean reported one by default.
         """
         if {run.direction for run in runs} != set(DIRECTIONS):
-            raise RunError("squares have to be driven both ways, clockwise and counter-clockwise")
+            raise LabError("squares have to be driven both ways, clockwise and counter-clockwise")
         length = float(np.mean([run.side() for run in runs])) if side is None else side
-        return cls(tuple(runs), base, closed_forms(runs, length, base), fit(runs, base))
+        return cls(tuple(runs), closed_forms(runs, length), fit(runs))
 
-    @classmethod
-    def of_drives(cls, drives: Sequence[Tuple[SquareRun, float]], side: float) -> Benchmark:
-        """Evaluate runs of `drive_run`.
+    @property
+    def base(self) -> float:
+        """The base (m) that the odometry assumed."""
+        return self.runs[0].base
 
-        The fit counts turns by the base that was assumed, which includes the correction.
-        """
-        return cls.of([run for run, _ in drives], drives[0][1], side)
-
-    def warnings(self) -> List[str]:
+    def warnings(self) -> list[str]:
         """Return the reasons to distrust the result, with likely causes; empty without any."""
         largest, left = self.figures["e_max_syst_m"], self.estimate.residual
         side = float(np.mean([run.side() for run in self.runs]))
@@ -309,7 +289,7 @@ class Benchmark:
             for one in errors
         )
 
-    def summary(self) -> Dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the figures of the benchmark by their usual names."""
         squares = {d: sum(run.direction == d for run in self.runs) for d in DIRECTIONS}
         return {"squares": squares, **self.figures}

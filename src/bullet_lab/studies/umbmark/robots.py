@@ -6,13 +6,13 @@ import contextlib
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import yaml
 
 from bullet_lab.core.parameters import choice, integer, number, text
-from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
 from bullet_lab.errors import LabError
@@ -25,9 +25,8 @@ from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning, DiffDrive
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Collision, Link, Model
+from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Sphere
 from bullet_lab.simulation.world.urdf import read_urdf_file, read_urdf_text
 from bullet_lab.studies.study import MOST_SEED, Settings, UnfinishedError
 from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, SquareRun
@@ -52,9 +51,6 @@ MULTIPLIERS = (
 
 CONTROLLER_TYPE = "diff_drive_controller/DiffDriveController"
 
-
-class RobotError(LabError):
-    """A robot does not have odometry by two wheels."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,7 @@ class IdealRobot:
         self._rolled = DeadReckoning(wheels.base, 0.5 * wheels.left, 0.5 * wheels.right)
         self._counted = DeadReckoning(assumed.base, 0.5 * assumed.left, 0.5 * assumed.right)
         self._angles = (0.0, 0.0)
-        self.odometry: List[PlanarPose] = [self._counted.pose]
+        self.odometry: list[PlanarPose] = [self._counted.pose]
 
     def pose(self) -> PlanarPose:
         """Return the true pose: (m, m, rad)."""
@@ -115,10 +111,8 @@ class IdealRobot:
 class FloorRobot:
     """A robot on the floor of an empty world, at rest at the origin, with odometry by its wheels.
 
-    With the plugin libgazebo_ros_diff_drive.so, its wheels become larger and smaller than in the
-    file for errors of the diameters, without the plugin's knowledge. For an error of the base, the
-    plugin gets another base. With a diff_drive_controller of ros_control, errors are in the
-    controller's multipliers: it assumes other wheels than the true ones.
+    The plugin libgazebo_ros_diff_drive.so, or a diff_drive_controller of ros_control, gets other
+    diameters and another base than the true ones.
 
     Its pose is that of the midpoint between its wheels, as is that of its odometry.
 
@@ -142,8 +136,9 @@ class FloorRobot:
     ):
         file = ResourceFinder.anywhere().find(robot)
         model = read_urdf_file(file)
+        factors = assumed_multipliers(errors, correction)
         if not controller:
-            model = _with_wrong_wheels(robot, model, errors, correction)
+            model = _with_other_plugin(robot, model, factors)
         self._simulation = Simulation.of(WORLD)
         # For the model with its own wheels, the warnings have been logged.
         with contextlib.nullcontext() if controller else _without_warnings():
@@ -151,9 +146,9 @@ class FloorRobot:
         if controller:
             plugin = _plugin(self._robot, RosControl)
             if plugin is None:
-                raise RobotError(f"{robot}: there is no plugin {RosControl.filenames[0]}")
+                raise LabError(f"{robot}: there is no plugin {RosControl.filenames[0]}")
             urdf = read_urdf_text(file)
-            drive: Any = _load_controller(plugin, urdf, controller, errors, correction)
+            drive: Any = _load_controller(plugin, urdf, controller, factors)
             joints = [joint.name for joint in drive.joints]
         else:
             drive = _plugin(self._robot, DiffDrive)
@@ -161,7 +156,7 @@ class FloorRobot:
         left, right = (2.0 * radius for radius in drive.radii)
         self.assumed = Wheels(left, right, drive.separation)
         self._axle = _middle(model, joints)
-        self.odometry: List[PlanarPose] = []
+        self.odometry: list[PlanarPose] = []
         drive.odometry.connect(self._add_odometry)
         self._command = drive.command
         self.drive(0.0, 0.0, SETTLING_SECONDS)
@@ -213,70 +208,33 @@ def _without_warnings() -> Iterator[None]:
         log.setLevel(level)
 
 
-def _with_wrong_wheels(
-    robot: str, model: Model, errors: SystematicErrors, correction: SystematicErrors
-) -> Model:
-    """Return a model with wrong wheels, and with a diff_drive plugin that assumes others.
+def _with_other_plugin(robot: str, model: Model, factors: Mapping[str, float]) -> Model:
+    """Return a model whose diff_drive plugin assumes wheels times `factors`.
 
     The plugin reports at least at the rate of the driver of squares, so that the robot stops in
     time.
     """
     tag = next((tag for tag in model.plugins if tag.filename in DiffDrive.filenames), None)
     if tag is None:
-        raise RobotError(
+        raise LabError(
             f"{robot}: there is no plugin {DiffDrive.filenames[0]}, and no controller"
         )
     with Simulation.of(WORLD) as simulation:
         drive = _plugin(simulation.add(model), DiffDrive)
     if drive is None:
-        raise RobotError("the robot's diff_drive plugin does not work; see the warnings")
-    left, right = (2.0 * radius for radius in drive.radii)
-    drawn = Wheels(left, right, drive.separation)
-    assumed = replace(drawn, base=drawn.base / (1.0 + errors.base_error)).times(correction)
-    tags = {
-        **tag.tags,
-        "odometrySource": "encoder",
-        "wheelSeparation": repr(assumed.base),
-        "leftWheelDiameter": repr(assumed.left),
-        "rightWheelDiameter": repr(assumed.right),
-    }
+        raise LabError("the robot's diff_drive plugin does not work; see the warnings")
+    names = ("leftWheelDiameter", "rightWheelDiameter", "wheelSeparation")
+    values = (*(2.0 * radius for radius in drive.radii), drive.separation)
+    wheels = (repr(value * factor) for value, factor in zip(values, factors.values()))
+    tags = {**tag.tags, "odometrySource": "encoder", **dict(zip(names, wheels))}
     if drive.schedule.period > 1.0 / CLOSED_LOOP_RATE:
         tags["updateRate"] = str(CLOSED_LOOP_RATE)
     changed = replace(tag, tags=tags, element=None)
-    children = {joint.name: joint.child for joint in model.joints}
-    wheels = [children[wheel.joint] for wheel in drive.wheels]
-    factors = dict(zip(wheels, errors.diameters))
-    return replace(
-        model,
-        plugins=tuple(changed if one is tag else one for one in model.plugins),
-        links=tuple(_scaled(link, factors.get(link.name, 1.0)) for link in model.links),
-    )
+    plugins = tuple(changed if one is tag else one for one in model.plugins)
+    return replace(model, plugins=plugins)
 
 
-def _scaled(link: Link, factor: float) -> Link:
-    """Return a link whose contacts are those of a larger or smaller one."""
-
-    def larger(values: Vector) -> Vector:
-        x, y, z = values
-        return factor * x, factor * y, factor * z
-
-    def scaled(collision: Collision) -> Collision:
-        shape: Any = collision.geometry
-        if isinstance(shape, (Cylinder, Sphere)):
-            shape = replace(shape, radius=factor * shape.radius)
-        elif isinstance(shape, Box):
-            shape = replace(shape, size=larger(shape.size))
-        elif isinstance(shape, Mesh):
-            shape = replace(shape, scale=larger(shape.scale))
-        pose = replace(collision.pose, position=larger(collision.pose.position))
-        return replace(collision, geometry=shape, pose=pose)
-
-    if factor == 1.0:
-        return link
-    return replace(link, collisions=tuple(map(scaled, link.collisions)))
-
-
-def multipliers(errors: SystematicErrors) -> Dict[str, float]:
+def multipliers(errors: SystematicErrors) -> dict[str, float]:
     """Return the `MULTIPLIERS` that undo errors.
 
     They keep the mean of the diameters: 2 / (E_d + 1), 2 / (1 / E_d + 1) and E_b.
@@ -284,42 +242,46 @@ def multipliers(errors: SystematicErrors) -> Dict[str, float]:
     return dict(zip(MULTIPLIERS, (*errors.diameters, 1.0 + errors.base_error)))
 
 
+def assumed_multipliers(
+    errors: SystematicErrors, correction: SystematicErrors
+) -> dict[str, float]:
+    """Return the `MULTIPLIERS` of odometry with errors, and with a correction of them."""
+    wrong, corrected = multipliers(errors), multipliers(correction)
+    return {name: corrected[name] / wrong[name] for name in MULTIPLIERS}
+
+
 def _load_controller(
-    plugin: RosControl,
-    urdf: str,
-    file: str,
-    errors: SystematicErrors,
-    correction: SystematicErrors,
+    plugin: RosControl, urdf: str, file: str, factors: Mapping[str, float]
 ) -> DiffDriveController:
-    """Start the diff_drive_controller of a file with other multipliers."""
+    """Start the diff_drive_controller of a file with its multipliers times `factors`."""
     tree, name = _find_controller(file)
     parameters = dict(tree[name])
     both = parameters.pop("wheel_radius_multiplier", None)
     if both is not None:
         parameters.update(dict.fromkeys(MULTIPLIERS[:2], both))
     parameters["publish_rate"] = max(CLOSED_LOOP_RATE, parameters.get("publish_rate", 0.0))
-    for key, wrong in multipliers(errors).items():
-        parameters[key] = parameters.get(key, 1.0) / wrong * multipliers(correction)[key]
+    for key, factor in factors.items():
+        parameters[key] = parameters.get(key, 1.0) * factor
     manager = plugin.configure(urdf, tree)
     controller = manager.load(name, ControlParameters(parameters, f"{plugin.namespace}{name}"))
     manager.switch([name], [])
     return controller
 
 
-def _find_controller(file: str) -> Tuple[Mapping[str, Any], str]:
+def _find_controller(file: str) -> tuple[Mapping[str, Any], str]:
     """Return the mapping that holds the parameters of a diff_drive_controller, and its name."""
     path = Path(ResourceFinder.anywhere().find(file))
     try:
         trees = [yaml.safe_load(path.read_text())]
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RobotError(f"cannot read {file}: {' '.join(str(error).split())}") from None
+        raise LabError(f"cannot read {file}: {' '.join(str(error).split())}") from None
     while trees:
         tree = trees.pop()
         for name, own in tree.items() if isinstance(tree, Mapping) else ():
             if isinstance(own, Mapping) and own.get("type") == CONTROLLER_TYPE:
                 return tree, name
             trees.append(own)
-    raise RobotError(f"{file}: there is no controller of the type {CONTROLLER_TYPE}")
+    raise LabError(f"{file}: there is no controller of the type {CONTROLLER_TYPE}")
 
 
 @dataclass(frozen=True)
@@ -377,10 +339,10 @@ def drive_run(
     settings: BenchmarkSettings,
     correction: SystematicErrors,
     laps: int,
-    ideal_base: Optional[float],
+    ideal_base: float | None,
     number: int,
-) -> Tuple[SquareRun, float]:
-    """Drive a run, clockwise if its number is even; return it, and the base (m) assumed in it.
+) -> SquareRun:
+    """Drive a run, clockwise if its number is even.
 
     Args:
         settings: of the drive.
@@ -401,11 +363,11 @@ def drive_run(
         robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))
     with contextlib.closing(robot):
         name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
-        return drive_square(robot, settings.square(direction), name, noise), robot.assumed.base
+        return drive_square(robot, settings.square(direction), name, noise)
 
 
 def drive_square(
-    robot: Union[IdealRobot, FloorRobot],
+    robot: IdealRobot | FloorRobot,
     square: Square,
     name: str,
     noisy: Callable[[PlanarPose], PlanarPose] = lambda pose: pose,
@@ -424,7 +386,7 @@ def drive_square(
     driver = SquareDriver(square, CLOSED_LOOP)
     start, period = robot.pose(), 1.0 / driver.rate
     first = len(robot.odometry) - 1
-    reported: List[PlanarPose] = []
+    reported: list[PlanarPose] = []
 
     def newest() -> PlanarPose:
         reported.extend(map(noisy, robot.odometry[first + len(reported) :]))
@@ -436,6 +398,6 @@ def drive_square(
         if command is None:
             robot.drive(0.0, 0.0, REST_SECONDS)
             newest()
-            return SquareRun(name, np.array(reported), start, robot.pose())
+            return SquareRun(name, np.array(reported), start, robot.pose(), robot.assumed.base)
         robot.drive(*command, period)
     raise UnfinishedError(f"{name}: the robot does not complete its square in time")

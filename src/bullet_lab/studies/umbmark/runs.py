@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import List, Mapping, Sequence
+from typing import Mapping, Sequence
 
 import numpy as np
 
@@ -34,9 +34,6 @@ AT_REST = 0.01
 """m from the first or last pose, within which the robot counts as at rest."""
 
 
-class RunError(LabError):
-    """A recording is not a square that was driven by odometry."""
-
 
 @dataclass(frozen=True, eq=False)
 class SquareRun:
@@ -47,29 +44,31 @@ class SquareRun:
         odometry: reported poses: x (m), y (m) and yaw (rad), shape (n, 3).
         start: true pose at the first of these, in any frame.
         end: true pose at the last, in the same frame.
+        base: distance of the wheels that the odometry assumed, m.
 
     Raises:
-        RunError: the odometry does not turn by 360°, or a number is out of range.
+        LabError: the odometry does not turn by 360°, or a number is out of range.
     """
 
     name: str
     odometry: np.ndarray
     start: PlanarPose
     end: PlanarPose
+    base: float
 
     def __post_init__(self) -> None:
         """Check that it is a square."""
         if len(self.odometry) < 2 or not np.isfinite(self.odometry).all():
-            raise RunError(f"{self.name}: there is no odometry of a square")
+            raise LabError(f"{self.name}: there is no odometry of a square")
         largest = max(np.abs(self.odometry).max(), *map(abs, (*self.start, *self.end)))
         if largest > FARTHEST:
-            raise RunError(
+            raise LabError(
                 f"{self.name}: {largest:g} is out of range: positions are in m, angles in rad, "
                 f"and at most {FARTHEST:g}"
             )
         turned = abs(self.turned())
         if not 0.75 < turned / (2.0 * np.pi) < 1.25:
-            raise RunError(
+            raise LabError(
                 f"{self.name}: the odometry turns by {np.degrees(turned):.0f}°, not once round, "
                 "as on a square with the turn after its last side"
             )
@@ -108,7 +107,9 @@ def return_errors(runs: Sequence[SquareRun], direction: str) -> np.ndarray:
     return np.array(errors).reshape(-1, 3)
 
 
-def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[SquareRun]:
+def read_runs(
+    path: Path, topic: str, truth_topic: str, side: float, base: float
+) -> list[SquareRun]:
     """Read a run from each bag, table of two paths, or pair of TUM files in a folder.
 
     In a table of two paths (`PAIRS`, as paths.csv of the squares) the true pose comes first and
@@ -120,42 +121,43 @@ def read_runs(path: Path, topic: str, truth_topic: str, side: float) -> List[Squ
         topic: of a bag's odometry.
         truth_topic: of a bag's true poses.
         side: of the square, m, for tables of returns.
+        base: that the odometry assumed, m.
 
     Raises:
         LabError: a file cannot be read, or there is none.
     """
     files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
-    runs: List[SquareRun] = []
+    runs: list[SquareRun] = []
     for file in files:
         if file.name.endswith(ODOMETRY):
             truth = file.with_name(file.name[: -len(ODOMETRY)] + TRUTH)
-            runs.append(_run(file, read_path(file), read_path(truth)))
+            runs.append(_run(file, read_path(file), read_path(truth), base))
         elif file.suffix == ".bag":
-            runs.append(_run(file, read_path(file, topic), read_path(file, truth_topic)))
+            runs.append(_run(file, read_path(file, topic), read_path(file, truth_topic), base))
         elif file.suffix == ".csv":
-            runs += _read_csv(file, side)
+            runs += _read_csv(file, side, base)
     if not runs:
-        raise RunError(f"{path}: there is no bag, no table and no *{ODOMETRY} of a run")
+        raise LabError(f"{path}: there is no bag, no table and no *{ODOMETRY} of a run")
     return runs
 
 
-def _run(file: Path, odometry: Trajectory, truth: Trajectory) -> SquareRun:
+def _run(file: Path, odometry: Trajectory, truth: Trajectory, base: float) -> SquareRun:
     """Return a run from the first to the last poses of both: the robot rests there."""
     _check_times(file, odometry, truth)
     first, last = truth.poses[[0, -1]].tolist()
     turns = [se2.steps(one.poses)[:, 2].sum() for one in (odometry, truth)]
     if turns[0] * turns[1] < 0.0:
-        raise RunError(
+        raise LabError(
             f"{file}: odometry and truth turn in opposite directions: "
             "is the y axis or the yaw of one of them mirrored?"
         )
     remarks = "; ".join(filter(None, (odometry.remark, truth.remark)))
     name = f"{file.stem} ({remarks})" if remarks else file.stem
-    return SquareRun(name, odometry.poses, tuple(first), tuple(last))
+    return SquareRun(name, odometry.poses, tuple(first), tuple(last), base)
 
 
 def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
-    """Raise RunError unless the truth covers the time in which the robot drives."""
+    """Raise LabError unless the truth covers the time in which the robot drives."""
     from_start, from_end = (
         np.flatnonzero(np.hypot(*(odometry.poses - rest)[:, :2].T) > AT_REST)
         for rest in odometry.poses[[0, -1]]
@@ -164,25 +166,26 @@ def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
         return
     begin, end = odometry.stamps[[from_start[0], from_end[-1]]]
     if truth.stamps[0] > begin or truth.stamps[-1] < end:
-        raise RunError(
+        raise LabError(
             f"{file}: the robot drives from {begin:.3f} to {end:.3f} s, but the truth covers "
             f"{truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s: are both of one run and one clock?"
         )
 
 
-def _read_csv(path: Path, side: float) -> List[SquareRun]:
+def _read_csv(path: Path, side: float, base: float) -> list[SquareRun]:
     columns, rows = read_table(path, PAIRS, RETURNS)
     if columns == PAIRS:
-        return [_run(path, read_path(path, prefix="noisy_"), read_path(path))]
-    return [_measured_run(where, row, side) for where, row in rows]
+        return [_run(path, read_path(path, prefix="noisy_"), read_path(path), base)]
+    return [_measured_run(where, row, side, base) for where, row in rows]
 
 
-def _measured_run(where: str, row: Mapping[str, str], side: float) -> SquareRun:
+def _measured_run(where: str, row: Mapping[str, str], side: float, base: float) -> SquareRun:
     direction = (row["direction"] or "").strip().lower()
     if direction not in DIRECTIONS:
-        raise RunError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
+        raise LabError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
     x, y, yaw = finite_numbers([row[name] for name in RETURNS[1:]], where)
-    return SquareRun(where, perfect_square(side, direction), (0.0, 0.0, 0.0), (x, y, yaw))
+    square = perfect_square(side, direction)
+    return SquareRun(where, square, (0.0, 0.0, 0.0), (x, y, yaw), base)
 
 
 def perfect_square(side: float, direction: str) -> np.ndarray:

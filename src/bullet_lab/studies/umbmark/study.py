@@ -12,7 +12,7 @@ import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
 import yaml
@@ -23,15 +23,17 @@ from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION,
 from bullet_lab.core.parameters import boolean, integer, number, text
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.results import (
+from bullet_lab.studies.study import (
     Record,
+    Settings,
+    Tell,
     labelled,
     legend_below,
     panels,
     rows_of,
+    run_from,
     write_results,
 )
-from bullet_lab.studies.study import Settings, Tell, run_from
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,
@@ -90,10 +92,10 @@ class FileSettings(Settings):
 def run_umbmark(
     folder: Path,
     before: Benchmark,
-    after: Optional[Benchmark],
-    about: Dict[str, Any],
+    after: Benchmark | None,
+    about: dict[str, Any],
     floor: systematic.SystematicErrors = NO_ERRORS,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Write tables, figure, corrected parameters and summary.json; return the summary.
 
     Args:
@@ -106,7 +108,7 @@ def run_umbmark(
     found = before.estimate
     recovered = found.relative_to(floor)
     warnings = before.warnings()
-    summary: Dict[str, Any] = {
+    summary: dict[str, Any] = {
         "job": "umbmark",
         **about,
         "finished": True,
@@ -139,18 +141,18 @@ def run_umbmark(
     )
 
 
-def _by_name(errors: systematic.SystematicErrors) -> Dict[str, float]:
+def _by_name(errors: systematic.SystematicErrors) -> dict[str, float]:
     return {name: getattr(errors, name) for name in PARAMETERS}
 
 
-def _return_rows(before: Benchmark, after: Optional[Benchmark]) -> Iterator[Tuple[Any, ...]]:
+def _return_rows(before: Benchmark, after: Benchmark | None) -> Iterator[tuple[Any, ...]]:
     yield ("correction", "run", "direction", "x_m", "y_m", "yaw_rad")
     for name, benchmark in (("before", before), ("after", after)):
         for run in benchmark.runs if benchmark is not None else ():
             yield (name, run.name, run.direction, *run.return_error().tolist())
 
 
-def clusters_figure(before: Benchmark, after: Optional[Benchmark]) -> Figure:
+def clusters_figure(before: Benchmark, after: Benchmark | None) -> Figure:
     """Draw the return errors of `Benchmark`s, to one scale, and those after the correction larger.
 
     A filled ellipse holds a centre of gravity with 95 % confidence, an open one 95 % of the runs.
@@ -195,8 +197,8 @@ def _draw_clusters(axes: Axes, benchmark: Benchmark) -> None:
 
 
 def describe(
-    before: Benchmark, after: Optional[Benchmark], floor: systematic.SystematicErrors = NO_ERRORS
-) -> List[str]:
+    before: Benchmark, after: Benchmark | None, floor: systematic.SystematicErrors = NO_ERRORS
+) -> list[str]:
     """Return the results as lines for the user."""
     lines = [f"NOT TO BE TRUSTED: {warning}" for warning in before.warnings()]
     lines += _figures(before)
@@ -221,11 +223,11 @@ def describe(
     return lines
 
 
-def _joined(values: Dict[str, float]) -> str:
+def _joined(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.6f}" for name, value in values.items())
 
 
-def _figures(benchmark: Benchmark) -> List[str]:
+def _figures(benchmark: Benchmark) -> list[str]:
     figures = benchmark.figures
     lines = []
     for direction in DIRECTIONS:
@@ -241,7 +243,7 @@ def _figures(benchmark: Benchmark) -> List[str]:
 
 def draw_robot(
     drive: BenchmarkSettings, floor: bool, index: int
-) -> Tuple[BenchmarkSettings, float]:
+) -> tuple[BenchmarkSettings, float]:
     """Return the drive of a robot, and its assumed base (m); they depend on seed and index only.
 
     Sizes of errors are uniform within `DIAMETER_ERRORS` and `BASE_ERRORS`, their signs are
@@ -276,8 +278,8 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
     ) -> Benchmark:
         numbers = range(len(DIRECTIONS) * settings.runs)
         ideal_base = None if floor else base
-        drives = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
-        return Benchmark.of_drives(drives, settings.side)
+        runs = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
+        return Benchmark.of(runs, settings.side)
 
     right = NO_ERRORS
     quiet = replace(drawn, std=0.0, runs=1)
@@ -288,7 +290,7 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
     after = benchmark(quiet, before.estimate.errors)
     noisy = benchmark(drawn, NO_ERRORS).estimate.relative_to(right)
     found_quiet = before.estimate.relative_to(right).errors
-    record: Dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
+    record: dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
     for name, closed in zip(PARAMETERS, (before.figures["e_d"], before.figures["e_b"])):
         injected = getattr(quiet, name)
         found = getattr(found_quiet, name)
@@ -319,17 +321,17 @@ def run_campaign(
         LabError: a robot cannot be driven, or the folder cannot be written to.
     """
     task = functools.partial(calibrate_robot, drive, campaign.floor)
-    records = run_tasks(task, campaign.robots, run, tell, "calibrating", "robot", " robots")
+    records = run_tasks(task, campaign.robots, run, tell, "robots")
     summary = {"job": "umbmark", **asdict(drive), **asdict(campaign), **campaign_summary(records)}
     table, figure = rows_of(records), campaign_figure(records)
     return write_results(folder, summary, {"campaign.csv": table}, {"campaign.png": figure}, {})
 
 
-def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
+def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
     """Return the totals of a campaign."""
     ends = [(record["e_max_syst_m"], record["e_max_syst_after_m"]) for record in records]
     falls = [before / after for before, after in ends if after > 0.0]
-    summary: Dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
+    summary: dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
     for name in PARAMETERS:
         misses = [abs(r[f"{name}_found"] - r[name]) for r in records]
         closed = [abs(r[f"{name}_closed_form"] - r[name]) / abs(r[name]) for r in records]
@@ -343,9 +345,9 @@ def campaign_summary(records: Sequence[Record]) -> Dict[str, Any]:
     return summary
 
 
-def describe_campaign(records: int, summary: Mapping[str, Any]) -> List[str]:
+def describe_campaign(records: int, summary: Mapping[str, Any]) -> list[str]:
     """Return the totals of a campaign as lines for the user."""
-    lines: List[str] = []
+    lines: list[str] = []
     for name in PARAMETERS:
         own = summary[name]
         lines += [
@@ -380,7 +382,6 @@ def campaign_figure(records: Sequence[Record]) -> Figure:
         axes.set(xlabel=f"injected {name} (%)", ylabel="found less injected")
         axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:g}")
         axes.set_yscale("symlog", linthresh=1e-4)
-        axes.grid(alpha=0.3)
     legend_below(figure, labelled(axes), bottom=0.06, frameon=None, fontsize=9)
     return figure
 
@@ -392,7 +393,7 @@ def _run(
     campaign: RandomRobotSettings,
     work: WorkerSettings,
     tell: Tell,
-) -> List[str]:
+) -> list[str]:
     if not files.path:
         # Errors and warnings appear once here, instead of in each worker.
         FloorRobot(drive.robot, drive.controller, NO_ERRORS, NO_ERRORS).close()
@@ -402,8 +403,8 @@ def _run(
         return describe_campaign(campaign.robots, found)
     if files.path:
         source = Path(files.base) / files.path
-        runs = read_runs(source, files.topic, files.truth_topic, drive.side)
-        before = Benchmark.of(runs, files.wheel_base)
+        topics = files.topic, files.truth_topic
+        before = Benchmark.of(read_runs(source, *topics, drive.side, files.wheel_base))
         about = {"source": str(source), "wheel_base_m": files.wheel_base}
         run_umbmark(folder, before, None, about)
         return describe(before, None)
@@ -431,8 +432,8 @@ def _drive(
     """Drive all runs on the floor and evaluate them; for the arguments see `drive_run`."""
     count = len(DIRECTIONS) * settings.runs
     task = functools.partial(drive_run, settings, correction, laps, None)
-    drives = run_tasks(task, count, run, tell, title, "square", f" squares {title}")
-    return Benchmark.of_drives(drives, settings.side)
+    runs = run_tasks(task, count, run, tell, f"squares {title}")
+    return Benchmark.of(runs, settings.side)
 
 
 def _effective(errors: systematic.SystematicErrors) -> str:

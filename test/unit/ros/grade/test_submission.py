@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from bullet_lab.ros.grade import submission
-from bullet_lab.ros.grade.submission import Submission, SubmissionError, command_of
+from bullet_lab.ros.grade import trial as submission
+from bullet_lab.ros.grade.trial import Submission, SubmissionError, command_of
 
 HOSTILE = Path(__file__).parents[3] / "submissions" / "hostile"
 

@@ -9,6 +9,7 @@ import pytest
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import part_of, read_parameters
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.noise.prediction import path_of
 from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors, SystematicSpread
@@ -20,7 +21,7 @@ from bullet_lab.studies.calibrate.recordings import (
     coverage,
     made_up,
 )
-from bullet_lab.studies.calibrate.steps import StepsError, StepSettings, take_steps
+from bullet_lab.studies.calibrate.steps import StepSettings, take_steps
 from bullet_lab.studies.calibrate.study import (
     CalibrateSettings,
     main,
@@ -148,7 +149,7 @@ def test_coverage_is_counted_and_written(tmp_path, monkeypatch):
         "coverage.png",
         "summary.json",
     }
-    assert [one["name"] for one in summary["coverage"]] == ["std", "scale_error"]
+    assert [one["parameter"] for one in summary["coverage"]] == ["std", "scale_error"]
     # Fewer than 8 of 12 at 95 % have a probability of 1 in 5000.
     assert all(8 <= one["held"] <= one["paths"] == 12 for one in summary["coverage"])
 
@@ -156,7 +157,7 @@ def test_coverage_is_counted_and_written(tmp_path, monkeypatch):
 def test_paths_of_coverage_have_the_noise_that_is_said():
     (found,) = coverage(DriveSettings(std=0.02, laps=1), "report", (), 200, 1)
     # The standard error of the mean of 200 estimates from 585 parts each, 3.3 times.
-    assert found.mean == pytest.approx(0.02, rel=3.3 / np.sqrt(2 * 400 * 200) + 1e-3)
+    assert found["mean_estimate"] == pytest.approx(0.02, rel=3.3 / np.sqrt(2 * 400 * 200) + 1e-3)
 
 
 def test_an_estimate_on_its_limit_is_no_result(tmp_path, capsys):
@@ -192,11 +193,11 @@ def test_the_true_noise_of_a_drive_is_that_of_the_node():
 def test_odometry_that_cannot_be_is_refused_with_its_likely_cause(scale, line):
     taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
     taken.check()
-    with pytest.raises(StepsError, match=line):
+    with pytest.raises(LabError, match=line):
         replace(taken, odometry=taken.odometry * scale).check()
 
 
 def test_odometry_that_equals_the_truth_is_refused():
     taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
-    with pytest.raises(StepsError, match="equals the truth"):
+    with pytest.raises(LabError, match="equals the truth"):
         replace(taken, odometry=taken.true).check()

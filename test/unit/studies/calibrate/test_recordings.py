@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from recorded_bags import write_bag
 
-from bullet_lab.core.trajectory import Trajectory, TrajectoryError
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.studies.calibrate.recordings import find_recordings, read_pair
 from bullet_lab.studies.paths import tum_text
 
@@ -91,10 +92,10 @@ def test_a_bag_has_both_on_two_topics_of_any_type_of_pose(tmp_path):
 
 
 def test_where_there_is_nothing_that_is_said(tmp_path):
-    with pytest.raises(TrajectoryError, match="no bag, no table with both paths"):
+    with pytest.raises(LabError, match="no bag, no table with both paths"):
         find_recordings([tmp_path], TOPICS)
-    with pytest.raises(TrajectoryError, match="there is no such file or folder"):
+    with pytest.raises(LabError, match="there is no such file or folder"):
         find_recordings([tmp_path / "nix"], TOPICS)
     (tmp_path / "one.csv").write_text("stamp,x,y,yaw\n")
-    with pytest.raises(TrajectoryError, match="neither a bag nor a table with both paths"):
+    with pytest.raises(LabError, match="neither a bag nor a table with both paths"):
         find_recordings([tmp_path / "one.csv"], TOPICS)

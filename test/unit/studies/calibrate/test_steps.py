@@ -5,6 +5,7 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
 from bullet_lab.studies.calibrate.alignment import (
     clock_offset,
     interpolated,
@@ -13,7 +14,7 @@ from bullet_lab.studies.calibrate.alignment import (
     resolution,
 )
 from bullet_lab.studies.calibrate.recordings import Recording
-from bullet_lab.studies.calibrate.steps import StepsError, StepSettings, joined, take_steps
+from bullet_lab.studies.calibrate.steps import StepSettings, joined, take_steps
 
 EXACT = StepSettings()
 
@@ -125,13 +126,13 @@ def test_no_offset_is_made_up_of_noise():
 
 
 def test_paths_without_a_time_in_common_are_refused():
-    with pytest.raises(StepsError, match="no time in common; time_offset is added"):
+    with pytest.raises(LabError, match="no time in common; time_offset is added"):
         take_steps(Recording("x", path(0.0, 5.0, 20.0), path(6.0, 9.0, 20.0)), EXACT)
 
 
 def test_few_steps_are_refused_with_what_there_was():
     both = path(0.0, 1.0, 20.0)
-    with pytest.raises(StepsError, match="19 steps with a moving robot are too few: 30 at least"):
+    with pytest.raises(LabError, match="19 steps with a moving robot are too few: 30 at least"):
         joined([take_steps(Recording("x", both, both), EXACT)])
 
 

@@ -10,8 +10,8 @@ from test_dock_campaign import fake_trial
 from test_dock_summary import record
 
 from bullet_lab.core.files import FileError
+from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.compare import (
-    ComparisonError,
     compare,
     figures_of,
     paired_figures,
@@ -99,13 +99,13 @@ def test_table_picture_and_numbers_are_left(tmp_path):
 def test_other_dockings_are_refused(tmp_path):
     logged(tmp_path / "one", 3)
     logged(tmp_path / "two", 3, seed=2)
-    with pytest.raises(ComparisonError, match="other dockings"):
+    with pytest.raises(LabError, match="other dockings"):
         compare(tmp_path / "two", tmp_path / "one" / LOG, 3)
     logged(tmp_path / "more", 5)
-    with pytest.raises(ComparisonError, match="lacks 2 of 5"):
+    with pytest.raises(LabError, match="lacks 2 of 5"):
         compare(tmp_path / "more", tmp_path / "one" / LOG, 5)
     with pytest.raises(FileError, match="cannot read"):
         compare(tmp_path / "more", tmp_path / "nowhere", 5)
     (tmp_path / "one" / LOG).write_text("{}\n")
-    with pytest.raises(ComparisonError, match="not the log"):
+    with pytest.raises(LabError, match="not the log"):
         compare(tmp_path / "more", tmp_path / "one" / LOG, 5)

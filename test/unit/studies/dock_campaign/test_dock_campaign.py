@@ -19,7 +19,7 @@ from bullet_lab.studies.dock_campaign.study import (
     run_campaign,
 )
 from bullet_lab.studies.dock_campaign.trial import (
-    DockingOutcome,
+    MEASURED,
     DrawSettings,
     draw_scenario,
     run_trial,
@@ -34,7 +34,7 @@ def outcome_of(scenario, **values):
     rng = np.random.default_rng(scenario.image_seed)
     docked = rng.random() < 0.9
     distance, lateral, yaw = rng.normal(0.0, 1.0, 3) * (0.002, 0.001, 0.1)
-    end = (3.44 + distance, lateral, np.radians(yaw)) if docked else scenario.start
+    end = (3.44 + distance, lateral, yaw) if docked else scenario.start
     said = {
         "error_name": "NONE" if docked else "NOT_DETECTED",
         "distance_error_m": distance,
@@ -47,8 +47,9 @@ def outcome_of(scenario, **values):
     }
     error = DockingError[said["error_name"]]
     result = DockingResult(error, "", calibration=said["calibration"])
-    errors = {name: said[name] for name in ERRORS}
-    return DockingOutcome(result, errors, said["wall_contacts"], said["sim_time_s"], end, "egl")
+    errors = [said[name] for name in ERRORS]
+    values = *errors, said["wall_contacts"], 0, said["sim_time_s"], *end, "egl"
+    return result, dict(zip(MEASURED, values))
 
 
 def fake_trial(settings, index):

@@ -3,7 +3,8 @@ import json
 import pytest
 
 from bullet_lab.core.files import FileError
-from bullet_lab.studies.dock_campaign.results import DockLog, DockLogError
+from bullet_lab.errors import LabError
+from bullet_lab.studies.dock_campaign.results import DockLog
 
 PARAMETERS = {"seed": 1, "worlds": ("a", "b")}
 
@@ -53,10 +54,10 @@ def test_a_half_written_first_line_is_a_new_campaign(path):
 def test_another_campaign_is_refused_with_what_differs(path):
     written(path, 0)
     before = path.read_bytes()
-    with pytest.raises(DockLogError, match=r"seed 1, not 2") as caught:
+    with pytest.raises(LabError, match=r"seed 1, not 2") as caught:
         DockLog(path, {**PARAMETERS, "seed": 2})
     assert "\n" not in str(caught.value)
-    with pytest.raises(DockLogError, match=r"worlds a b, not b"):
+    with pytest.raises(LabError, match=r"worlds a b, not b"):
         DockLog(path, {**PARAMETERS, "worlds": ("b",)})
     assert path.read_bytes() == before
 
@@ -64,28 +65,18 @@ def test_another_campaign_is_refused_with_what_differs(path):
 @pytest.mark.parametrize("text", ["hello\n", "[1]\n", '{"index": 0}\n'])
 def test_another_file_is_refused(path, text):
     path.write_text(text)
-    with pytest.raises(DockLogError, match=r"dockings\.jsonl"):
+    with pytest.raises(LabError, match=r"dockings\.jsonl"):
         DockLog(path, PARAMETERS)
     assert path.read_text() == text
 
 
-@pytest.mark.parametrize(
-    "line", ["hello", "[1]", '{"index": "0"}', '{"index": 1, "x": NaN}', '{"index": 1, "x": 1e999}']
-)
-def test_a_broken_line_in_the_middle_is_named(path, line):
+@pytest.mark.parametrize("line", ["hello", "[1]", '{"x": 1}'])
+def test_a_log_with_a_broken_line_is_refused(path, line):
     written(path, 0, 1)
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:2], line, *lines[2:]]) + "\n")
-    with pytest.raises(DockLogError, match="line 3: this is not a "):
+    with pytest.raises(LabError, match="not the log of a campaign"):
         DockLog(path, PARAMETERS)
-
-
-def test_two_campaigns_do_not_share_a_file(path):
-    log = DockLog(path, PARAMETERS)
-    with pytest.raises(DockLogError, match="another campaign"):
-        DockLog(path, PARAMETERS)
-    log.close()
-    DockLog(path, PARAMETERS).close()
 
 
 def test_a_folder_in_its_place_is_an_error_of_one_line(path):
@@ -97,7 +88,7 @@ def test_a_folder_in_its_place_is_an_error_of_one_line(path):
 def test_a_full_disk_is_an_error(path):
     log = DockLog(path, PARAMETERS)
     log.close()
-    log._file = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
+    log._file = open("/dev/full", "w", buffering=1)  # noqa: SIM115
     with pytest.raises(FileError, match="No space left"):
         log.append(record(0))
     assert log.records == {}

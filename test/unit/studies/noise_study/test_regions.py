@@ -22,14 +22,14 @@ from bullet_lab.studies.noise_study.regions import (
     MEANT,
     METHODS,
     Region,
-    RegionCounter,
     Regions,
     checkpoints,
     level_rule,
+    right_up_to,
     theory,
 )
 from bullet_lab.studies.noise_study.study import where_right_rows
-from bullet_lab.studies.shares import clopper_pearson
+from bullet_lab.studies.study import clopper_pearson
 
 
 def trajectory_of(moves):
@@ -57,10 +57,10 @@ def random_path(seed, count=60):
 
 def counted(trajectory, model, std, paths, seed=80):
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
-    counter = RegionCounter(trajectory, steps, theory(steps))
+    regions = Regions(trajectory, steps, theory(steps))
     for block in noisy_blocks(steps, study_generator(seed, model, std, 1.0), paths):
-        counter.add(block)
-    return counter.regions()
+        regions.add(block)
+    return regions
 
 
 @pytest.mark.parametrize(("inside", "trials"), [(0, 10), (10, 10), (9_500, 10_000), (1, 3)])
@@ -104,7 +104,8 @@ def test_shares_are_those_of_a_plain_count():
         assert found.nees == pytest.approx(nees.mean())
         half = 0.5 * (found.nees_band[1] - found.nees_band[0])
         assert half == pytest.approx(1.96 * nees.std() / math.sqrt(paths), rel=1e-3)
-    np.testing.assert_allclose(regions.cloud[:, -1], errors[:, 0] + 1j * errors[:, 1])
+    cloud = np.concatenate(regions._cloud)[:, -1]
+    np.testing.assert_allclose(cloud, errors[:, 0] + 1j * errors[:, 1])
 
 
 def test_a_region_without_volume_is_none():
@@ -130,8 +131,7 @@ WRONG = replace(RIGHT, bands=((0.4, 0.6), (0.92, 0.935), (0.98, 1.0)))
     ],
 )
 def test_how_far_a_region_is_right(found, until):
-    regions = Regions(np.arange(3), np.arange(1.0, 4.0), [True] * 3, {"exact": found}, None, None)
-    assert regions.right_until("exact") == until
+    assert right_up_to([1.0, 2.0, 3.0], found) == until
 
 
 def test_too_large_a_region_is_wrong_too():

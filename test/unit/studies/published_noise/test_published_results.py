@@ -11,7 +11,6 @@ from bullet_lab.studies.published_noise.results import (
     NEEDED,
     RULED_OUT,
     UNKNOWN,
-    DrawnPathError,
     PValue,
     Result,
     drawn,
@@ -143,9 +142,9 @@ def test_a_path_of_many_vertices_has_corners_too():
 
 
 def test_four_vertices_are_no_square():
-    with pytest.raises(DrawnPathError, match="four sides"):
+    with pytest.raises(LabError, match="four sides"):
         find_corners(CORNERS[:4])
-    with pytest.raises(DrawnPathError, match="four sides"):
+    with pytest.raises(LabError, match="four sides"):
         find_corners(np.zeros((8, 2)))
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
-from bullet_lab.studies.umbmark.robots import FloorRobot, RobotError
+from bullet_lab.studies.umbmark.robots import FloorRobot
 
 PACKAGE = Path(__file__).resolve().parents[4]
 TUTORIALS = PACKAGE / "test" / "tutorials"
@@ -44,23 +45,23 @@ def roll(robot):
     return measured() - before
 
 
-def test_wheels_of_a_plugin_become_larger_and_its_base_is_wrong(built):
+def test_a_plugin_assumes_other_wheels(built):
     robot = built(CAMERA, "", WRONG, NONE)
+    left, right = WRONG.diameters
     assert robot.assumed.base == pytest.approx(0.38 / 0.98)
-    # It assumes the drawn wheels: both get the same speed, and the robot turns.
-    assert (robot.assumed.left, robot.assumed.right) == (0.28, 0.28)
+    assert robot.assumed.left == pytest.approx(0.28 / left)
+    assert robot.assumed.right == pytest.approx(0.28 / right)
+    # The larger wheel is thought to be the smaller one: it gets more speed, and the robot turns.
     left, right, turned = roll(robot)
-    assert left == pytest.approx(right, rel=1e-3)
-    expected = 0.14 * (right * WRONG.diameters[1] - left * WRONG.diameters[0]) / 0.38
-    assert turned == pytest.approx(expected, rel=0.02)
+    assert right / left == pytest.approx(1.01, rel=1e-3)
+    assert turned == pytest.approx(0.14 * (right - left) / 0.38, rel=0.02)
 
 
 def test_the_plugin_assumes_the_corrected_wheels(built):
     robot = built(CAMERA, "", WRONG, WRONG)
-    left, right = WRONG.diameters
     assert robot.assumed.base == pytest.approx(0.38)
-    assert robot.assumed.left == pytest.approx(0.28 * left)
-    assert robot.assumed.right == pytest.approx(0.28 * right)
+    assert robot.assumed.left == pytest.approx(0.28)
+    assert robot.assumed.right == pytest.approx(0.28)
     assert roll(robot)[2] == pytest.approx(0.0, abs=1e-4)
 
 
@@ -99,7 +100,7 @@ def test_a_controller_gets_its_errors_as_multipliers(built):
     ],
 )
 def test_robots_without_wheels_to_calibrate_are_refused(robot, controller, said):
-    with pytest.raises(RobotError, match=said):
+    with pytest.raises(LabError, match=said):
         FloorRobot(robot, controller, NONE, NONE)
 
 
@@ -107,7 +108,7 @@ def test_the_log_says_once_why_a_plugin_does_not_work(tmp_path, caplog):
     text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
     robot = tmp_path / "robot.urdf"
     robot.write_text(text.replace("<leftJoint>", "<leftJoint>no_", 1))
-    with pytest.raises(RobotError, match="does not work; see the warnings"):
+    with pytest.raises(LabError, match="does not work; see the warnings"):
         FloorRobot(str(robot), "", NONE, NONE)
     (record,) = caplog.records
     assert "no movable joint 'no_" in record.message

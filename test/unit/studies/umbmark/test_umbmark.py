@@ -8,14 +8,13 @@ from scipy import stats
 
 from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
 from bullet_lab.drive import Square
-from bullet_lab.noise.odometry_noise import RateInvariantRule
+from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.umbmark.estimate import (
     Benchmark,
     centre_ellipse,
     closed_forms,
-    end_covariance,
     fit,
 )
 from bullet_lab.studies.umbmark.robots import (
@@ -25,7 +24,7 @@ from bullet_lab.studies.umbmark.robots import (
     drive_square,
     multipliers,
 )
-from bullet_lab.studies.umbmark.runs import RunError, SquareRun, perfect_square, return_errors
+from bullet_lab.studies.umbmark.runs import SquareRun, perfect_square, return_errors
 from bullet_lab.studies.umbmark.study import (
     RandomRobotSettings,
     calibrate_robot,
@@ -52,10 +51,12 @@ def ideal_runs(wrong, side=4.0, correction=NONE, believed=BELIEVED):
     return runs
 
 
-def measured(ends, side=1.0):
+def measured(ends, side=1.0, base=BELIEVED.base):
     """Runs at squares that were perfect by the odometry, by (direction, true end)."""
     start = (0.0, 0.0, 0.0)
-    return [SquareRun("run", perfect_square(side, way), start, tuple(end)) for way, end in ends]
+    return [
+        SquareRun("run", perfect_square(side, way), start, tuple(end), base) for way, end in ends
+    ]
 
 
 # A wrong base makes each turn too small by alpha; unequal wheels bend each side left by beta.
@@ -80,7 +81,7 @@ def test_small_errors_leave_both_centres_where_the_closed_form_has_them(wrong, o
 
 def test_the_figures_are_those_of_the_paper():
     cw, ccw = (-0.05, -0.03, 0.0), (-0.01, 0.02, 0.0)
-    found = closed_forms(measured([("cw", cw), ("ccw", ccw), ("ccw", ccw)]), 1.0, 0.4)
+    found = closed_forms(measured([("cw", cw), ("ccw", ccw), ("ccw", ccw)], base=0.4), 1.0)
     alpha, beta = -0.06 / -4.0, -0.04 / -4.0
     radius = 0.5 / math.sin(0.5 * beta)
     assert np.radians((found["alpha_deg"], found["beta_deg"])) == pytest.approx((alpha, beta))
@@ -93,11 +94,11 @@ def test_the_figures_are_those_of_the_paper():
 @pytest.mark.parametrize(("diameter", "base"), [(0.001, -0.03), (-0.01, 0.005)])
 def test_the_fit_recovers_what_was_injected_and_the_correction_undoes_it(diameter, base):
     wrong = errors(diameter, base)
-    before = Benchmark.of(ideal_runs(wrong), BELIEVED.base)
+    before = Benchmark.of(ideal_runs(wrong))
     found = before.estimate.errors
     assert found.diameter_error == pytest.approx(diameter, rel=1e-4)
     assert found.base_error == pytest.approx(base, rel=1e-4)
-    after = Benchmark.of(ideal_runs(wrong, correction=found), BELIEVED.base)
+    after = Benchmark.of(ideal_runs(wrong, correction=found))
     assert after.figures["e_max_syst_m"] < 1e-4 * before.figures["e_max_syst_m"]
 
 
@@ -107,20 +108,6 @@ def test_corrected_parameters_keep_the_mean_of_the_diameters():
     assert (left, right) == pytest.approx((2.0 / 2.01, 2.0 / (1.0 / 1.01 + 1.0)))
     assert left + right == pytest.approx(2.0)
     assert base == 1.02
-
-
-def test_the_weight_is_that_of_a_random_walk():
-    count, length = 400, 3.0
-    steps = np.zeros((count, 3))
-    steps[:, 0] = length / count
-    found = end_covariance(steps)
-    assert found[0, 0] == pytest.approx(length)
-    assert found[1, 1] == pytest.approx(length**3 / 3.0, rel=1e-5)
-    assert (found[1, 2], found[2, 2]) == pytest.approx((length**2 / 2.0, length))
-    turning = np.zeros((10, 3))
-    turning[:, 2] = -0.1
-    assert np.diag(end_covariance(turning)) == pytest.approx((0.0, 0.0, 1.0))
-    assert RateInvariantRule(1.0).variances(0.0, length, 0.0)[1] == length
 
 
 def perturbed(generator, root):
@@ -135,7 +122,7 @@ def perturbed(generator, root):
 def test_an_interval_is_that_of_the_means_of_both_ways():
     root = 1e-4 * np.array(((1.0, 0.0, 0.0), (-0.5, 2.0, 0.0), (0.3, 1.0, 0.5)))
     runs = perturbed(np.random.default_rng(4), root)
-    found = fit(runs, 0.38)
+    found = fit(runs)
     # In linear order an estimate is the sum of the means of two numbers, one for each way, of
     # which each run has its own: what it changes where its end is moved.
     ways = np.array([run.direction for run in runs])
@@ -151,8 +138,8 @@ def test_an_interval_is_that_of_the_means_of_both_ways():
 def _shares(runs, number):
     """How much a run's own noise has moved the estimates."""
     run, without = runs[number], list(runs)
-    without[number] = SquareRun(run.name, run.odometry, run.start, run.start)
-    both = [fit(some, 0.38).errors for some in (runs, without)]
+    without[number] = SquareRun(run.name, run.odometry, run.start, run.start, run.base)
+    both = [fit(some).errors for some in (runs, without)]
     return [one - other for one, other in zip(*((e.diameter_error, e.base_error) for e in both))]
 
 
@@ -169,11 +156,11 @@ def test_a_centre_lies_within_its_ellipse_by_hotelling():
 
 def test_squares_have_to_go_both_ways():
     one_way = measured([("ccw", (0.0, 0.0, 0.0))])
-    with pytest.raises(RunError, match="both ways"):
-        Benchmark.of(one_way, 0.4)
+    with pytest.raises(LabError, match="both ways"):
+        Benchmark.of(one_way)
     assert return_errors(one_way, "cw").shape == (0, 3)
-    with pytest.raises(RunError, match="not once round"):
-        SquareRun("a side", np.array(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))), (0, 0, 0), (1, 0, 0))
+    with pytest.raises(LabError, match="not once round"):
+        SquareRun("a side", np.array(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))), (0, 0, 0), (1, 0, 0), 0.4)
 
 
 def test_a_robot_that_stands_does_not_come_round():
@@ -238,9 +225,9 @@ def test_a_robot_on_the_floor_is_calibrated_as_well():
 
 def test_results_are_left_behind(tmp_path):
     wrong = errors(0.002, 0.01)
-    before = Benchmark.of(2 * ideal_runs(wrong, 1.0), BELIEVED.base)
+    before = Benchmark.of(2 * ideal_runs(wrong, 1.0))
     correction = before.estimate.errors
-    after = Benchmark.of(2 * ideal_runs(wrong, 1.0, correction), BELIEVED.base)
+    after = Benchmark.of(2 * ideal_runs(wrong, 1.0, correction))
     summary = run_umbmark(tmp_path, before, after, {"seed": 1})
     assert summary["squares"] == {"cw": 2, "ccw": 2}
     assert summary["recovered"]["diameter_error"] == pytest.approx(0.002, rel=1e-4)
@@ -258,7 +245,7 @@ def test_results_are_left_behind(tmp_path):
 
 def told(ends):
     """Return the warnings about ends that were measured with a rule at squares of 4 m."""
-    return Benchmark.of(measured(ends, side=4.0), BELIEVED.base).warnings()
+    return Benchmark.of(measured(ends, side=4.0)).warnings()
 
 
 @pytest.mark.parametrize(
@@ -284,7 +271,7 @@ def test_returns_are_trusted_if_they_are_plausible(scale, trusted):
 def test_a_fit_on_its_bound_has_no_interval():
     generator = np.random.default_rng(7)
     turned = [(way, (*generator.normal(0, 0.1, 2), 1.5)) for way in ("cw", "ccw") * 3]
-    found = Benchmark.of(measured(turned, side=4.0), BELIEVED.base)
+    found = Benchmark.of(measured(turned, side=4.0))
     assert found.estimate.intervals is None or not found.estimate.on_bounds()
     assert found.warnings()
 
@@ -295,14 +282,14 @@ def test_odometry_that_equals_the_truth_is_not_trusted():
 
 
 def test_numbers_out_of_range_are_refused():
-    with pytest.raises(RunError, match="out of range"):
+    with pytest.raises(LabError, match="out of range"):
         told([("cw", (-1e7, 0.0, 0.0)), ("ccw", (0.0, 0.0, 0.0))])
 
 
 def test_what_is_not_trusted_leaves_no_corrected_parameters(tmp_path):
     (tmp_path / "corrected.yaml").write_text("of an earlier run")
     far = measured([(way, (30.0, 20.0, 0.0)) for way in ("cw", "ccw")], side=4.0)
-    before = Benchmark.of(far, BELIEVED.base)
+    before = Benchmark.of(far)
     summary = run_umbmark(tmp_path, before, None, {})
     assert not summary["trusted"]
     assert not (tmp_path / "corrected.yaml").exists()
