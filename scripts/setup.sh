@@ -445,6 +445,9 @@ download() {
   folder=$(realpath "$1")
   become_root "the list of packages"
   apt_get update
+  # Debian's pip downloads the wheels.
+  read -r -d '' -a packages < <(debian_packages first) || true
+  apt_get install --no-install-recommends "${packages[@]}"
   rm -rf "$folder/apt"
   cp -r /etc/apt "$folder/apt"
   cp /var/lib/apt/lists/*_{Packages,InRelease}* "$folder/lists/"
