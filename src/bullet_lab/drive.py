@@ -41,6 +41,9 @@ DRIVE_TOLERANCE = 0.001
 # two odometry messages without friction, 0.29°, so that the robot cannot oscillate for ever.
 TURN_TOLERANCE = math.radians(0.1)
 TURN_EXCESS = math.radians(0.2)
+# Odometry by the ticks of encoders may step over these tolerances. So a turn also ends when the
+# robot has turned too far and back again.
+MOST_CROSSINGS = 2
 
 # The drive ends at this share of the tolerance, and resumes beyond the whole of it. So a turn on
 # the spot, or the next noisy pose, does not make the robot drive back and forth.
@@ -206,13 +209,17 @@ class SquareDriver:
         for _ in range(square.sides):
             x, y, _yaw = pose
             progress, turning, done = 0.0, False, False
+            before, crossings = 0.0, 0
             # From the heading before, so that errors of the turns do not accumulate.
             goal = heading + math.copysign(0.5 * math.pi, square.turn_speed)
             while not done:
                 left = square.side - progress
                 turning = turning or left <= DRIVE_TOLERANCE
                 if turning:
-                    done, command = self._turn(wrap(goal - pose[2]))
+                    angle = wrap(goal - pose[2])
+                    crossings += before * angle < 0.0
+                    before = angle
+                    done, command = self._turn(angle, crossings)
                 else:
                     command = approach(left, square.speed, SLOWEST_DRIVE), 0.0
                 pose = yield command
@@ -221,10 +228,14 @@ class SquareDriver:
             heading = goal
             self.sides_done += 1
 
-    def _turn(self, left: float) -> Tuple[bool, Command]:
-        """Return whether a turn is done with an angle (rad) left to go, and the command for it."""
+    def _turn(self, left: float, crossings: int) -> Tuple[bool, Command]:
+        """Return whether a turn is done with an angle (rad) left to go, and the command for it.
+
+        `crossings` is how many times the robot has turned past its goal.
+        """
         turn_speed = self._square.turn_speed
-        if -TURN_EXCESS <= math.copysign(left, left * turn_speed) <= TURN_TOLERANCE:
+        near = -TURN_EXCESS <= math.copysign(left, left * turn_speed) <= TURN_TOLERANCE
+        if near or crossings >= MOST_CROSSINGS:
             return True, STANDSTILL
         speed = approach(abs(left), abs(turn_speed), self._slowest_turn.now(left))
         return False, (0.0, math.copysign(speed, left))

@@ -12,6 +12,7 @@ import rostest
 from bullet_lab.srv import SetNoise, SetNoiseRequest
 from lab_testing import PACKAGE, NodeTest, odometry, wait_for
 from nav_msgs.msg import Odometry
+from std_msgs.msg import Int32
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.se2 import SQUARE_RADIUS, quaternion_from_yaw
@@ -145,6 +146,20 @@ class NoisyOdomTest(NodeTest):
             added = np.array(got.twist.covariance) - np.array(given.twist.covariance)
             expected = noise.motion_covariance / 0.2**2
             np.testing.assert_allclose(expected, planar_part(added), atol=1e-12)
+
+    def test_ticks_of_both_encoders(self):
+        errors = SystematicErrors(ticks_per_metre=777.7)
+        self.start(std=0.0, **asdict(errors))
+        sides = [self.topic(f"{side}_ticks", Int32) for side in ("left", "right")]
+        perfect, path = arc(30), SystematicPath(errors)
+        noisy = self.send(perfect)
+        expected = []
+        for given, got in zip(perfect, noisy):
+            np.testing.assert_allclose(path.update(*pose(given)).pose, pose(got), atol=1e-12)
+            expected.append(path.ticks)
+        counted = [[message.data for message in side.wait(30)] for side in sides]
+        self.assertEqual(expected, list(zip(*counted)))
+        self.assertLess(counted[0][-1], counted[1][-1])
 
     def test_perfect_message_stays_as_it_came(self):
         self.start(std=0.5, seed=1)

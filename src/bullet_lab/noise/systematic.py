@@ -12,6 +12,9 @@ is rho times as large as nominal, it computes s_side / rho_side; with the nomina
     s' = (s_right / rho_right + s_left / rho_left) / 2
     phi' = (s_right / rho_right - s_left / rho_left) / b + gyro_bias_per_metre |s|
 
+Encoders count whole ticks of what each wheel rolls by the nominal diameters, and s' and the wheels'
+part of phi' come from these counts.
+
 In turns a robot may go less far than its wheels roll, as they slip: the wheels roll s + loss |phi|
 in the direction of s. A robot that turns on the spot does not go, so that there is nothing to lose:
 if the middle of the axle goes less than half the loss, the wheels roll s.
@@ -48,6 +51,11 @@ LARGEST_ERRORS = {
 }
 """Limits of the errors by their names."""
 
+TICKS: Any = number(
+    0.0, "whole ticks of each wheel's encoder in a metre; 0: exact", 0.0, maximum=1e6
+)
+"""A parameter."""
+
 SYSTEMATIC = tuple(LARGEST_ERRORS)
 """Those of `SystematicErrors` that a path determines; its wheel_base has to be known."""
 
@@ -78,8 +86,10 @@ class SystematicErrors:
         gyro_bias_per_metre: rad/m, gain of the reported heading on each metre, forwards or back.
             Driving forwards, it is hard to distinguish from a diameter_error of
             -gyro_bias_per_metre · wheel_base.
-        wheel_base: m, the nominal base; used only by diameter_error.
+        wheel_base: m, the nominal base; used only by diameter_error and ticks_per_metre.
         way_per_turn: m/rad, way that is lost in turns, left and right, on arcs.
+        ticks_per_metre: of the encoder of each wheel, by the nominal diameter; 0 for encoders
+            without ticks.
 
     >>> SystematicErrors(base_error=0.25).steps([[0.0, 0.0, 0.8], [1.0, 0.0, 0.0]])
     array([[0., 0., 1.],
@@ -96,13 +106,28 @@ class SystematicErrors:
     gyro_bias_per_metre: float = _error(
         "gyro_bias_per_metre", "rad that the heading gains on each metre"
     )
-    wheel_base: float = number(0.38, "m, distance of the wheels that diameter_error is for", 0.01)
+    wheel_base: float = number(
+        0.38, "m, distance of the wheels that diameter_error and ticks_per_metre are for", 0.01
+    )
     way_per_turn: float = _error("way_per_turn", "m of way that is lost in each radian of a turn")
+    ticks_per_metre: float = TICKS
 
     @property
     def none(self) -> bool:
         """Whether all errors are 0."""
-        return not any(getattr(self, name) for name in SYSTEMATIC)
+        return not self.ticks_per_metre and not any(getattr(self, name) for name in SYSTEMATIC)
+
+    @property
+    def resolution(self) -> Tuple[float, float]:
+        """Standard deviations of way (m) and heading (rad) that whole ticks leave, uniform errors.
+
+        >>> SystematicErrors(ticks_per_metre=1000.0).resolution[0]
+        0.0002041241452319315
+        """
+        if not self.ticks_per_metre:
+            return 0.0, 0.0
+        one_wheel = 1.0 / (math.sqrt(12.0) * self.ticks_per_metre)
+        return math.sqrt(0.5) * one_wheel, math.sqrt(2.0) * one_wheel / self.wheel_base
 
     @property
     def diameters(self) -> Tuple[float, float]:
@@ -129,7 +154,7 @@ class SystematicErrors:
         )
 
     def steps(self, steps) -> np.ndarray:
-        """Return the reported steps for true steps.
+        """Return the reported steps for true steps, by encoders without ticks.
 
         Args:
             steps: (dx m, dy m, dyaw rad) in the body frame before each, shape (..., 3). A motion
@@ -210,6 +235,9 @@ class SystematicPath:
 
     The first pose is returned unchanged; without errors all poses are, bit for bit.
 
+    Attributes:
+        ticks: that the left and the right encoder have counted.
+
     >>> path = SystematicPath(SystematicErrors(scale_error=-0.5))
     >>> [path.update(x, 0.0, 0.0).pose for x in (1.0, 2.0)]
     [(1.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
@@ -224,6 +252,9 @@ class SystematicPath:
         """Start a new path with the next pose."""
         self._true: Optional[PlanarPose] = None
         self._reported: PlanarPose = _NO_ERROR
+        # m, of the left and the right wheel.
+        self._rolled = (0.0, 0.0)
+        self.ticks = (0, 0)
 
     def update(self, x: float, y: float, yaw: float) -> SystematicStep:
         """Return the reported pose for the next true pose (m, m, rad), which is finite."""
@@ -249,11 +280,24 @@ class SystematicPath:
         if 2.0 * abs(ahead) > abs(loss):
             ahead += math.copysign(1.0, ahead) * loss
         (ahead_ahead, ahead_turn), (turn_ahead, turn_turn) = self._matrix
-        turn = turn_ahead * ahead + turn_turn * dyaw + self._errors.gyro_bias_per_metre * abs(ahead)
+        drift = self._errors.gyro_bias_per_metre * abs(ahead)
+        turn = turn_ahead * ahead + turn_turn * dyaw
         ahead, across = ahead_ahead * ahead + ahead_turn * dyaw, ahead_ahead * across
+        if self._errors.ticks_per_metre:
+            ahead, turn = self._count(ahead, turn)
+        turn += drift
         half = 0.5 * turn
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
         return chord * (cos * ahead - sin * across), chord * (sin * ahead + cos * across), turn
+
+    def _count(self, ahead: float, turn: float) -> Tuple[float, float]:
+        """Return the way (m) and the turn (rad) by the ticks that the encoders count in a step."""
+        per_metre, base = self._errors.ticks_per_metre, self._errors.wheel_base
+        rim = 0.5 * base * turn
+        self._rolled = (self._rolled[0] + ahead - rim, self._rolled[1] + ahead + rim)
+        before, self.ticks = self.ticks, tuple(math.floor(per_metre * way) for way in self._rolled)
+        left, right = ((now - then) / per_metre for now, then in zip(self.ticks, before))
+        return 0.5 * (left + right), (right - left) / base
 
 
 def _sinc(angle: float) -> float:
@@ -299,9 +343,10 @@ class SpreadPath:
         stds = {name: getattr(spread, f"{name}_std") for name in SYSTEMATIC}
         self._stds = {name: std for name, std in stds.items() if std > 0.0}
         self._generator = np.random.default_rng([seed, _STREAM])
-        self._known = SystematicPath(errors)
+        exact = replace(errors, ticks_per_metre=0.0)
+        self._known = SystematicPath(exact)
         self._others = [
-            SystematicPath(replace(errors, **{name: getattr(errors, name) + std}))
+            SystematicPath(replace(exact, **{name: getattr(exact, name) + std}))
             for name, std in self._stds.items()
         ]
         self.restart()
@@ -316,6 +361,11 @@ class SpreadPath:
         for path in (self._known, *self._others):
             path.restart()
         self.covariance = np.zeros((3, 3))
+
+    @property
+    def ticks(self) -> Tuple[int, int]:
+        """Ticks that the left and the right encoder have counted on this path."""
+        return self._own.ticks
 
     def update(self, x: float, y: float, yaw: float) -> SystematicStep:
         """Return the report for the next true pose (m, m, rad), which is finite.

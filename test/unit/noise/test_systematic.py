@@ -32,15 +32,17 @@ def reckoned(angles, left, right, base):
     return np.array(poses)
 
 
+@pytest.mark.parametrize("ticks", [0.0, 90.0, 5000.0])
 @pytest.mark.parametrize("scale, base, diameter", [(0.0, 0.01, 0.002), (-0.02, -0.03, -0.01)])
-def test_they_are_what_encoder_odometry_makes_of_wrong_wheels(scale, base, diameter):
+def test_they_are_what_encoder_odometry_makes_of_wrong_wheels(scale, base, diameter, ticks):
     angles = np.cumsum(np.random.default_rng(1).normal(0.3, 1.0, (300, 2)), axis=0)
     radius = 0.14
     mean = radius * (1.0 + scale)
     left, right = mean / (1.0 + 0.5 * diameter), mean * (1.0 + diameter) / (1.0 + 0.5 * diameter)
     true = reckoned(angles, left, right, BASE * (1.0 + base))
-    believed = reckoned(angles, radius, radius, BASE)
-    errors = SystematicErrors(scale, base, diameter, wheel_base=BASE)
+    counted = np.floor(radius * angles * ticks) / (radius * ticks) if ticks else angles
+    believed = reckoned(counted, radius, radius, BASE)
+    errors = SystematicErrors(scale, base, diameter, wheel_base=BASE, ticks_per_metre=ticks)
     difference = errors.path(true) - believed
     assert np.abs(difference[:, :2]).max() < 1e-11
     assert np.abs(wrap(difference[:, 2])).max() < 1e-11

@@ -5,6 +5,7 @@
 :ROS Publishers:
     - noisy_odom (nav_msgs/Odometry), one message for each on odom, with its stamp
     - noisy_odom_ellipse (visualization_msgs/Marker): 95 % ellipse of the position
+    - left_ticks, right_ticks (std_msgs/Int32), with ~ticks_per_metre: counts of the encoders
 :ROS Services: noisy_odom_node/set_noise (bullet_lab/SetNoise): change the noise
 
 With ~robots, one node serves that many robots, each in its namespace: robot1 and so on.
@@ -20,7 +21,7 @@ import numpy as np
 import rospy
 from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Int32
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number, part_of
@@ -102,6 +103,8 @@ class NoisyOdometry:
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)
+        sides = ("left", "right") if parameters.ticks_per_metre else ()
+        self._ticks = [publisher(f"{namespace}{side}_ticks", Int32, QUEUE_SIZE) for side in sides]
         self._ellipse = Publisher(f"{namespace}noisy_odom_ellipse", Marker, queue_size=1)
         self._service = rospy.Service(_service_name(namespace), SetNoise, self.set_noise)
         self._topic = f"{namespace}odom"
@@ -117,6 +120,9 @@ class NoisyOdometry:
                 self._check_time(msg)
             self.msg = msg
             reported = self._systematic.update(*pose)
+            for ticks, count in zip(self._ticks, self._systematic.ticks):
+                # As a counter of 32 bits.
+                ticks.publish(Int32((count + 2**31) % 2**32 - 2**31))
             if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
                 self.compute_noise(msg, reported)
 

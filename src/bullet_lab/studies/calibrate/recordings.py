@@ -16,7 +16,7 @@ from bullet_lab.core.parameters import choice, integer, name_list, number, part_
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Problem, fit, intervals
-from bullet_lab.noise.likelihood import StepPairs
+from bullet_lab.noise.likelihood import RESOLUTION, StepPairs
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, NoisyPath, noise_parameters, rule_of
 from bullet_lab.noise.systematic import SystematicErrors, SystematicPath, chords
@@ -280,11 +280,13 @@ def _paths(
 ) -> Iterator[StepPairs]:
     """Yield the steps of noisy versions, as noisy_odom would make them, in blocks."""
     truth = calibration_drive(settings).poses
-    wrong = {name: getattr(settings, name) for name in (*systematic, "wheel_base")}
-    reported = SystematicErrors(**wrong).path(truth)
+    names = (*systematic, "wheel_base", "ticks_per_metre")
+    errors = SystematicErrors(**{name: getattr(settings, name) for name in names})
+    stds = [max(RESOLUTION, std) for std in errors.resolution]
+    reported = errors.path(truth)
     steps = noisy_steps(reported, settings.rule(model))
     generator = np.random.default_rng([seed, 1])
     for block in noisy_blocks(steps, generator, paths, _STEPS_AT_A_TIME):
         heading = reported[:, 2] + block.heading_error
         poses = np.stack((block.position.real, block.position.imag, heading), axis=-1)
-        yield StepPairs(se2.steps(truth), se2.steps(poses))
+        yield StepPairs(se2.steps(truth), se2.steps(poses), *stds)

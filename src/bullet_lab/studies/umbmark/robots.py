@@ -17,7 +17,7 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, derived_seed
-from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.noise.systematic import TICKS, SystematicErrors, SystematicPath
 from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.controllers import ControlParameters
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController
@@ -314,6 +314,7 @@ class BenchmarkSettings(Settings):
         0.0005, "level of random noise on the odometry", 0.0, maximum=LARGEST_PARAMETER
     )
     model: str = choice("rate_invariant", "rule of the noise", MODELS)
+    ticks_per_metre: float = TICKS
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
 
     @property
@@ -326,13 +327,18 @@ class BenchmarkSettings(Settings):
         turn = -self.turn_speed if direction == CLOCKWISE else self.turn_speed
         return Square(side=self.side, speed=self.speed, turn_speed=turn)
 
-    def noise(self, number: int, laps: int) -> Callable[[PlanarPose], PlanarPose]:
-        """Return a function that makes the noisy pose of each odometry pose of a run."""
+    def noise(self, number: int, laps: int, base: float) -> Callable[[PlanarPose], PlanarPose]:
+        """Return a function that makes the pose with ticks and noise of each odometry pose.
+
+        `base` (m) is the one that the odometry assumes.
+        """
+        encoders = SystematicErrors(ticks_per_metre=self.ticks_per_metre, wheel_base=base)
+        counted = SystematicPath(encoders)
         if self.std == 0.0:
-            return lambda pose: pose
+            return lambda pose: counted.update(*pose).pose
         rule = MODELS[self.model].at_level(self.std)
         path = NoisyPath(rule, derived_seed(derived_seed(self.seed, laps), number))
-        return lambda pose: path.update(*pose).pose
+        return lambda pose: path.update(*counted.update(*pose).pose).pose
 
 
 def drive_run(
@@ -362,7 +368,8 @@ def drive_run(
         wheels = Wheels(DIAMETER, DIAMETER, ideal_base)
         robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))
     with contextlib.closing(robot):
-        name, noise = f"{direction} {number // len(DIRECTIONS) + 1}", settings.noise(number, laps)
+        name = f"{direction} {number // len(DIRECTIONS) + 1}"
+        noise = settings.noise(number, laps, robot.assumed.base)
         return drive_square(robot, settings.square(direction), name, noise)
 
 

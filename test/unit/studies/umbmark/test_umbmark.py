@@ -175,7 +175,8 @@ def test_noise_follows_from_the_seed():
 
     def end(number, laps):
         robot = IdealRobot(BELIEVED, BELIEVED)
-        return drive_square(robot, settings.square("cw"), "run", settings.noise(number, laps)).end
+        noise = settings.noise(number, laps, BELIEVED.base)
+        return drive_square(robot, settings.square("cw"), "run", noise).end
 
     assert end(0, 0) == end(0, 0)
     assert len({end(0, 0), end(1, 0), end(0, 1)}) == 3
