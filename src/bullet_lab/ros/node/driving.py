@@ -183,12 +183,13 @@ class GoalNode(ABC):
         self._server: GoalServer | None = None
         self._goal: Any = None
 
-    def run(self, hz: float, what: str) -> None:
+    def run(self, hz: float) -> None:
         """Work at a rate of simulated time until ROS shuts down.
 
-        In lock step, time starts when everything is connected; `what` describes that in the log.
+        In lock step, time starts when everything is connected.
         """
-        ticks = Rate(hz, self._is_connected, what)
+        topics = [*(queue.topic for queue in self._queues), self._commands.name]
+        ticks = Rate(hz, self._is_connected, ", ".join(topics))
         last = ticks.now
         while not rospy.is_shutdown():
             ticks.sleep()
