@@ -125,13 +125,14 @@ class GoalServer(ActionServer):
 
     def end(self, status: int, result: Any | None = None, text: str = "") -> None:
         """End the goal as succeeded, preempted or aborted, with a text for the user."""
-        goal, self.goal = self.goal, None
-        ends = {
-            GoalStatus.SUCCEEDED: goal.set_succeeded,
-            GoalStatus.PREEMPTED: goal.set_canceled,
-            GoalStatus.ABORTED: goal.set_aborted,
-        }
-        ends[status](result, text)
+        with self.lock:
+            goal, self.goal = self.goal, None
+            ends = {
+                GoalStatus.SUCCEEDED: goal.set_succeeded,
+                GoalStatus.PREEMPTED: goal.set_canceled,
+                GoalStatus.ABORTED: goal.set_aborted,
+            }
+            ends[status](result, text)
 
     def internal_cancel_callback(self, goal_id: GoalID) -> None:
         """Cancel goals as actionlib does.
