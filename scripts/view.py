@@ -3,7 +3,7 @@
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.view.node"
+MAIN = "bullet_lab.ros.view.node:view"
 
 if __name__ == "__main__":
     run(MAIN)

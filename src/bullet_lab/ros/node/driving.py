@@ -125,13 +125,14 @@ class GoalServer(ActionServer):
 
     def end(self, status: int, result: Any | None = None, text: str = "") -> None:
         """End the goal as succeeded, preempted or aborted, with a text for the user."""
-        goal, self.goal = self.goal, None
-        ends = {
-            GoalStatus.SUCCEEDED: goal.set_succeeded,
-            GoalStatus.PREEMPTED: goal.set_canceled,
-            GoalStatus.ABORTED: goal.set_aborted,
-        }
-        ends[status](result, text)
+        with self.lock:
+            goal, self.goal = self.goal, None
+            ends = {
+                GoalStatus.SUCCEEDED: goal.set_succeeded,
+                GoalStatus.PREEMPTED: goal.set_canceled,
+                GoalStatus.ABORTED: goal.set_aborted,
+            }
+            ends[status](result, text)
 
     def internal_cancel_callback(self, goal_id: GoalID) -> None:
         """Cancel goals as actionlib does.
@@ -183,12 +184,13 @@ class GoalNode(ABC):
         self._server: GoalServer | None = None
         self._goal: Any = None
 
-    def run(self, hz: float, what: str) -> None:
+    def run(self, hz: float) -> None:
         """Work at a rate of simulated time until ROS shuts down.
 
-        In lock step, time starts when everything is connected; `what` describes that in the log.
+        In lock step, time starts when everything is connected.
         """
-        ticks = Rate(hz, self._is_connected, what)
+        topics = [*(queue.topic for queue in self._queues), self._commands.name]
+        ticks = Rate(hz, self._is_connected, ", ".join(topics))
         last = ticks.now
         while not rospy.is_shutdown():
             ticks.sleep()

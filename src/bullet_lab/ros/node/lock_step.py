@@ -86,20 +86,16 @@ class Member:
                 and publisher.impl is not None
                 and publisher.resolved_name not in heard
             ]
-            if not unheard:
-                return self._now
-            if time.monotonic() > deadline:
-                names = ", ".join(publisher.resolved_name for publisher in unheard)
-                rospy.logwarn(
-                    "no subscriber connects %s to the bridge; continuing without counting its "
-                    "commands",
-                    names,
-                )
-                return self._now
+            if not unheard or time.monotonic() > deadline:
+                break
             # A relay of topic_tools connects to the bridge after its first message.
             for publisher in unheard:
                 publisher.publish(Twist())
             rospy.rostime.wallsleep(ROUTE_CHECK_SECONDS)
+        for publisher in unheard:
+            line = "no subscriber connects %s to the bridge; its commands are not counted"
+            rospy.logwarn(line, publisher.resolved_name)
+        return self._now
 
     def advance(self, until: rospy.Time) -> rospy.Time:
         """Let simulated time advance, wait until it is reached, and return the simulated time.

@@ -447,4 +447,4 @@ class DockNode(GoalNode):
 @node
 def dock(parameters: DockParameters) -> None:
     """Run until ROS shuts down."""
-    DockNode(parameters).run(parameters.rate, "odometry, camera and the bridge")
+    DockNode(parameters).run(parameters.rate)

@@ -338,4 +338,4 @@ class DriveToGoal(GoalNode):
 @node
 def drive_to_goal(parameters: DriveToGoalParameters) -> None:
     """Run until ROS shuts down."""
-    DriveToGoal(parameters).run(parameters.rate, "odometry and the bridge")
+    DriveToGoal(parameters).run(parameters.rate)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import math
 import re
 import sys
@@ -47,7 +48,7 @@ def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> argpars
 
     Returns:
         The values of the options by their names, and
-            source, source_name: of the description, such as "file" and the file's name.
+            source: of the description and its name there, such as "file" and the file's name.
             pose: in the reference frame.
             joints: initial positions by name, in rad or m.
             bond: whether the model is deleted when this process ends.
@@ -56,10 +57,7 @@ def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> argpars
         ArgumentsError: an option is unknown, missing or given twice, or its value invalid.
     """
     found = _parser(namespace).parse_args(words)
-    values = vars(found)
-    found.source = next(key for key in ("file", "param", "database", "stdin") if values[key])
-    found.source_name = "" if found.stdin else values[found.source]
-    x, y, z, roll, pitch, yaw = (values[name] for name in NUMBERS)
+    x, y, z, roll, pitch, yaw = (getattr(found, name) for name in NUMBERS)
     found.pose = Pose.from_rpy((x, y, z), (roll, pitch, yaw))
     found.gazebo_namespace = found.gazebo_namespace.rstrip("/")
     found.joints = {joint: _finite(position) for joint, position in found.J}
@@ -74,9 +72,10 @@ def _parser(namespace: str) -> ArgumentParser:
     kind.add_argument("-urdf", action="store_true")
     kind.add_argument("-sdf", "-gazebo", action="store_true")
     source = parser.add_mutually_exclusive_group(required=True)
-    for name in ("-file", "-param", "-database"):
-        source.add_argument(name, type=_filled)
-    source.add_argument("-stdin", action="store_true")
+    for name in ("file", "param", "database"):
+        read = functools.partial(_named, name)
+        source.add_argument(f"-{name}", dest="source", type=read)
+    source.add_argument("-stdin", dest="source", action="store_const", const=("stdin", ""))
     parser.add_argument("-model", type=_filled, required=True)
     parser.add_argument("-reference_frame", default="")
     parser.add_argument("-gazebo_namespace", default="/gazebo")
@@ -96,6 +95,10 @@ def _finite(text: str) -> float:
         if math.isfinite(float(text)):
             return float(text)
     raise ArgumentsError(f"'{text}' is not a finite number")
+
+
+def _named(source: str, name: str) -> tuple[str, str]:
+    return source, _filled(name)
 
 
 def _filled(text: str) -> str:
@@ -124,16 +127,17 @@ def spawn(arguments: argparse.Namespace) -> str:
 
 def description_of(arguments: argparse.Namespace) -> str:
     """Return the description of the model; raises LabError if it is empty."""
-    if arguments.source == "file":
-        text = read_text(Path(arguments.source_name))
-    elif arguments.source == "param":
-        text = str(rospy.get_param(arguments.source_name, ""))
-    elif arguments.source == "database":
-        text = inclusion_of(f"model://{arguments.source_name}")
+    source, name = arguments.source
+    if source == "file":
+        text = read_text(Path(name))
+    elif source == "param":
+        text = str(rospy.get_param(name, ""))
+    elif source == "database":
+        text = inclusion_of(f"model://{name}")
     else:
         text = sys.stdin.read()
     if not text.strip():
-        raise NodeError(f"-{arguments.source} {arguments.source_name}: it is empty")
+        raise NodeError(f"-{source} {name}: it is empty")
     return packages_to_models(text) if arguments.package_to_model else text
 
 

@@ -145,7 +145,7 @@ def plot_noise(parameters: PlotNoiseParameters) -> None:
     """
     view = PathTopics({"odom": "odom_path", "noisy_odom": "noisy_odom_path"})
     report = SquaresReport(Path(parameters.out))
-    Recorder(report, parameters, "odom and noisy_odom", view).run()
+    Recorder(report, parameters, view).run()
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def plot(parameters: PlotParameters) -> None:
         report = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise NodeError(f"~report is '{parameters.report}': {error}") from error
-    Recorder(report(Path(parameters.out)), parameters, "the topics of the report").run()
+    Recorder(report(Path(parameters.out)), parameters).run()
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def plot_fleet(parameters: PlotFleetParameters) -> None:
     names = robot_names(parameters.robots)
     seeds = {name: derived_seed(parameters.seed, index) for index, name in enumerate(names)}
     report = FleetReport(Path(parameters.out), seeds)
-    Recorder(report, parameters, "the robots' odometry", FleetMarkers()).run()
+    Recorder(report, parameters, FleetMarkers()).run()
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def plot_sensors(parameters: PlotSensorsParameters) -> None:
     Writes odom.csv, scan.csv, range.csv, imu.csv, bumper.csv, sensors.png and summary.json.
     """
     report = SensorsReport(Path(parameters.out), parameters.rays)
-    Recorder(report, parameters, "the sensors").run()
+    Recorder(report, parameters).run()
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def plot_beacons(parameters: PlotBeaconsParameters) -> None:
     Writes distances.csv, distances.png and summary.json.
     """
     report = BeaconsReport(Path(parameters.out), true_beacons(parameters.beacons or BEACONS))
-    Recorder(report, parameters, "odom and the distances").run()
+    Recorder(report, parameters).run()
 
 
 def true_beacons(names: tuple[str, ...]) -> dict[str, tuple[float, float]]:
@@ -294,7 +294,7 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
         first.publish(stamped_pose(rospy.Time.now(), parameters.frame, parameters.goal))
 
     request = GoalRequest("drive_to_goal", first.has_connections, send, report.is_answered)
-    Recorder(report, parameters, "the bridge and drive_to_goal", request=request).run()
+    Recorder(report, parameters, request=request).run()
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ def plot_docking(parameters: PlotDockingParameters) -> None:
         "database_error_yaw_deg": math.degrees(error[2]),
     }
     parameters = replace(parameters, about={**parameters.about, **drawn})
-    Recorder(report, parameters, "the bridge and dock", view, request).run()
+    Recorder(report, parameters, view, request).run()
 
 
 def _docking_request(

@@ -112,7 +112,6 @@ class Recorder:
     Args:
         report: that is recorded.
         parameters: of the node.
-        topics: description of the topics, for the log.
         view: shows the paths in RViz, such as `bullet_lab.ros.record.plots.PathTopics`.
         request: a goal to send first.
     """
@@ -121,12 +120,10 @@ class Recorder:
         self,
         report: Report,
         parameters: RecordParameters,
-        topics: str,
         view: Any = None,
         request: GoalRequest | None = None,
     ):
         self._report = report
-        self._topics = topics
         self._view = view
         self._request = request
         self._lock = threading.Lock()
@@ -161,7 +158,7 @@ class Recorder:
         complete = False
         try:
             if self._request is None:
-                join_when(self._is_connected, self._topics)
+                join_when(self._is_connected, ", ".join(self._report.topics))
             else:
                 self._send_goal(self._request)
             complete = self._wait()
@@ -174,7 +171,7 @@ class Recorder:
             raise NodeError(line)
 
     def _send_goal(self, request: GoalRequest) -> None:
-        wait_until(lambda: self._is_connected() and request.is_connected(), self._topics)
+        wait_until(lambda: self._is_connected() and request.is_connected(), request.server)
         # In lock step, time stands until the server has the goal, and starts at its next tick.
         with time_held_at(GOAL_TIME):
             request.send()

@@ -24,7 +24,7 @@ import rospy
 
 from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.node.node import ignore_clock, private_parameters, run_node
+from bullet_lab.ros.node.node import ignore_clock, node
 from bullet_lab.ros.view.pad import DriverSeat
 from bullet_lab.ros.view.page import Page
 from bullet_lab.ros.view.panel import Driver, Panel, TabControls
@@ -172,24 +172,16 @@ class ViewNode:
         controls.status.show(self._driver.send_goal(topic, show.graph.heard, frame, pose))
 
 
-def main() -> None:
-    """Run the node."""
-    run_view("view")
+@node
+def view(parameters: ViewParameters) -> None:
+    """Run until ROS shuts down."""
+    ignore_clock()
+    # The simulator has already reported what is wrong with the world.
+    logging.getLogger("bullet_lab.simulation").setLevel(logging.ERROR)
+    ViewNode(parameters).run()
 
 
-def window() -> None:
-    """Run the node in place of gzclient, Gazebo's window."""
-    run_view("gazebo_gui")
-
-
-def run_view(name: str) -> None:
-    """Run the node under a name."""
-
-    def body() -> None:
-        given = private_parameters(ViewParameters)
-        ignore_clock()
-        # The simulator has already reported what is wrong with the world.
-        logging.getLogger("bullet_lab.simulation").setLevel(logging.ERROR)
-        ViewNode(given).run()
-
-    run_node(name, body)
+@node
+def gazebo_gui(parameters: ViewParameters) -> None:
+    """Run in place of gzclient, Gazebo's window."""
+    view.__wrapped__(parameters)

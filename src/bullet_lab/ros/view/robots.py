@@ -11,7 +11,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.ros.node.node import MASTER_ERRORS, tf_prefix
 from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.ros.view.scene import Copies, VisualCopies
-from bullet_lab.simulation.world.description import Model, Visual
+from bullet_lab.simulation.world.description import Visual
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.simulation.world.xml import ReportOnce, leaving_out
 from bullet_lab.srv import DescribeModels
@@ -24,27 +24,21 @@ ERRORS = (*MASTER_ERRORS, rospy.ROSException)
 
 @dataclass(frozen=True)
 class Description:
-    """A robot's description, and the prefix of its frames on TF.
+    """A robot's description, and what it defines.
 
     Attributes:
+        text: of the parameter.
         namespace: of the parameter, without slashes.
-        prefix: with its slash, or empty.
-        model: what the description defines.
+        model: name of the robot.
+        frames: of all links on TF; none if the description is invalid.
+        bodies: frame and visuals of each link that has any.
     """
 
+    text: str
     namespace: str
-    prefix: str
-    model: Model
-
-    def bodies(self) -> list[tuple[str, tuple[Visual, ...]]]:
-        """Return frame and visuals of each link that has any."""
-        return [
-            (self.prefix + link.name, link.visuals) for link in self.model.links if link.visuals
-        ]
-
-    def frames(self) -> list[str]:
-        """Return the frames of all links."""
-        return [self.prefix + link.name for link in self.model.links]
+    model: str = ""
+    frames: tuple[str, ...] = ()
+    bodies: tuple[tuple[str, tuple[Visual, ...]], ...] = ()
 
 
 class Robots:
@@ -55,14 +49,14 @@ class Robots:
 
     def __init__(self, context: DisplayContext):
         self._context = context
-        self._texts: dict[str, str] = {}
-        self._robots: dict[str, Description] = {}
+        # By the names of their parameters: all, and those that TF places.
+        self._known: dict[str, Description] = {}
+        self._shown: dict[str, Description] = {}
         self._report = ReportOnce()
         self._copies = VisualCopies(context.scene, "/robots", self._report)
-        self._shown: frozenset[str] = frozenset()
         self._links: list[tuple[str, Copies]] = []
         self._updates = 0
-        self._asked: tuple[frozenset[str], frozenset[str]] = (frozenset(), frozenset())
+        self._asked: tuple[list[Description], set[str]] = ([], set())
         self._found: frozenset[str] = frozenset()
 
     def follow(self) -> None:
@@ -70,15 +64,7 @@ class Robots:
         names = _descriptions()
         if names is not None:
             self._update(names)
-        shown = frozenset(n for n, robot in self._robots.items() if self._is_placed(robot))
-        for name in self._shown - shown:
-            self._drop(self._robots[name])
-        self._shown = shown
-        self._links = [
-            (frame, self._copies.group(visuals))
-            for name in sorted(shown)
-            for frame, visuals in self._robots[name].bodies()
-        ]
+        self._show({name: one for name, one in self._known.items() if self._is_placed(one)})
 
     def tick(self) -> None:
         """Move all links to their poses."""
@@ -88,9 +74,8 @@ class Robots:
 
     def clear(self) -> None:
         """Show no robots."""
-        for name in list(self._texts):
-            self._forget(name)
-        self._links = []
+        self._known.clear()
+        self._show({})
         self._copies.flush()
 
     def models(self, names: set[str]) -> frozenset[str]:
@@ -99,60 +84,58 @@ class Robots:
         A robot's model has the name of its namespace or description. If no model has, it is the
         model with the same links, if there is exactly one.
         """
-        asked = (self._shown, frozenset(names))
-        if asked != self._asked:
+        robots = list(self._shown.values())
+        if (robots, names) != self._asked:
             found: set[str] = set()
-            for name in self._shown:
-                robot = self._robots[name]
-                by_name = [n for n in (robot.namespace, robot.model.name) if n in names]
+            for robot in robots:
+                by_name = [n for n in (robot.namespace, robot.model) if n in names]
                 found |= set(by_name[:1]) or _with_links(robot, names)
-            self._asked, self._found = asked, frozenset(found)
+            self._asked, self._found = (robots, names), frozenset(found)
         return self._found
 
     def place_of(self, namespace: str) -> Pose | None:
         """Return the pose of the robot of a namespace; None if none is shown."""
-        for name in self._shown:
-            if self._robots[name].namespace == namespace:
-                return self._context.pose_of(self._robots[name].frames()[0])
-        return None
+        found = (one for one in self._shown.values() if one.namespace == namespace)
+        robot = next(found, None)
+        return None if robot is None else self._context.pose_of(robot.frames[0])
 
     def _update(self, names: frozenset[str]) -> None:
-        for name in set(self._texts) - names:
-            self._forget(name)
+        for name in self._known.keys() - names:
+            del self._known[name]
         # One of the known descriptions is read again at each update, as it may have changed.
-        known = sorted(self._texts)
+        known = sorted(self._known)
         self._updates += 1
         again = known[self._updates % len(known) :][:1] if known else []
         for name in (*sorted(names - set(known)), *again):
             text = _text(name)
-            if text and self._texts.get(name) != text:
-                self._forget(name)
-                self._texts[name] = text
-                self._take(name, text)
+            if text and (name not in self._known or self._known[name].text != text):
+                self._known[name] = self._read(name, text)
 
-    def _take(self, name: str, text: str) -> None:
+    def _read(self, name: str, text: str) -> Description:
         namespace = name.rpartition("/")[0].strip("/")
         with leaving_out(self._report):
-            model = read_urdf(text, name)
-            self._robots[name] = Description(namespace, tf_prefix(namespace), model)
+            model, prefix = read_urdf(text, name), tf_prefix(namespace)
+            links = [(prefix + link.name, link.visuals) for link in model.links]
+            frames = tuple(frame for frame, _ in links)
+            bodies = tuple(link for link in links if link[1])
+            return Description(text, namespace, model.name, frames, bodies)
+        return Description(text, namespace)
 
-    def _forget(self, name: str) -> None:
-        self._texts.pop(name, None)
-        robot = self._robots.pop(name, None)
-        self._shown -= {name}
-        if robot is not None:
-            self._drop(robot)
-
-    def _drop(self, robot: Description) -> None:
-        for frame, _ in robot.bodies():
-            self._copies.drop(frame)
+    def _show(self, robots: dict[str, Description]) -> None:
+        before, self._shown = self._links, robots
+        bodies = [body for name in sorted(robots) for body in robots[name].bodies]
+        self._links = [(frame, self._copies.group(visuals)) for frame, visuals in bodies]
+        for link in before:
+            if link not in self._links:
+                frame, copies = link
+                copies.drop(frame)
 
     def _is_placed(self, robot: Description) -> bool:
         """Return whether TF connects a link of the robot with a frame outside the robot."""
-        own = set(robot.frames())
         tree = self._context.frames
         known = set(tree.frames())
-        return any(frame in known and tree.root(frame) not in own for frame in own)
+        frames = [frame for frame in robot.frames if frame in known]
+        return any(tree.root(frame) not in robot.frames for frame in frames)
 
 
 def _descriptions() -> frozenset[str] | None:
@@ -172,10 +155,11 @@ def _text(name: str) -> str:
 
 
 def _with_links(robot: Description, names: set[str]) -> set[str]:
-    links = {link.name for link in robot.model.links}
     try:
         models: Any = rospy.ServiceProxy(MODELS, DescribeModels)().models
     except (rospy.ServiceException, rospy.ROSException):
         return set()
+    # Frames have a prefix.
+    links = {frame.rpartition("/")[2] for frame in robot.frames}
     found = {model.name for model in models if set(model.links) == links} & names
     return found if len(found) == 1 else set()

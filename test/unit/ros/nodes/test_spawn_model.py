@@ -15,8 +15,7 @@ def test_the_line_of_most_launch_files():
     found = parse("-urdf -param robot_description -model rover -x 1 -y -2.5 -z 0.1 -Y 1.57")
     fields = """
         urdf: true
-        source: param
-        source_name: robot_description
+        source: [param, robot_description]
         model: rover
         robot_namespace: /
         gazebo_namespace: /gazebo
@@ -40,8 +39,7 @@ def test_all_of_it():
     )
     fields = """
         urdf: false
-        source: file
-        source_name: /a/b.sdf
+        source: [file, /a/b.sdf]
         reference_frame: other::link
         robot_namespace: left
         gazebo_namespace: /sim
@@ -68,8 +66,8 @@ def test_the_robot_is_in_the_namespace_of_the_node_by_default():
 
 
 def test_sources():
-    assert parse("-sdf -database table -model t").source == "database"
-    assert parse("-sdf -stdin -model t").source == "stdin"
+    assert parse("-sdf -database table -model t").source == ("database", "table")
+    assert parse("-sdf -stdin -model t").source == ("stdin", "")
     assert parse("-gazebo -file f -model t").urdf is False
 
 

@@ -63,7 +63,7 @@ def recording(tmp_path, receive):
 
 def recording_in(folder, **more):
     parameters = TimedParameters(out=str(folder), about={"job": "test"}, until="over", **more)
-    return Recorder(PathReport(folder), parameters, "odom")
+    return Recorder(PathReport(folder), parameters)
 
 
 def odometry(number, x=0.0, frame="odom"):
@@ -143,7 +143,7 @@ def test_a_goal_that_is_not_reached_leaves_everything_and_one_line(tmp_path, rec
     request = GoalRequest("server", lambda: True, lambda: sent.append(1), lambda: bool(sent))
     report.until = 50_000_000
     parameters = recorder.RecordParameters(out=str(tmp_path))
-    recording = Recorder(report, parameters, "server", request=request)
+    recording = Recorder(report, parameters, request=request)
     receive["odom"](odometry(1))
     with pytest.raises(NodeError, match="^1 rows$"):
         recording.run()
@@ -155,7 +155,7 @@ def test_a_goal_that_is_not_accepted(tmp_path, receive, monkeypatch):
     monkeypatch.setattr(recorder, "ACCEPTANCE", 0.05)
     request = GoalRequest("server", lambda: True, lambda: None, lambda: False)
     parameters = recorder.RecordParameters(out=str(tmp_path))
-    recording = Recorder(PathReport(tmp_path), parameters, "server", request=request)
+    recording = Recorder(PathReport(tmp_path), parameters, request=request)
     with pytest.raises(NodeError, match=r"^server has not accepted the goal within 0\.05 s$"):
         recording.run()
     assert summary_of(tmp_path)["rows"] == 0
