@@ -41,7 +41,6 @@ from bullet_lab.studies.study import (
     Settings,
     Tell,
     progress,
-    rows_of,
     run_from,
     write_results,
 )
@@ -171,7 +170,7 @@ def run_coverage(
             f"{100.0 * one['band_high']:.1f} %)"
         )
     summary = {"job": "calibrate", "seed": settings.seed, "coverage": found}
-    tables = {"coverage.csv": rows_of(found)}
+    tables = {"coverage.csv": found}
     return write_results(folder, summary, tables, {"coverage.png": coverage_figure(found)}, {})
 
 

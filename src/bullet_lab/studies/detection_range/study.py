@@ -29,7 +29,6 @@ from bullet_lab.studies.study import (
     Record,
     Settings,
     Tell,
-    rows_of,
     run_from,
     write_results,
 )
@@ -208,8 +207,7 @@ def run_detection_range(
     figures["detection_range.png"] = range_figure(rows, summary, pictures)
     # Enough digits to read.
     table = [
-        [f"{value:.6g}" if isinstance(value, float) else value for value in row]
-        for row in rows_of(rows)
+        {name: f"{v:.6g}" if isinstance(v, float) else v for name, v in row.items()} for row in rows
     ]
     return write_results(folder, summary, {"cells.csv": table}, figures, {})
 

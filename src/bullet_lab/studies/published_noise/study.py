@@ -42,7 +42,7 @@ from bullet_lab.studies.published_noise.results import (
     combination_records,
     drawn,
     find_corners,
-    length_rows,
+    length_records,
     measure,
     nearest,
     published_summary,
@@ -52,7 +52,7 @@ from bullet_lab.studies.published_noise.results import (
     verdict_lines,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, rows_of, run_from, write_results
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, write_results
 from bullet_lab.studies.workers import run_tasks, this_process
 
 FIGURE_DATA = "data/fig1_paths.csv"
@@ -156,8 +156,8 @@ def run_published_noise(
     records, facts = combination_records(results), _figure_facts(figure, replay.drive)
     summary = published_summary(asdict(settings), facts, results, records)
     tables = {
-        "combinations.csv": rows_of(records),
-        "lengths.csv": length_rows(results, settings.seed),
+        "combinations.csv": records,
+        "lengths.csv": length_records(results, settings.seed),
     }
     figures = _figures(replay, figure, results, settings)
     return write_results(folder, summary, tables, figures, {})

@@ -28,7 +28,7 @@ from bullet_lab.studies.noise_study.regions import (
     right_up_to,
     theory,
 )
-from bullet_lab.studies.noise_study.study import where_right_rows
+from bullet_lab.studies.noise_study.study import where_right_records
 from bullet_lab.studies.study import clopper_pearson
 
 
@@ -192,7 +192,6 @@ def test_the_table_says_how_far_each_method_is_right():
         regions = counted(line(), "rate_invariant", 0.5, 4000)
         key = {"model": model, "rate_hz": rate, "std": std}
 
-    header, row = where_right_rows([Case])
-    values = dict(zip(header, row))
+    (values,) = where_right_records([Case])
     assert values["first_order_right_until_m"] == 0.0
     assert values["length_m"] == pytest.approx(4.0)
