@@ -112,7 +112,7 @@ def test_a_region_without_volume_is_none():
     regions = counted(line(), "report", 0.1, 10)
     assert all(set(found) == {None} for found in regions.found.values())
     assert regions.right_until("exact") is None
-    assert not list(regions.rows())
+    assert not list(regions.records())
 
 
 RIGHT = Region((0.5, 0.95, 0.99), ((0.4, 0.6), (0.93, 0.97), (0.98, 1.0)), 3.0, (2.9, 3.1))
