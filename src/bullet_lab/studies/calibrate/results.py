@@ -30,8 +30,8 @@ from bullet_lab.noise.prediction import (
     predicted,
 )
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.calibrate.recordings import Recording
 from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
+from bullet_lab.studies.paths import Recording
 from bullet_lab.studies.study import Record, labelled, legend_below, panels
 
 MOST_PATHS = 4  # in a figure

@@ -28,8 +28,7 @@ from bullet_lab.studies.calibrate.alignment import (
     marker_place,
     resolution,
 )
-from bullet_lab.studies.calibrate.recordings import Recording
-from bullet_lab.studies.paths import snapped
+from bullet_lab.studies.paths import Recording, snapped
 
 _STILL = 1e-6  # m and rad, motion of a robot at rest
 _SLIP = 0.01  # m, true motion at which a step without odometry is counted

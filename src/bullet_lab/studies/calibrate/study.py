@@ -19,7 +19,6 @@ from bullet_lab.noise.systematic import SYSTEMATIC
 from bullet_lab.studies.calibrate.recordings import (
     DataSettings,
     DriveSettings,
-    Recording,
     coverage,
     made_up,
 )
@@ -35,6 +34,7 @@ from bullet_lab.studies.calibrate.results import (
     residuals_figure,
 )
 from bullet_lab.studies.calibrate.steps import StepSettings, joined, short_steps, take_steps
+from bullet_lab.studies.paths import Recording
 from bullet_lab.studies.study import (
     MOST_SEED,
     Record,

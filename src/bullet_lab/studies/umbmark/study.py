@@ -402,8 +402,8 @@ def _run(
         return describe_campaign(campaign.robots, found)
     if files.path:
         source = Path(files.base) / files.path
-        topics = files.topic, files.truth_topic
-        before = Benchmark.of(read_runs(source, *topics, drive.side, files.wheel_base))
+        topics = files.truth_topic, files.topic
+        before = Benchmark.of(read_runs(source, topics, drive.side, files.wheel_base))
         about = {"source": str(source), "wheel_base_m": files.wheel_base}
         run_umbmark(folder, before, None, about)
         return describe(before, None)

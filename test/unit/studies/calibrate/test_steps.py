@@ -13,8 +13,8 @@ from bullet_lab.studies.calibrate.alignment import (
     marker_place,
     resolution,
 )
-from bullet_lab.studies.calibrate.recordings import Recording
 from bullet_lab.studies.calibrate.steps import StepSettings, joined, take_steps
+from bullet_lab.studies.paths import Recording
 
 EXACT = StepSettings()
 
