@@ -44,7 +44,6 @@ from bullet_lab.studies.study import (
     run_from,
     write_results,
 )
-from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"
 WHEELS, GYRO = SYSTEMATIC[2:4]
@@ -109,12 +108,10 @@ def run_calibration(
             "-wheel_base times as much"
         )
 
-    def calibrate_model(number: int) -> ModelCalibration:
-        model = settings.models[number]
-        return calibrate(taken, model, fitted, drive.wheel_base, settings.seed)
-
-    count = len(settings.models)
-    found = run_tasks(calibrate_model, count, this_process, tell, "models")
+    found = [
+        calibrate(taken, model, fitted, drive.wheel_base, settings.seed)
+        for model in progress(settings.models, "models", len(settings.models), tell)
+    ]
     ranked = sorted(found, key=ModelCalibration.rank)
     best = ranked[0]
     if best.limited:

@@ -52,8 +52,7 @@ from bullet_lab.studies.published_noise.results import (
     verdict_lines,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, run_from, write_results
-from bullet_lab.studies.workers import run_tasks, this_process
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, write_results
 
 FIGURE_DATA = "data/fig1_paths.csv"
 # Long enough for the sampling node to poll before and after the drive, with any phase.
@@ -171,13 +170,7 @@ def _results(
     # With aliasing, `unbent` changes nothing, to the last bit.
     every = [d for d in combinations() if not (d.aliasing and d.unbent)]
     todo = [(defects, block) for defects in every for block in blocks]
-    lengths = run_tasks(
-        lambda number: replay.lengths(*todo[number]),
-        len(todo),
-        this_process,
-        tell,
-        "blocks",
-    )
+    lengths = [replay.lengths(*one) for one in progress(todo, "blocks", len(todo), tell)]
     results = [
         Result.of(defects, np.concatenate(lengths[first : first + len(blocks)]), figure.lengths)
         for defects, first in zip(every, range(0, len(todo), len(blocks)))
