@@ -382,7 +382,7 @@ def _write(
     part: Path, processor: str, rows: Sequence[FileRow], machine: Mapping[str, str]
 ) -> None:
     entries = [asdict(row) for row in rows]
-    write_table(part / TABLE, [FileRow.__annotations__, *(entry.values() for entry in entries)])
+    write_table(part / TABLE, entries)
     for entry in entries:
         # JSON has no infinity.
         if entry["difference"] == math.inf:

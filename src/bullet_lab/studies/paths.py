@@ -1,19 +1,21 @@
-"""Paths from files, at another message rate, and their corners."""
+"""Paths from files, with truth or without, at another message rate, and their corners."""
 
 from __future__ import annotations
 
 import csv
 import math
+import os
+from dataclasses import dataclass
+from itertools import product
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Mapping, Sequence
+from typing import Any, Iterator, Mapping, Sequence, Tuple
 
 import numpy as np
 
 from bullet_lab.core.se2 import wrap, yaw_from_quaternion
 from bullet_lab.core.trajectory import (
     Trajectory,
-    TrajectoryError,
     finite_numbers,
     read_tum,
     trajectory_of,
@@ -43,10 +45,6 @@ _POSES = {
 """Functions that return position and orientation of a message, by type."""
 
 
-class PathFileError(TrajectoryError):
-    """A path cannot be read, or is not usable."""
-
-
 def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
     """Read a path from a bag (.bag), a table (.csv), or any other file as of `read_tum`.
 
@@ -68,21 +66,18 @@ def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
         trajectory = _read_csv(path, prefix)
     else:
         trajectory = read_tum(path)
-    try:
-        check_path(trajectory)
-    except PathFileError as error:
-        raise PathFileError(f"{path}: {error}") from None
+    check_path(trajectory, f"{path}: ")
     return trajectory
 
 
-def check_path(trajectory: Trajectory) -> None:
-    """Raise PathFileError unless the path has two poses and a plausible length."""
+def check_path(trajectory: Trajectory, where: str = "") -> None:
+    """Raise LabError, which begins with `where`, without two poses and a plausible length."""
     if len(trajectory) < 2:
-        raise PathFileError("the path has only one pose")
+        raise LabError(f"{where}the path has only one pose")
     if np.abs(trajectory.poses[:, :2]).max() > LONGEST_PATH or trajectory.length() > LONGEST_PATH:
-        raise PathFileError(f"the path is longer than {LONGEST_PATH:g} m: are positions in m?")
+        raise LabError(f"{where}the path is longer than {LONGEST_PATH:g} m: are positions in m?")
     if trajectory.length() < SHORTEST_PATH:
-        raise PathFileError(f"the path is shorter than {SHORTEST_PATH:g} m: did the robot move?")
+        raise LabError(f"{where}the path is shorter than {SHORTEST_PATH:g} m: did the robot move?")
 
 
 def read_table(
@@ -98,7 +93,7 @@ def read_table(
         The first of the sets that the file has; and each row by column, with its place in words.
 
     Raises:
-        PathFileError: the file cannot be read, or lacks columns.
+        LabError: the file cannot be read, or lacks columns.
     """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
@@ -106,14 +101,14 @@ def read_table(
             names = set(reader.fieldnames or ())
             rows = [(f"{path}, line {reader.line_num}", row) for row in reader]
     except OSError as error:
-        raise PathFileError(f"cannot read {path}: {error.strerror}") from None
+        raise LabError(f"cannot read {path}: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error):
-        raise PathFileError(f"cannot read {path}: it is not a table") from None
+        raise LabError(f"cannot read {path}: it is not a table") from None
     for columns in choices:
         if names >= set(columns):
             return columns, rows
     wanted = " or ".join(", ".join(columns) for columns in choices)
-    raise PathFileError(f"{path}: the first line has to name the columns {wanted}")
+    raise LabError(f"{path}: the first line has to name the columns {wanted}")
 
 
 def _read_csv(path: Path, prefix: str) -> Trajectory:
@@ -128,7 +123,7 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         import rosbag
         from roslib.message import get_message_class
     except ImportError as error:
-        raise PathFileError(f"cannot read {path} without ROS's rosbag: {error}") from None
+        raise LabError(f"cannot read {path} without ROS's rosbag: {error}") from None
     kinds = list(filter(None, map(get_message_class, _POSES)))
     # rosbag would compile the message types in a bag, which may contain any program.
     rosbag.bag._message_types.update((kind._md5sum, kind) for kind in kinds)
@@ -144,16 +139,16 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
                 names = [info.topic for info in wanted]
                 messages = [message for _, message, _ in bag.read_messages(topics=names)]
     except OSError as error:
-        raise PathFileError(f"cannot read {path}: {error.strerror or error}") from None
+        raise LabError(f"cannot read {path}: {error.strerror or error}") from None
     except Exception as error:  # rosbag raises any kind for a broken bag
-        raise PathFileError(f"cannot read {path}: {error or type(error).__name__}") from None
+        raise LabError(f"cannot read {path}: {error or type(error).__name__}") from None
     if foreign:
         strange = f"another {foreign[0]}" if foreign[0] in _POSES else foreign[0]
-        raise PathFileError(f"{path}: {topic} is of {strange}, not {', '.join(_POSES)}")
+        raise LabError(f"{path}: {topic} is of {strange}, not {', '.join(_POSES)}")
     if not messages:
         paths = sorted({info.topic for info in there if info.datatype == ODOMETRY})
         known_paths = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
-        raise PathFileError(f"{path}: nothing on the topic {topic}; {known_paths}")
+        raise LabError(f"{path}: nothing on the topic {topic}; {known_paths}")
     places = [f"message {number} of {topic}" for number in range(1, len(messages) + 1)]
     return trajectory_of([_pose_row(message) for message in messages], path, places)
 
@@ -242,3 +237,129 @@ def _farthest(position: np.ndarray, first: int, last: int) -> tuple[float, int]:
     distance = np.abs(between - np.clip(along, 0.0, 1.0) * chord)
     index = int(np.argmax(distance))
     return float(distance[index]), first + index
+
+
+NAMES = (
+    ("odom", "noisy_odom"),
+    *product(("truth", "groundtruth", "ground_truth"), ("odom", "odometry")),
+)
+"""Ends of the names of the two files of a recording, truth first; the rest is the same.
+
+Capital letters do not matter.
+"""
+
+TRUTH_PREFIXES = ("truth_", "ground_truth_", "")
+ODOMETRY_PREFIXES = ("noisy_", "odom_", "odometry_", "")
+"""Prefixes of the columns x, y and yaw of a table with both paths; the first match counts."""
+
+_SUFFIXES = (".tum", ".txt", ".dat", ".csv")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The true path and its odometry, each in its own frame.
+
+    Attributes:
+        name: of the file.
+        truth: the true path.
+        odometry: the reported path.
+    """
+
+    name: str
+    truth: Trajectory
+    odometry: Trajectory
+
+
+Topics = Tuple[str, str]
+"""Topics of the truth and of the odometry in a bag."""
+
+
+def read_pair(truth: Path, odometry: Path, topics: Topics) -> Recording:
+    """Read a recording from two files; raises LabError."""
+    paths = (read_path(*one) for one in zip((truth, odometry), topics))
+    return Recording(str(odometry), *paths)
+
+
+def find_recordings(paths: Sequence[Path], topics: Topics) -> list[Recording]:
+    """Read all recordings in files and folders.
+
+    A recording is a bag with two topics, a table with both paths such as paths.csv of the squares,
+    or two files in a folder whose names differ as in `NAMES`. Such pairs are ignored in folders
+    with tables. Folders include those below them.
+
+    Raises:
+        LabError: a file cannot be read, or there is no recording.
+    """
+    found = [recording for path in paths for recording in _recordings(path, topics)]
+    if not found:
+        places = ", ".join(map(str, paths))
+        names = ", ".join(f"*{truth}.tum with *{odometry}.tum" for truth, odometry in NAMES[:3])
+        raise LabError(
+            f"{places}: no bag, no table with both paths, and no two files such as {names}"
+        )
+    return found
+
+
+def _recordings(path: Path, topics: Topics) -> Iterator[Recording]:
+    if not os.path.exists(path):
+        raise LabError(f"cannot read {path}: there is no such file or folder")
+    if not os.path.isdir(path):
+        yield _read_file(path, topics)
+        return
+    folders = [path, *sorted(below for below in path.rglob("*") if below.is_dir())]
+    for folder in folders:
+        files = sorted(file for file in folder.iterdir() if file.is_file())
+        tables = [file for file in files if _prefixes(file) is not None]
+        for file in files:
+            if file.suffix == ".bag" or file in tables:
+                yield _read_file(file, topics)
+        if not tables:
+            for truth, odometry in _pairs(files):
+                yield read_pair(truth, odometry, topics)
+
+
+def _read_file(path: Path, topics: Topics) -> Recording:
+    if path.suffix == ".bag":
+        return read_pair(path, path, topics)
+    prefixes = _prefixes(path)
+    if prefixes is None:
+        raise LabError(
+            f"{path}: neither a bag nor a table with both paths, whose first line names stamp, "
+            "x, y, yaw, noisy_x, noisy_y and noisy_yaw; two files are truth and odometry"
+        )
+    return Recording(str(path), *(read_path(path, prefix=prefix) for prefix in prefixes))
+
+
+def _prefixes(path: Path) -> tuple[str, str] | None:
+    """Return the prefixes of the columns of both paths, None if a file lacks one of them."""
+    columns = columns_of(path)
+    truth, odometry = (
+        next((p for p in known if {f"{p}x", f"{p}y", f"{p}yaw"} <= columns), None)
+        for known in (TRUTH_PREFIXES, ODOMETRY_PREFIXES)
+    )
+    if truth is None or odometry is None or truth == odometry or "stamp" not in columns:
+        return None
+    return truth, odometry
+
+
+def _pairs(files: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
+    by_stem = {file.stem.lower(): file for file in files if file.suffix in _SUFFIXES}
+    taken = set()
+    for truth, odometry in NAMES:
+        for stem in sorted(by_stem):
+            partner = stem[: -len(truth)] + odometry
+            # noisy_odom ends with odom, but is not the truth.
+            if stem.endswith(truth) and partner in by_stem and not {stem, partner} & taken:
+                taken |= {stem, partner}
+                yield by_stem[stem], by_stem[partner]
+
+
+def columns_of(path: Path) -> set[str]:
+    """Return the names of the columns of a table; none of another file."""
+    if path.suffix != ".csv":
+        return set()
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return set(next(csv.reader(file), ()))
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return set()

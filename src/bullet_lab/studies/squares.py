@@ -45,7 +45,6 @@ class SquareDrive:
         sides: from 0, each with the turn after it; `NO_SIDE` before the first; (n,).
         variances: of x and y as the odometry states them (m²), shape (n, 2).
         corners: start of each side, and end of the last one (m), shape (sides + 1, 2).
-        seconds: simulated time at the end, s.
     """
 
     steps: np.ndarray
@@ -53,7 +52,6 @@ class SquareDrive:
     sides: np.ndarray
     variances: np.ndarray
     corners: np.ndarray
-    seconds: float
 
     @property
     def stamps(self) -> np.ndarray:
@@ -95,7 +93,7 @@ def drive_square(square: Square, mode: str = OPEN_LOOP, rest: float = 0.5) -> Sq
             send(command, 1.0 / driver.rate)
         send((0.0, 0.0), rest)
         corners.append(_planar(robot.pose())[:2])
-        return SquareDrive(*map(np.array, (*zip(*rows), corners)), simulation.seconds)
+        return SquareDrive(*map(np.array, (*zip(*rows), corners)))
 
 
 def _planar(pose: Pose) -> PlanarPose:

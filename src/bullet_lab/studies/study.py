@@ -179,20 +179,21 @@ def whole_results(folder: Path) -> Iterator[Path]:
             (part / file).replace(folder / file)
 
 
-def write_table(path: Path, rows: Iterable[Iterable[Any]]) -> None:
-    """Write rows, the header first, as CSV; None becomes an empty entry, a bool true or false."""
+def write_table(path: Path, records: Iterable[Record]) -> None:
+    """Write records, all with the same names, as CSV; None becomes empty, a bool true or false."""
     with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(map(_entries, rows))
-
-
-def _entries(row: Iterable[Any]) -> list[Any]:
-    return [str(entry).lower() if isinstance(entry, bool) else entry for entry in row]
+        writer = csv.writer(file, lineterminator="\n")
+        for number, record in enumerate(records):
+            if number == 0:
+                writer.writerow(record)
+            entries = record.values()
+            writer.writerow(str(e).lower() if isinstance(e, bool) else e for e in entries)
 
 
 def write_results(
     folder: Path,
     summary: dict[str, Any],
-    tables: Mapping[str, Iterable[Iterable[Any]]],
+    tables: Mapping[str, Iterable[Record]],
     figures: Mapping[str, Figure],
     texts: Mapping[str, str],
     name: str = SUMMARY,
@@ -202,7 +203,7 @@ def write_results(
     Args:
         folder: for the files.
         summary: content of a JSON file.
-        tables: rows of CSV files, the header first, by the names of the files.
+        tables: records of CSV files, by the names of the files.
         figures: by the names of PNG files.
         texts: content of other files by their names, which may begin with a folder.
         name: of the file with the summary.
@@ -211,8 +212,8 @@ def write_results(
         FileError: a file cannot be written.
     """
     with whole_results(folder) as part:
-        for file, rows in tables.items():
-            write_table(part / file, rows)
+        for file, records in tables.items():
+            write_table(part / file, records)
         for file, figure in figures.items():
             save(figure, part / file)
         for file, text in texts.items():
@@ -220,11 +221,6 @@ def write_results(
             (part / file).write_text(text)
         write_json(part / name, summary)
     return summary
-
-
-def rows_of(records: Sequence[Record]) -> list[Iterable[Any]]:
-    """Return a header and a row for each of the records, which have the same names."""
-    return [records[0], *(record.values() for record in records)]
 
 
 def clopper_pearson(hits: int, trials: int, tail: float) -> tuple[float, float]:

@@ -181,6 +181,8 @@ def _work(task: Task, pipe: connection.Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
+    # Each process would repeat them.
+    logging.disable(logging.WARNING)
     with contextlib.suppress(EOFError):
         while True:
             number = pipe.recv()

@@ -224,8 +224,8 @@ def test_without_a_terminal_some_lines_tell_of_the_progress(total, before):
 
 
 def test_a_table_leaves_empty_what_is_not_known():
-    write_table(Path("a.csv"), [("a", "b,c"), (None, 0.1 + 0.2)])
-    assert Path("a.csv").read_text() == 'a,"b,c"\n,0.30000000000000004\n'
+    write_table(Path("a.csv"), [{"a": None, "b,c": 0.1 + 0.2}, {"a": True, "b,c": 1}])
+    assert Path("a.csv").read_text() == 'a,"b,c"\n,0.30000000000000004\ntrue,1\n'
 
 
 def test_results_are_put_in_place_when_whole(tmp_path):

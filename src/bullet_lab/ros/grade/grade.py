@@ -165,11 +165,16 @@ def _run(out: Path, settings: GradeSettings, tell: Tell) -> list[str]:
             lost = Record(notes=[f"it has killed its grader: {mark}"])
             mark = grade(submissions[number].name, exercise, [lost])
         marks[number] = mark
-    rows = [(m["submission"], m["points"], m["of"], "; ".join(m["why"])) for m in marks.values()]
+    heads = ("submission", "points", "of")
+    rows = [
+        {**{name: mark[name] for name in heads}, "why": "; ".join(mark["why"])}
+        for mark in marks.values()
+    ]
     with file_errors(f"cannot write {out / TABLE}"):
-        write_table(out / TABLE, [("submission", "points", "of", "why"), *rows])
+        write_table(out / TABLE, rows)
     write_json(out / SUMMARY, {"job": NAME, "exercise": file.stem, "submissions": total})
-    return [f"{name}: {points:g} of {of:g}{why and f'; {why}'}" for name, points, of, why in rows]
+    line = "{submission}: {points:g} of {of:g}"
+    return [line.format(**row) + (row["why"] and f"; {row['why']}") for row in rows]
 
 
 main = functools.partial(run_from, NAME, __doc__, (GradeSettings,), _run)

@@ -246,6 +246,12 @@ class DiffDrive(WheelDrive):
         states = mount.boolean("publishWheelJointState", False)
         self.wheel_states = self.output("joint_states", JointSample, states)
 
+    def assume(self, separation: float, radii: Pair) -> None:
+        """Report odometry of the source `encoder` that assumes other wheels; both in m."""
+        self.separation, self.radii, self._from_wheels = separation, radii, True
+        self._reckoning = DeadReckoning(separation, *radii)
+        self._reckoning.resume(*self._angles())
+
     def reset(self, step: int) -> None:
         self._reckoning.restart(0.0, 0.0)
         start = self._pose()

@@ -5,8 +5,6 @@ And steps that are joined to longer ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from bullet_lab.core import se2
@@ -168,26 +166,9 @@ def _motion(path: Trajectory, begins: np.ndarray, window: float) -> np.ndarray:
     return np.column_stack((np.hypot(dx, dy), turns))
 
 
-@dataclass(frozen=True)
-class Marker:
-    """Where the truth's point is on the robot.
-
-    Attributes:
-        place: x (m, ahead of the axle), y (m, to the left) and yaw (rad).
-        error: standard errors of the same.
-    """
-
-    place: tuple[float, float, float]
-    error: tuple[float, float, float]
-
-    def sure(self) -> tuple[float, float, float]:
-        """Return the place, with 0 for what is not surely different from it."""
-        rows = zip(self.place, self.error, _NOTEWORTHY_PLACE)
-        x, y, yaw = (v if abs(v) > max(SURE * error, least) else 0.0 for v, error, least in rows)
-        return x, y, yaw
-
-
-def marker_place(true_poses, poses, stamps: np.ndarray) -> Marker:
+def marker_place(
+    true_poses, poses, stamps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Estimate where the truth's point is on a robot that does not slide to the side.
 
     A point ahead of the axle moves aside in turns, one on the left moves back in left turns, and
@@ -202,19 +183,22 @@ def marker_place(true_poses, poses, stamps: np.ndarray) -> Marker:
         true_poses: x (m), y (m) and yaw (rad), shape (n, 3).
         poses: those of the odometry at the same stamps, shape (n, 3).
         stamps: s, shape (n,).
+
+    Returns:
+        The place x (m, ahead of the axle), y (m, to the left) and yaw (rad), (3,), with 0 for what
+        is not surely different from it; and the standard errors of the same, (3,).
     """
     index = np.unique(np.searchsorted(stamps, np.arange(stamps[0], stamps[-1], _WINDOW)))
     true, reported = (arcs(se2.steps(one[index])) for one in (true_poses, poses))
     way, _, turn = reported.T
     if len(index) < _FEWEST_WINDOWS or not np.abs(way).sum() * np.abs(turn).sum():
-        return Marker((0.0, 0.0, 0.0), (np.inf, np.inf, np.inf))
+        return np.zeros(3), np.full(3, np.inf)
     aside, aside_error = robust_fit(np.stack((turn, -way), 1), true[:, 1] - reported[:, 1])
     columns = np.stack((-turn, way, np.sign(way) * np.abs(turn)), 1)
     ahead, ahead_error = robust_fit(columns, true[:, 0])
-    return Marker(
-        (float(aside[0]), float(ahead[0]), float(aside[1])),
-        (float(aside_error[0]), float(ahead_error[0]), float(aside_error[1])),
-    )
+    place = np.array((aside[0], ahead[0], aside[1]))
+    error = np.array((aside_error[0], ahead_error[0], aside_error[1]))
+    return np.where(np.abs(place) > np.maximum(SURE * error, _NOTEWORTHY_PLACE), place, 0.0), error
 
 
 def robust_fit(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
+import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.special import ndtri
@@ -29,8 +30,8 @@ from bullet_lab.noise.prediction import (
     predicted,
 )
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.calibrate.recordings import Recording
 from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
+from bullet_lab.studies.paths import Recording
 from bullet_lab.studies.study import Record, labelled, legend_below, panels
 
 MOST_PATHS = 4  # in a figure
@@ -229,20 +230,25 @@ def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, fl
     """
     text: list[str] = []
     for one in ranked:
-        known = true.get(one.model, {})
         less = ranked[0].prediction.density - one.prediction.density
         rank = "predicts best" if one is ranked[0] else f"predicts worse by {less:.2f}"
         steps = "steps of {:g} m or {:g} rad" if any(one.length) else "each step"
         text.append(f"{one.model}: {rank}; {steps.format(*one.length)}; {_verdict(one.goodness)}")
         text += [f"  NO RESULT: {name} lies on its limit" for name in one.limited]
         text.append(f"  {_predicted(one.prediction)}")
-        for name, (value, low, high) in one.parameters().items():
-            truth = f", true {known[name]:g}" if name in known else ""
-            text.append(
-                f"  {label_of(name):20} {value:11.5g}   95 % {low:.4g} to {high:.4g}{truth}"
-                f"   {meaning(one.model, name)}"
-            )
+        text += [f"  {line}" for line in _parameter_lines(one, true.get(one.model, {}))]
         text += [f"  does not fit: {reason}" for reason in one.goodness.words()]
+    return text
+
+
+def _parameter_lines(one: ModelCalibration, true: Mapping[str, float]) -> list[str]:
+    text = []
+    for name, (value, low, high) in one.parameters().items():
+        truth = f", true {true[name]:g}" if name in true else ""
+        text.append(
+            f"{label_of(name):20} {value:11.5g}   95 % {low:.4g} to {high:.4g}{truth}   "
+            f"{meaning(one.model, name)}"
+        )
     return text
 
 
@@ -273,28 +279,19 @@ def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
     """
     verdict = _verdict(one.goodness)
     rate = "any steps" if issubclass(MODELS[one.model], WalkRule) else f"steps of {seconds:.3g} s"
-    rows = [
-        f"# Noise of an odometry, found by calibrate from {source}, for {rate}.",
-        f"# {_predicted(one.prediction)}.",
-        f"# Of single steps: {verdict}.",
-        f"model: {one.model}",
+    comments = [
+        f"Noise of an odometry, found by calibrate from {source}, for {rate}.",
+        f"{_predicted(one.prediction)}.",
+        f"Of single steps: {verdict}. Their values, with intervals for that factor:",
+        *_parameter_lines(one, {}),
     ]
-    values = one.published()
-    for name, (estimate, low, high) in one.parameters().items():
-        label = "" if symbol(name) == name else f"{symbol(name)}, "
-        steps = "" if name in one.problem.systematic else f"; {estimate:.4g} of steps"
-        comment = f"{label}{meaning(one.model, name)}{steps}, {low:.4g} to {high:.4g} (95 %)"
-        rows.append(f"{name}: {_plain(values.pop(name))}  # {comment}")
-    rows += [f"{name}: {_plain(value)}" for name, value in values.items()]
+    values: dict[str, Any] = {"model": one.model}
+    for name, value in one.published().items():
+        values[name] = float(f"{value:.9g}")
     if one.problem.systematic:
-        rows.append(f"wheel_base: {_plain(one.problem.wheel_base)}  # m, as it was taken to be")
-    return "\n".join(rows) + "\n"
-
-
-def _plain(value: float) -> str:
-    """Return a number for YAML readers, which read 1.0e-05 as a number but not 1e-05."""
-    text = repr(float(f"{value:.9g}"))
-    return text if "." in text or "e" not in text else text.replace("e", ".0e")
+        values["wheel_base"] = one.problem.wheel_base
+    text = "".join(f"# {comment}\n" for comment in comments)
+    return text + yaml.safe_dump(values, sort_keys=False)
 
 
 def residuals_figure(found: Sequence[ModelCalibration]) -> Figure:

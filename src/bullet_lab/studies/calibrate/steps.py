@@ -28,8 +28,7 @@ from bullet_lab.studies.calibrate.alignment import (
     marker_place,
     resolution,
 )
-from bullet_lab.studies.calibrate.recordings import Recording
-from bullet_lab.studies.paths import snapped
+from bullet_lab.studies.paths import Recording, snapped
 
 _STILL = 1e-6  # m and rad, motion of a robot at rest
 _SLIP = 0.01  # m, true motion at which a step without odometry is counted
@@ -212,11 +211,10 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
             stamps = _common_stamps(truth, odometry, recording.name)
     true_poses, poses = (interpolated(path, stamps) for path in (truth, odometry))
     if settings.find_marker:
-        marker = marker_place(true_poses, poses, stamps)
-        place = marker.sure()
-        if any(place):
+        place, error = marker_place(true_poses, poses, stamps)
+        if place.any():
             true_poses = se2.compose(true_poses, se2.inverse(place))
-            remarks.append(_about_marker(place, marker.error))
+            remarks.append(_about_marker(place, error))
     broken = _over_gap(stamps, (truth, odometry), settings.max_gap)
     # The numbers of a made-up drive may be round without rounding: then the odometry's are not.
     least = min(map(resolution, (truth, odometry)))

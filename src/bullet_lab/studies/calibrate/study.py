@@ -19,7 +19,6 @@ from bullet_lab.noise.systematic import SYSTEMATIC
 from bullet_lab.studies.calibrate.recordings import (
     DataSettings,
     DriveSettings,
-    Recording,
     coverage,
     made_up,
 )
@@ -35,17 +34,16 @@ from bullet_lab.studies.calibrate.results import (
     residuals_figure,
 )
 from bullet_lab.studies.calibrate.steps import StepSettings, joined, short_steps, take_steps
+from bullet_lab.studies.paths import Recording
 from bullet_lab.studies.study import (
     MOST_SEED,
     Record,
     Settings,
     Tell,
     progress,
-    rows_of,
     run_from,
     write_results,
 )
-from bullet_lab.studies.workers import run_tasks, this_process
 
 NO_ERRORS = "none"
 WHEELS, GYRO = SYSTEMATIC[2:4]
@@ -110,12 +108,10 @@ def run_calibration(
             "-wheel_base times as much"
         )
 
-    def calibrate_model(number: int) -> ModelCalibration:
-        model = settings.models[number]
-        return calibrate(taken, model, fitted, drive.wheel_base, settings.seed)
-
-    count = len(settings.models)
-    found = run_tasks(calibrate_model, count, this_process, tell, "models")
+    found = [
+        calibrate(taken, model, fitted, drive.wheel_base, settings.seed)
+        for model in progress(settings.models, "models", len(settings.models), tell)
+    ]
     ranked = sorted(found, key=ModelCalibration.rank)
     best = ranked[0]
     if best.limited:
@@ -171,7 +167,7 @@ def run_coverage(
             f"{100.0 * one['band_high']:.1f} %)"
         )
     summary = {"job": "calibrate", "seed": settings.seed, "coverage": found}
-    tables = {"coverage.csv": rows_of(found)}
+    tables = {"coverage.csv": found}
     return write_results(folder, summary, tables, {"coverage.png": coverage_figure(found)}, {})
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Iterator, Mapping, Optional, Sequence, Tuple
+from typing import Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -84,7 +84,7 @@ def _colour(row: Record) -> str:
 
 def range_figure(
     rows: Sequence[Record],
-    summary: Mapping[str, Any],
+    ranges: Sequence[Record],
     pictures: Mapping[tuple[str, float], MarkerImage],
 ) -> Figure:
     """Draw the answer to the report's question: how close, how far.
@@ -94,7 +94,7 @@ def range_figure(
 
     Args:
         rows: of all cells, as in the table.
-        summary: their `detection_summary`.
+        ranges: their `ranges_of`.
         pictures: by world and distance, straight ahead in the world's own light.
     """
     figure = new_figure(13.0, 8.8)
@@ -104,13 +104,13 @@ def range_figure(
     )  # fmt: skip
     world, light = rows[0]["world"], rows[0]["light"]
     own = [row for row in rows if (row["world"], row["light"]) == (world, light)]
-    (entry,) = (entry for *of, entry in ranges_of(summary) if of == [world, light])
+    (entry,) = (one for one in ranges if (one["world"], one["light"]) == (world, light))
     ends = entry["closest_m"], entry["farthest_frontal_m"]
     floor = figure.add_subplot(grid[0, :8])
     _draw_floor(floor, own, ends)
     floor.set_title(f"{world}, {light} light: where the marker is found")
     _add_scale(figure, floor)
-    _draw_bars(figure.add_subplot(grid[0, 9:12]), summary)
+    _draw_bars(figure.add_subplot(grid[0, 9:12]), ranges)
     of_world = {distance: pictures[name, distance] for name, distance in pictures if name == world}
     for index, distance in enumerate(_chosen(sorted(of_world), ends)):
         axes = figure.add_subplot(grid[1, 3 * index : 3 * index + 3])
@@ -118,14 +118,6 @@ def range_figure(
         axes.set_title(f"{distance:g} m", fontsize=10)
     figure.suptitle(_headline(world, ends, own), fontsize=15)
     return figure
-
-
-def ranges_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
-    """Yield each world and light of a `detection_summary` with its ranges."""
-    for world, figures in summary["worlds"].items():
-        for light, entry in {DEFAULT_LIGHT: figures, **figures.get("lights", {})}.items():
-            if "closest_m" in entry:
-                yield world, light, entry
 
 
 def _headline(world: str, ends: Ends, rows: Sequence[Record]) -> str:
@@ -193,9 +185,8 @@ def _add_scale(figure: Figure, axes: Axes) -> None:
     scale.ax.tick_params(length=0, labelsize=8)
 
 
-def _draw_bars(axes: Axes, summary: Mapping[str, Any]) -> None:
-    bars = list(ranges_of(summary))
-    for index, (_, _, entry) in enumerate(bars):
+def _draw_bars(axes: Axes, bars: Sequence[Record]) -> None:
+    for index, entry in enumerate(bars):
         first, last, aside = (
             entry[k] for k in ("closest_m", "farthest_frontal_m", "farthest_30deg_m")
         )
@@ -207,10 +198,13 @@ def _draw_bars(axes: Axes, summary: Mapping[str, Any]) -> None:
         axes.text(last + 0.1, index, text, va="center", fontsize=8)
         if aside is not None:
             axes.plot([aside], [index], marker="D", color=ORANGE, markersize=5, linestyle="")
-    names = [f"{w}\n{k} light" if k != DEFAULT_LIGHT else w for w, k, _ in bars]
+    names = [
+        one["world"] if one["light"] == DEFAULT_LIGHT else f"{one['world']}\n{one['light']} light"
+        for one in bars
+    ]
     axes.set_yticks(range(len(bars)), names, fontsize=8)
     axes.set_ylim(max(len(bars) - 0.4, 4.6), -0.6)
-    axes.set_xlim(0.0, 1.3 * max(entry["farthest_frontal_m"] or 1.0 for _, _, entry in bars))
+    axes.set_xlim(0.0, 1.3 * max(one["farthest_frontal_m"] or 1.0 for one in bars))
     axes.set_xlabel("distance with ≥ 95 % found (m)")
     axes.set_title("frontal; ◆ farthest at 30°", fontsize=10)
     axes.grid(axis="x", alpha=0.3)

@@ -16,7 +16,7 @@ from typing import Any, Callable, Iterator, Mapping, Sequence
 
 from bullet_lab.core.parameters import choices, integer, numbers
 from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.detection_range.figures import heat_map, range_figure, ranges_of
+from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.trial import (
     WORLDS,
     Cell,
@@ -29,7 +29,6 @@ from bullet_lab.studies.study import (
     Record,
     Settings,
     Tell,
-    rows_of,
     run_from,
     write_results,
 )
@@ -109,24 +108,26 @@ LEAST_RATE = 0.95
 COUNTS = ("other_detections", "double_detections", "false_detections")
 
 
-def detection_summary(rows: Sequence[Record]) -> dict[str, Any]:
-    """Return the ranges of each world and light from the rows of all cells, as in the table."""
-    worlds: dict[str, Any] = {}
+def ranges_of(rows: Sequence[Record]) -> list[Record]:
+    """Return a record for each world and light from the rows of all cells, as in the table.
+
+    It has the ranges (m), None if there is none, and the numbers of detections.
+    """
+    found = []
     for world, light in dict.fromkeys((row["world"], row["light"]) for row in rows):
         of_light = [row for row in rows if (row["world"], row["light"]) == (world, light)]
         frontal, aside = (found_range(of_light, bearing) for bearing in (0.0, 30.0))
-        figures = {
-            "closest_m": frontal[0],
-            "farthest_frontal_m": frontal[1],
-            "farthest_30deg_m": aside[1],
-            **{name: sum(row[name] for row in of_light) for name in COUNTS},
-        }
-        entry = worlds.setdefault(world, {})
-        if light == DEFAULT_LIGHT:
-            entry.update(figures)
-        else:
-            entry.setdefault("lights", {})[light] = figures
-    return {"least_rate": LEAST_RATE, "worlds": worlds}
+        found.append(
+            {
+                "world": world,
+                "light": light,
+                "closest_m": frontal[0],
+                "farthest_frontal_m": frontal[1],
+                "farthest_30deg_m": aside[1],
+                **{name: sum(row[name] for row in of_light) for name in COUNTS},
+            }
+        )
+    return found
 
 
 def found_range(rows: Sequence[Record], bearing: float) -> tuple[float | None, float | None]:
@@ -146,8 +147,7 @@ def found_range(rows: Sequence[Record], bearing: float) -> tuple[float | None, f
 
 def describe(summary: Mapping[str, Any]) -> list[str]:
     """Return the main figures as lines for the user."""
-    ranges = ranges_of(summary)
-    lines = [f"{world}, {light} light: {_sentence(entry)}" for world, light, entry in ranges]
+    lines = [f"{one['world']}, {one['light']} light: {_sentence(one)}" for one in summary["ranges"]]
     dots = summary["dots"]
     if dots["frames"]:
         lines.append(
@@ -193,7 +193,8 @@ def run_detection_range(
         "seed": settings.seed,
         "renderer": driver_name(),
         "frames_per_cell": settings.frames,
-        **detection_summary(rows),
+        "least_rate": LEAST_RATE,
+        "ranges": ranges_of(rows),
         "dots": {
             "frames": settings.dots,
             "false_detections": sum(false for false, _ in dots),
@@ -205,11 +206,10 @@ def run_detection_range(
         f"heat_map_{world}.png": heat_map(world, [row for row in rows if row["world"] == world])
         for world in settings.worlds
     }
-    figures["detection_range.png"] = range_figure(rows, summary, pictures)
+    figures["detection_range.png"] = range_figure(rows, summary["ranges"], pictures)
     # Enough digits to read.
     table = [
-        [f"{value:.6g}" if isinstance(value, float) else value for value in row]
-        for row in rows_of(rows)
+        {name: f"{v:.6g}" if isinstance(v, float) else v for name, v in row.items()} for row in rows
     ]
     return write_results(folder, summary, {"cells.csv": table}, figures, {})
 

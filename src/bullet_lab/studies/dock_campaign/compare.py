@@ -63,7 +63,7 @@ def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
         "controllers": dict(zip(names, columns)),
         "paired": paired,
     }
-    tables = {"comparison.csv": table_rows(names, columns)}
+    tables = {"comparison.csv": comparison_records(names, columns)}
     figures = {"comparison.png": comparison_figure(names, pairs, columns)}
     write_results(folder, numbers, tables, figures, {}, "comparison.json")
     return describe(names, columns, paired)
@@ -145,15 +145,19 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[st
     }
 
 
-def table_rows(names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
-    """Return the rows of the table: figure, and value, low and high of each controller."""
-    head = ["figure", *(f"{name} {end}" for name in names for end in ENDS)]
-    rows = [
-        [figure, *(column[figure][end] for column in columns for end in ENDS)]
+def comparison_records(
+    names: Sequence[str], columns: Sequence[Mapping[str, Any]]
+) -> list[Record]:
+    """Return a record for each figure: value, low and high of each controller."""
+    heads = [f"{name} {end}" for name in names for end in ENDS]
+    return [
+        {
+            "figure": figure,
+            **dict(zip(heads, (column[figure][end] for column in columns for end in ENDS))),
+        }
         for figure in columns[0]
         if figure != "failures"
     ]
-    return [head, *rows]
 
 
 def _shown(figure: Mapping[str, Any]) -> str:

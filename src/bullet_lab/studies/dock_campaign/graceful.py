@@ -103,23 +103,11 @@ def graceful_command(target, settings: GracefulSettings, backwards: bool = False
     return (-v if backwards else v), w + 0.0
 
 
-class PoseFilter:
-    """Exponential smoothing of the dock's pose, (3,) in the odometry frame, as nav2 has it."""
-
-    def __init__(self, coefficient: float, timeout: float):
-        self._coefficient, self._timeout = coefficient, timeout
-        self._stamp = -math.inf
-        self.pose: np.ndarray | None = None
-
-    def update(self, measured: np.ndarray, stamp: float) -> None:
-        """Take the newest detection (again); it starts anew after a gap in time (s)."""
-        if self.pose is None or stamp - self._stamp > self._timeout:
-            self.pose = measured
-        else:
-            off = measured - self.pose
-            off[2] = wrap(float(off[2]))
-            self.pose = self.pose + self._coefficient * off
-        self._stamp = stamp
+def filtered(pose: np.ndarray, measured: np.ndarray, coefficient: float) -> np.ndarray:
+    """Return the exponentially smoothed pose of the dock, (3,), as nav2 has it."""
+    off = measured - pose
+    off[2] = wrap(float(off[2]))
+    return pose + coefficient * off
 
 
 class GracefulTask(WatchedTask):
@@ -141,7 +129,8 @@ class GracefulTask(WatchedTask):
         self._staging = se2.compose(dock_pose, (-dock.staging_distance, 0.0, 0.0))
         ahead = settings.external_detection_translation_x
         self._stop = np.array([ahead - dock.docked_distance - mount.x, 0.0, 0.0])
-        self._filter = PoseFilter(settings.filter_coef, settings.external_detection_timeout)
+        self._dock_pose: np.ndarray | None = None
+        self._filtered_at = -math.inf
         self._detected: np.ndarray | None = None
         self._detected_at = -math.inf
         self._way: PathFollower | None = None
@@ -166,7 +155,7 @@ class GracefulTask(WatchedTask):
         then = self._belief.odometry.pose_at(observation.stamp)
         if then is None:
             return
-        expected = self._database if self._filter.pose is None else self._filter.pose
+        expected = self._database if self._dock_pose is None else self._dock_pose
         best = math.inf
         marker, mount = self._belief.dock.marker, self._belief.mount
         for sighting in filter(marker.is_shown_by, observation.sightings):
@@ -210,7 +199,7 @@ class GracefulTask(WatchedTask):
     def _approach(self) -> Command | None:
         """Drive at the dock by the control law."""
         pose, law = self._belief.pose, self._law
-        docked = se2.compose(self._filter.pose, self._stop)
+        docked = se2.compose(self._dock_pose, self._stop)
         if math.dist(pose[:2], docked[:2]) < law.docking_threshold:
             self._end(DockingError.NONE, "docked")
             return None
@@ -219,7 +208,7 @@ class GracefulTask(WatchedTask):
         if self._now - self._since > law.dock_approach_timeout:
             return self._retry(DockingError.CONTROL_FAILED, "the dock is not reached")
         aim = self._stop + (law.backward_projection, 0.0, 0.0)
-        return graceful_command(se2.between(pose, se2.compose(self._filter.pose, aim)), law)
+        return graceful_command(se2.between(pose, se2.compose(self._dock_pose, aim)), law)
 
     def _retry(self, error: DockingError, trouble: str) -> Command:
         if self._retries >= self._law.max_retries:
@@ -244,15 +233,19 @@ class GracefulTask(WatchedTask):
 
     def _refine(self) -> bool:
         """Filter the newest detection into the dock's pose; return whether there is one."""
-        if self._now - self._detected_at > self._law.external_detection_timeout:
+        law, measured = self._law, self._detected
+        if self._now - self._detected_at > law.external_detection_timeout:
             return False
-        self._filter.update(self._detected, self._detected_at)
+        # After a gap in time it starts anew.
+        if self._detected_at - self._filtered_at <= law.external_detection_timeout:
+            measured = filtered(self._dock_pose, measured, law.filter_coef)
+        self._dock_pose, self._filtered_at = measured, self._detected_at
         return True
 
     def _make_result(self, error: DockingError, message: str) -> DockingResult:
         seen = ()
-        if self._filter.pose is not None:
-            x, y, yaw = se2.between(self._filter.pose, self._belief.pose).tolist()
+        if self._dock_pose is not None:
+            x, y, yaw = se2.between(self._dock_pose, self._belief.pose).tolist()
             seen = -x - self._belief.mount.x, y, yaw
         return DockingResult(error, message, self._retries, *seen)
 

@@ -46,7 +46,6 @@ from bullet_lab.studies.study import (
     Settings,
     Tell,
     progress,
-    rows_of,
     run_from,
     write_results,
 )
@@ -113,7 +112,7 @@ def run_campaign(
     )
     boxes = [box for world in settings.worlds for box in obstacles(world)]
     figure = campaign_figure(records, boxes, MARKER_POSE, title)
-    tables = {"campaign.csv": rows_of(records)}
+    tables = {"campaign.csv": records}
     return write_results(folder, summary, tables, {"campaign.png": figure}, {})
 
 
@@ -193,7 +192,7 @@ def run_each(
         summaries[name] = run_campaign(folder / name, one, run, trial, tell)
     rows = [stress_row(name, one) for name, one in summaries.items()]
     summary = {"job": "dock_campaign", **settings.drawn_from(), "by_stress": summaries}
-    write_results(folder, summary, {"stresses.csv": rows_of(rows)}, {}, {})
+    write_results(folder, summary, {"stresses.csv": rows}, {}, {})
     return [f"{name}: {line}" for name, one in summaries.items() for line in describe(one)]
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Iterator, NamedTuple, Sequence, Tuple
+from typing import Any, Iterator, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -28,7 +28,7 @@ from bullet_lab.noise.exact_moments import (
 )
 from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import MODELS, NoiseRule
-from bullet_lab.studies.study import clopper_pearson
+from bullet_lab.studies.study import Record, clopper_pearson
 
 FIRST_ORDER_SHARE = 0.05
 GAUSSIAN_SHARE = 0.1
@@ -342,22 +342,19 @@ class Regions:
         """Return the distance (m) up to which the 95 % region is right, None without regions."""
         return right_up_to(self.travelled, self.found[method])
 
-    def rows(self) -> Iterator[list]:
-        """Yield a row for each method and pose; see `HEADER`."""
+    def records(self) -> Iterator[Record]:
+        """Yield a record for each method and pose whose region has a volume."""
         for method, regions in self.found.items():
             for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):
-                if region is not None:
-                    shares = zip(region.coverage, region.bands)
-                    figures = [f for share, band in shares for f in (share, *band)]
-                    nees = (region.nees, *region.nees_band)
-                    yield [method, float(travelled), enough, *figures, *nees]
-
-
-HEADER = (
-    *("method", "travelled_m", "gaussian_enough"),
-    *(f"coverage_{100 * level:g}{end}" for level in LEVELS for end in ("", "_low", "_high")),
-    *("nees_mean", "nees_low", "nees_high"),
-)
+                if region is None:
+                    continue
+                record: dict[str, Any] = {"method": method, "travelled_m": float(travelled)}
+                record["gaussian_enough"] = enough
+                for level, share, band in zip(LEVELS, region.coverage, region.bands):
+                    name = f"coverage_{100 * level:g}"
+                    record.update({name: share, f"{name}_low": band[0], f"{name}_high": band[1]})
+                low, high = region.nees_band
+                yield {**record, "nees_mean": region.nees, "nees_low": low, "nees_high": high}
 
 
 def position_density(mean: np.ndarray, covariance: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Sequence
+from typing import Any, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -30,7 +30,7 @@ from bullet_lab.studies.noise_study.figures import (
     rates_figure,
     regions_figure,
 )
-from bullet_lab.studies.noise_study.regions import HEADER, MEANT, METHODS, right_up_to
+from bullet_lab.studies.noise_study.regions import MEANT, METHODS, right_up_to
 from bullet_lab.studies.noise_study.statistics import Case, by_model_of, study_case
 from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.squares import drive_square
@@ -39,7 +39,6 @@ from bullet_lab.studies.study import (
     Record,
     Settings,
     Tell,
-    rows_of,
     run_from,
     write_results,
 )
@@ -177,10 +176,10 @@ def run_study(
         "cases": records,
     }
     tables = {
-        "metrics.csv": rows_of(records),
-        "error_by_distance.csv": distance_rows(cases),
-        "regions.csv": region_rows(cases),
-        "where_right.csv": where_right_rows(cases),
+        "metrics.csv": records,
+        "error_by_distance.csv": distance_records(cases),
+        "regions.csv": [{**c.key, **record} for c in cases for record in c.regions.records()],
+        "where_right.csv": where_right_records(cases),
     }
     fastest = [case for case in cases if case.rate == max(settings.rates)]
     # The first noisy path of each model and level, and the perfect one.
@@ -218,8 +217,8 @@ def case_records(cases: Sequence[Case]) -> list[Record]:
     return records
 
 
-def distance_rows(cases: Sequence[Case]) -> list[Iterable[Any]]:
-    """Return a header and rows with the rms distance from the perfect path, sampled and exact."""
+def distance_records(cases: Sequence[Case]) -> list[Record]:
+    """Return records with the rms distance from the perfect path, sampled and exact."""
     records = []
     for case in cases:
         columns = {
@@ -233,33 +232,24 @@ def distance_rows(cases: Sequence[Case]) -> list[Iterable[Any]]:
         for index in np.unique(places):
             own = {name: float(column[index]) for name, column in columns.items()}
             records.append({**case.key, **own})
-    return rows_of(records)
+    return records
 
 
-def region_rows(cases: Sequence[Case]) -> Iterator[Iterable[Any]]:
-    """Yield a header and rows with the regions of each case, method and pose; see `Regions`."""
-    yield [*cases[0].key, *HEADER]
-    for case in cases:
-        yield from ([*case.key.values(), *row] for row in case.regions.rows())
-
-
-def where_right_rows(cases: Sequence[Case]) -> list[Iterable[Any]]:
-    """Return a header and a row for each case: the distance (m) up to which 95 % regions are right.
+def where_right_records(cases: Sequence[Case]) -> list[Record]:
+    """Return a record for each case: the distance (m) up to which 95 % regions are right.
 
     A region is right as long as the band around its share overlaps 95 ± 1 %. None: it has no
     volume.
     """
-    return rows_of(
-        [
-            {
-                **case.key,
-                "length_m": case.trajectory.length(),
-                "quadratic_share": case.theory.quadratic_share(),
-                **{f"{name}_right_until_m": case.regions.right_until(name) for name in METHODS},
-            }
-            for case in cases
-        ]
-    )
+    return [
+        {
+            **case.key,
+            "length_m": case.trajectory.length(),
+            "quadratic_share": case.theory.quadratic_share(),
+            **{f"{name}_right_until_m": case.regions.right_until(name) for name in METHODS},
+        }
+        for case in cases
+    ]
 
 
 def _figures(

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, Mapping, Sequence
+from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib import path as drawing
@@ -386,14 +386,13 @@ def rounded(values: Sequence[float], digits: int = 5) -> list[float]:
     return [round(float(value), digits) for value in values]
 
 
-def length_rows(results: Sequence[Result], first_seed: int) -> list[list[Any]]:
-    """Return lengths.csv: a header, and a row for each combination and seed; m."""
-    rows: list[list[Any]] = [["seed", *DEFECTS, *(f"{length}_m" for length in LENGTHS)]]
+def length_records(results: Sequence[Result], first_seed: int) -> Iterator[Record]:
+    """Yield the records of lengths.csv: of each combination and seed; m."""
+    names = ("seed", *DEFECTS, *(f"{length}_m" for length in LENGTHS))
     for result in results:
         switches = list(map(int, astuple(result.defects)))
         for seed, lengths in enumerate(result.lengths, start=first_seed):
-            rows.append([seed, *switches, *rounded(lengths, 6)])
-    return rows
+            yield dict(zip(names, (seed, *switches, *rounded(lengths, 6))))
 
 
 def verdict_lines(summary: Mapping[str, Any]) -> list[str]:

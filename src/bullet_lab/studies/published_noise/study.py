@@ -42,7 +42,7 @@ from bullet_lab.studies.published_noise.results import (
     combination_records,
     drawn,
     find_corners,
-    length_rows,
+    length_records,
     measure,
     nearest,
     published_summary,
@@ -52,8 +52,7 @@ from bullet_lab.studies.published_noise.results import (
     verdict_lines,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, rows_of, run_from, write_results
-from bullet_lab.studies.workers import run_tasks, this_process
+from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, write_results
 
 FIGURE_DATA = "data/fig1_paths.csv"
 # Long enough for the sampling node to poll before and after the drive, with any phase.
@@ -156,8 +155,8 @@ def run_published_noise(
     records, facts = combination_records(results), _figure_facts(figure, replay.drive)
     summary = published_summary(asdict(settings), facts, results, records)
     tables = {
-        "combinations.csv": rows_of(records),
-        "lengths.csv": length_rows(results, settings.seed),
+        "combinations.csv": records,
+        "lengths.csv": length_records(results, settings.seed),
     }
     figures = _figures(replay, figure, results, settings)
     return write_results(folder, summary, tables, figures, {})
@@ -171,13 +170,7 @@ def _results(
     # With aliasing, `unbent` changes nothing, to the last bit.
     every = [d for d in combinations() if not (d.aliasing and d.unbent)]
     todo = [(defects, block) for defects in every for block in blocks]
-    lengths = run_tasks(
-        lambda number: replay.lengths(*todo[number]),
-        len(todo),
-        this_process,
-        tell,
-        "blocks",
-    )
+    lengths = [replay.lengths(*one) for one in progress(todo, "blocks", len(todo), tell)]
     results = [
         Result.of(defects, np.concatenate(lengths[first : first + len(blocks)]), figure.lengths)
         for defects, first in zip(every, range(0, len(todo), len(blocks)))

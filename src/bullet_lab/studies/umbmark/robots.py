@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Iterator, Mapping, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
 import yaml
 
 from bullet_lab.core.parameters import choice, integer, number, text
 from bullet_lab.core.pose import Pose
+from bullet_lab.core.schedule import Schedule
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.drive import CLOSED_LOOP, CLOSED_LOOP_RATE, Square, SquareDriver
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, MODELS, NoisyPath, derived_seed
 from bullet_lab.noise.systematic import TICKS, SystematicErrors, SystematicPath
-from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.controllers import ControlParameters
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController
 from bullet_lab.simulation.plugins.ros_control import RosControl
@@ -137,21 +136,17 @@ class FloorRobot:
         file = ResourceFinder.anywhere().find(robot)
         model = read_urdf_file(file)
         factors = assumed_multipliers(errors, correction)
-        if not controller:
-            model = _with_other_plugin(robot, model, factors)
         self._simulation = Simulation.of(WORLD)
-        # For the model with its own wheels, the warnings have been logged.
-        with contextlib.nullcontext() if controller else _without_warnings():
-            self._robot = self._simulation.add(model, pose=model.pose)
+        self._robot = self._simulation.add(model, pose=model.pose)
+        kind = RosControl if controller else DiffDrive
+        drive: Any = next((one for one in self._robot.plugins if isinstance(one, kind)), None)
+        if drive is None:
+            raise LabError(f"{robot}: there is no plugin {kind.filenames[0]} that works")
         if controller:
-            plugin = _plugin(self._robot, RosControl)
-            if plugin is None:
-                raise LabError(f"{robot}: there is no plugin {RosControl.filenames[0]}")
-            urdf = read_urdf_text(file)
-            drive: Any = _load_controller(plugin, urdf, controller, factors)
+            drive = _load_controller(drive, read_urdf_text(file), controller, factors)
             joints = [joint.name for joint in drive.joints]
         else:
-            drive = _plugin(self._robot, DiffDrive)
+            _assume_others(drive, factors)
             joints = [wheel.joint for wheel in drive.wheels]
         left, right = (2.0 * radius for radius in drive.radii)
         self.assumed = Wheels(left, right, drive.separation)
@@ -191,47 +186,13 @@ def _middle(model: Model, joints: Sequence[str]) -> Pose:
     return Pose((x, y, z))
 
 
-def _plugin(robot: ModelInstance, kind: type) -> Any:
-    """Return the plugin of a kind, None if the robot has none."""
-    return next((plugin for plugin in robot.plugins if isinstance(plugin, kind)), None)
-
-
-@contextlib.contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Log no warnings: a robot is built many times."""
-    log = logging.getLogger("bullet_lab")
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
-
-
-def _with_other_plugin(robot: str, model: Model, factors: Mapping[str, float]) -> Model:
-    """Return a model whose diff_drive plugin assumes wheels times `factors`.
-
-    The plugin reports at least at the rate of the driver of squares, so that the robot stops in
-    time.
-    """
-    tag = next((tag for tag in model.plugins if tag.filename in DiffDrive.filenames), None)
-    if tag is None:
-        raise LabError(
-            f"{robot}: there is no plugin {DiffDrive.filenames[0]}, and no controller"
-        )
-    with Simulation.of(WORLD) as simulation:
-        drive = _plugin(simulation.add(model), DiffDrive)
-    if drive is None:
-        raise LabError("the robot's diff_drive plugin does not work; see the warnings")
-    names = ("leftWheelDiameter", "rightWheelDiameter", "wheelSeparation")
-    values = (*(2.0 * radius for radius in drive.radii), drive.separation)
-    wheels = (repr(value * factor) for value, factor in zip(values, factors.values()))
-    tags = {**tag.tags, "odometrySource": "encoder", **dict(zip(names, wheels))}
+def _assume_others(drive: DiffDrive, factors: Mapping[str, float]) -> None:
+    """Have a plugin assume its wheels times `factors`."""
+    left, right, base = factors.values()
+    drive.assume(base * drive.separation, (left * drive.radii[0], right * drive.radii[1]))
+    # At least at the rate of the driver of squares, so that the robot stops in time.
     if drive.schedule.period > 1.0 / CLOSED_LOOP_RATE:
-        tags["updateRate"] = str(CLOSED_LOOP_RATE)
-    changed = replace(tag, tags=tags, element=None)
-    plugins = tuple(changed if one is tag else one for one in model.plugins)
-    return replace(model, plugins=plugins)
+        drive.schedule = Schedule(CLOSED_LOOP_RATE)
 
 
 def multipliers(errors: SystematicErrors) -> dict[str, float]:
@@ -359,11 +320,7 @@ def drive_run(
     """
     direction = DIRECTIONS[number % len(DIRECTIONS)]
     if ideal_base is None:
-        # The study has logged the warnings once.
-        with _without_warnings():
-            robot: Any = FloorRobot(
-                settings.robot, settings.controller, settings.errors, correction
-            )
+        robot: Any = FloorRobot(settings.robot, settings.controller, settings.errors, correction)
     else:
         wheels = Wheels(DIAMETER, DIAMETER, ideal_base)
         robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))

@@ -11,21 +11,14 @@ import numpy as np
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
-from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, finite_numbers
+from bullet_lab.core.trajectory import Trajectory, finite_numbers
 from bullet_lab.errors import LabError
-from bullet_lab.studies.paths import read_path, read_table
+from bullet_lab.studies.paths import Recording, Topics, columns_of, find_recordings, read_table
 
 CLOCKWISE, COUNTER_CLOCKWISE = "cw", "ccw"
 DIRECTIONS = (CLOCKWISE, COUNTER_CLOCKWISE)
 # m; a robot on wheels drives no square farther away, and sums of squares stay finite.
 FARTHEST = 1e6
-
-ODOMETRY = "_odom.tum"
-TRUTH = "_truth.tum"
-"""How the names of the two TUM files of a run end."""
-
-PAIRS = tuple(CSV_HEADER.split(","))
-"""Columns of a table with the true and the reported path of a run."""
 
 RETURNS = ("direction", "x", "y", "yaw")
 """Columns of a table with the true pose at the end of each run, measured with a ruler."""
@@ -107,19 +100,15 @@ def return_errors(runs: Sequence[SquareRun], direction: str) -> np.ndarray:
     return np.array(errors).reshape(-1, 3)
 
 
-def read_runs(
-    path: Path, topic: str, truth_topic: str, side: float, base: float
-) -> list[SquareRun]:
-    """Read a run from each bag, table of two paths, or pair of TUM files in a folder.
+def read_runs(path: Path, topics: Topics, side: float, base: float) -> list[SquareRun]:
+    """Read a run from each recording that `find_recordings` finds, or from each row of a table.
 
-    In a table of two paths (`PAIRS`, as paths.csv of the squares) the true pose comes first and
-    the odometry second. In a table of returns (`RETURNS`: cw or ccw, m, m, rad) each row is a run
-    whose odometry reports a perfect square: the true pose at its end, in the frame of its start.
+    Such a table of returns (`RETURNS`: cw or ccw, m, m, rad) has the true pose at the end of each
+    run, in the frame of its start; its odometry reports a perfect square.
 
     Args:
         path: the folder, or one file with several runs.
-        topic: of a bag's odometry.
-        truth_topic: of a bag's true poses.
+        topics: of a bag's true poses and odometry.
         side: of the square, m, for tables of returns.
         base: that the odometry assumed, m.
 
@@ -127,36 +116,32 @@ def read_runs(
         LabError: a file cannot be read, or there is none.
     """
     files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
-    runs: list[SquareRun] = []
-    for file in files:
-        if file.name.endswith(ODOMETRY):
-            truth = file.with_name(file.name[: -len(ODOMETRY)] + TRUTH)
-            runs.append(_run(file, read_path(file), read_path(truth), base))
-        elif file.suffix == ".bag":
-            runs.append(_run(file, read_path(file, topic), read_path(file, truth_topic), base))
-        elif file.suffix == ".csv":
-            runs += _read_csv(file, side, base)
-    if not runs:
-        raise LabError(f"{path}: there is no bag, no table and no *{ODOMETRY} of a run")
-    return runs
+    runs = [
+        _measured_run(where, row, side, base)
+        for file in files
+        if set(RETURNS) <= columns_of(file)
+        for where, row in read_table(file, RETURNS)[1]
+    ]
+    return runs or [_run(one, base) for one in find_recordings([path], topics)]
 
 
-def _run(file: Path, odometry: Trajectory, truth: Trajectory, base: float) -> SquareRun:
+def _run(recording: Recording, base: float) -> SquareRun:
     """Return a run from the first to the last poses of both: the robot rests there."""
-    _check_times(file, odometry, truth)
+    truth, odometry, name = recording.truth, recording.odometry, Path(recording.name).stem
+    _check_times(name, odometry, truth)
     first, last = truth.poses[[0, -1]].tolist()
     turns = [se2.steps(one.poses)[:, 2].sum() for one in (odometry, truth)]
     if turns[0] * turns[1] < 0.0:
         raise LabError(
-            f"{file}: odometry and truth turn in opposite directions: "
+            f"{name}: odometry and truth turn in opposite directions: "
             "is the y axis or the yaw of one of them mirrored?"
         )
     remarks = "; ".join(filter(None, (odometry.remark, truth.remark)))
-    name = f"{file.stem} ({remarks})" if remarks else file.stem
+    name = f"{name} ({remarks})" if remarks else name
     return SquareRun(name, odometry.poses, tuple(first), tuple(last), base)
 
 
-def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
+def _check_times(name: str, odometry: Trajectory, truth: Trajectory) -> None:
     """Raise LabError unless the truth covers the time in which the robot drives."""
     from_start, from_end = (
         np.flatnonzero(np.hypot(*(odometry.poses - rest)[:, :2].T) > AT_REST)
@@ -167,16 +152,9 @@ def _check_times(file: Path, odometry: Trajectory, truth: Trajectory) -> None:
     begin, end = odometry.stamps[[from_start[0], from_end[-1]]]
     if truth.stamps[0] > begin or truth.stamps[-1] < end:
         raise LabError(
-            f"{file}: the robot drives from {begin:.3f} to {end:.3f} s, but the truth covers "
+            f"{name}: the robot drives from {begin:.3f} to {end:.3f} s, but the truth covers "
             f"{truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s: are both of one run and one clock?"
         )
-
-
-def _read_csv(path: Path, side: float, base: float) -> list[SquareRun]:
-    columns, rows = read_table(path, PAIRS, RETURNS)
-    if columns == PAIRS:
-        return [_run(path, read_path(path, prefix="noisy_"), read_path(path), base)]
-    return [_measured_run(where, row, side, base) for where, row in rows]
 
 
 def _measured_run(where: str, row: Mapping[str, str], side: float, base: float) -> SquareRun:

@@ -30,7 +30,6 @@ from bullet_lab.studies.study import (
     labelled,
     legend_below,
     panels,
-    rows_of,
     run_from,
     write_results,
 )
@@ -135,7 +134,7 @@ def run_umbmark(
     return write_results(
         folder,
         summary,
-        {"returns.csv": _return_rows(before, after)},
+        {"returns.csv": _returns(before, after)},
         {"clusters.png": clusters_figure(before, after)},
         {} if warnings else {CORRECTED: corrected},
     )
@@ -145,11 +144,11 @@ def _by_name(errors: systematic.SystematicErrors) -> dict[str, float]:
     return {name: getattr(errors, name) for name in PARAMETERS}
 
 
-def _return_rows(before: Benchmark, after: Benchmark | None) -> Iterator[tuple[Any, ...]]:
-    yield ("correction", "run", "direction", "x_m", "y_m", "yaw_rad")
+def _returns(before: Benchmark, after: Benchmark | None) -> Iterator[Record]:
     for name, benchmark in (("before", before), ("after", after)):
         for run in benchmark.runs if benchmark is not None else ():
-            yield (name, run.name, run.direction, *run.return_error().tolist())
+            record = {"correction": name, "run": run.name, "direction": run.direction}
+            yield {**record, **dict(zip(("x_m", "y_m", "yaw_rad"), run.return_error().tolist()))}
 
 
 def clusters_figure(before: Benchmark, after: Benchmark | None) -> Figure:
@@ -323,8 +322,8 @@ def run_campaign(
     task = functools.partial(calibrate_robot, drive, campaign.floor)
     records = run_tasks(task, campaign.robots, run, tell, "robots")
     summary = {"job": "umbmark", **asdict(drive), **asdict(campaign), **campaign_summary(records)}
-    table, figure = rows_of(records), campaign_figure(records)
-    return write_results(folder, summary, {"campaign.csv": table}, {"campaign.png": figure}, {})
+    figures = {"campaign.png": campaign_figure(records)}
+    return write_results(folder, summary, {"campaign.csv": records}, figures, {})
 
 
 def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
@@ -403,8 +402,8 @@ def _run(
         return describe_campaign(campaign.robots, found)
     if files.path:
         source = Path(files.base) / files.path
-        topics = files.topic, files.truth_topic
-        before = Benchmark.of(read_runs(source, *topics, drive.side, files.wheel_base))
+        topics = files.truth_topic, files.topic
+        before = Benchmark.of(read_runs(source, topics, drive.side, files.wheel_base))
         about = {"source": str(source), "wheel_base_m": files.wheel_base}
         run_umbmark(folder, before, None, about)
         return describe(before, None)

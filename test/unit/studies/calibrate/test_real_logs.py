@@ -17,7 +17,6 @@ from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.prediction import INSIDE, LENGTHS, OWN, judged, path_of, predicted
 from bullet_lab.noise.systematic import arcs
 from bullet_lab.studies.calibrate.alignment import robust_fit
-from bullet_lab.studies.calibrate.recordings import find_recordings
 from bullet_lab.studies.calibrate.results import ModelCalibration, predictions
 from bullet_lab.studies.calibrate.steps import (
     StepSettings,
@@ -28,6 +27,7 @@ from bullet_lab.studies.calibrate.steps import (
     short_steps,
     take_steps,
 )
+from bullet_lab.studies.paths import find_recordings
 
 FOLDER = os.environ.get("BULLET_LAB_LOGS", "")
 pytestmark = [

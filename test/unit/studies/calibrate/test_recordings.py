@@ -6,8 +6,7 @@ from recorded_bags import write_bag
 
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
-from bullet_lab.studies.calibrate.recordings import find_recordings, read_pair
-from bullet_lab.studies.paths import tum_text
+from bullet_lab.studies.paths import find_recordings, read_pair, tum_text
 
 TOPICS = ("/truth", "/odom")
 

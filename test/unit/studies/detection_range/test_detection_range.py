@@ -15,8 +15,8 @@ from bullet_lab.studies.detection_range.figures import COLOURS, HIDDEN, heat_map
 from bullet_lab.studies.detection_range.study import (
     RangeSettings,
     describe,
-    detection_summary,
     found_range,
+    ranges_of,
     run_detection_range,
     tasks,
 )
@@ -136,13 +136,13 @@ def test_the_summary_has_the_ranges_of_each_world_and_light():
     rows += rows_of({1.0: 1.0, 4.0: 0.95}, bearing=30.0)
     rows += rows_of({1.0: 1.0}, light="dark")
     rows += rows_of({1.0: 0.0}, world="docking")
-    summary = detection_summary(rows)
-    panel = summary["worlds"]["marker_panel"]
+    ranges = ranges_of(rows)
+    panel, dark, docking = ranges
     assert (panel["closest_m"], panel["farthest_frontal_m"]) == (0.34, 5.0)
     assert panel["farthest_30deg_m"] == 4.0
-    assert panel["lights"]["dark"]["closest_m"] == 1.0
-    assert summary["worlds"]["docking"]["closest_m"] is None
-    lines = "\n".join(describe({**summary, "dots": {"frames": 8, "false_detections": 2}}))
+    assert dark["closest_m"] == 1.0
+    assert docking["closest_m"] is None
+    lines = "\n".join(describe({"ranges": ranges, "dots": {"frames": 8, "false_detections": 2}}))
     assert "marker_panel, default light: found from 0.34 m to 5 m frontal, to 4 m" in lines
     assert "docking, default light: found from nowhere" in lines
     assert "false detections in 8 frames of the dots: 2" in lines
@@ -157,7 +157,7 @@ def test_the_picture_is_drawn_of_whatever_was_tried():
         *rows_of({1.0: 0.0}, bearing=30.0, light="dark"),
         *rows_of({1.0: 0.5}, world="docking", light="dark"),
     ]
-    figure = range_figure(rows, detection_summary(rows), {})
+    figure = range_figure(rows, ranges_of(rows), {})
     assert "found from nowhere" in figure._suptitle.get_text()
     assert len(heat_map("marker_panel", rows[:2]).axes) == 1
 
@@ -170,7 +170,7 @@ def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_the
     pictures = {
         ("marker_panel", row["distance_m"]): found if row["found"] > 10 else missed for row in rows
     }
-    figure = range_figure(rows, detection_summary(rows), pictures)
+    figure = range_figure(rows, ranges_of(rows), pictures)
     assert "from 0.5 m to 2 m" in figure._suptitle.get_text()
     shown = {axes.get_title(): axes.get_xlabel() for axes in figure.axes[3:]}
     assert shown == {"0.5 m": "found", "1 m": "found", "2 m": "found", "3 m": "not found"}
@@ -212,8 +212,9 @@ def test_the_job_leaves_table_maps_picture_and_summary(results):
         *("heat_map_marker_panel.png", "heat_map_docking.png"),
     }
     assert json.loads((folder / "summary.json").read_text()) == summary
-    assert summary["worlds"]["marker_panel"]["farthest_frontal_m"] == 4.0
-    assert summary["worlds"]["docking"]["farthest_30deg_m"] == 0.5
+    panel, docking = summary["ranges"]
+    assert panel["farthest_frontal_m"] == 4.0
+    assert docking["farthest_30deg_m"] == 0.5
     assert (summary["seed"], summary["frames_per_cell"]) == (5, 2)
     assert summary["renderer"] == driver_name()
     assert summary["dots"]["frames"] == 3 and summary["dots"]["false_detections"] == 0

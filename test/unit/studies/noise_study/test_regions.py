@@ -28,7 +28,7 @@ from bullet_lab.studies.noise_study.regions import (
     right_up_to,
     theory,
 )
-from bullet_lab.studies.noise_study.study import where_right_rows
+from bullet_lab.studies.noise_study.study import where_right_records
 from bullet_lab.studies.study import clopper_pearson
 
 
@@ -112,7 +112,7 @@ def test_a_region_without_volume_is_none():
     regions = counted(line(), "report", 0.1, 10)
     assert all(set(found) == {None} for found in regions.found.values())
     assert regions.right_until("exact") is None
-    assert not list(regions.rows())
+    assert not list(regions.records())
 
 
 RIGHT = Region((0.5, 0.95, 0.99), ((0.4, 0.6), (0.93, 0.97), (0.98, 1.0)), 3.0, (2.9, 3.1))
@@ -192,7 +192,6 @@ def test_the_table_says_how_far_each_method_is_right():
         regions = counted(line(), "rate_invariant", 0.5, 4000)
         key = {"model": model, "rate_hz": rate, "std": std}
 
-    header, row = where_right_rows([Case])
-    values = dict(zip(header, row))
+    (values,) = where_right_records([Case])
     assert values["first_order_right_until_m"] == 0.0
     assert values["length_m"] == pytest.approx(4.0)
