@@ -54,8 +54,6 @@ _NEARLY = 24.0
 _SURELY = 3.0
 # Least share of the pixels that must be the marker's.
 LEAST_SHARE = 0.5
-# A highlight: dark pixels differ by this share of the range that is left to the brightest level.
-_UNEVEN = 0.2
 _ROOT_HALF = math.sqrt(0.5)
 # Sum of squares of the pattern below which a group has no contrast.
 _FLAT = 1e-6
@@ -278,7 +276,7 @@ def _edge_pixels(
     valid = _valid_in_groups(levels)
     of_groups = valid.reshape(_GROUP, -1)
     over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
-    cut_off = over_exposed and (cut_off or _is_uneven(by_group))
+    cut_off = over_exposed and cut_off
     valid |= cut_off
     levels = _less_mean(levels[None], valid)[0]
     return Pixels(points, levels, valid, over_exposed, cut_off, _GROUP)
@@ -306,16 +304,6 @@ def _valid_in_groups(levels: ndarray) -> ndarray:
     if (levels >= _BRIGHTEST).mean() < _CLIPPED:
         return np.ones(len(levels), dtype=bool)
     return levels < _over_exposed(levels)
-
-
-def _is_uneven(levels: ndarray) -> bool:
-    """Return whether the dark sides of groups (group, n) differ, as under a highlight or by blur.
-
-    The slope of light in half a group looks like a misplaced edge. Whole groups have large
-    residuals under a highlight, as they should.
-    """
-    low, high = _percentiles(levels.min(axis=0), (10.0, 90.0))
-    return bool(high - low > _UNEVEN * (_BRIGHTEST - low))
 
 
 def _edges_of(
