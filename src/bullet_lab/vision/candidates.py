@@ -57,9 +57,9 @@ _HULL_TOLERANCE = 0.02
 _HULL_CORNERS = (4, 5, 6)
 # Most area of a quadrilateral over that of the hull, which lacks a corner.
 _WITH_CORNER = 1.15
-# Half widths of the strips in which points of a side are used, as shares of it, and how its line is
-# fitted to them; and the share of it that is left out at either end.
-_STRIPS = ((0.06, cv2.DIST_L2), (0.03, cv2.DIST_L2), (0.015, cv2.DIST_L1))
+# Half widths of the strips in which points of a side are used, as shares of it, and the share of it
+# that is left out at either end.
+_STRIPS = (0.06, 0.03, 0.015)
 _OPEN_TRIM = 0.16
 _LEAST_POINTS = 8
 # Most labels of 16 bits: OpenCV writes out of bounds with one more.
@@ -101,12 +101,7 @@ _MORE_MASKS = (
     _Mask(5, 0.45, ceiling=54),
 )
 # With narrow windows a border with a gap is a line that ends at either side of the gap.
-_OPEN_PASS = (
-    _Mask(3, 0.6),
-    _Mask(3, 0.7),
-    _Mask(5, 0.4),
-    _Mask(3, 0.5, coarse=True),
-)
+_OPEN_PASS = (_Mask(3, 0.7), _Mask(5, 0.4), _Mask(3, 0.5, coarse=True))
 
 
 class CandidateSearch:
@@ -345,12 +340,12 @@ def _line_along(points: ndarray, first: ndarray, side: ndarray) -> tuple[ndarray
     """
     length = lengths_of(side)
     middle, along = first + 0.5 * side, side / length
-    for half_width, distances in _STRIPS:
+    for half_width in _STRIPS:
         away = points - middle
         near = np.abs(cross(away, along)) < max(1.0, half_width * length)
         near &= np.abs(away @ along) < (0.5 - _OPEN_TRIM) * length
         if np.count_nonzero(near) >= _LEAST_POINTS:
-            line = cv2.fitLine(points[near], distances, 0.0, 0.01, 0.01).ravel()
+            line = cv2.fitLine(points[near], cv2.DIST_L2, 0.0, 0.01, 0.01).ravel()
             middle, along = line[2:], line[:2]
     return middle, right_of(along)
 
