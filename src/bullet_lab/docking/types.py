@@ -6,6 +6,7 @@ its marker's face, with the yaw of a robot that stands in it.
 
 from __future__ import annotations
 
+import bisect
 import functools
 import math
 from collections import deque
@@ -129,15 +130,10 @@ class OdometryBuffer:
         """Return the pose at a time (s), interpolated; the newest after it, None before all."""
         if not self._past or stamp < self._past[0].stamp - 1e-6:
             return None
-        after = self._past[-1]
-        if stamp >= after.stamp:
-            return after.pose
-        for before in reversed(self._past):
-            if before.stamp <= stamp + 1e-9:
-                break
-            after = before
-        if after is before:
-            return before.pose
+        after = bisect.bisect_right([one.stamp for one in self._past], stamp + 1e-9)
+        if not 0 < after < len(self._past):
+            return self._past[max(after, 1) - 1].pose
+        before, after = self._past[after - 1], self._past[after]
         part = min(max((stamp - before.stamp) / (after.stamp - before.stamp), 0.0), 1.0)
         step = se2.between(before.pose, after.pose)
         return tuple(se2.compose(before.pose, part * step).tolist())
