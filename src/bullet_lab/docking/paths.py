@@ -19,7 +19,7 @@ from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import QUIET_ZONE, clearance, wall_boxes
 from bullet_lab.docking.types import TURNING_RADIUS, DockingSettings, Point
-from bullet_lab.drive import STANDSTILL, Command, clip
+from bullet_lab.drive import STANDSTILL, Command, approach, clip
 
 # Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
 CELL = 0.1
@@ -357,5 +357,5 @@ def turn_command(left: float, fastest: float, tolerance: float = _TURNED) -> Com
     """
     if abs(left) <= tolerance:
         return STANDSTILL
-    speed = min(fastest, max(_SLOWEST_TURN, _TURN_GAIN * abs(left)))
+    speed = approach(abs(left), fastest, _SLOWEST_TURN, _TURN_GAIN)
     return 0.0, math.copysign(speed, left)
