@@ -17,6 +17,7 @@ from typing import NamedTuple, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
+from bullet_lab.core.parameters import integer, number
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 
@@ -190,14 +191,14 @@ class Observation:
 
 @dataclass(frozen=True)
 class DockingSettings:
-    """Speeds in m/s and rad/s, and limits."""
+    """Speeds and limits, which are parameters of the node dock but for `search`."""
 
     search: bool = True  #: for the marker where it is not seen at once
-    drive_speed: float = 0.4  #: in the open
-    approach_speed: float = 0.25  #: on the dock's axis
-    turn_speed: float = 0.8  #: on the spot
-    max_retries: int = 5  #: retreats from the last metre before it gives up
-    time_limit: float = 300.0  #: of all, s
+    drive_speed: float = number(0.4, "m/s, far from the dock", above=0.0, maximum=1.0)
+    approach_speed: float = number(0.25, "m/s on the dock's axis", above=0.0, maximum=1.0)
+    turn_speed: float = number(0.8, "rad/s on the spot", above=0.0, maximum=2.0)
+    max_retries: int = integer(5, "how often to retreat and try again", minimum=0, maximum=1000)
+    time_limit: float = number(300.0, "s for a docking", above=0.0)
 
 
 class Learned(NamedTuple):
