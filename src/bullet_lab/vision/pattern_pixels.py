@@ -361,24 +361,12 @@ class _Edges(NamedTuple):
     Attributes:
         places: (n, 2) of the unit square.
         off: (n,) px towards white from where they should be.
-        points: (n, 2) px where they should be.
-        across: (n, 2) px, normals to white.
-        to_image: (3, 3), from the unit square.
+        moves: (n, 8) derivatives of `off` by the coefficients of `moves_of`.
     """
 
     places: ndarray
     off: ndarray
-    points: ndarray
-    across: ndarray
-    to_image: ndarray
-
-    @property
-    def moves(self) -> ndarray:
-        """Derivatives (n, 8) of `off`, px, by the coefficients of `moves_of`."""
-        linear, last = self.to_image[:2, :2], self.to_image[2]
-        third = (self.places @ last[:2] + last[2])[:, None]
-        along = self.across @ linear - (self.across * self.points).sum(axis=1)[:, None] * last[:2]
-        return np.ascontiguousarray(by_shape((along / third).T, (self.places - 0.5).T).T)
+    moves: ndarray
 
     def fit_without(self, side: tuple[int, float]) -> ndarray:
         """Return the coefficients (8,) of least distances to the edges that are not at a side."""
@@ -445,5 +433,9 @@ def _edges_seen(picture: Picture, corners: ndarray, pattern: ndarray) -> _Edges 
     shown = most > _LEAST_EDGE_RISE * np.median(most)
     if np.count_nonzero(shown) < _LEAST_PLACES:
         return None
-    off = rises.argmax(axis=0)[shown] - float(reach)
-    return _Edges(places[shown], off, points[shown], across[shown], to_image)
+    places, points, across = places[shown], points[shown], across[shown]
+    linear, last = to_image[:2, :2], to_image[2]
+    third = (places @ last[:2] + last[2])[:, None]
+    along = across @ linear - (across * points).sum(axis=1)[:, None] * last[:2]
+    moves = np.ascontiguousarray(by_shape((along / third).T, (places - 0.5).T).T)
+    return _Edges(places, rises.argmax(axis=0)[shown] - float(reach), moves)
