@@ -43,7 +43,7 @@ def executables() -> Iterator[str]:
         for kind in parameter_kinds(runpy.run_path(str(script))["MAIN"]):
             for entry in declarations(kind).values():
                 default = "" if entry.default is MISSING else f"={entry.default_text}"
-                limits = entry.check.allowed
+                limits = entry.allowed
                 yield f"executable {script.name} {entry.name}{default} [{limits}]"
 
 

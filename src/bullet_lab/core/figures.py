@@ -24,8 +24,9 @@ PURPLE = "#CC79A7"
 BLACK = "#000000"
 GREY = "#999999"
 DOTS_PER_INCH = 110
-# m.
+# m; the second one is that of meshes/beacon.dae.
 MARKER_SIDE = 0.2
+BEACON_RADIUS = 0.25
 
 Outline = Sequence[Tuple[float, float]]
 

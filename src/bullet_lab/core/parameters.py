@@ -39,7 +39,6 @@ from typing import (
 
 from bullet_lab.errors import LabError
 
-_CHECK = "check"
 _WHOLE = re.compile(r"[-+]?\d+", re.ASCII)
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 # As roslaunch reads them.
@@ -52,27 +51,22 @@ class ParameterError(LabError):
 
 
 @dataclass(frozen=True)
-class Check:
-    """The check of a parameter's value.
+class Declaration:
+    """A parameter as a dataclass field declares it.
 
     Attributes:
-        doc: a sentence about the parameter.
+        name: of the parameter.
+        default: its value if none is given; MISSING: it has none.
+        doc: a sentence about it.
         allowed: what is allowed, in words.
-        accept: returns the value converted, or raises ValueError or TypeError.
+        accept: returns a value converted, or raises ValueError or TypeError.
     """
-
-    doc: str
-    allowed: str
-    accept: Callable[[Any], Any]
-
-
-@dataclass(frozen=True)
-class Declaration:
-    """A parameter as a dataclass field declares it. A default of MISSING means that it has none."""
 
     name: str
     default: Any
-    check: Check
+    doc: str
+    allowed: str
+    accept: Callable[[Any], Any]
 
     def read(self, value: Any, shown_name: str = "") -> Any:
         """Return a value converted; an empty text that is not allowed gives the default.
@@ -85,13 +79,13 @@ class Declaration:
             ParameterError: the value is not allowed.
         """
         try:
-            return self.check.accept(value)
+            return self.accept(value)
         except (ValueError, TypeError, LookupError, OverflowError) as error:
             if isinstance(value, str) and not value and self.default is not MISSING:
                 return self.default
             shown = f"'{value}'" if isinstance(value, str) else str(value)
             name = shown_name or self.name
-            raise ParameterError(f"{name} is {shown}: it must be {self.check.allowed}") from error
+            raise ParameterError(f"{name} is {shown}: it must be {self.allowed}") from error
 
     @property
     def default_text(self) -> str:
@@ -104,7 +98,7 @@ def declarations(kind: type) -> Dict[str, Declaration]:
     return {
         entry.name: declared(entry.name, entry)
         for entry in fields(kind)
-        if _CHECK in entry.metadata
+        if "accept" in entry.metadata
     }
 
 
@@ -117,7 +111,7 @@ def declared(name: str, entry: Field) -> Declaration:
     """Return a parameter outside a dataclass, from the field that a function below returns."""
     factory: Any = entry.default_factory  # type: ignore[misc]
     default = entry.default if factory is MISSING else factory()
-    return Declaration(name, default, entry.metadata[_CHECK])
+    return Declaration(name, default, **entry.metadata)
 
 
 def number(
@@ -229,7 +223,8 @@ def mapping(doc: str, *kinds: type) -> Any:
                     entries[name] = known[name].read(entries[name])
         return entries
 
-    return field(default_factory=dict, metadata={_CHECK: Check(doc, "a dictionary", accept)})
+    metadata = {"doc": doc, "allowed": "a dictionary", "accept": accept}
+    return field(default_factory=dict, metadata=metadata)
 
 
 def checked(default: Any, doc: str, allowed: str, accept: Callable[[Any], Any]) -> Any:
@@ -273,7 +268,7 @@ def check_parameters(parameters: Any) -> None:
         value = getattr(parameters, name)
         if isinstance(value, str) and not isinstance(declaration.default, str):
             # Text of launch files has been converted before.
-            allowed = declaration.check.allowed
+            allowed = declaration.allowed
             raise ParameterError(f"{name} is '{value}': it must be {allowed}, not a text")
         if value != declaration.default:
             declaration.read(value)
@@ -286,12 +281,12 @@ def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
     as words, or true by the option alone. `read_options` reads the values that the parser finds.
     """
     for name, declaration in declarations(kind).items():
-        check, shown = declaration.check, declaration.default_text
+        allowed, shown = declaration.allowed, declaration.default_text
         parser.add_argument(
             "--" + name.replace("_", "-"),
             nargs="*" if isinstance(declaration.default, (tuple, bool)) else None,
             metavar=name.upper(),
-            help=f"{check.doc}: {check.allowed}; by default {shown or 'none'}".replace("%", "%%"),
+            help=f"{declaration.doc}: {allowed}; by default {shown or 'none'}".replace("%", "%%"),
         )
 
 
@@ -325,7 +320,7 @@ class ArgumentParser(argparse.ArgumentParser):
 
 
 def _declare(default: Any, doc: str, allowed: str, accept: Callable) -> Any:
-    return field(default=default, metadata={_CHECK: Check(doc, allowed, accept)})
+    return field(default=default, metadata={"doc": doc, "allowed": allowed, "accept": accept})
 
 
 def _as_text(value: Any) -> str:

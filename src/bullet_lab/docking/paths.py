@@ -19,7 +19,7 @@ from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import QUIET_ZONE, clearance, wall_boxes
 from bullet_lab.docking.types import TURNING_RADIUS, DockingSettings, Point
-from bullet_lab.drive import STANDSTILL, Command, clip
+from bullet_lab.drive import STANDSTILL, Command, approach, clip
 
 # Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
 CELL = 0.1
@@ -101,7 +101,7 @@ class Costmap:
         free = np.hypot(*(self.points - self._robot).transpose(2, 0, 1)) < 1.2 * cell
         self.touch[free] = 0.0
         self._rate = (1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near).ravel()
-        self.costs = self._dijkstra()
+        self.costs, self._before = self._dijkstra()
 
     def _risks(self, docks, boxes, obstacles, radius: float):
         """Return the shares of docks that a robot in a cell would touch, and come near to."""
@@ -119,35 +119,20 @@ class Costmap:
             add(np.hypot(self.points[..., 0] - x, self.points[..., 1] - y) - size, weight)
         return touch, near
 
-    def _dijkstra(self) -> np.ndarray:
+    def _dijkstra(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the costs of all cells, and each one's predecessor on the way there, by index."""
         rows, columns = self._shape
         cells, edges = np.arange(rows * columns).reshape(self._shape), []
         for down, right, length in _NEIGHBOURS:
             first = cells[: rows - down, max(-right, 0) : columns - max(right, 0)].ravel()
             second = first + down * columns + right
-            edges.append((first, second, self._edge_cost(first, second, length)))
+            cost = 0.5 * length * (self.cell * self._rate[first] + self.cell * self._rate[second])
+            edges.append((first, second, cost))
         first, second, costs = (np.concatenate(part) for part in zip(*edges))
         graph = coo_matrix((costs, (first, second)), (cells.size, cells.size)).tocsr()
         start = self._index(self._robot)
-        return dijkstra(graph, directed=False, indices=start).reshape(self._shape)
-
-    def _edge_cost(self, first, second, length: float):
-        """Return the cost between neighbouring cells, so many cells apart."""
-        return 0.5 * length * (self.cell * self._rate[first] + self.cell * self._rate[second])
-
-    def _predecessor(self, cell: int) -> int:
-        """Return the neighbour that the cheapest way to a cell comes over; -1 for the first."""
-        rows, columns = self._shape
-        row, column = divmod(cell, columns)
-        costs, found = self.costs.ravel(), []
-        for down, right, length in _NEIGHBOURS:
-            for i, j in ((down, right), (-down, -right)):
-                if 0 <= row + i < rows and 0 <= column + j < columns:
-                    other = cell + i * columns + j
-                    if costs[other] + self._edge_cost(other, cell, length) == costs[cell]:
-                        found.append((costs[other], other))
-        # Ties are frequent on free floor; cost and index decide.
-        return min(found, default=(0.0, -1))[1]
+        found = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+        return found[0].reshape(self._shape), found[1]
 
     def _index(self, points) -> np.ndarray:
         """Return the index of the cell nearest each of (..., 2 or more) points."""
@@ -165,10 +150,10 @@ class Costmap:
         if np.any(off < 0.0) or np.any(off > self.cell * (np.array(self._shape) - 1)):
             return None
         way = [(float(goal[0]), float(goal[1]))]
-        cell = self._predecessor(int(self._index(goal)))
+        cell = self._before[self._index(goal)]
         while cell >= 0:
             way.append(tuple(self.points[divmod(cell, self._shape[1])].tolist()))
-            cell = self._predecessor(cell)
+            cell = self._before[cell]
         way[-1] = self._robot
         if len(way) == 1:
             way.append(self._robot)
@@ -372,5 +357,5 @@ def turn_command(left: float, fastest: float, tolerance: float = _TURNED) -> Com
     """
     if abs(left) <= tolerance:
         return STANDSTILL
-    speed = min(fastest, max(_SLOWEST_TURN, _TURN_GAIN * abs(left)))
+    speed = approach(abs(left), fastest, _SLOWEST_TURN, _TURN_GAIN)
     return 0.0, math.copysign(speed, left)

@@ -6,6 +6,7 @@ its marker's face, with the yaw of a robot that stands in it.
 
 from __future__ import annotations
 
+import bisect
 import functools
 import math
 from collections import deque
@@ -16,6 +17,7 @@ from typing import NamedTuple, Tuple
 import numpy as np
 
 from bullet_lab.core import se2
+from bullet_lab.core.parameters import integer, number
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
 
@@ -129,15 +131,10 @@ class OdometryBuffer:
         """Return the pose at a time (s), interpolated; the newest after it, None before all."""
         if not self._past or stamp < self._past[0].stamp - 1e-6:
             return None
-        after = self._past[-1]
-        if stamp >= after.stamp:
-            return after.pose
-        for before in reversed(self._past):
-            if before.stamp <= stamp + 1e-9:
-                break
-            after = before
-        if after is before:
-            return before.pose
+        after = bisect.bisect_right([one.stamp for one in self._past], stamp + 1e-9)
+        if not 0 < after < len(self._past):
+            return self._past[max(after, 1) - 1].pose
+        before, after = self._past[after - 1], self._past[after]
         part = min(max((stamp - before.stamp) / (after.stamp - before.stamp), 0.0), 1.0)
         step = se2.between(before.pose, after.pose)
         return tuple(se2.compose(before.pose, part * step).tolist())
@@ -194,14 +191,14 @@ class Observation:
 
 @dataclass(frozen=True)
 class DockingSettings:
-    """Speeds in m/s and rad/s, and limits."""
+    """Speeds and limits, which are parameters of the node dock but for `search`."""
 
     search: bool = True  #: for the marker where it is not seen at once
-    drive_speed: float = 0.4  #: in the open
-    approach_speed: float = 0.25  #: on the dock's axis
-    turn_speed: float = 0.8  #: on the spot
-    max_retries: int = 5  #: retreats from the last metre before it gives up
-    time_limit: float = 300.0  #: of all, s
+    drive_speed: float = number(0.4, "m/s, far from the dock", above=0.0, maximum=1.0)
+    approach_speed: float = number(0.25, "m/s on the dock's axis", above=0.0, maximum=1.0)
+    turn_speed: float = number(0.8, "rad/s on the spot", above=0.0, maximum=2.0)
+    max_retries: int = integer(5, "how often to retreat and try again", minimum=0, maximum=1000)
+    time_limit: float = number(300.0, "s for a docking", above=0.0)
 
 
 class Learned(NamedTuple):

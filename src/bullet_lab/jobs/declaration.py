@@ -136,11 +136,10 @@ class Argument(NamedTuple):
         doc, allowed = self.doc, self.bracket
         declarations = [] if allowed else self.declarations()
         if declarations:
-            check = declarations[0].check
-            allowed = check.allowed
+            first = declarations[0]
+            allowed = first.allowed
             if not self.default:
-                default = declarations[0].default_text
-                doc = check.doc
+                default, doc = first.default_text, first.doc
                 # A sentence may begin with a unit, such as m.
                 if doc[1:2].isalpha():
                     doc = doc[:1].upper() + doc[1:]

@@ -27,7 +27,7 @@ from bullet_lab.docking.database import (
     judge,
     largest_errors,
 )
-from bullet_lab.docking.types import DockingError, DockingResult
+from bullet_lab.docking.types import HALF_WIDTH, DockingError, DockingResult
 from bullet_lab.reports import DriveReport, Reading, earliest
 
 # ns that are recorded after the end, while the robot should stand.
@@ -45,8 +45,6 @@ STATES = {
 }
 """Colours of the states of docking."""
 
-# m; half the edge of the robot, which is drawn as a square.
-HALF_SIDE = 0.20
 # m around all that is drawn.
 MARGIN = 0.6
 
@@ -294,7 +292,7 @@ def _draw_path(axes: Axes, truth: Trajectory, states: Sequence[StateChange]) -> 
 
 def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
     """Draw the outline of the robot and a line from its middle to the front."""
-    square = HALF_SIDE * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)])
+    square = HALF_WIDTH * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)])
     *corners, front = se2.compose(pose, np.insert(square, 2, 0.0, axis=1))[:, :2]
     outline = Polygon(corners, fill=False, edgecolor=colour, linewidth=1.6, label=label, zorder=3)
     axes.add_patch(outline)

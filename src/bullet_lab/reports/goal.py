@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from bullet_lab.core import figures
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
+from bullet_lab.core.figures import BEACON_RADIUS, BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.core.trajectory import Trajectory
@@ -23,8 +23,6 @@ from bullet_lab.reports import DriveReport, Reading, draw_path
 REST = NANOSECONDS
 # m; length of the arrows.
 ARROW = 0.25
-# m; radius of the beacons.
-BEACON_RADIUS = 0.25
 # m around the path.
 MARGIN = 0.6
 Beacon = Tuple[str, float, float]

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from bullet_lab.core.figures import (
+    BEACON_RADIUS,
     BLACK,
     BLUE,
     GREEN,
@@ -29,8 +30,6 @@ from bullet_lab.reports import Reading, Report, draw_path
 TOUCH = 0.1
 DISTANCES = "distances.csv"
 BEACON_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)
-# Radius of meshes/beacon.dae in m.
-BEACON_RADIUS = 0.25
 
 
 class SensorsReport(Report):

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Iterable, Iterator, NamedTuple, Sequence
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.vision.images import NEXT, cross, intersections, lengths_of, right_of
+from bullet_lab.vision.images import (
+    NEXT,
+    UNIT_SQUARE,
+    Picture,
+    cross,
+    homography,
+    intersections,
+    lengths_of,
+    mapped,
+    mean_side,
+    right_of,
+)
 
+_NONE = np.empty((0, 4, 2))
 # Least area of a quadrilateral, by the square of its outline's length: 1/16 of a square, a third
 # of that of one that is seen at 80 degrees.
 _LEAST_AREA = 0.018
@@ -20,7 +33,7 @@ _OUTLINE_TOLERANCE = 0.035
 _MIN_EDGE = 0.05
 # Share of a side at either end that is left out of the line fit. The second pass leaves out more:
 # something dark before a corner is a part of the contour.
-FIRST_TRIM = 0.15
+_FIRST_TRIM = 0.15
 _SECOND_TRIM = 0.32
 # Product of two sides, px², below which they make no corner.
 _LEAST_CORNER = 1.0
@@ -44,9 +57,9 @@ _HULL_TOLERANCE = 0.02
 _HULL_CORNERS = (4, 5, 6)
 # Most area of a quadrilateral over that of the hull, which lacks a corner.
 _WITH_CORNER = 1.15
-# Half widths of the strips in which points of a side are used, as shares of it, and how its line is
-# fitted to them; and the share of it that is left out at either end.
-_STRIPS = ((0.06, cv2.DIST_L2), (0.03, cv2.DIST_L2), (0.015, cv2.DIST_L1))
+# Half widths of the strips in which points of a side are used, as shares of it, and the share of it
+# that is left out at either end.
+_STRIPS = (0.06, 0.03, 0.015)
 _OPEN_TRIM = 0.16
 _LEAST_POINTS = 8
 # Most labels of 16 bits: OpenCV writes out of bounds with one more.
@@ -88,12 +101,7 @@ _MORE_MASKS = (
     _Mask(5, 0.45, ceiling=54),
 )
 # With narrow windows a border with a gap is a line that ends at either side of the gap.
-_OPEN_PASS = (
-    _Mask(3, 0.6),
-    _Mask(3, 0.7),
-    _Mask(5, 0.4),
-    _Mask(3, 0.5, coarse=True),
-)
+_OPEN_PASS = (_Mask(3, 0.7), _Mask(5, 0.4), _Mask(3, 0.5, coarse=True))
 
 
 class CandidateSearch:
@@ -119,7 +127,7 @@ class CandidateSearch:
 
         In an image with much texture, `contrast` is only that of the stronger edges.
         """
-        return self._outlines(_FIRST_PASS, max(contrast, _usual_rise(self._grey)), FIRST_TRIM)
+        return self._outlines(_FIRST_PASS, max(contrast, _usual_rise(self._grey)), _FIRST_TRIM)
 
     def second_pass(self, contrast: float) -> ndarray:
         """Return those of other masks, of more of them in an image with few pieces."""
@@ -134,7 +142,7 @@ class CandidateSearch:
         shows four corners then. The hull of the border still has four long sides.
         """
         if not self._is_clear:
-            return np.empty((0, 4, 2))
+            return _NONE
         quads, coarse = [], []
         for mask in _OPEN_PASS:
             contours = self._contours(mask, contrast, is_open=True)
@@ -148,9 +156,9 @@ class CandidateSearch:
         for mask in masks:
             contours = self._contours(mask, contrast)
             self._count += len(contours)
-            outlines += outlines_of(contours, self._least_side(mask))
+            outlines += _outlines_of(contours, self._least_side(mask))
             coarse += [mask.coarse] * (len(outlines) - len(coarse))
-        return self._full_size(outlined_quads(outlines, trim), coarse)
+        return self._full_size(_outlined_quads(outlines, trim), coarse)
 
     def _contours(self, mask: _Mask, contrast: float, is_open: bool = False) -> list[ndarray]:
         """Return the contours of the pieces that are dark by a mask, px of the mask."""
@@ -255,19 +263,19 @@ class _Outline(NamedTuple):
     corners: ndarray
 
 
-def outlines_of(contours: Iterable[ndarray], min_side: float) -> list[_Outline]:
+def _outlines_of(contours: Iterable[ndarray], min_side: float) -> list[_Outline]:
     """Return the outlines of the contours with four corners."""
     outlines = (_outline(contour, min_side) for contour in contours)
     return [outline for outline in outlines if outline is not None]
 
 
-def outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
+def _outlined_quads(outlines: Sequence[_Outline], trim: float) -> ndarray:
     """Return the corners (n, 4, 2) at which the lines along the outlines' sides meet.
 
     Lines are of least squares, without the share `trim` of each side at either end.
     """
     if not outlines:
-        return np.empty((0, 4, 2))
+        return _NONE
     firsts, contours, places = zip(*outlines)
     lengths = np.array([len(contour) for contour in contours])
     x, y = points = np.concatenate(contours).T
@@ -332,11 +340,128 @@ def _line_along(points: ndarray, first: ndarray, side: ndarray) -> tuple[ndarray
     """
     length = lengths_of(side)
     middle, along = first + 0.5 * side, side / length
-    for half_width, distances in _STRIPS:
+    for half_width in _STRIPS:
         away = points - middle
         near = np.abs(cross(away, along)) < max(1.0, half_width * length)
         near &= np.abs(away @ along) < (0.5 - _OPEN_TRIM) * length
         if np.count_nonzero(near) >= _LEAST_POINTS:
-            line = cv2.fitLine(points[near], distances, 0.0, 0.01, 0.01).ravel()
+            line = cv2.fitLine(points[near], cv2.DIST_L2, 0.0, 0.01, 0.01).ravel()
             middle, along = line[2:], line[:2]
     return middle, right_of(along)
+
+
+# Samples of a cell along each edge, and the part of the edge that they cover.
+_SAMPLES = 7
+_COVERED = 0.8
+# A cell is not empty if this share of its samples is darker than white by this part of the
+# contrast.
+_DARK_SHARE = 0.2
+_DARKER = 0.25
+# Shares of the black and of the white samples that are darker than the levels of black and white.
+_BLACK_SHARE = 0.5
+_WHITE_SHARE = 0.75
+# At most so many cells are searched, the darkest first.
+_MOST_CELLS = 3
+# A cell is enlarged to about so many px, at most by this factor.
+_ENLARGED = 160.0
+_LARGEST_SCALE = 6
+# Thresholds, as parts of the contrast, and the grey levels of black and of the contrast then.
+_THRESHOLDS = (0.4, 0.55, 0.7, 0.82)
+_BLACK_LEVEL = 25.0
+_CONTRAST = 200.0
+# Standard deviation of the smoothing before, px.
+_SMOOTHING = 0.8
+
+
+def quads_in_cells(
+    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: ndarray
+) -> ndarray:
+    """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
+
+    Where it is small or the light is poor, thresholds of the whole image miss it. The marker around
+    a cell shows how bright black and white are there.
+
+    Args:
+        picture: the image.
+        corners: (4, 2) of the marker, ideal px, clockwise from its top left.
+        pattern: (n, n) its cells with the border, 1 for white.
+        min_side: px, least mean length of the sides that are looked for.
+        known: (k, 4, 2) of markers; a cell with a smaller one in it is left out.
+
+    Returns:
+        (m, 4, 2) corners u, v in px of the image, clockwise.
+    """
+    cells = len(pattern)
+    if lengths_of(corners[NEXT] - corners).min() < cells * min_side:
+        return _NONE
+    to_image = homography(corners)
+    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
+    is_white = (pattern > 0).ravel()
+    black = _quantile(levels[~is_white], _BLACK_SHARE)
+    white = _quantile(levels[is_white], _WHITE_SHARE)
+    contrast = white - black
+    if contrast < 1.0:
+        return _NONE
+    dark = int(_DARK_SHARE * levels.shape[1])
+    darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
+    darkness[~is_white] = 0.0
+    darkest = np.argsort(-darkness, kind="stable")
+    darkest = darkest[: np.count_nonzero(darkness > _DARKER)]
+    if not len(darkest):
+        return _NONE
+    others = known[mean_side(known) < mean_side(corners)].mean(axis=1)
+    column, row = (cells * mapped(others, cv2.invert(to_image)[1])).T
+    within = (np.minimum(column, row) >= 0.0) & (np.maximum(column, row) < cells)
+    taken = cells * row[within].astype(int) + column[within].astype(int)
+    darkest = darkest[~np.isin(darkest, taken)][:_MOST_CELLS]
+    found = [_NONE]
+    for index in darkest.tolist():
+        row, column = divmod(index, cells)
+        outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
+        found.append(_quads_within(picture.levels, outline, black, contrast, min_side))
+    return np.concatenate(found)
+
+
+def _quantile(levels: ndarray, part: float) -> float:
+    index = int(part * levels.size)
+    return float(np.partition(levels, index, axis=None)[index])
+
+
+def _quads_within(
+    image: ndarray, outline: ndarray, black: float, contrast: float, min_side: float
+) -> ndarray:
+    """Return the dark quadrilaterals within an outline (4, 2)."""
+    height, width = image.shape
+    left, top = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
+    right, bottom = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, (width, height))
+    if min(right - left, bottom - top) < min_side:
+        return _NONE
+    cell = image[top:bottom, left:right].astype(np.float32)
+    scale = int(np.clip(_ENLARGED / max(cell.shape), 1, _LARGEST_SCALE))
+    cell = cv2.GaussianBlur(cell, (0, 0), _SMOOTHING)
+    cell = cv2.resize(cell, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    # Beyond the cell all is white, so that black neighbours do not join what is in it.
+    inside = np.zeros(cell.shape, dtype=np.uint8)
+    polygon = scale * (outline - (left, top) + 0.5) - 0.5
+    cv2.fillConvexPoly(inside, np.rint(polygon).astype(np.int32), 255)
+    spread = np.clip((cell - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
+    grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
+    outlines = []
+    for threshold in _THRESHOLDS:
+        limit = _BLACK_LEVEL + _CONTRAST * threshold
+        _, dark = cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)
+        contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
+        outer = [one for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
+        outlines += _outlines_of(outer, scale * min_side)
+    quads = sound_quads(_outlined_quads(outlines, _FIRST_TRIM))
+    return (quads + 0.5) / scale - 0.5 + (left, top)
+
+
+@lru_cache(maxsize=None)
+def _cell_samples(cells: int) -> ndarray:
+    """Return (n, 2) points of the unit square, cell by cell, row by row."""
+    within = 0.5 + _COVERED * (np.arange(_SAMPLES) / (_SAMPLES - 1.0) - 0.5)
+    each = np.arange(cells)
+    row, column, down, right = np.meshgrid(each, each, within, within, indexing="ij")
+    return np.column_stack(((column + right).ravel(), (row + down).ravel())) / cells

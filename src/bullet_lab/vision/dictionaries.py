@@ -171,10 +171,7 @@ def may_be_markers(picture: Picture, quads: ndarray, cells: int) -> ndarray:
     grey = np.einsum("pk,nk->np", _half_planes(cells), levels[:, : 2 * _RING])
     is_bright = levels > grey
     outside, border = levels[:, _OUTSIDE], levels[:, _BORDER]
-    # The median, which is slower to call, of an even number of levels.
-    half = _RING // 2
-    ordered = np.sort(levels[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
-    typical = 0.5 * (ordered[..., half - 1] + ordered[..., half])
+    typical = np.median(levels[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
     likely = typical[:, 0] - typical[:, 1] > _LEAST_TYPICAL_RISE
     for is_right, share in (
         (outside > border, _FRAMED),
@@ -395,12 +392,7 @@ def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
     weights = chosen.reshape(flat.shape).astype(float)
     matrix = np.einsum("np,qp->nq", weights, products).reshape(-1, 3, 3) + 1e-6 * np.eye(3)
     right = np.einsum("np,qp->nq", weights * flat, terms)
-    # By Cramer's rule, as a solver would start threads.
-    after, before = matrix[:, [1, 2, 0]], matrix[:, [2, 0, 1]]
-    cofactors = after[..., [1, 2, 0]] * before[..., [2, 0, 1]]
-    cofactors -= after[..., [2, 0, 1]] * before[..., [1, 2, 0]]
-    determinants = (matrix[:, :1] * cofactors[:, :1]).sum(axis=2)
-    numbers = (cofactors * right[:, None]).sum(axis=2) / determinants
+    numbers = np.linalg.solve(matrix, right[..., None])[..., 0]
     return np.einsum("nq,qp->np", numbers, terms).reshape(levels.shape)
 
 

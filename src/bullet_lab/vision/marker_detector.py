@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, Iterable, Sequence
 
 import cv2
@@ -20,13 +19,7 @@ from bullet_lab.core.parameters import (
 )
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision import images
-from bullet_lab.vision.candidates import (
-    FIRST_TRIM,
-    CandidateSearch,
-    outlined_quads,
-    outlines_of,
-    sound_quads,
-)
+from bullet_lab.vision.candidates import CandidateSearch, quads_in_cells
 from bullet_lab.vision.dictionaries import (
     DICTIONARY_NAMES,
     Match,
@@ -36,13 +29,8 @@ from bullet_lab.vision.dictionaries import (
     refined,
 )
 from bullet_lab.vision.images import (
-    NEXT,
-    UNIT_SQUARE,
     Picture,
     VisionError,
-    homography,
-    lengths_of,
-    mapped,
     mean_side,
 )
 from bullet_lab.vision.pattern_fit import PatternFit, fit_pattern
@@ -82,28 +70,6 @@ _UNSURE_PART = 0.05
 # px. That of the corners of boards before a real camera is 0.2 and 0.6.
 REFINEMENTS = ("pattern", "corners", "none")
 _DEVIATIONS = {"corners": 0.15, "none": 0.5}
-# Samples of a cell along each edge, and the part of the edge that they cover.
-_SAMPLES = 7
-_COVERED = 0.8
-# A cell is not empty if this share of its samples is darker than white by this part of the
-# contrast.
-_DARK_SHARE = 0.2
-_DARKER = 0.25
-# Shares of the black and of the white samples that are darker than the levels of black and white.
-_BLACK_SHARE = 0.5
-_WHITE_SHARE = 0.75
-# At most so many cells are searched, the darkest first.
-_MOST_CELLS = 3
-# A cell is enlarged to about so many px, at most by this factor.
-_ENLARGED = 160.0
-_LARGEST_SCALE = 6
-# Thresholds, as parts of the contrast, and the grey levels of black and of the contrast then.
-_THRESHOLDS = (0.4, 0.55, 0.7, 0.82)
-_BLACK_LEVEL = 25.0
-_CONTRAST = 200.0
-# Standard deviation of the smoothing before, px.
-_SMOOTHING = 0.8
-_NONE = np.empty((0, 4, 2))
 
 
 def _accept_tags(value: Any) -> str:
@@ -276,8 +242,9 @@ class MarkerDetector:
             add_match(match, found)
         for outer in found[:]:
             pattern = self.dictionary.pattern(outer.marker)
-            inner = _quads_in_cells(
-                picture, outer.corners, pattern, self.settings.min_side, found
+            known = np.array([one.corners for one in found])
+            inner = quads_in_cells(
+                picture, outer.corners, pattern, self.settings.min_side, known
             )
             for match in self._decoded(picture, inner).values():
                 add_match(match, found)
@@ -355,101 +322,6 @@ def _same_quads(quads: ndarray, sides: ndarray) -> ndarray:
     larger = np.abs(sides[:, None] - sides)
     # A marker's white surroundings on a bright ground are a dark square one cell larger.
     return np.maximum(away, larger) < (1.0 + 0.04 * sides)[:, None]
-
-
-def _quads_in_cells(
-    picture: Picture, corners: ndarray, pattern: ndarray, min_side: float, known: Sequence[Match]
-) -> ndarray:
-    """Return the dark quadrilaterals in the white cells of a marker, where a smaller one may be.
-
-    Where it is small or the light is poor, thresholds of the whole image miss it. The marker around
-    a cell shows how bright black and white are there.
-
-    Args:
-        picture: the image.
-        corners: (4, 2) of the marker, ideal px, clockwise from its top left.
-        pattern: (n, n) its cells with the border, 1 for white.
-        min_side: px, least mean length of the sides that are looked for.
-        known: markers; a cell with a smaller one in it is left out.
-
-    Returns:
-        (m, 4, 2) corners u, v in px of the image, clockwise.
-    """
-    cells = len(pattern)
-    if lengths_of(corners[NEXT] - corners).min() < cells * min_side:
-        return _NONE
-    to_image = homography(corners)
-    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
-    is_white = (pattern > 0).ravel()
-    black = _quantile(levels[~is_white], _BLACK_SHARE)
-    white = _quantile(levels[is_white], _WHITE_SHARE)
-    contrast = white - black
-    if contrast < 1.0:
-        return _NONE
-    dark = int(_DARK_SHARE * levels.shape[1])
-    darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
-    darkness[~is_white] = 0.0
-    darkest = np.argsort(-darkness, kind="stable")
-    darkest = darkest[: np.count_nonzero(darkness > _DARKER)]
-    if not len(darkest):
-        return _NONE
-    others = np.array([one.corners for one in known])
-    others = others[mean_side(others) < mean_side(corners)].mean(axis=1)
-    column, row = (cells * mapped(others, cv2.invert(to_image)[1])).T
-    within = (np.minimum(column, row) >= 0.0) & (np.maximum(column, row) < cells)
-    taken = cells * row[within].astype(int) + column[within].astype(int)
-    darkest = darkest[~np.isin(darkest, taken)][:_MOST_CELLS]
-    found = [_NONE]
-    for index in darkest.tolist():
-        row, column = divmod(index, cells)
-        outline = picture.seen(mapped((UNIT_SQUARE + (column, row)) / cells, to_image))
-        found.append(_quads_within(picture.levels, outline, black, contrast, min_side))
-    return np.concatenate(found)
-
-
-def _quantile(levels: ndarray, part: float) -> float:
-    index = int(part * levels.size)
-    return float(np.partition(levels, index, axis=None)[index])
-
-
-def _quads_within(
-    image: ndarray, outline: ndarray, black: float, contrast: float, min_side: float
-) -> ndarray:
-    """Return the dark quadrilaterals within an outline (4, 2)."""
-    height, width = image.shape
-    left, top = np.maximum(np.floor(outline.min(axis=0)).astype(int), 0)
-    right, bottom = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 1, (width, height))
-    if min(right - left, bottom - top) < min_side:
-        return _NONE
-    cell = image[top:bottom, left:right].astype(np.float32)
-    scale = int(np.clip(_ENLARGED / max(cell.shape), 1, _LARGEST_SCALE))
-    cell = cv2.GaussianBlur(cell, (0, 0), _SMOOTHING)
-    cell = cv2.resize(cell, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    # Beyond the cell all is white, so that black neighbours do not join what is in it.
-    inside = np.zeros(cell.shape, dtype=np.uint8)
-    polygon = scale * (outline - (left, top) + 0.5) - 0.5
-    cv2.fillConvexPoly(inside, np.rint(polygon).astype(np.int32), 255)
-    spread = np.clip((cell - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
-    grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
-    outlines = []
-    for threshold in _THRESHOLDS:
-        limit = _BLACK_LEVEL + _CONTRAST * threshold
-        _, dark = cv2.threshold(grey, limit, 255, cv2.THRESH_BINARY_INV)
-        contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        # OpenCV orients the contours of dark pieces and those of holes in them oppositely.
-        outer = [one for one in contours if cv2.contourArea(one, oriented=True) < 0.0]
-        outlines += outlines_of(outer, scale * min_side)
-    quads = sound_quads(outlined_quads(outlines, FIRST_TRIM))
-    return (quads + 0.5) / scale - 0.5 + (left, top)
-
-
-@lru_cache(maxsize=None)
-def _cell_samples(cells: int) -> ndarray:
-    """Return (n, 2) points of the unit square, cell by cell, row by row."""
-    within = 0.5 + _COVERED * (np.arange(_SAMPLES) / (_SAMPLES - 1.0) - 0.5)
-    each = np.arange(cells)
-    row, column, down, right = np.meshgrid(each, each, within, within, indexing="ij")
-    return np.column_stack(((column + right).ravel(), (row + down).ravel())) / cells
 
 
 def add_match(match: Match, found: list[Match]) -> None:

@@ -54,8 +54,6 @@ _NEARLY = 24.0
 _SURELY = 3.0
 # Least share of the pixels that must be the marker's.
 LEAST_SHARE = 0.5
-# A highlight: dark pixels differ by this share of the range that is left to the brightest level.
-_UNEVEN = 0.2
 _ROOT_HALF = math.sqrt(0.5)
 # Sum of squares of the pattern below which a group has no contrast.
 _FLAT = 1e-6
@@ -278,7 +276,7 @@ def _edge_pixels(
     valid = _valid_in_groups(levels)
     of_groups = valid.reshape(_GROUP, -1)
     over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
-    cut_off = over_exposed and (cut_off or _is_uneven(by_group))
+    cut_off = over_exposed and cut_off
     valid |= cut_off
     levels = _less_mean(levels[None], valid)[0]
     return Pixels(points, levels, valid, over_exposed, cut_off, _GROUP)
@@ -287,18 +285,12 @@ def _edge_pixels(
 def _is_sunlit(levels: ndarray) -> bool:
     """Return whether a part of the marker has much more light, by groups' levels (group, n)."""
     white = np.maximum(levels[:_REACH].sum(axis=0), levels[-_REACH:].sum(axis=0)) / _REACH
-    black, _ = _percentiles(levels.min(axis=0), _SUN_PERCENTILES)
-    low, high = _percentiles(white, _SUN_PERCENTILES) - black
+    black = np.percentile(levels.min(axis=0), _SUN_PERCENTILES[0])
+    low, high = np.percentile(white, _SUN_PERCENTILES) - black
     if high <= _SUN * low:
         return False
     noise = 1.4826 * _ROOT_HALF * np.median(np.abs(np.diff(white)))
     return bool(high - low > _SUN_DEVIATIONS * noise)
-
-
-def _percentiles(values: ndarray, shares: tuple[float, ...]) -> ndarray:
-    """Return the percentiles of values (n,); numpy's take ten times as long for so few."""
-    ordered = np.sort(values)
-    return np.interp(shares, np.linspace(0.0, 100.0, len(ordered)), ordered)
 
 
 def _valid_in_groups(levels: ndarray) -> ndarray:
@@ -306,16 +298,6 @@ def _valid_in_groups(levels: ndarray) -> ndarray:
     if (levels >= _BRIGHTEST).mean() < _CLIPPED:
         return np.ones(len(levels), dtype=bool)
     return levels < _over_exposed(levels)
-
-
-def _is_uneven(levels: ndarray) -> bool:
-    """Return whether the dark sides of groups (group, n) differ, as under a highlight or by blur.
-
-    The slope of light in half a group looks like a misplaced edge. Whole groups have large
-    residuals under a highlight, as they should.
-    """
-    low, high = _percentiles(levels.min(axis=0), (10.0, 90.0))
-    return bool(high - low > _UNEVEN * (_BRIGHTEST - low))
 
 
 def _edges_of(
@@ -379,24 +361,12 @@ class _Edges(NamedTuple):
     Attributes:
         places: (n, 2) of the unit square.
         off: (n,) px towards white from where they should be.
-        points: (n, 2) px where they should be.
-        across: (n, 2) px, normals to white.
-        to_image: (3, 3), from the unit square.
+        moves: (n, 8) derivatives of `off` by the coefficients of `moves_of`.
     """
 
     places: ndarray
     off: ndarray
-    points: ndarray
-    across: ndarray
-    to_image: ndarray
-
-    @property
-    def moves(self) -> ndarray:
-        """Derivatives (n, 8) of `off`, px, by the coefficients of `moves_of`."""
-        linear, last = self.to_image[:2, :2], self.to_image[2]
-        third = (self.places @ last[:2] + last[2])[:, None]
-        along = self.across @ linear - (self.across * self.points).sum(axis=1)[:, None] * last[:2]
-        return np.ascontiguousarray(by_shape((along / third).T, (self.places - 0.5).T).T)
+    moves: ndarray
 
     def fit_without(self, side: tuple[int, float]) -> ndarray:
         """Return the coefficients (8,) of least distances to the edges that are not at a side."""
@@ -463,5 +433,9 @@ def _edges_seen(picture: Picture, corners: ndarray, pattern: ndarray) -> _Edges 
     shown = most > _LEAST_EDGE_RISE * np.median(most)
     if np.count_nonzero(shown) < _LEAST_PLACES:
         return None
-    off = rises.argmax(axis=0)[shown] - float(reach)
-    return _Edges(places[shown], off, points[shown], across[shown], to_image)
+    places, points, across = places[shown], points[shown], across[shown]
+    linear, last = to_image[:2, :2], to_image[2]
+    third = (places @ last[:2] + last[2])[:, None]
+    along = across @ linear - (across * points).sum(axis=1)[:, None] * last[:2]
+    moves = np.ascontiguousarray(by_shape((along / third).T, (places - 0.5).T).T)
+    return _Edges(places, rises.argmax(axis=0)[shown] - float(reach), moves)

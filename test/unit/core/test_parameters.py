@@ -135,8 +135,8 @@ def test_declarations_say_what_is_asked():
     declared = declarations(Sample)
     assert list(declared)[:2] == ["ratio", "width"]
     ratio = declared["ratio"]
-    assert (ratio.default, ratio.check.doc) == (0.5, "a ratio")
-    assert ratio.check.allowed == "a number >= 0 and <= 1"
+    assert (ratio.default, ratio.doc) == (0.5, "a ratio")
+    assert ratio.allowed == "a number >= 0 and <= 1"
     assert declared["about"].default == {}
 
 

@@ -34,13 +34,13 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header, Time
 
-from bullet_lab.core.parameters import ParameterError, integer, number, text
+from bullet_lab.core.parameters import ParameterError, integer, number, part_of, text
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.database import Dock, UnknownDockError, find_dock, read_docks
 from bullet_lab.docking.progress import DockingFailureError
-from bullet_lab.docking.task import USUAL, DockingTask, UndockingTask
+from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
     CalibrationErrors,
     CameraMount,
@@ -94,7 +94,7 @@ Lookup = Callable[[str, str], Pose]
 
 
 @dataclass(frozen=True)
-class DockParameters:
+class DockParameters(DockingSettings):
     """Private parameters of dock."""
 
     docks: str = text(
@@ -115,21 +115,7 @@ class DockParameters:
     patience: float = number(
         3.0, "s to wait for odometry, camera and transforms at the start", above=0.0
     )
-    time_limit: float = number(USUAL.time_limit, "s for a docking", above=0.0)
-    max_retries: int = integer(
-        USUAL.max_retries, "how often to retreat and try again", minimum=0, maximum=1000
-    )
-    drive_speed: float = number(USUAL.drive_speed, "m/s, far from the dock", above=0.0, maximum=1.0)
-    approach_speed: float = number(
-        USUAL.approach_speed, "m/s on the dock's axis", above=0.0, maximum=1.0
-    )
-    turn_speed: float = number(USUAL.turn_speed, "rad/s on the spot", above=0.0, maximum=2.0)
     seed: int = integer(0, "of the random draws of docking", minimum=0)
-
-    def settings(self) -> DockingSettings:
-        """Return the settings of docking."""
-        names = ("time_limit", "max_retries", "drive_speed", "approach_speed", "turn_speed")
-        return replace(USUAL, **{name: getattr(self, name) for name in names})
 
     def database(self) -> dict[str, Dock]:
         """Return the docks, with the frames of this node.
@@ -293,7 +279,7 @@ class DockNode(GoalNode):
     def __init__(self, parameters: DockParameters):
         self._parameters = parameters
         self._docks = parameters.database()
-        self._settings = parameters.settings()
+        self._settings = part_of(DockingSettings, parameters)
         self._base_frame = own_frame(parameters.base_frame)
         images_per_second = parameters.image_rate
         odometry = MessageQueue(

@@ -171,7 +171,7 @@ def label_of(name: str) -> str:
 def meaning(model: str, name: str) -> str:
     """Return the description of a parameter from its declaration."""
     known = {**declarations(SystematicErrors), **declarations(MODELS[model])}
-    doc = known[name].check.doc
+    doc = known[name].doc
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
