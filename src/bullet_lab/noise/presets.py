@@ -29,6 +29,18 @@ PRESETS: Dict[str, Mapping[str, Any]] = {
         "diameter_error_std": 0.010,
         "way_per_turn_std": 0.011,
     },
+    # LoCoBot by its commands, controller ILQR, from PyRobot (A. Murali and others, 2019) in the
+    # numbers and the reading of Habitat's simulator: means and variances of an action of 0.25 m,
+    # (0.014 m, 0.006 m²) and (0.008 rad, 0.004 rad²), and the variance of one of 10°, 0.012 rad².
+    # Errors across the way and the mean of turns are left out.
+    "locobot_pyrobot": {
+        "model": "random_walk",
+        "way_std": 0.155,
+        "heading_std": 0.126,
+        "turn_std": 0.262,
+        "scale_error": 0.056,
+        "gyro_bias_per_metre": -0.032,
+    },
 }
 """Parameters of noisy_odom by the name of the robot."""
 
