@@ -114,9 +114,9 @@ CONTESTANTS = {
         ),
     )
 }  # fmt: skip
-# A detector that is compared only where it is installed. Another one is a function like these and
-# an entry: from settings to what finds ids and corners in an image.
-if locus is not None:
+# A detector that is compared only where it is installed, from 0.10 on. Another one is a function
+# like these and an entry: from settings to what finds ids and corners in an image.
+if hasattr(locus, "DetectionBatch"):
     CONTESTANTS["locus"] = Contestant(
         "locus", _locus, [{"profile": "standard"}, {"profile": "high_accuracy"}]
     )
