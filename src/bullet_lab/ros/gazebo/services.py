@@ -275,7 +275,7 @@ def _set_link_properties(world: RunningWorld, request: Any) -> None:
     centre = vector_of(request.com.position, "the centre of mass")
     before = link.instance.model.links_by_name()[link.frame.link].inertia
     pose = Pose(centre, Pose.quaternion if before is None else before.axes)
-    inertia = inertia_at(pose, request.mass, **elements)
+    inertia = inertia_at(pose, request.mass, elements)
     change_link(link, inertia, request.gravity_mode)
 
 

@@ -191,9 +191,9 @@ class Tag(ElementReader):
 
     def inertia(self, mass: float, moment: float) -> Inertia:
         """Return the inertia in an <inertial>; `moment` is the default of its diagonal, kg m²."""
-        defaults = 3 * (moment,) + 3 * (0.0,)
-        elements = [self.number(f"inertia/{key}", d) for key, d in zip(INERTIA_KEYS, defaults)]
-        return inertia_at(self.pose(), mass, *elements)
+        defaults = zip(INERTIA_KEYS, 3 * (moment,) + 3 * (0.0,))
+        moments = {key: self.number(f"inertia/{key}", default) for key, default in defaults}
+        return inertia_at(self.pose(), mass, moments)
 
 
 def _mesh(tag: Tag) -> Mesh:

@@ -6,7 +6,7 @@ import logging
 from collections import Counter
 from dataclasses import replace
 from itertools import chain
-from typing import Any, Iterable, Iterator, Sequence, Tuple, TypeVar
+from typing import Any, Iterable, Iterator, Mapping, Sequence, Tuple, TypeVar
 
 import numpy as np
 
@@ -235,21 +235,12 @@ def _merge(base: Link, members: list[tuple[Link, Pose]]) -> Link:
     )
 
 
-def inertia_at(
-    pose: Pose,
-    mass: float,
-    ixx: float,
-    iyy: float,
-    izz: float,
-    ixy: float = 0.0,
-    ixz: float = 0.0,
-    iyz: float = 0.0,
-) -> Inertia:
+def inertia_at(pose: Pose, mass: float, moments: Mapping[str, float]) -> Inertia:
     """Return the inertia of an `<inertial>` at a pose in the link's frame, in kg and kg m².
 
-    >>> inertia_at(Pose(), 1.0, 1.0, 2.0, 3.0, ixy=0.5).matrix.tolist()
-    [[1.0, 0.5, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]]
+    `moments` has the elements of the matrix by their INERTIA_KEYS.
     """
+    ixx, iyy, izz, ixy, ixz, iyz = (moments[key] for key in INERTIA_KEYS)
     own = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=float)
     turn = pose.rotation_matrix()
     return Inertia(mass, pose.position, turn @ own @ turn.T, pose.quaternion)
