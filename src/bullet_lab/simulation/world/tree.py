@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import replace
 from itertools import chain
 from typing import Any, Iterable, Iterator, Mapping, Sequence, Tuple, TypeVar
@@ -151,12 +151,12 @@ def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[Links, Jo
 
 def top_down(root: str, joints: Iterable[Joint]) -> list[str]:
     """Return the names of the links below a root and its own, each after its parent."""
-    children: dict[str, list[str]] = {}
+    children: defaultdict[str, list[str]] = defaultdict(list)
     for joint in joints:
-        children.setdefault(joint.parent, []).append(joint.child)
+        children[joint.parent].append(joint.child)
     order = [root]
     for link in order:
-        order.extend(children.get(link, ()))
+        order.extend(children[link])
     return order
 
 
@@ -184,12 +184,10 @@ def lump_fixed_joints(model: Model) -> Model:
         base, offset = places[link]
         frames[name] = (base, offset * pose)
     frames.update({name: place for name, place in places.items() if name in fixed})
-    if not fixed:
-        return replace(model, frames=frames)
-    members: dict[str, list[tuple[Link, Pose]]] = {}
+    members: defaultdict[str, list[tuple[Link, Pose]]] = defaultdict(list)
     for link in model.links:
         base, pose = places[link.name]
-        members.setdefault(base, []).append((link, pose))
+        members[base].append((link, pose))
     kept = (link for link in model.links if link.name not in fixed)
     joints = []
     for joint in (joint for joint in model.joints if joint.child not in fixed):
@@ -268,7 +266,7 @@ def combine(parts: Sequence[tuple[Inertia, Pose]]) -> Inertia:
         arm = own_centre - centre
         steiner = inertia.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
         matrix += turn @ inertia.matrix @ turn.T + steiner
-    return Inertia(float(mass), tuple(float(value) for value in centre), matrix)
+    return Inertia(float(mass), tuple(centre.tolist()), matrix)
 
 
 def mobility(inertia: Inertia, axis: Vector, turning: bool) -> float:
@@ -289,11 +287,11 @@ def principal_axes(inertia: Inertia) -> tuple[tuple[float, float, float], Pose]:
     matrix = inertia.matrix
     off_diagonal = matrix - np.diag(np.diag(matrix))
     if np.abs(off_diagonal).max() <= 1e-9 * np.abs(matrix).max():
-        return tuple(float(value) for value in np.diag(matrix)), Pose(inertia.centre)
+        return tuple(np.diag(matrix).tolist()), Pose(inertia.centre)
     moments, axes = np.linalg.eigh(matrix)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] = -axes[:, 0]
-    return tuple(float(value) for value in moments), Pose.from_matrix(inertia.centre, axes)
+    return tuple(moments.tolist()), Pose.from_matrix(inertia.centre, axes)
 
 
 def with_sound_inertias(model: Model, source: str) -> Model:
