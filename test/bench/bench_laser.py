@@ -79,8 +79,8 @@ def fleet_factor(robots: int, seconds: float) -> Tuple[float, float]:
         simulation.run_for(seconds)
         whole = seconds / (time.perf_counter() - start)
         # The same world, with nobody acting in it or listening.
-        simulation._acting.clear()
-        simulation._measuring.clear()
+        for instance in simulation.models.values():
+            instance.plugins = ()
         start = time.perf_counter()
         simulation.run_for(seconds)
         return whole, seconds / (time.perf_counter() - start)

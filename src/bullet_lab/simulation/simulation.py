@@ -90,9 +90,7 @@ class Simulation:
         self._physics = Physics(self.world.gravity, self.world.coulomb)
         self.models: dict[str, ModelInstance] = {}
         self._bodies = self._physics.bodies
-        self._acting: list[Plugin] = []
-        self._measuring: list[Plugin | Timer] = []
-        self._timers: list[Plugin | Timer] = []
+        self._timers: list[Timer] = []
         self._on_failure: Callable[[str, LabError], None] | None = None
         self.forces = Forces()
         self._has_listed_plugins = False
@@ -182,8 +180,6 @@ class Simulation:
         plugins = self._make_plugins(model, bodies, tf_prefix)
         instance = ModelInstance(model, bodies, plugins)
         self.models[name] = instance
-        self._acting.extend(plugin for plugin in plugins if plugin.acts)
-        self._measuring.extend(plugin for plugin in plugins if plugin.schedule is not None)
         return instance
 
     def remove(self, name: str) -> None:
@@ -192,8 +188,6 @@ class Simulation:
         del self.models[name]
         self._physics.remove(instance.bodies)
         self.forces.clear(target=(instance,))
-        self._acting = [p for p in self._acting if p not in instance.plugins]
-        self._measuring = [p for p in self._measuring if p not in instance.plugins]
 
     def contacts(self, name: str) -> set[str]:
         """Return the names of the models that a model touched in the last step.
@@ -273,7 +267,7 @@ class Simulation:
 
     def run_until(self, step: int) -> None:
         """Advance to a step, and send samples when they are due."""
-        timers = self._timers + self._measuring
+        timers = self._all_timers()
         while self.step < step:
             due = [timer.schedule.next_step for timer in timers]
             self._advance(min([*due, step, self.step + LONGEST_ADVANCE]))
@@ -298,7 +292,7 @@ class Simulation:
         self.step = 0
         self.forces.clear()
         self.reset_world()
-        for timer in self._timers + self._measuring:
+        for timer in self._all_timers():
             timer.schedule.restart(0)
 
     def _reset(self, instance: ModelInstance) -> None:
@@ -306,10 +300,18 @@ class Simulation:
         for plugin in instance.plugins:
             plugin.reset(self.step)
 
+    def _plugins(self) -> list[Plugin]:
+        return [plugin for instance in self.models.values() for plugin in instance.plugins]
+
+    def _all_timers(self) -> list[Plugin | Timer]:
+        """Return what is due at times: first the timers, then the plugins with samples."""
+        return [*self._timers, *(p for p in self._plugins() if p.schedule is not None)]
+
     def _advance(self, stop: int) -> None:
         """Advance the physics. This loop decides the speed of the simulation."""
         bodies = self._bodies.values()
-        acting: list[Callable[[int], None]] = [plugin.before_step for plugin in self._acting]
+        acting: list[Callable[[int], None]]
+        acting = [plugin.before_step for plugin in self._plugins() if plugin.acts]
         if self.forces.active:
             acting.append(self.forces.before_step)
         acting += [body.settle for body in bodies if body.settling]
