@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.world.xml import file_bytes, number, parse_text, read_text
+from bullet_lab.simulation.world.xml import file_bytes, numbers, parse_text, read_text
 
 LOG = logging.getLogger(__name__)
 
@@ -206,7 +206,8 @@ def _collada_parts(path: Path, submesh: str) -> Iterator[MeshPart]:
 
     root = parse_text(read_text(path), str(path))
     unit = root.find(f"{COLLADA}asset/{COLLADA}unit")
-    metres = 1.0 if unit is None else number(unit.get("meter", "1"), f"{path}: <unit>")
+    metre = "1" if unit is None else unit.get("meter", "1")
+    (metres,) = numbers(metre, 1, f"{path}: <unit>")
     for array in root.iter(f"{COLLADA}float_array"):
         if UNUSABLE_NUMBER.search(array.text or ""):
             # pycollada would replace them by zeros.

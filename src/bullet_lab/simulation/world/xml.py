@@ -166,16 +166,6 @@ def finite(words: Iterable[str]) -> tuple[float, ...]:
     return ()
 
 
-def number(text: str | None, what: str) -> float:
-    """Return the one finite number in a text; raise XmlError."""
-    return numbers(text, 1, what)[0]
-
-
-def child_text(element: Element, tag: str, default: str = "") -> str:
-    """Return the stripped text of a child, or the default if it is missing or empty."""
-    return (element.findtext(tag) or "").strip() or default
-
-
 class TagReader(ABC):
     """Reads and checks the values in a tag by their keys.
 
@@ -230,34 +220,24 @@ class TagReader(ABC):
         >>> [Example().bound(key) for key in ("upper", "lower", "effort")]
         [1e+18, -1e+18, 3.0]
         """
-        with contextlib.suppress(ValueError):
-            value = float(self.text(key))
-            if abs(value) > LARGEST_NUMBER:
-                return math.copysign(LARGEST_NUMBER, value)
-        return self.number(key, 0.0)
+        return max(-LARGEST_NUMBER, min(LARGEST_NUMBER, self._any_number(key, 0.0)))
 
     def coefficient(self, key: str, default: float) -> float:
         """Return a number that is not negative."""
         return self.numbers(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
 
     def friction(self, key: str, default: float) -> float:
-        """Return a coefficient of friction; larger or negative ones become NO_SLIP, as in ODE.
-
-        >>> class Example(TagReader):
-        ...     def text(self, key, default=""):
-        ...         return {"mu": "0.5", "mu2": "-1", "grip": "inf"}.get(key, default)
-        ...     def where(self, key):
-        ...         return key
-        >>> [Example().friction(key, 1.0) for key in ("mu", "mu2", "grip", "none")]
-        [0.5, 1000000.0, 1000000.0, 1.0]
-        """
-        try:
-            value = float(self.text(key, repr(default)))
-        except ValueError:
-            value = math.nan
-        if math.isnan(value):
-            return self.number(key, default)
+        """Return a coefficient of friction; larger or negative ones become NO_SLIP, as in ODE."""
+        value = self._any_number(key, default)
         return value if 0.0 <= value < NO_SLIP else NO_SLIP
+
+    def _any_number(self, key: str, default: float) -> float:
+        """Return a number, which may be infinite."""
+        with contextlib.suppress(ValueError):
+            value = float(self.text(key, repr(default)))
+            if not math.isnan(value):
+                return value
+        return self.number(key, default)
 
     def sizes(self, key: str, count: int, default: str = "") -> tuple[float, ...]:
         """Return `count` positive numbers."""
@@ -336,7 +316,7 @@ class ElementReader(TagReader):
         self.source = source
 
     def text(self, key: str, default: str = "") -> str:  # noqa: D102
-        return child_text(self.element, key, default)
+        return (self.element.findtext(key) or "").strip() or default
 
     def where(self, key: str) -> str:  # noqa: D102
         return f"{self.source}: <{key.rpartition('/')[2]}>"

@@ -7,7 +7,6 @@ from bullet_lab.simulation.world import xml as xml_input
 from bullet_lab.simulation.world.xml import (
     ElementReader,
     XmlError,
-    child_text,
     numbers,
     parse_text,
     read_text,
@@ -118,9 +117,9 @@ def said(text):
     return ElementReader(parse_text(f"<a><x>{text}</x></a>", "a"), "a")
 
 
-def test_child_text_and_boolean():
-    element = parse_text("<a><b> x </b><c/></a>", "here")
-    assert [child_text(element, tag, "no") for tag in "bcd"] == ["x", "no", "no"]
+def test_text_and_boolean():
+    reader = ElementReader(parse_text("<a><b> x </b><c/></a>", "here"), "here")
+    assert [reader.text(tag, "no") for tag in "bcd"] == ["x", "no", "no"]
     texts = ("true", "1", " True ", "false", "0", "")
     assert [said(text).boolean("x", False) for text in texts] == [True] * 3 + [False] * 3
     with pytest.raises(XmlError, match="^a: <x>: 'yes' is not true or false$"):

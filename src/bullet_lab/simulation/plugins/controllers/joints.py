@@ -18,7 +18,7 @@ from bullet_lab.simulation.world.description import LIMITS
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.tags import Document
 from bullet_lab.simulation.world.urdf import UrdfTag
-from bullet_lab.simulation.world.xml import XmlError, child_text, parse_text
+from bullet_lab.simulation.world.xml import XmlError, parse_text
 
 LOG = logging.getLogger(__name__)
 
@@ -164,7 +164,7 @@ def _transmission(element: Element) -> Tuple[str, str]:
     """Return the name of the joint and its interface; raises XmlError with what is wrong."""
     if not element.get("name"):
         raise XmlError("has no name")
-    if not child_text(element, "type"):
+    if not (element.findtext("type") or "").strip():
         raise XmlError("has no <type>")
     if element.find("actuator") is None:
         raise XmlError("has no <actuator>")
