@@ -184,9 +184,7 @@ class ControllerServices:
     def end(self) -> None:
         """Shut down all topics and services; in the thread of the simulation."""
         self._ended.set()
-        manager = self._plugin.manager
-        if manager is not None:
-            self._world.topics.disconnect(tuple(manager.controllers.values()))
+        self._world.topics.disconnect(tuple(self._plugin.manager.controllers.values()))
         self._world.registrar.submit(self._shut_down)
 
     def _shut_down(self) -> None:

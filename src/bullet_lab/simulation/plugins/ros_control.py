@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence
+from typing import Any, Dict, Iterable, List, Mapping, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
@@ -33,7 +33,7 @@ class RosControl(Plugin):
     Attributes:
         namespace: of the robot's parameters, topics and services, with slashes around it.
         description: name of the parameter with the robot's URDF.
-        manager: of its controllers; None until it is configured.
+        manager: of its controllers; it has no joints before `configure`.
     """
 
     filenames = ("libgazebo_ros_control.so",)
@@ -56,14 +56,12 @@ class RosControl(Plugin):
         if period < STEP_SECONDS:
             where = mount.where("controlPeriod")
             LOG.warning("%s: %g s is less than a time step; a time step is used", where, period)
-        self._period = max(1, math.ceil(round(period * STEPS_PER_SECOND, 6)))
+        steps = max(1, math.ceil(round(period * STEPS_PER_SECOND, 6)))
+        self.manager = ControllerManager(self.namespace, steps)
         stop = mount.text("eStopTopic")
         if stop:
             topic = stop if stop.startswith("/") else self.namespace + stop
             self.inputs = (Input(topic, Stop, self._press),)
-        self.manager: Optional[ControllerManager] = None
-        self._stopped = False
-        self._step = 0
 
     def configure(self, urdf: str, parameters: Any) -> ControllerManager:
         """Read the robot's joints, and return the manager of its controllers.
@@ -78,47 +76,43 @@ class RosControl(Plugin):
         """
         where = f"model '{self.mount.model.name}': {self.description}"
         given = ControlParameters(parameters, self.namespace.rstrip("/"))
-        joints = joint_handles(self.mount.bodies, described_joints(urdf, where), given)
-        self.manager = ControllerManager(joints, self.namespace, self._period, self._step)
+        described = described_joints(urdf, where)
+        self.manager.joints = joint_handles(self.mount.bodies, described, given)
         return self.manager
 
     def before_step(self, step: int) -> None:
-        self._step = step
-        if self.manager is not None:
-            self.manager.before_step(step, self._stopped)
+        self.manager.before_step(step)
 
     def placed(self) -> None:
-        if self.manager is not None:
-            self.manager.placed()
+        self.manager.placed()
 
     def reset(self, step: int) -> None:
-        self._step = step
-        if self.manager is not None:
-            self.manager.reset(step)
+        self.manager.reset(step)
 
     def _press(self, stop: Stop) -> None:
-        self._stopped = stop.pressed
+        self.manager.stopped = stop.pressed
 
 
 class ControllerManager:
     """Loads, starts, stops, runs and unloads the controllers of one robot.
 
     Args:
-        joints: of the robot, by name.
         namespace: of the robot, with slashes around it.
         period: steps between two updates.
-        step: the present simulated time.
 
     Attributes:
+        joints: of the robot, by name.
         controllers: all that are loaded, by name.
+        stopped: whether the emergency stop is pressed.
     """
 
-    def __init__(self, joints: Mapping[str, JointHandle], namespace: str, period: int, step: int):
-        self.joints = joints
+    def __init__(self, namespace: str, period: int):
+        self.joints: Mapping[str, JointHandle] = {}
         self.controllers: Dict[str, Controller] = {}
+        self.stopped = False
         self._namespace, self._period = namespace, period
         # The simulated time of the last update.
-        self._step = step
+        self._step = 0
         self._was_stopped = False
 
     def load(self, name: str, parameters: ControlParameters) -> Controller:
@@ -171,14 +165,14 @@ class ControllerManager:
         for controller in to_start:
             controller.start(self._step)
 
-    def before_step(self, step: int, stopped: bool) -> None:
-        """Control the joints in the coming step; `stopped` is the emergency stop."""
+    def before_step(self, step: int) -> None:
+        """Control the joints in the coming step."""
         if step - self._step >= self._period:
             seconds = (step - self._step) / STEPS_PER_SECOND
             self._step = step
             self._read()
-            is_released = self._was_stopped and not stopped
-            self._was_stopped = stopped
+            is_released = self._was_stopped and not self.stopped
+            self._was_stopped = self.stopped
             running = [controller for controller in self.controllers.values() if controller.running]
             for controller in running if is_released else ():
                 controller.stop()
@@ -186,7 +180,7 @@ class ControllerManager:
             for controller in running:
                 controller.update(step, seconds)
         for joint in self.joints.values():
-            joint.write(stopped)
+            joint.write(self.stopped)
 
     def _read(self) -> None:
         for joint in self.joints.values():

@@ -36,7 +36,6 @@ RUNNING = "running"
 STOPPED = "stopped"
 # The interface of a controller that only reads joints.
 STATES = "JointStateInterface"
-EFFORT_FOR_VELOCITY = "effort_controllers/JointVelocityController"
 # Updates between two samples of a loop's state.
 STATE_EVERY = 10
 EXTRA_STATE = ("position", "velocity", "effort")
@@ -181,9 +180,14 @@ class JointTargets(Controller):
             kind, names = JointCommand, (given.get("joint", ""),)
             if not names[0]:
                 raise ControlError(f"{given.where}/joint is missing or empty; it must name a joint")
+        self.by_position = self.kind.endswith("PositionController")
         self.joints = self.find_joints(names)
         self.inputs = (Input(self.topic("command"), kind, self.command),)
         self.targets: Tuple[float, ...] = (0.0,) * len(names)
+
+    def starting(self, step: int) -> None:
+        """Have the present positions as targets, or no velocity or effort."""
+        self.targets = tuple(one.position if self.by_position else 0.0 for one in self.joints)
 
     def command(self, command: Union[JointCommand, JointCommands]) -> None:
         """Take over new targets of the joints.
@@ -204,8 +208,7 @@ class JointTargets(Controller):
 class ForwardCommand(JointTargets):
     """Passes commands on to the joints.
 
-    Until the first command, the targets are the present positions, or no velocity or effort. As
-    in ros_controllers, a joint keeps its last command when the controller stops.
+    As in ros_controllers, a joint keeps its last command when the controller stops.
     """
 
     kinds = {
@@ -216,10 +219,6 @@ class ForwardCommand(JointTargets):
         "effort_controllers/JointEffortController": EFFORT,
         "effort_controllers/JointGroupEffortController": EFFORT,
     }
-
-    def starting(self, step: int) -> None:
-        by_position = self.interface == POSITION
-        self.targets = tuple(joint.position if by_position else 0.0 for joint in self.joints)
 
     def update(self, step: int, seconds: float) -> None:
         for joint, target in zip(self.joints, self.targets):
@@ -237,32 +236,31 @@ class JointPid(JointTargets):
         "effort_controllers/JointPositionController": EFFORT,
         "effort_controllers/JointGroupPositionController": EFFORT,
         "velocity_controllers/JointPositionController": VELOCITY,
-        EFFORT_FOR_VELOCITY: EFFORT,
+        "effort_controllers/JointVelocityController": EFFORT,
     }
 
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)
         paths = [f"{joint.name}/pid" if self.grouped else "pid" for joint in self.joints]
         self._pids = [Pid(given.below(path)) for path in paths]
-        self._by_velocity = self.kind == EFFORT_FOR_VELOCITY
         self._updates = 0
         self.states = Output(self.topic("state"), LoopSample)
         self.outputs = () if self.grouped else (self.states,)
 
     def starting(self, step: int) -> None:
-        self.targets = tuple(0.0 if self._by_velocity else one.position for one in self.joints)
+        super().starting(step)
         for pid in self._pids:
             pid.reset()
 
     def update(self, step: int, seconds: float) -> None:
         for joint, pid, target in zip(self.joints, self._pids, self.targets):
-            if self._by_velocity:
-                value, slope = joint.velocity, 0.0
-                error = target - value
-            else:
+            if self.by_position:
                 value, slope = joint.position, joint.velocity
                 target = joint.described.within_limits(target)
                 error = joint.described.error(value, target)
+            else:
+                value, slope = joint.velocity, 0.0
+                error = target - value
             joint.command = pid.command(error, seconds)
             if self._updates % STATE_EVERY == 0 and self.outputs and self.states.wanted:
                 loop = (target, value, slope, error, seconds, joint.command)
