@@ -94,6 +94,7 @@ class InertialUnit(Sensor):
     """
 
     feels_gravity: ClassVar[bool] = True
+    before_friction: ClassVar[bool] = False
     place: AttachedFrame
     reference: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -107,7 +108,7 @@ class InertialUnit(Sensor):
 
     def produce(self, step: int) -> None:
         self._step = step
-        linear, self._angular = self._velocity()
+        linear, self._angular = self.place.velocity(self.before_friction)
         self._acceleration = self._accelerometer.advance(step, linear)
         super().produce(step)
 
@@ -116,11 +117,7 @@ class InertialUnit(Sensor):
         self.placed()
 
     def placed(self) -> None:
-        self._accelerometer.restart(self._step, self._velocity()[0])
-
-    def _velocity(self) -> tuple[Vector, Vector]:
-        """Return the measured linear and angular velocity, in the world."""
-        return self.place.velocity()
+        self._accelerometer.restart(self._step, self.place.velocity(self.before_friction)[0])
 
     def measure(self, step: int) -> ImuSample:
         pose = self.place.pose()
@@ -157,6 +154,7 @@ class Imu(InertialUnit):
 
     filenames = ("libgazebo_ros_imu.so",)
     feels_gravity = False
+    before_friction = True
 
     def __init__(self, mount: Mount):
         body = mount.required("bodyName")
@@ -165,9 +163,6 @@ class Imu(InertialUnit):
         self.service = mount.topic(mount.text("serviceName", "/default_imu"))
         self.place = mount.attached(body, _offset(mount))
         self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
-
-    def _velocity(self) -> tuple[Vector, Vector]:
-        return self.place.velocity(before_friction=True)
 
 
 class ImuSensor(InertialUnit):
