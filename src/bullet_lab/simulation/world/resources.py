@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from functools import cached_property
 from pathlib import Path
-from typing import Iterable
+from typing import Sequence
 from urllib.parse import quote, unquote, urlsplit
 
 from bullet_lab.errors import LabError
@@ -98,7 +98,7 @@ class ResourceFinder:
     """Finds the files that a document in a folder refers to; None for one that came as text."""
 
     def __init__(self, folder: Path | None = None):
-        self._folder = folder
+        self._own = () if folder is None else (folder,)
 
     @cached_property
     def _models(self) -> tuple[Path, ...]:
@@ -131,13 +131,11 @@ class ResourceFinder:
             folder = ros_package_folder(parts.netloc)
             if folder is None:
                 raise ResourceError(f"'{uri}': no ROS package '{parts.netloc}'")
-            path = unquote(parts.path).lstrip("/")
-            return _search((folder,), path, uri) or _existing(folder / path, uri)
+            return _search((folder,), unquote(parts.path).lstrip("/"), uri)
         if parts.scheme == "model":
-            found = _search(self._models, (parts.netloc + unquote(parts.path)).lstrip("/"), uri)
-            if found is None:
-                raise ResourceError(f"'{uri}': in none of the model folders (GAZEBO_MODEL_PATH)")
-            return found
+            path = (parts.netloc + unquote(parts.path)).lstrip("/")
+            missing = "in none of the model folders (GAZEBO_MODEL_PATH)"
+            return _search(self._models, path, uri, missing)
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):
             return self._absolute(uri, Path(unquote(parts.path)))
         if parts.scheme == "file":
@@ -150,17 +148,15 @@ class ResourceFinder:
         return self._relative(uri, uri)
 
     def _relative(self, uri: str, path: str) -> Path:
-        own = () if self._folder is None else (self._folder,)
         listed = listed_folders("GAZEBO_RESOURCE_PATH")
-        folders = (*own, *(folder / part for folder in listed for part in RESOURCES))
+        folders = (*self._own, *(folder / part for folder in listed for part in RESOURCES))
         if not folders:
             raise ResourceError(f"'{uri}': a relative path in a text; use a URI")
-        return _search(folders, path, uri) or _existing(folders[0] / path, uri)
+        return _search(folders, path, uri)
 
     def _absolute(self, uri: str, path: Path) -> Path:
         """Allow an absolute path only below the document, a model folder or a ROS package."""
-        own = () if self._folder is None else (self._folder,)
-        if any(is_below(path, root) for root in (*self._models, *own, *_package_above(path))):
+        if any(is_below(path, root) for root in (*self._models, *self._own, *_package_above(path))):
             return _existing(path, uri)
         raise ResourceError(f"'{uri}': outside the folders of the document and of all packages")
 
@@ -183,12 +179,12 @@ def _package_above(path: Path) -> tuple[Path, ...]:
     return tuple(holders)[:1]
 
 
-def _search(folders: Iterable[Path], path: str, uri: str) -> Path | None:
-    """Return a path in the first folder that contains it, or None.
+def _search(folders: Sequence[Path], path: str, uri: str, missing: str = "") -> Path:
+    """Return a path in the first folder that contains it.
 
     Raises:
-        ResourceError: the path leads out of a folder. The error does not reveal whether such a
-            file exists.
+        ResourceError: the path leads out of a folder, without revealing whether such a file
+            exists; or it is in none of them, which is said as `missing`.
     """
     leaves = False
     for folder in folders:
@@ -198,7 +194,7 @@ def _search(folders: Iterable[Path], path: str, uri: str) -> Path | None:
             return folder / path
     if leaves:
         raise ResourceError(f"'{uri}': leaves its folder")
-    return None
+    raise ResourceError(f"'{uri}': {missing or f'no such file ({folders[0] / path})'}")
 
 
 def is_below(path: Path, folder: Path) -> bool:
