@@ -119,6 +119,8 @@ def test_file_uris_and_uris_of_several_models(shop, tmp_path):
         ("Shop/Plain", (1, 1, 1, 1), True),
         ("Gazebo/RedTransparent", (1, 0, 0, 0.5), False),
         ("Gazebo/Grey", (0.7, 0.7, 0.7, 1), True),
+        # Without its picture.
+        ("Gazebo/Wood", (0.6, 0.45, 0.3, 1), True),
     ],
 )
 def test_passes_and_blending(shop, name, colour, lit):
