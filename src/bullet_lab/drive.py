@@ -55,10 +55,6 @@ TURN_UNTIL = math.radians(6.0)
 LEAST_TOLERANCE = 0.01
 
 
-class DriverError(LabError):
-    """A mode is unknown, or a goal is not finite."""
-
-
 def _accept_turn_speed(value: Any) -> float:
     if isinstance(value, bool) or not math.isfinite(value) or value == 0.0:
         raise ValueError
@@ -167,7 +163,7 @@ class SquareDriver:
         sides_done: number of sides that have been driven, with the turn after each.
 
     Raises:
-        DriverError: an unknown mode.
+        LabError: an unknown mode.
 
     Example:
         >>> driver = SquareDriver(Square(sides=1, side=0.04, turn_commands=1))
@@ -177,7 +173,7 @@ class SquareDriver:
 
     def __init__(self, square: Square, mode: str = OPEN_LOOP):
         if mode not in MODES:
-            raise DriverError(f"mode '{mode}' is not one of {', '.join(MODES)}")
+            raise LabError(f"mode '{mode}' is not one of {', '.join(MODES)}")
         self._square = square
         self.needs_pose = mode == CLOSED_LOOP
         self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
@@ -279,7 +275,7 @@ class GoalDriver:
         moving: the last command (m/s, rad/s).
 
     Raises:
-        DriverError: the goal is not finite.
+        LabError: the goal is not finite.
 
     Example:
         >>> driver = GoalDriver((1.0, 0.0, 0.0))
@@ -293,7 +289,7 @@ class GoalDriver:
         self, goal: PlanarPose, limits: GoalLimits = GoalLimits(), command: Command = STANDSTILL
     ):
         if not all(map(math.isfinite, goal)):
-            raise DriverError(f"the goal {goal} is not finite")
+            raise LabError(f"the goal {goal} is not finite")
         self.goal = goal
         self.phase = DrivePhase.DRIVING
         self._limits = limits

@@ -12,7 +12,6 @@ from bullet_lab.drive import (
     CLOSED_LOOP,
     STANDSTILL,
     DrivePhase,
-    DriverError,
     GoalDriver,
     GoalLimits,
     SlowestTurn,
@@ -20,6 +19,7 @@ from bullet_lab.drive import (
     SquareDriver,
     open_loop_side,
 )
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.plugins.mobile_base import SupportPatch
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -146,7 +146,7 @@ def test_open_loop_sends_the_commands_of_all_sides_and_counts_them():
 
 
 def test_an_unknown_mode_is_refused():
-    with pytest.raises(DriverError, match="mode 'by_feel' is not one of open_loop, closed_loop"):
+    with pytest.raises(LabError, match="mode 'by_feel' is not one of open_loop, closed_loop"):
         SquareDriver(Square(), "by_feel")
 
 
@@ -242,7 +242,7 @@ def test_what_is_left():
 
 @pytest.mark.parametrize("goal", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf)])
 def test_goals_that_are_none(goal):
-    with pytest.raises(DriverError, match="not finite"):
+    with pytest.raises(LabError, match="not finite"):
         GoalDriver(goal)
 
 

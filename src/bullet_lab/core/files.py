@@ -86,10 +86,6 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
     replace_file(path, lambda part: part.write_text(text))
 
 
-class SeriesError(LabError):
-    """A row is invalid."""
-
-
 class Series:
     """A CSV file of rows, each a stamp in s and numbers, written as they are added.
 
@@ -123,15 +119,15 @@ class Series:
         """Record numbers at a stamp in ns; they may be infinite, which means that nothing was seen.
 
         Raises:
-            SeriesError: NaN, a wrong number of them, or an out-of-order stamp.
+            LabError: NaN, a wrong number of them, or an out-of-order stamp.
         """
         row = tuple(map(float, values))
         if len(row) != len(self.columns):
-            raise SeriesError(f"{len(row)} numbers; {len(self.columns)} are needed")
+            raise LabError(f"{len(row)} numbers; {len(self.columns)} are needed")
         self._check(row)
         last = stamp if self.last is None else max(self.last, stamp)
         if self._in_order and self.last is not None and stamp <= self.last:
-            raise SeriesError(
+            raise LabError(
                 f"time goes back from {self.last / NANOSECONDS:.9f} s "
                 f"to {stamp / NANOSECONDS:.9f} s"
             )
@@ -173,7 +169,7 @@ class Series:
 
     def _check(self, row: Sequence[float]) -> None:
         if any(map(math.isnan, row)):
-            raise SeriesError("a number is NaN; it must be finite or infinite")
+            raise LabError("a number is NaN; it must be finite or infinite")
 
     def _sorted(self) -> List[Tuple[int, Tuple[float, ...]]]:
         return sorted(self._rows.items())
@@ -193,7 +189,7 @@ class PathSeries(Series):
 
     def _check(self, row: Sequence[float]) -> None:
         if not all(map(math.isfinite, row)):
-            raise SeriesError(f"the pose is not finite: {row}")
+            raise LabError(f"the pose is not finite: {row}")
 
 
 Values = Sequence[float]

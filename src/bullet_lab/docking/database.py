@@ -28,11 +28,7 @@ DOCKED, WALL_CONTACT, INACCURATE = "docked", "wall_contact", "inaccurate"
 """Verdicts on a docking, besides the names of docking's errors in small letters."""
 
 
-class DatabaseError(LabError):
-    """The dock database is invalid."""
-
-
-class UnknownDockError(DatabaseError):
+class UnknownDockError(LabError):
     """There is no dock of that name."""
 
 
@@ -148,27 +144,27 @@ _KEYS = {"yaw": "yaw_deg"}
 
 
 def read_docks(path: str | Path) -> dict[str, Dock]:
-    """Read a dock database; raises DatabaseError naming file, dock and key."""
+    """Read a dock database; raises LabError naming file, dock and key."""
     try:
         with open(path, encoding="utf-8") as stream:
             text = stream.read(_FILE_LIMIT + 1)
     except (OSError, UnicodeDecodeError) as error:
-        raise DatabaseError(f"dock database {path}: {error}") from None
+        raise LabError(f"dock database {path}: {error}") from None
     return parse_docks(text, f"dock database {path}")
 
 
 def parse_docks(text: str, where: str = "dock database") -> dict[str, Dock]:
-    """Make docks of YAML text; raises DatabaseError."""
+    """Make docks of YAML text; raises LabError."""
     if len(text) > _FILE_LIMIT:
-        raise DatabaseError(f"{where}: larger than {_FILE_LIMIT} characters")
+        raise LabError(f"{where}: larger than {_FILE_LIMIT} characters")
     try:
         content = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise DatabaseError(f"{where}: no YAML: {error}") from None
+        raise LabError(f"{where}: no YAML: {error}") from None
     _check_keys(content, where, ["docks"])
     docks = content["docks"]
     if not isinstance(docks, dict) or not docks or not all(isinstance(key, str) for key in docks):
-        raise DatabaseError(f"{where}: docks is no mapping from names to docks")
+        raise LabError(f"{where}: docks is no mapping from names to docks")
     return {name: _dock(name, docks[name], f"{where}: docks: {name}") for name in docks}
 
 
@@ -182,13 +178,13 @@ def find_dock(docks: Mapping[str, Dock], name: str) -> Dock:
 def _check_keys(content: Any, where: str, keys: Collection[str]) -> None:
     """Check that a mapping has these keys and no others; `walls` may be missing."""
     if not isinstance(content, dict):
-        raise DatabaseError(f"{where}: not a mapping")
+        raise LabError(f"{where}: not a mapping")
     for key in keys:
         if key not in content and key != "walls":
-            raise DatabaseError(f"{where}: {key} is missing")
+            raise LabError(f"{where}: {key} is missing")
     for key in content:
         if key not in keys:
-            raise DatabaseError(f"{where}: unknown key {key}")
+            raise LabError(f"{where}: unknown key {key}")
 
 
 def _read(kind: type, content: Any, where: str, **values: Any) -> Any:
@@ -203,7 +199,7 @@ def _read(kind: type, content: Any, where: str, **values: Any) -> Any:
             try:
                 values[name] = declared[name].read(value, key)
             except ParameterError as error:
-                raise DatabaseError(f"{where}: {error}") from None
+                raise LabError(f"{where}: {error}") from None
         elif name == "walls" and value is None:
             values[name] = None
         else:
@@ -215,9 +211,9 @@ def _dock(name: str, content: Any, where: str) -> Dock:
     dock = _read(Dock, content, where, name=name)
     staging = f"{where}: staging_distance is {dock.staging_distance!r}, not"
     if dock.staging_distance <= dock.docked_distance:
-        raise DatabaseError(f"{staging} beyond docked_distance")
+        raise LabError(f"{staging} beyond docked_distance")
     if dock.walls is not None and dock.staging_distance <= dock.walls.depth:
-        raise DatabaseError(f"{staging} outside the walls")
+        raise LabError(f"{staging} outside the walls")
     return dock
 
 

@@ -107,21 +107,17 @@ _CONFIG = """<?xml version="1.0"?>
 """
 
 
-class MarkerError(LabError):
-    """A marker that does not exist or cannot be printed as asked."""
-
-
 def paste(canvas: np.ndarray, patch: np.ndarray, column: int, row: int) -> None:
     """Draw a picture over another, its upper left pixel at a column and row.
 
     Raises:
-        MarkerError: it does not fit there.
+        LabError: it does not fit there.
     """
     height, width = patch.shape
     rows, columns = canvas.shape
     if not (0 <= row <= rows - height and 0 <= column <= columns - width):
         place = f"({column}, {row}) of {columns} x {rows}"
-        raise MarkerError(f"a picture of {width} x {height} pixels does not fit at {place}")
+        raise LabError(f"a picture of {width} x {height} pixels does not fit at {place}")
     canvas[row : row + height, column : column + width] = patch
 
 
@@ -134,7 +130,7 @@ def scatter_dots(
     and none touches `keep_out`: left, top, right and bottom, m.
 
     Raises:
-        MarkerError: so many dots do not fit.
+        LabError: so many dots do not fit.
     """
     left, top, right, bottom = keep_out
     free_area = width * height - (right - left) * (bottom - top)
@@ -152,7 +148,7 @@ def scatter_dots(
         if clear and not near.any():
             kept[count] = dot
             count += 1
-    raise MarkerError(f"no room for {amount} dots on {width:g} x {height:g} m")
+    raise LabError(f"no room for {amount} dots on {width:g} x {height:g} m")
 
 
 def draw_dots(canvas: np.ndarray, centres: np.ndarray, metres_per_pixel: float) -> None:
@@ -179,12 +175,12 @@ class Print:
     quiet: int = 1  #: width of the white quiet zone, in cells
 
     def __post_init__(self) -> None:
-        """Raise MarkerError or VisionError where there is no such marker."""
+        """Raise LabError or VisionError where there is no such marker."""
         if not 0.001 <= self.size <= 100.0:
-            raise MarkerError(f"a marker's size is from 0.001 to 100 m, not {self.size:g}")
+            raise LabError(f"a marker's size is from 0.001 to 100 m, not {self.size:g}")
         if not 1 <= self.quiet <= LARGEST_QUIET:
             allowed = f"1 to {LARGEST_QUIET} cells"
-            raise MarkerError(f"the quiet zone must be {allowed} wide, not {self.quiet}")
+            raise LabError(f"the quiet zone must be {allowed} wide, not {self.quiet}")
         self.cells()
 
     def cells(self) -> np.ndarray:
@@ -226,14 +222,14 @@ def plate_face(marker: Print) -> Face:
 
 
 def wall_face(marker: Print) -> Face:
-    """Return the dock's bare back wall with a marker in its middle; raises MarkerError."""
+    """Return the dock's bare back wall with a marker in its middle; raises LabError."""
     return _with_marker(_wall(WALL_GREY), marker)
 
 
 def dots_face(marker: Print, seed: int) -> Face:
-    """Return a back wall with dots around a marker; raises MarkerError."""
+    """Return a back wall with dots around a marker; raises LabError."""
     if seed < 0:
-        raise MarkerError(f"the seed must be an integer >= 0, not {seed}")
+        raise LabError(f"the seed must be an integer >= 0, not {seed}")
     edge = marker.face_size()
     low, high = 0.5 * (WALL_SIZE - edge), 0.5 * (WALL_SIZE + edge)
     rng = np.random.default_rng(seed)
@@ -250,7 +246,7 @@ def nested_face(marker: Print, around: Print) -> Face:
     upper, then to the left one.
 
     Raises:
-        MarkerError: the marker does not fit into a cell, the larger one does not fit on the
+        LabError: the marker does not fit into a cell, the larger one does not fit on the
             wall, or it has no white cell.
     """
     canvas = _wall(WHITE)
@@ -258,7 +254,7 @@ def nested_face(marker: Print, around: Print) -> Face:
     cells = around.cells()
     white = np.argwhere(cells)
     if len(white) == 0:
-        raise MarkerError("the larger marker has no white cell")
+        raise LabError("the larger marker has no white cell")
     row, column = white[np.argmin(np.abs(white - 0.5 * (len(cells) - 1)).max(axis=1))]
     # Its cell's centre is the wall's; the larger one's quiet zone is the white wall.
     corner = [int(round(0.5 * WALL_PIXELS - (k + 0.5) * pixels)) for k in (column, row)]
@@ -266,7 +262,7 @@ def nested_face(marker: Print, around: Print) -> Face:
     paste(canvas, around.image(pixels)[edge:-edge, edge:-edge], *corner)
     if len(marker.image(_pixels(marker))) > pixels:
         cell = pixels * WALL_SIZE / WALL_PIXELS
-        raise MarkerError(
+        raise LabError(
             f"a marker of {marker.face_size():g} m does not fit into a cell of {cell:g} m"
         )
     return _with_marker(canvas, marker)
@@ -293,7 +289,7 @@ def _pixels(marker: Print) -> int:
     steps = int(round(marker.size / step))
     if steps < 4 or abs(marker.size - steps * step) > 1e-6 * marker.size:
         allowed = f"a multiple of {step:g} m, of four or more"
-        raise MarkerError(f"on a wall the size must be {allowed}, not {marker.size:g}")
+        raise LabError(f"on a wall the size must be {allowed}, not {marker.size:g}")
     return steps * (1 + count % 2)
 
 
@@ -303,12 +299,12 @@ def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
     The middle of the plate is at `height` above the floor, m.
 
     Raises:
-        MarkerError: the plate would reach into the floor.
+        LabError: the plate would reach into the floor.
         FileError: the folder cannot be written to.
     """
     below = height - 0.5 * face.size
     if below < 0.0:
-        raise MarkerError(f"a plate of {face.size:g} m at a height of {height:g} m is in the floor")
+        raise LabError(f"a plate of {face.size:g} m at a height of {height:g} m is in the floor")
     middle = 0.5 * PLATE_THICKNESS
     plate = (PLATE_THICKNESS, face.size, face.size)
     shapes = [_picture("plate", plate, (middle, 0.0, height), folder)]

@@ -18,7 +18,6 @@ from bullet_lab.core.parameters import ArgumentParser
 from bullet_lab.errors import LabError
 from bullet_lab.markers.faces import (
     PLATE_THICKNESS,
-    MarkerError,
     Print,
     dots_face,
     nested_face,
@@ -43,19 +42,19 @@ def make(values: argparse.Namespace) -> str:
     """
     folder = values.out
     if not NAME.fullmatch(folder.absolute().name):
-        raise MarkerError(f"'{folder.name}' is no name of a model: letters, digits, _ - and .")
+        raise LabError(f"'{folder.name}' is no name of a model: letters, digits, _ - and .")
     marker = Print(values.dictionary, values.id, values.size, values.quiet)
     made = f"Marker {marker.identifier} of {marker.dictionary}, {marker.size:g} m"
     if values.on != "dock":
         if values.dots or values.around is not None:
-            raise MarkerError("--dots and --around are for the back wall: add --on dock")
+            raise LabError("--dots and --around are for the back wall: add --on dock")
         if values.on == "panel":
             write_panel(plate_face(marker), values.height, folder, f"{made}, on a panel.")
         else:
             write_plate(plate_face(marker), PLATE_THICKNESS, folder, folder.absolute().name)
         return made
     if values.dots and values.around is not None:
-        raise MarkerError("a back wall has either --dots or a marker --around, not both")
+        raise LabError("a back wall has either --dots or a marker --around, not both")
     face = wall_face(marker)
     if values.dots:
         face = dots_face(marker, values.seed)

@@ -22,8 +22,9 @@ from bullet_lab.core.figures import (
     new_figure,
     plan_axes,
 )
-from bullet_lab.core.files import Join, Series, SeriesError, Values
+from bullet_lab.core.files import Join, Series, Values
 from bullet_lab.core.se2 import hypot
+from bullet_lab.errors import LabError
 from bullet_lab.reports import Reading, Report, draw_path
 
 # N; a smaller force is a touch that has just ended.
@@ -187,7 +188,7 @@ class BeaconsReport(Report):
 
     def take(self, topic: str, reading: Reading) -> bool:
         if not all(map(math.isfinite, reading.values)):
-            raise SeriesError("a distance of {}".format(*reading.values))
+            raise LabError("a distance of {}".format(*reading.values))
         self._join.add(topic, reading.stamp, reading.values)
         return True
 

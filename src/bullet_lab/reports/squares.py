@@ -180,7 +180,7 @@ class SquaresReport(Report):
         """Record a pose (m, m, rad) of PERFECT or NOISY at a stamp in ns.
 
         Raises:
-            SeriesError: the pose is not finite, or its stamp is out of order.
+            LabError: the pose is not finite, or its stamp is out of order.
         """
         self.series[name].add(stamp, pose)
         self._join.add(name, stamp, pose)

@@ -12,13 +12,13 @@ from bullet_lab.core.files import (
     Join,
     PathSeries,
     Series,
-    SeriesError,
     make_folder,
     place_within,
     replace_file,
     write_json,
 )
 from bullet_lab.core.trajectory import read_tum
+from bullet_lab.errors import LabError
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
@@ -127,7 +127,7 @@ def test_rows_are_in_the_file_at_once_and_may_be_infinite(tmp_path):
 def test_time_does_not_go_back(tmp_path, stamp):
     series = PathSeries(tmp_path / "a")
     series.add(STEP, (0.0, 0.0, 0.0))
-    with pytest.raises(SeriesError, match=r"^time goes back from 0\.050000000 s to "):
+    with pytest.raises(LabError, match=r"^time goes back from 0\.050000000 s to "):
         series.add(stamp, (0.0, 0.0, 0.0))
     assert len(series) == 1
 
@@ -135,7 +135,7 @@ def test_time_does_not_go_back(tmp_path, stamp):
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_poses_are_finite(tmp_path, bad):
     series = PathSeries(tmp_path / "a")
-    with pytest.raises(SeriesError, match="^the pose is not finite"):
+    with pytest.raises(LabError, match="^the pose is not finite"):
         series.add(STEP, (0.0, bad, 0.0))
     assert series.last is None
     assert (tmp_path / "a").read_text() == ""
@@ -153,7 +153,7 @@ def test_rows_in_any_order_are_put_in_order_at_the_end(tmp_path):
 @pytest.mark.parametrize("values", [(1.0,), (math.nan, 1.0)])
 def test_rows_that_are_refused(tmp_path, values):
     series = Series(tmp_path / "a.csv", ("x", "y"))
-    with pytest.raises(SeriesError):
+    with pytest.raises(LabError):
         series.add(STEP, values)
     assert len(series) == 0
 

@@ -8,7 +8,6 @@ import pytest
 
 from bullet_lab.docking.database import (
     ERRORS,
-    DatabaseError,
     DockTolerance,
     DockUncertainty,
     UnknownDockError,
@@ -20,6 +19,7 @@ from bullet_lab.docking.database import (
     read_docks,
 )
 from bullet_lab.docking.types import DockingError
+from bullet_lab.errors import LabError
 
 SHIPPED = Path(__file__).parents[3] / "config" / "docks.yaml"
 GOOD = """
@@ -76,7 +76,7 @@ def test_the_shipped_database_is_good():
     ],
 )
 def test_says_what_is_wrong(old, new, said):
-    with pytest.raises(DatabaseError) as error:
+    with pytest.raises(LabError) as error:
         parse_docks(GOOD.replace(old, new), "docks.yaml")
     assert said in str(error.value)
     assert str(error.value).startswith("docks.yaml")
@@ -85,12 +85,12 @@ def test_says_what_is_wrong(old, new, said):
 
 @pytest.mark.parametrize("text", ["docks: {}", "docks: [1]", "3", "docks:\n  1: {}"])
 def test_refuses_what_holds_no_docks(text):
-    with pytest.raises(DatabaseError):
+    with pytest.raises(LabError):
         parse_docks(text)
 
 
 def test_refuses_a_missing_file(tmp_path):
-    with pytest.raises(DatabaseError, match=r"nothing\.yaml"):
+    with pytest.raises(LabError, match=r"nothing\.yaml"):
         read_docks(tmp_path / "nothing.yaml")
 
 

@@ -12,7 +12,6 @@ from bullet_lab.markers.faces import (
     DOTS_PER_SQUARE_METRE,
     WALL_GREY,
     WALL_PIXELS,
-    MarkerError,
     Print,
     dots_face,
     draw_dots,
@@ -116,7 +115,7 @@ def test_the_ink_of_a_dot_is_that_of_its_disc():
 def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
     monkeypatch.setattr("bullet_lab.markers.faces.DOTS_PER_SQUARE_METRE", 20000.0)
     monkeypatch.setattr("bullet_lab.markers.faces.TRIES_PER_DOT", 3)
-    with pytest.raises(MarkerError, match="no room for 200 dots"):
+    with pytest.raises(LabError, match="no room for 200 dots"):
         scatter_dots(0.1, 0.1, (0.0, 0.0, 0.0, 0.0), np.random.default_rng(1))
 
 

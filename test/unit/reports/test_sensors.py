@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.core.files import SeriesError
+from bullet_lab.core.files import LabError
 from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import DISTANCES, BeaconsReport, SensorsReport
 
@@ -109,7 +109,7 @@ def test_summary_measures_against_the_truth(tmp_path):
 @pytest.mark.parametrize("bad", [math.inf, math.nan])
 def test_distances_are_finite(tmp_path, bad):
     recording = BeaconsReport(tmp_path, BEACONS)
-    with pytest.raises(SeriesError, match=f"^a distance of {bad}$"):
+    with pytest.raises(LabError, match=f"^a distance of {bad}$"):
         recording.take("a/range", Reading(100, (bad,)))
 
 
