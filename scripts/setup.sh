@@ -447,7 +447,8 @@ download() {
   apt_get update
   # Debian's pip downloads the wheels.
   read -r -d '' -a packages < <(debian_packages first) || true
-  apt_get install --no-install-recommends "${packages[@]}"
+  mapfile -t packages < <(missing_of "${packages[@]}")
+  ((!${#packages[@]})) || apt_get install --no-install-recommends "${packages[@]}"
   rm -rf "$folder/apt"
   cp -r /etc/apt "$folder/apt"
   cp /var/lib/apt/lists/*_{Packages,InRelease}* "$folder/lists/"

@@ -11,6 +11,7 @@ from bullet_lab.core.se2 import wrap
 from bullet_lab.drive import (
     CLOSED_LOOP,
     STANDSTILL,
+    TURN_EXCESS,
     DrivePhase,
     GoalDriver,
     GoalLimits,
@@ -20,6 +21,7 @@ from bullet_lab.drive import (
     open_loop_side,
 )
 from bullet_lab.errors import LabError
+from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 from bullet_lab.simulation.plugins.mobile_base import SupportPatch
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -41,11 +43,11 @@ def integrate(pose, command, patch=ICE):
     )
 
 
-def drive(square, patch, start=(0.0, 0.0, 0.0)):
+def drive(square, patch, start=(0.0, 0.0, 0.0), odometry=lambda pose: pose):
     """Drive a square in closed loop; return the poses at its corners and all commands."""
     driver, pose, corners, commands = SquareDriver(square, CLOSED_LOOP), start, [start], []
     while True:
-        command = driver.command(pose)
+        command = driver.command(odometry(pose))
         if driver.sides_done == len(corners):
             corners.append(pose)
         if command is None:
@@ -105,6 +107,17 @@ def test_a_turn_that_went_far_too_far_is_turned_back():
     assert driver.sides_done == 0
     assert ahead == 0.0
     assert turn > 0.0
+
+
+@pytest.mark.parametrize("ticks_per_metre", [50, 300, 1000])
+def test_a_turn_ends_though_the_ticks_of_encoders_step_over_the_tolerance(ticks_per_metre):
+    errors = SystematicErrors(ticks_per_metre=ticks_per_metre)
+    path = SystematicPath(errors)
+    corners, _ = drive(Square(), ICE, odometry=lambda pose: path.update(*pose).pose)
+    # Within two ticks of both wheels, in opposite directions.
+    tick = 2.0 / (ticks_per_metre * errors.wheel_base)
+    for number, (_, _, yaw) in enumerate(corners):
+        assert abs(wrap(yaw + 0.5 * math.pi * number)) < 2.0 * tick + TURN_EXCESS
 
 
 def test_progress_is_along_the_side():

@@ -11,11 +11,12 @@ from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf
 
 SEPARATION, RADIUS = 0.5, 0.1
+# Signs of x and y.
 PLACES = {
-    "left_front_joint": (0.2, 0.25),
-    "right_front_joint": (0.2, -0.25),
-    "left_rear_joint": (-0.2, 0.25),
-    "right_rear_joint": (-0.2, -0.25),
+    "left_front_joint": (1, 1),
+    "right_front_joint": (1, -1),
+    "left_rear_joint": (-1, 1),
+    "right_rear_joint": (-1, -1),
 }
 SIZES = (
     f"<wheelSeparation>{SEPARATION}</wheelSeparation>"
@@ -24,10 +25,11 @@ SIZES = (
 QUARTER = "1.5707963267948966"
 
 
-def wheel(joint, x, y):
+def wheel(joint, x, y, mass):
+    across, along = 4e-3 * mass, 5e-3 * mass
     return (
-        f'<link name="{joint}_wheel"><inertial><mass value="0.5"/>'
-        '<inertia ixx="2e-3" iyy="2.5e-3" izz="2e-3"/></inertial>'
+        f'<link name="{joint}_wheel"><inertial><mass value="{mass}"/>'
+        f'<inertia ixx="{across}" iyy="{along}" izz="{across}"/></inertial>'
         f'<collision><origin rpy="{QUARTER} 0 0" xyz="0 0 0"/><geometry>'
         f'<cylinder radius="{RADIUS}" length="0.05"/></geometry></collision></link>'
         f'<joint name="{joint}" type="continuous"><parent link="base"/>'
@@ -36,11 +38,15 @@ def wheel(joint, x, y):
     )
 
 
-def rover(tags=SIZES):
-    wheels = "".join(wheel(joint, *place) for joint, place in PLACES.items())
+def rover(tags=SIZES, mass=8.0, wheel_mass=0.5, place=(0.2, 0.25)):
+    wheels = "".join(
+        wheel(joint, x * place[0], y * place[1], wheel_mass)
+        for joint, (x, y) in PLACES.items()
+    )
+    ixx, iyy, izz = (share * mass for share in (0.0125, 0.01875, 0.025))
     return read_urdf(
         '<robot name="rover"><link name="base"><inertial><origin xyz="0 0 0.15"/>'
-        '<mass value="8"/><inertia ixx="0.1" iyy="0.15" izz="0.2"/></inertial>'
+        f'<mass value="{mass}"/><inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}"/></inertial>'
         '<collision><origin xyz="0 0 0.2"/><geometry><box size="0.5 0.3 0.1"/></geometry>'
         f"</collision></link>{wheels}<gazebo><plugin name='drive' "
         f"filename='libgazebo_ros_skid_steer_drive.so'>{tags}</plugin></gazebo></robot>",
@@ -101,22 +107,21 @@ def test_what_the_odometry_says(world):
 
 
 @pytest.mark.parametrize(
-    ("tags", "command", "creep"),
-    [
-        # The body has 4 times the mass of the wheels: (2.0 + 0.42 · 4)·g·dt at most.
-        (SIZES, PlanarCommand(wz=0.4), (0.2, 1.0)),
-        (SIZES, PlanarCommand(vx=0.1), (-1e-3, 1e-3)),
-    ],
+    ("mass", "wheel_mass", "degrees"), [(2.0, 1.5, 99.6), (20.0, 0.5, 83.3), (60.0, 4.0, 90.8)]
 )
-def test_hard_wheels_creep_where_they_skid(world, tags, command, creep):
-    robot = world.add(rover(tags))
-    robot.command("cmd_vel", command)
-    world.run_for(1.0)
-    (device,) = robot.plugins
-    speed = abs(robot.bodies["base"].joint_state("right_front_joint").velocity)
-    wanted = command.vx + 0.5 * device.separation * command.wz
-    most = 3.68 * 9.8e-3 * (wanted / 0.1) ** 0.7
-    assert creep[0] * most <= wanted - speed * device.radii[1] <= creep[1] * most
+def test_hard_wheels_creep_by_their_load_as_in_gazebo(world, mass, wheel_mass, degrees):
+    # Measured in Gazebo 11.1.0 after a leg of 1 s; without creep the bridge turns by 106 degrees.
+    tags = (
+        "<wheelSeparation>0.4</wheelSeparation><wheelDiameter>0.2</wheelDiameter>"
+        "<torque>50</torque><updateRate>50</updateRate>"
+    )
+    robot = world.add(rover(tags, mass, wheel_mass, (0.12, 0.2)))
+    world.run_for(0.5)
+    for command, seconds in ((0.2, 0.0), 1.0), ((0.0, 0.0), 0.5), ((0.0, 0.5), 5.0):
+        robot.command("cmd_vel", PlanarCommand(vx=command[0], wz=command[1]))
+        start = robot.pose().yaw
+        world.run_for(seconds)
+    assert math.degrees(robot.pose().yaw - start) == pytest.approx(degrees, rel=0.08)
 
 
 def test_defaults(coulomb_world):
