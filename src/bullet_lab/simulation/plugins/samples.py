@@ -66,6 +66,47 @@ class JointCommands:
 
 
 @dataclass(frozen=True)
+class TrajectoryPoint:
+    """States of joints `seconds` after a start; velocities and accelerations may be empty."""
+
+    seconds: float
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...] = ()
+    accelerations: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Points for joints to pass, in the order of their names, from the time `start` (s; 0: now)."""
+
+    start: float
+    joints: tuple[str, ...]
+    points: tuple[TrajectoryPoint, ...]
+
+
+@dataclass(frozen=True)
+class TrajectoryGoal:
+    """A trajectory with tolerances of position and velocity by joint, on the path and at its end.
+
+    As in ros_controllers, 0 means the controller's own tolerance, and a negative one none. So does
+    `goal_seconds`, by which the end may be late.
+    """
+
+    trajectory: Trajectory
+    path: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    goal: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    goal_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class GripperGoal:
+    """A position (rad or m) for a gripper's joint, with at most `effort` (N m or N)."""
+
+    position: float
+    effort: float
+
+
+@dataclass(frozen=True)
 class Stop:
     """Whether the emergency stop is pressed."""
 
@@ -136,6 +177,28 @@ class LoopSample:
     gains: tuple[float, float, float, float]
     antiwindup: bool
     frame: ClassVar[str] = ""
+
+
+@dataclass(frozen=True)
+class TrajectorySample:
+    """Where the joints of a trajectory should be, where they are, and the differences."""
+
+    step: int
+    names: tuple[str, ...]
+    desired: TrajectoryPoint
+    actual: TrajectoryPoint
+    error: TrajectoryPoint
+    frame: ClassVar[str] = ""
+
+
+@dataclass(frozen=True)
+class GripperSample:
+    """Position (rad or m) and effort (N m or N) of a gripper's joint, and how its goal stands."""
+
+    position: float
+    effort: float
+    stalled: bool = False
+    reached: bool = False
 
 
 @dataclass(frozen=True)
