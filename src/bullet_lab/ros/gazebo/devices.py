@@ -29,9 +29,10 @@ from std_srvs.srv import Empty
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.gazebo.actions import ControllerAction, check_action
+from bullet_lab.ros.gazebo.actions import ControllerAction
 from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
 from bullet_lab.ros.gazebo.services import offer
+from bullet_lab.ros.messages.actions import ACTIONS
 from bullet_lab.ros.messages.conversions import compressed_message
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
 from bullet_lab.ros.messages.poses import InputError
@@ -288,8 +289,8 @@ class ControllerServices:
         manager = self._manager()
         controller = manager.load(name, parameters)
         try:
-            if isinstance(controller, ActionController):
-                check_action(controller)
+            if isinstance(controller, ActionController) and not ACTIONS:
+                raise ControlError(f"'{controller.kind}' needs the package control_msgs")
             self._world.topics.connect((controller,), f"controller '{name}'")
         except LabError:
             manager.unload(name)

@@ -7,7 +7,7 @@ Every sample has the simulated time `step` in whole milliseconds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Mapping, Tuple
+from typing import Any, ClassVar, Mapping, NamedTuple, Tuple
 
 import numpy as np
 
@@ -65,8 +65,7 @@ class JointCommands:
     values: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class TrajectoryPoint:
+class TrajectoryPoint(NamedTuple):
     """States of joints `seconds` after a start; velocities and accelerations may be empty."""
 
     seconds: float
@@ -75,8 +74,7 @@ class TrajectoryPoint:
     accelerations: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True)
-class Trajectory:
+class Trajectory(NamedTuple):
     """Points for joints to pass, in the order of their names, from the time `start` (s; 0: now)."""
 
     start: float
@@ -84,22 +82,19 @@ class Trajectory:
     points: tuple[TrajectoryPoint, ...]
 
 
-@dataclass(frozen=True)
-class TrajectoryGoal:
+class TrajectoryGoal(NamedTuple):
     """A trajectory with tolerances of position and velocity by joint, on the path and at its end.
 
-    As in ros_controllers, 0 means the controller's own tolerance, and a negative one none. So does
-    `goal_seconds`, by which the end may be late.
+    The end may be late by `seconds`. A tolerance of 0 means the default, a negative one none.
     """
 
     trajectory: Trajectory
-    path: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    goal: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    goal_seconds: float = 0.0
+    path: Mapping[str, tuple[float, ...]]
+    goal: Mapping[str, tuple[float, ...]]
+    seconds: float
 
 
-@dataclass(frozen=True)
-class GripperGoal:
+class GripperGoal(NamedTuple):
     """A position (rad or m) for a gripper's joint, with at most `effort` (N m or N)."""
 
     position: float
@@ -179,20 +174,18 @@ class LoopSample:
     frame: ClassVar[str] = ""
 
 
-@dataclass(frozen=True)
-class TrajectorySample:
-    """Where the joints of a trajectory should be, where they are, and the differences."""
+class TrajectorySample(NamedTuple):
+    """Where joints on a trajectory should be, where they are, and the differences."""
 
     step: int
-    names: tuple[str, ...]
+    joints: tuple[str, ...]
     desired: TrajectoryPoint
     actual: TrajectoryPoint
     error: TrajectoryPoint
-    frame: ClassVar[str] = ""
+    frame: str = ""
 
 
-@dataclass(frozen=True)
-class GripperSample:
+class GripperSample(NamedTuple):
     """Position (rad or m) and effort (N m or N) of a gripper's joint, and how its goal stands."""
 
     position: float

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections import deque
-from dataclasses import dataclass
-from typing import Any, Callable, ClassVar, Deque, Mapping, Optional, Tuple
+from typing import Any, Callable, ClassVar, Deque, List, Mapping, NamedTuple, Optional, Tuple
 
 from bullet_lab.core.schedule import Schedule
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
@@ -14,39 +13,23 @@ from bullet_lab.simulation.plugins.controllers.controller import Controller, is_
 
 LOG = logging.getLogger(__name__)
 
-# States of a goal.
-PENDING = "pending"
-ACTIVE = "active"
+# What becomes of a goal.
+ACCEPTED = "accepted"
 REJECTED = "rejected"
-PREEMPTED = "preempted"
+CANCELED = "canceled"
 ABORTED = "aborted"
 SUCCEEDED = "succeeded"
 
 
-@dataclass(eq=False)
-class Goal:
+class Goal(NamedTuple):
     """A goal of an action: its controller accepts or rejects it, and ends it once.
 
-    Attributes:
-        content: what is asked for.
-        moved: called with the goal after each change of its state.
-        tell: called with feedback.
-        state: one of the states above.
-        result: after its end, or None.
-        text: why it ended so, for people.
+    `move(state, result, text)` is called with each new state, and `tell` with feedback.
     """
 
     content: Any
-    moved: Callable[[Goal], None] = lambda _goal: None
-    tell: Callable[[Any], None] = lambda _feedback: None
-    state: str = PENDING
-    result: Any = None
-    text: str = ""
-
-    def move(self, state: str, result: Any = None, text: str = "") -> None:
-        """Change the state."""
-        self.state, self.result, self.text = state, result, text
-        self.moved(self)
+    move: Callable[[str, Any, str], None]
+    tell: Callable[[Any], None]
 
 
 class ActionController(Controller):
@@ -54,12 +37,10 @@ class ActionController(Controller):
 
     Commands, goals and cancellations come from any thread; they wait for the next update.
 
-    Parameter: action_monitor_rate, of the feedback, in Hz.
-
     Attributes:
         action: name of the action in the controller's namespace.
         goal_kind: the class of its goals' contents.
-        queries: functions of a simulated time in s that services call between two steps, by name.
+        queries: functions of a simulated time in s, by the names of services.
         goal: the active one.
     """
 
@@ -70,13 +51,15 @@ class ActionController(Controller):
     def configure(self, given: ControlParameters) -> None:
         self.goal: Optional[Goal] = None
         self._inbox: Deque[Tuple[Callable[[Any, int], None], Any]] = deque()
+        self._schedules: List[Schedule] = []
         self._monitor = self.schedule(given, "action_monitor_rate", 20.0)
 
-    @staticmethod
-    def schedule(given: ControlParameters, name: str, default: float) -> Optional[Schedule]:
+    def schedule(self, given: ControlParameters, name: str, default: float) -> Optional[Schedule]:
         """Return the schedule for a rate; None for a rate of 0. Raises ControlError."""
         rate = given.get(name, default)
-        return schedule_of(rate, given.where, name) if rate else None
+        made = schedule_of(rate, given.where, name) if rate else None
+        self._schedules += [made] if made else []
+        return made
 
     def post(self, handle: Callable[[Any, int], None], content: Any) -> None:
         """Call `handle(content, step)` at the next update; raises ControlError if not running."""
@@ -85,7 +68,7 @@ class ActionController(Controller):
         self._inbox.append((handle, content))
 
     def receive(self, goal: Goal) -> None:
-        """Take a new goal; it is rejected if the controller does not run."""
+        """Take a new goal."""
         try:
             self.post(self._accept, goal)
         except ControlError as error:
@@ -104,16 +87,16 @@ class ActionController(Controller):
             self.goal.tell(self.feedback(step))
 
     def starting(self, step: int) -> None:
-        for schedule in filter(None, (self._monitor, *self.others())):
+        for schedule in self._schedules:
             schedule.restart(step)
         self.hold(step)
 
     def stopping(self) -> None:
-        self.end(PREEMPTED)
-        for goal in (content for _, content in self._inbox if isinstance(content, Goal)):
-            if goal.state == PENDING:
-                self._reject(goal, ControlError(f"controller '{self.name}' was stopped"))
-        self._inbox.clear()
+        self.end(CANCELED)
+        while self._inbox:
+            handle, content = self._inbox.popleft()
+            if handle == self._accept:
+                self._reject(content, ControlError(f"controller '{self.name}' was stopped"))
 
     def reset(self, step: int) -> None:
         self.stopping()
@@ -124,10 +107,6 @@ class ActionController(Controller):
         goal, self.goal = self.goal, None
         if goal is not None:
             goal.move(state, result, text)
-
-    def others(self) -> Tuple[Optional[Schedule], ...]:
-        """Return further schedules, which begin when the controller starts."""
-        return ()
 
     def refusal(self, error: ControlError) -> Any:
         """Return the result of a goal that is rejected because of an error."""
@@ -154,9 +133,9 @@ class ActionController(Controller):
         except ControlError as error:
             self._reject(goal, error)
             return
-        self.end(PREEMPTED)
+        self.end(CANCELED)
         self.goal = goal
-        goal.move(ACTIVE)
+        goal.move(ACCEPTED, None, "")
 
     def _reject(self, goal: Goal, error: ControlError) -> None:
         LOG.error("controller '%s': goal rejected: %s", self.name, error)
@@ -165,4 +144,4 @@ class ActionController(Controller):
     def _cancel(self, goal: Goal, step: int) -> None:
         if goal is self.goal:
             self.hold(step)
-            self.end(PREEMPTED)
+            self.end(CANCELED)

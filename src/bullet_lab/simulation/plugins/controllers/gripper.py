@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Optional
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.actions import ABORTED, SUCCEEDED, ActionController
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, actions
 from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, STRONGEST, Pid
 from bullet_lab.simulation.plugins.samples import GripperGoal, GripperSample, is_sound
 
@@ -15,12 +14,8 @@ from bullet_lab.simulation.plugins.samples import GripperGoal, GripperSample, is
 AVERAGING = 50
 
 
-class Gripper(ActionController):
-    """Moves the joint of a gripper to a position until it is there or stalls.
-
-    Parameters: joint, goal_tolerance (rad or m), max_effort (N m or N), stall_velocity_threshold
-    (per s), stall_timeout in s, and for efforts gains/<joint>.
-    """
+class Gripper(actions.ActionController):
+    """Moves the joint of a gripper to a position until it is there or stalls."""
 
     kinds = {
         "position_controllers/GripperActionController": POSITION,
@@ -32,14 +27,13 @@ class Gripper(ActionController):
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)
         self.joints = self.find_joints([given.get("joint", "")])
-        (self._joint,) = self.joints
         self._tolerance = abs(given.get("goal_tolerance", 0.01))
         self._default_effort = abs(given.get("max_effort", 0.0))
         self._slowest = given.get("stall_velocity_threshold", 0.001)
-        self._patience = given.get("stall_timeout", 1.0)
+        self._patience = given.get("stall_timeout", 1.0) * STEPS_PER_SECOND
         self._pid: Optional[Pid] = None
         if self.interface == EFFORT:
-            self._pid = Pid(given.below(f"gains/{self._joint.name}"))
+            self._pid = Pid(given.below(f"gains/{self.joints[0].name}"))
 
     def starting(self, step: int) -> None:
         if self._pid is not None:
@@ -47,27 +41,27 @@ class Gripper(ActionController):
         super().starting(step)
 
     def begin(self, content: GripperGoal, step: int) -> None:
-        if not is_sound(content.position, content.effort):
+        if not is_sound(*content):
             raise ControlError("position or max_effort is not finite, or too large")
         self._target, self._effort, self._moved = content.position, abs(content.effort), step
 
     def hold(self, step: int) -> None:
-        self._target, self._effort = self._joint.position, self._default_effort
+        self._target = self._place = self.joints[0].position
         self._moved = self._measured = step
-        self._place = self._joint.position
+        self._effort = self._default_effort
 
     def control(self, step: int, seconds: float) -> None:
-        joint = self._joint
-        error = self._target - joint.position
-        if step - self._measured >= AVERAGING:
-            way = abs(joint.position - self._place)
-            if way * STEPS_PER_SECOND > self._slowest * (step - self._measured):
+        joint = self.joints[0]
+        error, span = self._target - joint.position, step - self._measured
+        if span >= AVERAGING:
+            if abs(joint.position - self._place) * STEPS_PER_SECOND > self._slowest * span:
                 self._moved = step
             self._place, self._measured = joint.position, step
-        if self.goal is not None and abs(error) < self._tolerance:
-            self.end(SUCCEEDED, self._sample(reached=True))
-        elif self.goal is not None and step - self._moved > self._patience * STEPS_PER_SECOND:
-            self.end(ABORTED, self._sample(stalled=True), f"'{joint.name}' has stalled")
+        state = self.feedback(step)
+        if abs(error) < self._tolerance:
+            self.end(actions.SUCCEEDED, state._replace(reached=True))
+        elif step - self._moved > self._patience:
+            self.end(actions.ABORTED, state._replace(stalled=True), f"'{joint.name}' has stalled")
         if self._pid is not None:
             command = self._pid.command(error, seconds, -joint.velocity)
             joint.command = min(max(command, -self._effort), self._effort)
@@ -78,10 +72,7 @@ class Gripper(ActionController):
 
     def stopping(self) -> None:
         super().stopping()
-        self._joint.strength = STRONGEST
+        self.joints[0].strength = STRONGEST
 
     def feedback(self, step: int) -> GripperSample:
-        return self._sample()
-
-    def _sample(self, stalled: bool = False, reached: bool = False) -> GripperSample:
-        return GripperSample(self._joint.position, self._joint.effort, stalled, reached)
+        return GripperSample(self.joints[0].position, self.joints[0].effort)

@@ -5,25 +5,13 @@ from __future__ import annotations
 import logging
 import math
 from itertools import chain
-from typing import List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
-from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins import Input, Output
-from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.actions import (
-    ABORTED,
-    PREEMPTED,
-    SUCCEEDED,
-    ActionController,
-)
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, actions
 from bullet_lab.simulation.plugins.controllers.controller import is_due
-from bullet_lab.simulation.plugins.controllers.joints import (
-    EFFORT,
-    POSITION,
-    VELOCITY,
-    JointHandle,
-    Pid,
-)
+from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, VELOCITY, Pid
 from bullet_lab.simulation.plugins.samples import (
     Trajectory,
     TrajectoryGoal,
@@ -35,12 +23,12 @@ from bullet_lab.simulation.plugins.samples import (
 LOG = logging.getLogger(__name__)
 
 # Error codes of control_msgs/FollowJointTrajectoryResult.
-DONE, INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = 0, -1, -2, -3, -4, -5
+INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = -1, -2, -3, -4, -5
 
 # Position, velocity and acceleration of a joint; the last two are None if they are not given.
 State = Tuple[float, Optional[float], Optional[float]]
 # The greatest errors of position and velocity; 0 for any.
-Bounds = Tuple[float, float]
+Bounds = Tuple[float, ...]
 
 
 class TrajectoryError(ControlError):
@@ -51,18 +39,11 @@ class TrajectoryError(ControlError):
         self.code = code
 
 
-class TrajectoryResult(NamedTuple):
-    """An error code, and what it is about."""
-
-    code: int = DONE
-    text: str = ""
-
-
 class Tolerance(NamedTuple):
     """The greatest errors of a joint on the path and at its end, which may be late by `seconds`."""
 
-    path: Bounds = (0.0, 0.0)
-    goal: Bounds = (0.0, 0.0)
+    path: Bounds = ()
+    goal: Bounds = ()
     seconds: float = 0.0
 
 
@@ -75,29 +56,23 @@ def spline(one: State, two: State, t: float) -> Tuple[float, ...]:
     (0.0, 0.5)
     """
     (p, v, a), (q, w, b) = one, two
+    d = q - p
     if t <= 0.0:
         return (q,)
     if v is None or w is None:
-        return p, (q - p) / t
-    d, v, w = q - p, v * t, w * t
+        return p, d / t
+    v, w = v * t, w * t
     if a is None or b is None:
         return p, v / t, (3.0 * d - 2.0 * v - w) / t**2, (v + w - 2.0 * d) / t**3
     a, b = 0.5 * a * t * t, 0.5 * b * t * t
-    return (
-        p,
-        v / t,
-        a / t**2,
-        (10.0 * d - 6.0 * v - 4.0 * w - 3.0 * a + b) / t**3,
-        (-15.0 * d + 8.0 * v + 7.0 * w + 3.0 * a - 2.0 * b) / t**4,
-        (6.0 * d - 3.0 * v - 3.0 * w - a + b) / t**5,
-    )
+    third = 10.0 * d - 6.0 * v - 4.0 * w - 3.0 * a + b
+    fourth = -15.0 * d + 8.0 * v + 7.0 * w + 3.0 * a - 2.0 * b
+    fifth = 6.0 * d - 3.0 * v - 3.0 * w - a + b
+    return p, v / t, a / t**2, third / t**3, fourth / t**4, fifth / t**5
 
 
 class Segment(NamedTuple):
-    """A part of a joint's path, from `start` to `end` in s.
-
-    `origin` is when its trajectory starts; without a tolerance, every error is allowed.
-    """
+    """A part of a joint's path, from `start` to `end` in s; its trajectory starts at `origin`."""
 
     start: float
     end: float
@@ -107,8 +82,7 @@ class Segment(NamedTuple):
 
     def at(self, time: float) -> Tuple[float, float, float]:
         """Return the state at a time; before and after the segment, the joint stands still."""
-        span = self.end - self.start
-        t = min(max(time - self.start, 0.0), span)
+        t = min(max(time - self.start, 0.0), self.end - self.start)
         p = v = a = 0.0
         for coefficient in reversed(self.coefficients):
             p, v, a = p * t + coefficient, v * t + p, a * t + 2.0 * v
@@ -124,31 +98,8 @@ def segment_at(path: Path, time: float) -> Segment:
     return next((one for one in reversed(path) if one.start <= time), path[0])
 
 
-def joined(
-    path: Path,
-    start: float,
-    states: Sequence[Tuple[float, State]],
-    origin: float,
-    tolerance: Tolerance,
-) -> Path:
-    """Return a path that leaves another one at `start` for states with their times in s.
-
-    `origin` is when the new trajectory starts; `tolerance` applies to the new part.
-    """
-    last: State = segment_at(path, start).at(start)
-    made = [one for one in path if one.start <= start]
-    for end, state in states:
-        made.append(Segment(start, end, spline(last, state, end - start), origin, tolerance))
-        start, last = end, state
-    return made
-
-
-class JointTrajectory(ActionController):
-    """Moves joints along trajectories, from the action or the topic `command`.
-
-    Parameters: joints, constraints, gains and velocity_ff (not for positions),
-    stop_trajectory_duration in s, allow_partial_joints_goal, state_publish_rate in Hz.
-    """
+class JointTrajectory(actions.ActionController):
+    """Moves joints along trajectories, from the action or the topic `command`."""
 
     kinds = {
         "position_controllers/JointTrajectoryController": POSITION,
@@ -162,34 +113,27 @@ class JointTrajectory(ActionController):
         super().configure(given)
         self._names = given.required_names("joints")
         self.joints = self.find_joints(self._names)
+        self._wraps = [joint.described.kind == "continuous" for joint in self.joints]
         self._partial = given.get("allow_partial_joints_goal", False)
         self._stop_seconds = max(0.0, given.get("stop_trajectory_duration", 0.0))
         limits = given.below("constraints")
         slowest = limits.get("stopped_velocity_tolerance", 0.01)
-        self._tolerances = {
-            name: Tolerance(
-                (limits.get(f"{name}/trajectory", 0.0), 0.0),
-                (limits.get(f"{name}/goal", 0.0), slowest),
-                limits.get("goal_time", 0.0),
-            )
-            for name in self._names
-        }
-        self._pids: List[Pid] = []
-        if self.interface != POSITION:
-            self._pids = [Pid(given.below(f"gains/{name}")) for name in self._names]
+        late = limits.get("goal_time", 0.0)
+        self._tolerances = {}
+        for name in self._names:
+            path, goal = (limits.get(f"{name}/{where}", 0.0) for where in ("trajectory", "goal"))
+            self._tolerances[name] = Tolerance((path, 0.0), (goal, slowest), late)
+        by_pid = self.interface != POSITION
+        self._pids = [Pid(given.below(f"gains/{name}")) for name in self._names if by_pid]
         self._forward = [given.get(f"velocity_ff/{name}", 0.0) for name in self._names]
         self._publishing = self.schedule(given, "state_publish_rate", 50.0)
         self.states = Output(self.topic("state"), TrajectorySample)
         self.outputs = (self.states,)
         self.inputs = (Input(self.topic("command"), Trajectory, self.command),)
         self.queries = {"query_state": self.query}
-        self._desired = [(joint.position, 0.0, 0.0) for joint in self.joints]
         self._paths: List[Path] = []
         # Those that have reached their goal tolerance.
         self._arrived: Set[str] = set()
-
-    def others(self) -> Tuple[Optional[Schedule], ...]:
-        return (self._publishing,)
 
     def starting(self, step: int) -> None:
         self._desired = [(joint.position, joint.velocity, 0.0) for joint in self.joints]
@@ -198,12 +142,7 @@ class JointTrajectory(ActionController):
         super().starting(step)
 
     def command(self, trajectory: Trajectory) -> None:
-        """Follow a trajectory from a topic; an empty one holds the joints.
-
-        Raises:
-            TrajectoryError: it is invalid.
-            ControlError: the controller does not run.
-        """
+        """Follow a trajectory, or hold the joints if it is empty; raises ControlError."""
         self._check(trajectory)
         self.post(self._replace, trajectory)
 
@@ -211,55 +150,53 @@ class JointTrajectory(ActionController):
         """Return the joints and their states at a simulated time in s; raises ControlError."""
         if not self.running or time < self._paths[0][0].start:
             raise ControlError(f"controller '{self.name}' has no trajectory at {time:.3f} s")
-        states = [segment_at(path, time).at(time) for path in self._paths]
-        return self._names, TrajectoryPoint(time - self._paths[0][0].origin, *zip(*states))
+        return self._names, _point(0.0, (segment_at(path, time).at(time) for path in self._paths))
 
     def begin(self, content: TrajectoryGoal, step: int) -> None:
         self._check(content.trajectory)
         tolerances = {}
         for name, (path, goal, seconds) in self._tolerances.items():
-            asked = (content.path.get(name), content.goal.get(name))
-            bounds = (_chosen(*pair) for pair in zip(asked, (path, goal)))
-            late = (content.goal_seconds,), (seconds,)
-            tolerances[name] = Tolerance(*bounds, *_chosen(*late))
+            tolerances[name] = Tolerance(
+                _chosen(content.path.get(name, ()), path),
+                _chosen(content.goal.get(name, ()), goal),
+                *_chosen((content.seconds,), (seconds,)),
+            )
         self._follow(content.trajectory, step, tolerances)
 
-    def refusal(self, error: ControlError) -> TrajectoryResult:
-        return TrajectoryResult(getattr(error, "code", INVALID_GOAL), str(error))
+    def refusal(self, error: ControlError) -> Tuple[int, str]:
+        return getattr(error, "code", INVALID_GOAL), str(error)
 
     def hold(self, step: int) -> None:
         """Stop within stop_trajectory_duration, or where the joints are."""
         now, span = step / STEPS_PER_SECOND, self._stop_seconds
         self._paths, self._arrived = [], set()
         for joint, (position, velocity, _) in zip(self.joints, self._desired):
+            parts: Tuple[float, ...] = (joint.position,)
             if span:
                 # Half of a path that comes back with the opposite velocity.
                 start, back = (position, velocity, 0.0), (position, -velocity, 0.0)
-                end = Segment(now, now + 2.0 * span, spline(start, back, 2.0 * span), now)
-                parts = spline(start, end.at(now + span), span)
-            else:
-                parts = (joint.position,)
+                turn = Segment(now, now + 2.0 * span, spline(start, back, 2.0 * span), now)
+                parts = spline(start, turn.at(now + span), span)
             self._paths.append([Segment(now, now + span, parts, now)])
 
     def control(self, step: int, seconds: float) -> None:
         now = step / STEPS_PER_SECOND
-        for path in self._paths:
+        self._desired, self._errors = [], []
+        for number, (joint, path) in enumerate(zip(self.joints, self._paths)):
             while len(path) > 1 and path[1].start <= now:
                 del path[0]
-        self._desired = [path[0].at(now) for path in self._paths]
-        self._errors = [
-            (_distance(joint, position), velocity - joint.velocity)
-            for joint, (position, velocity, _) in zip(self.joints, self._desired)
-        ]
+            target, speed, _ = state = path[0].at(now)
+            error, slope = target - joint.position, speed - joint.velocity
+            if self._wraps[number]:
+                error = math.remainder(error, math.tau)
+            self._desired.append(state)
+            self._errors.append((error, slope))
+            joint.command = target
+            if self._pids:
+                correction = self._pids[number].command(error, seconds, slope)
+                joint.command = self._forward[number] * speed + correction
         if self.goal is not None:
             self._judge(now)
-        if self._pids:
-            loops = zip(self.joints, self._pids, self._forward, self._desired, self._errors)
-            for joint, pid, forward, (_, velocity, _), (error, slope) in loops:
-                joint.command = forward * velocity + pid.command(error, seconds, slope)
-        else:
-            for joint, (position, _, _) in zip(self.joints, self._desired):
-                joint.command = position
         if is_due(self._publishing, step) and self.states.wanted:
             self.states.send(self.feedback(step))
 
@@ -267,41 +204,40 @@ class JointTrajectory(ActionController):
         since = step / STEPS_PER_SECOND - self._paths[0][0].origin
         actual = [(joint.position, joint.velocity) for joint in self.joints]
         states = (self._desired, actual, self._errors)
-        points = (TrajectoryPoint(since, *zip(*state)) for state in states)
-        return TrajectorySample(step, self._names, *points)
+        return TrajectorySample(step, self._names, *(_point(since, state) for state in states))
 
     def _check(self, trajectory: Trajectory) -> None:
         """Raise TrajectoryError for a trajectory that these joints can never follow."""
         names, points = trajectory.joints, trajectory.points
-        if not trajectory.points and not names:
+        if not points and not names:
             return
-        unknown = set(names) - set(self._names)
-        missing = () if self._partial and names else set(self._names) - set(names)
-        if unknown or missing or len(set(names)) < len(names):
+        given, known = set(names), set(self._names)
+        is_enough = bool(given) if self._partial else given == known
+        if not is_enough or given - known or len(given) < len(names):
             said = f"it names {', '.join(names) or 'no joints'}"
             raise TrajectoryError(INVALID_JOINTS, f"{said}; needed are {', '.join(self._names)}")
         before = -math.inf
         for number, point in enumerate(points, start=1):
-            where = f"point {number} of {len(points)}"
+            problem = ""
             lists = (point.positions, point.velocities, point.accelerations)
-            if not point.positions or any(len(one) not in (0, len(names)) for one in lists):
-                counts = "/".join(str(len(one)) for one in lists)
-                text = f"{where} has {counts} positions/velocities/accelerations"
-                raise TrajectoryError(INVALID_GOAL, f"{text} for {len(names)} joints")
-            if not is_sound(*chain(*lists)):
-                raise TrajectoryError(INVALID_GOAL, f"{where} is not finite, or too large")
-            if point.seconds <= before:
-                times = f"{point.seconds:g} s comes after {before:g} s"
-                raise TrajectoryError(INVALID_GOAL, f"{where}: {times}; times must increase")
+            counts = [len(one) for one in lists]
+            if not counts[0] or set(counts) - {0, len(names)}:
+                said = "/".join(map(str, counts))
+                problem = f" has {said} positions/velocities/accelerations for {len(names)} joints"
+            elif not is_sound(*chain(*lists)):
+                problem = " is not finite, or too large"
+            elif point.seconds <= before:
+                problem = f": {point.seconds:g} s comes after {before:g} s; times must increase"
+            if problem:
+                raise TrajectoryError(INVALID_GOAL, f"point {number} of {len(points)}{problem}")
             before = point.seconds
 
     def _replace(self, trajectory: Trajectory, step: int) -> None:
         try:
             self._follow(trajectory, step, {})
+            self.end(actions.CANCELED)
         except ControlError as error:
             LOG.error("controller '%s': trajectory refused: %s", self.name, error)
-            return
-        self.end(PREEMPTED)
 
     def _follow(
         self, trajectory: Trajectory, step: int, tolerances: Mapping[str, Tolerance]
@@ -321,51 +257,50 @@ class JointTrajectory(ActionController):
         # Without a stamp, the first point may be where the joints are.
         if gone > 1 or (gone and trajectory.start):
             LOG.warning("controller '%s': %d points are past; ignored", self.name, gone)
-        self._arrived, start = set(), max(now, origin)
+        self._arrived = set()
         for column, name in enumerate(trajectory.joints):
-            number = self._names.index(name)
-            path, shift = self._paths[number], 0.0
-            if self.joints[number].described.kind == "continuous":
-                last = segment_at(path, start).at(start)[0]
-                first = points[0].positions[column]
-                shift = last + math.remainder(first - last, math.tau) - first
-            states = [(origin + one.seconds, _state(one, column, shift)) for one in points]
-            tolerance = tolerances.get(name, Tolerance())
-            self._paths[number] = joined(path, start, states, origin, tolerance)
+            number, start = self._names.index(name), max(now, origin)
+            last: State = segment_at(self._paths[number], start).at(start)
+            made = [one for one in self._paths[number] if one.start <= start]
+            shift, first = 0.0, points[0].positions[column]
+            if self._wraps[number]:
+                shift = last[0] + math.remainder(first - last[0], math.tau) - first
+            for point in points:
+                others = (point.velocities, point.accelerations)
+                position = point.positions[column] + shift
+                state = (position, *(one[column] if one else None for one in others))
+                end = origin + point.seconds
+                parts = spline(last, state, end - start)
+                made.append(Segment(start, end, parts, origin, tolerances.get(name, Tolerance())))
+                start, last = end, state
+            self._paths[number] = made
 
     def _judge(self, now: float) -> None:
         """End the goal if a tolerance is violated, or if all joints have arrived."""
         for name, path, errors in zip(self._names, self._paths, self._errors):
-            segment, (on_path, at_goal, seconds) = path[0], path[0].tolerance
+            segment, tolerance = path[0], path[0].tolerance
+            problem, code = "", OFF_PATH
             if now < segment.end:
-                problem, code = _violation(errors, on_path, "path"), OFF_PATH
-            elif len(path) > 1:
-                continue
-            else:
-                problem, code = _violation(errors, at_goal, "goal"), OFF_GOAL
+                problem = _violation(errors, tolerance.path, "path")
+            elif len(path) == 1:
+                problem, code = _violation(errors, tolerance.goal, "goal"), OFF_GOAL
                 if not problem:
                     self._arrived.add(name)
-                elif now < segment.end + seconds:
+                elif now < segment.end + tolerance.seconds:
                     problem = ""
             if problem:
-                result = TrajectoryResult(code, f"joint '{name}': {problem}")
-                self.end(ABORTED, result, result.text)
+                text = f"joint '{name}': {problem}"
+                self.end(actions.ABORTED, (code, text), text)
                 return
         if len(self._arrived) == len(self._names):
-            self.end(SUCCEEDED, TrajectoryResult())
+            self.end(actions.SUCCEEDED, (0, ""))
 
 
-def _distance(joint: JointHandle, target: float) -> float:
-    error = target - joint.position
-    return math.remainder(error, math.tau) if joint.described.kind == "continuous" else error
+def _point(seconds: float, states: Iterable[Sequence[float]]) -> TrajectoryPoint:
+    return TrajectoryPoint(seconds, *zip(*states))
 
 
-def _state(point: TrajectoryPoint, column: int, shift: float) -> State:
-    lists = (point.velocities, point.accelerations)
-    return (point.positions[column] + shift, *(one[column] if one else None for one in lists))
-
-
-def _chosen(asked: Optional[Sequence[float]], default: Sequence[float]) -> Tuple[float, ...]:
+def _chosen(asked: Bounds, default: Bounds) -> Bounds:
     """Return bounds: those that are asked for, the default for 0, and none if negative."""
     pairs = zip(asked or default, default)
     return tuple(max(0.0, given) if given else kept for given, kept in pairs)

@@ -60,15 +60,19 @@ def trajectory(*points, joints=NAMES, start=0.0):
     return Trajectory(start, joints, tuple(listed))
 
 
-class Sent(Goal):
+class Sent:
     """A goal that a controller has got, with its states and feedback."""
 
     def __init__(self, controller, content):
         if isinstance(content, Trajectory):
-            content = TrajectoryGoal(content)
-        self.states, self.told = [], []
-        super().__init__(content, lambda goal: self.states.append(goal.state), self.told.append)
-        controller.receive(self)
+            content = TrajectoryGoal(content, {}, {}, 0.0)
+        self.states, self.told, self.result, self.text = [], [], None, ""
+        self.goal = Goal(content, self._move, self.told.append)
+        controller.receive(self.goal)
+
+    def _move(self, state, result, text):
+        self.states.append(state)
+        self.result, self.text = result, text
 
 
 def positions(controller):

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from arm_robots import NAMES, Sent, arm_controller, positions, spawn_arm, trajectory
@@ -19,6 +17,7 @@ from bullet_lab.simulation.plugins.samples import TrajectoryGoal
 
 GOAL = np.array([1.0, -0.6, 0.9, 0.4, -0.5, 2.0])
 NAN = float("nan")
+DEFAULT = {"path": {}, "goal": {}, "seconds": 0.0}
 # An arc of ten points: positions that begin and end slowly, with velocities.
 PARTS = np.linspace(0.1, 1.0, 10)
 ARC = [
@@ -63,7 +62,7 @@ def test_an_arm_follows_ten_points(world, kind):
     world.run_for(0.5)
     goal = Sent(controller, trajectory(*ARC))
     world.run_for(2.2)
-    assert goal.states == ["active", "succeeded"]
+    assert goal.states == ["accepted", "succeeded"]
     assert goal.result == (0, "")
     assert positions(controller) == pytest.approx(GOAL, abs=0.02)
     # 20 Hz and 25 Hz.
@@ -98,8 +97,8 @@ def test_invalid_goals_are_rejected(world, content, code, text):
     goal = Sent(controller, content)
     world.run_for(0.01)
     assert goal.states == ["rejected"]
-    assert goal.result.code == code
-    assert text in goal.result.text == goal.text
+    assert goal.result[0] == code
+    assert text in goal.result[1] == goal.text
     assert positions(controller) == pytest.approx([0.0] * 6, abs=1e-3)
 
 
@@ -113,7 +112,7 @@ def test_invalid_goals_are_rejected(world, content, code, text):
         ((2.0, 3.3, 0.0), {}, OFF_PATH, "path error in position is 0.1"),
         (
             (2.0, (3.3, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0),
-            {"path": {NAMES[0]: (-1.0, 0.0)}, "goal_seconds": 0.2},
+            {"path": {NAMES[0]: (-1.0, 0.0)}, "seconds": 0.2},
             OFF_GOAL,
             "'shoulder_pan_joint': goal error in position is 0.2; allowed are 0.02",
         ),
@@ -121,13 +120,13 @@ def test_invalid_goals_are_rejected(world, content, code, text):
 )
 def test_a_violated_tolerance_is_named(world, point, tolerances, code, text):
     controller = arm_controller(world)
-    goal = Sent(controller, TrajectoryGoal(trajectory(point), **tolerances))
+    goal = Sent(controller, TrajectoryGoal(trajectory(point), **{**DEFAULT, **tolerances}))
     world.run_for(2.15)
-    assert (goal.states == ["active"]) == (code == OFF_GOAL)
+    assert (goal.states == ["accepted"]) == (code == OFF_GOAL)
     world.run_for(0.1)
-    assert goal.states == ["active", "aborted"]
-    assert goal.result.code == code
-    assert text in goal.result.text
+    assert goal.states == ["accepted", "aborted"]
+    assert goal.result[0] == code
+    assert text in goal.result[1]
 
 
 def test_a_new_goal_and_a_topic_preempt(world):
@@ -136,10 +135,10 @@ def test_a_new_goal_and_a_topic_preempt(world):
     world.run_for(0.5)
     second = Sent(controller, trajectory((1.0, -0.5)))
     world.run_for(0.01)
-    assert (first.states, second.states) == (["active", "preempted"], ["active"])
+    assert (first.states, second.states) == (["accepted", "canceled"], ["accepted"])
     controller.command(trajectory((0.5, 0.2)))
     world.run_for(0.7)
-    assert second.states == ["active", "preempted"]
+    assert second.states == ["accepted", "canceled"]
     assert positions(controller) == pytest.approx([0.2] * 6, abs=1e-3)
 
 
@@ -148,10 +147,10 @@ def test_a_cancelled_goal_stops_the_arm(world, seconds):
     controller = arm_controller(world, stop_trajectory_duration=seconds)
     goal = Sent(controller, trajectory((1.0, 1.0)))
     world.run_for(0.5)
-    controller.cancel(Sent(controller, trajectory((1.0, NAN))))
-    controller.cancel(goal)
+    controller.cancel(Sent(controller, trajectory((1.0, NAN))).goal)
+    controller.cancel(goal.goal)
     world.run_for(0.5)
-    assert goal.states == ["active", "preempted"]
+    assert goal.states == ["accepted", "canceled"]
     # From 1 rad/s at 0.5 rad.
     assert positions(controller) == pytest.approx([0.5 + 0.6 * seconds] * 6, abs=0.02)
     assert [joint.velocity for joint in controller.joints] == pytest.approx([0.0] * 6, abs=1e-3)
@@ -161,7 +160,7 @@ def test_an_empty_trajectory_holds_the_joints(world):
     controller = arm_controller(world)
     controller.command(trajectory((1.0, 1.0)))
     world.run_for(0.5)
-    controller.command(dataclasses.replace(trajectory(), joints=()))
+    controller.command(trajectory()._replace(joints=()))
     world.run_for(0.5)
     assert max(positions(controller)) < 0.7
 
@@ -173,9 +172,9 @@ def test_some_joints_alone_if_that_is_allowed(world):
     goal = Sent(controller, trajectory((0.3, (-0.2, 0.3)), joints=(NAMES[2], NAMES[0])))
     world.run_for(0.4)
     # The others are under way.
-    assert goal.states == ["active"]
+    assert goal.states == ["accepted"]
     world.run_for(0.5)
-    assert goal.states == ["active", "succeeded"]
+    assert goal.states == ["accepted", "succeeded"]
     assert positions(controller) == pytest.approx([0.3, 1.0, -0.2, 1.0, 1.0, 1.0], abs=2e-3)
 
 
@@ -223,7 +222,7 @@ def test_a_controller_that_is_stopped_ends_its_goal(world):
     world.run_for(0.1)
     waiting = Sent(controller, trajectory((1.0, 0.5)))
     manager.switch([], ["a"])
-    assert (active.states, waiting.states) == (["active", "preempted"], ["rejected"])
+    assert (active.states, waiting.states) == (["accepted", "canceled"], ["rejected"])
     assert Sent(controller, trajectory((1.0, 0.5))).text == "controller 'a' is not running"
     with pytest.raises(ControlError, match="not running"):
         controller.command(trajectory((1.0, 0.5)))
@@ -231,7 +230,7 @@ def test_a_controller_that_is_stopped_ends_its_goal(world):
     active = Sent(controller, trajectory((1.0, 1.0)))
     world.run_for(0.5)
     world.reset_world()
-    assert active.states == ["active", "preempted"]
+    assert active.states == ["accepted", "canceled"]
     world.run_for(0.5)
     assert positions(controller) == pytest.approx([0.0] * 6, abs=1e-3)
 
