@@ -371,6 +371,7 @@ class TutorialsTest(unittest.TestCase):
         expect("query", "shoulder_pan_joint 0.100")
         expect("gripper", "3")
         expect("closed", "0.03 True False")
+        expect("other finger", "0.03", 2e-3)
 
     def test_skid_steer_from_xacro(self):
         expect = self.check("skid_steer.py")

@@ -14,6 +14,7 @@ from control_msgs.msg import (
     JointTrajectoryControllerState,
 )
 from control_msgs.srv import QueryTrajectoryState
+from gazebo_msgs.srv import GetJointProperties
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -80,3 +81,6 @@ close.command.position, close.command.max_effort = 0.03, 10.0
 print("gripper:", gripper.send_goal_and_wait(close, rospy.Duration(20)))
 result = gripper.get_result()
 print("closed: %.2f %s %s" % (result.position, result.reached_goal, result.stalled))
+finger = rospy.ServiceProxy("/gazebo/get_joint_properties", GetJointProperties)
+rospy.sleep(0.5)
+print("other finger: %.3f" % finger("right_finger_joint").position[0])

@@ -25,7 +25,7 @@ class ControllerAction:
 
     def __init__(self, world: RunningWorld, controller: ActionController):
         self._world, self._controller = world, controller
-        kind, self._goal_of, self._feedback, self._result = ACTIONS[controller.goal_kind]
+        kind, self._goal_of, self._feedback, self._result = ACTIONS[controller.action]
         self._goals: dict[str, Goal] = {}
         calls = (kind, self._receive, self._cancel)
         self._server = LastingServer(controller.topic(controller.action), *calls, auto_start=False)

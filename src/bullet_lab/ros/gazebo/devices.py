@@ -121,9 +121,11 @@ class DeviceServices:
             end()
 
     def _give_gains(self, plugin: MimicJoint) -> None:
-        with contextlib.suppress(StepperError):
+        try:
             parameters = _parameters(plugin.gains)
             self._world.do(lambda: plugin.configure(parameters))
+        except (LabError, *MASTER_ERRORS) as error:
+            LOG.warning("%s: %s; a motor moves it", plugin.mount.where("hasPID"), error)
 
     def _camera_services(self, camera: Camera, images: CompressedImages) -> list[Callable[[], Any]]:
         name = rospy.resolve_name(camera.topic("set_camera_info"))

@@ -10,7 +10,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from bullet_lab.ros.messages.gazebo_types import arm_msg
 from bullet_lab.ros.messages.poses import set_time
 from bullet_lab.simulation.plugins.samples import (
-    GripperGoal,
+    GripperSample,
     Trajectory,
     TrajectoryGoal,
     TrajectoryPoint,
@@ -54,18 +54,18 @@ def _feedback(*fields: Any) -> Any:
     return message
 
 
-# By the class of a goal: that of the action, a function that reads a goal, and those that make
-# feedback and a result of their fields. Empty without the package control_msgs.
-ACTIONS: dict[type, tuple] = {}
+# By the name of an action: its class, a function that reads a goal, and those that make feedback
+# and a result of their fields. Empty without the package control_msgs.
+ACTIONS: dict[str, tuple] = {}
 if arm_msg is not None:
     ACTIONS = {
-        TrajectoryGoal: (
+        "follow_joint_trajectory": (
             *(arm_msg.FollowJointTrajectoryAction, _goal_of),
             *(_feedback, arm_msg.FollowJointTrajectoryResult),
         ),
-        GripperGoal: (
+        "gripper_cmd": (
             arm_msg.GripperCommandAction,
-            lambda message: GripperGoal(message.command.position, message.command.max_effort),
+            lambda message: GripperSample(message.command.position, message.command.max_effort),
             *(arm_msg.GripperCommandFeedback, arm_msg.GripperCommandResult),
         ),
     }

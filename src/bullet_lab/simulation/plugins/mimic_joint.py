@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Optional
 
 from bullet_lab.simulation.physics.bodies import Body
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.plugins import Mount, Plugin, PluginError
-from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers import ControlParameters
 from bullet_lab.simulation.plugins.controllers.joints import AT_ONCE, STRONGEST, Pid
-
-LOG = logging.getLogger(__name__)
 
 
 class MimicJoint(Plugin):
@@ -43,12 +40,8 @@ class MimicJoint(Plugin):
         self.gains = f"/{space.lstrip('/')}" if has_pid else ""
 
     def configure(self, parameters: object) -> None:
-        """Take the gains; without them, the motor goes on, and a warning says so."""
-        try:
-            self._pid = Pid(ControlParameters(parameters, self.gains))
-        except ControlError as error:
-            LOG.warning("%s: %s; a motor moves the joint", self.mount.where("hasPID"), error)
-            return
+        """Take the gains; raises ControlError, and the motor goes on, without them."""
+        self._pid = Pid(ControlParameters(parameters, self.gains))
         body, name = self._follower
         body.drive_joint(name, 0.0, 0.0)
 

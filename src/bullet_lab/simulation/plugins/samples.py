@@ -94,13 +94,6 @@ class TrajectoryGoal(NamedTuple):
     seconds: float
 
 
-class GripperGoal(NamedTuple):
-    """A position (rad or m) for a gripper's joint, with at most `effort` (N m or N)."""
-
-    position: float
-    effort: float
-
-
 @dataclass(frozen=True)
 class Stop:
     """Whether the emergency stop is pressed."""
@@ -186,7 +179,7 @@ class TrajectorySample(NamedTuple):
 
 
 class GripperSample(NamedTuple):
-    """Position (rad or m) and effort (N m or N) of a gripper's joint, and how its goal stands."""
+    """Position (rad or m) and effort (N m or N) of a gripper's joint, wanted or measured."""
 
     position: float
     effort: float

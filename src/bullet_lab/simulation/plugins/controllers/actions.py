@@ -39,13 +39,11 @@ class ActionController(Controller):
 
     Attributes:
         action: name of the action in the controller's namespace.
-        goal_kind: the class of its goals' contents.
         queries: functions of a simulated time in s, by the names of services.
         goal: the active one.
     """
 
     action: ClassVar[str]
-    goal_kind: ClassVar[type]
     queries: Mapping[str, Callable[[float], Any]] = {}
 
     def configure(self, given: ControlParameters) -> None:

@@ -313,10 +313,9 @@ class JointStateController(Controller):
             self._schedule.restart(step)
 
     def update(self, step: int, seconds: float) -> None:
-        if self._schedule is None or (self._begun and step < self._schedule.next_step):
+        is_late = is_due(self._schedule, step)
+        if self._schedule is None or (self._begun and not is_late):
             return
-        while self._schedule.next_step <= step:
-            self._schedule.advance()
         self._begun = True
         if self.states.wanted:
             states = [(joint.position, joint.velocity, joint.effort) for joint in self._read]

@@ -7,7 +7,7 @@ from typing import Optional
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, actions
 from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, STRONGEST, Pid
-from bullet_lab.simulation.plugins.samples import GripperGoal, GripperSample, is_sound
+from bullet_lab.simulation.plugins.samples import GripperSample, is_sound
 
 # Steps over which a velocity is measured: the engine's is wrong for a joint that is pressed against
 # something, and its position trembles by 0.01 mm.
@@ -22,7 +22,6 @@ class Gripper(actions.ActionController):
         "effort_controllers/GripperActionController": EFFORT,
     }
     action = "gripper_cmd"
-    goal_kind = GripperGoal
 
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)
@@ -40,8 +39,8 @@ class Gripper(actions.ActionController):
             self._pid.reset()
         super().starting(step)
 
-    def begin(self, content: GripperGoal, step: int) -> None:
-        if not is_sound(*content):
+    def begin(self, content: GripperSample, step: int) -> None:
+        if not is_sound(content.position, content.effort):
             raise ControlError("position or max_effort is not finite, or too large")
         self._target, self._effort, self._moved = content.position, abs(content.effort), step
 

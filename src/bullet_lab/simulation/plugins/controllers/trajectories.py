@@ -107,7 +107,6 @@ class JointTrajectory(actions.ActionController):
         "effort_controllers/JointTrajectoryController": EFFORT,
     }
     action = "follow_joint_trajectory"
-    goal_kind = TrajectoryGoal
 
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)

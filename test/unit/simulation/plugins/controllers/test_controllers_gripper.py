@@ -4,7 +4,7 @@ from control_robots import run
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
-from bullet_lab.simulation.plugins.samples import GripperGoal
+from bullet_lab.simulation.plugins.samples import GripperSample
 from bullet_lab.simulation.world.urdf import read_urdf
 
 BOX = """<robot name="box"><link name="box"><inertial><mass value="0.1"/>
@@ -34,11 +34,11 @@ def gripper(world, kind="effort", box=True, change=lambda urdf: urdf, **paramete
 @pytest.mark.parametrize("kind", ["effort", "position"])
 def test_a_gripper_reaches_its_goal_or_stalls_at_a_box(world, kind):
     controller, fingers = gripper(world, kind)
-    goal = Sent(controller, GripperGoal(0.02, 5.0))
+    goal = Sent(controller, GripperSample(0.02, 5.0))
     world.run_for(0.5)
     assert goal.states == ["accepted", "succeeded"]
     assert (goal.result.reached, goal.result.stalled) == (True, False)
-    goal = Sent(controller, GripperGoal(0.05, 5.0))
+    goal = Sent(controller, GripperSample(0.05, 5.0))
     world.run_for(0.2)
     assert goal.states == ["accepted"]
     world.run_for(0.8)
@@ -56,8 +56,8 @@ def test_a_gripper_reaches_its_goal_or_stalls_at_a_box(world, kind):
 
 def test_a_goal_that_is_cancelled_or_invalid(world):
     controller, fingers = gripper(world, box=False, max_effort=5.0)
-    assert Sent(controller, GripperGoal(float("nan"), 1.0)).states == []
-    goal = Sent(controller, GripperGoal(0.05, 5.0))
+    assert Sent(controller, GripperSample(float("nan"), 1.0)).states == []
+    goal = Sent(controller, GripperSample(0.05, 5.0))
     world.run_for(0.05)
     controller.cancel(goal.goal)
     world.run_for(0.01)
@@ -66,7 +66,7 @@ def test_a_goal_that_is_cancelled_or_invalid(world):
     world.run_for(0.5)
     assert fingers()[0] == pytest.approx(here, abs=0.01)
     # Without an effort, it cannot move.
-    goal = Sent(controller, GripperGoal(0.05, 0.0))
+    goal = Sent(controller, GripperSample(0.05, 0.0))
     world.run_for(0.5)
     assert goal.states == ["accepted", "aborted"]
 
@@ -85,20 +85,20 @@ def test_its_joint_must_be_known(world):
         ("<hasPID>false</hasPID>", 0.02),
     ],
 )
-def test_a_joint_mimics_another_one(world, caplog, tags, expected):
+def test_a_joint_mimics_another_one(world, tags, expected):
     wanted = {"p": 500.0, "d": 10.0}
     controller, fingers = gripper(
-        world, box=False, change=lambda urdf: urdf.replace("<maxEffort>20</maxEffort>", tags)
+        world, box=False, change=lambda urdf: urdf.replace("<hasPID>true</hasPID>", tags)
     )
     (mimic,) = [plugin for plugin in world.models["arm"].plugins if hasattr(plugin, "gains")]
     if tags == "<hasPID/>":
         assert mimic.gains == "/arm/gazebo_ros_control/pid_gains/right_finger_joint"
-        mimic.configure(None)
-        assert "right_finger_joint/p is missing; a motor moves the joint" in caplog.text
+        with pytest.raises(ControlError, match="right_finger_joint/p is missing"):
+            mimic.configure(None)
         mimic.configure(wanted)
     else:
         assert mimic.gains == ""
-    Sent(controller, GripperGoal(0.02, 5.0))
+    Sent(controller, GripperSample(0.02, 5.0))
     world.run_for(2.0)
     assert fingers() == pytest.approx([0.02, expected], abs=1e-3)
 

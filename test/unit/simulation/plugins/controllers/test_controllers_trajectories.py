@@ -163,6 +163,9 @@ def test_an_empty_trajectory_holds_the_joints(world):
     controller.command(trajectory()._replace(joints=()))
     world.run_for(0.5)
     assert max(positions(controller)) < 0.7
+    goal = Sent(controller, trajectory())
+    world.run_for(0.3)
+    assert goal.states == ["accepted", "succeeded"]
 
 
 def test_some_joints_alone_if_that_is_allowed(world):
