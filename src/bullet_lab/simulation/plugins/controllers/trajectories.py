@@ -186,8 +186,6 @@ class JointTrajectory(actions.ActionController):
                 del path[0]
             target, speed, _ = state = path[0].at(now)
             error, slope = target - joint.position, speed - joint.velocity
-            if self._wraps[number]:
-                error = math.remainder(error, math.tau)
             self._desired.append(state)
             self._errors.append((error, slope))
             joint.command = target
@@ -300,9 +298,8 @@ def _point(seconds: float, states: Iterable[Sequence[float]]) -> TrajectoryPoint
 
 
 def _chosen(asked: Bounds, default: Bounds) -> Bounds:
-    """Return bounds: those that are asked for, the default for 0, and none if negative."""
-    pairs = zip(asked or default, default)
-    return tuple(max(0.0, given) if given else kept for given, kept in pairs)
+    """Return bounds: those that are asked for, or the default for 0; a negative one is none."""
+    return tuple(given or kept for given, kept in zip(asked or default, default))
 
 
 def _violation(errors: Sequence[float], bounds: Bounds, where: str) -> str:
