@@ -1,6 +1,6 @@
 import pytest
-from arm_robots import CONFIG, Sent, spawn_arm
-from control_robots import run
+from arm_robots import CONFIG, NAMES, Sent, spawn_arm, trajectory
+from control_robots import control_of, run
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
@@ -52,6 +52,21 @@ def test_a_gripper_reaches_its_goal_or_stalls_at_a_box(world, kind):
     assert fingers() == pytest.approx([0.03, 0.03], abs=2e-3)
     y = world.models["box"].pose().position[1]
     assert y == pytest.approx(0.0, abs=2e-3)
+
+
+def test_an_arm_carries_a_box_in_its_gripper(world):
+    controller, fingers = gripper(world, "position")
+    kind = "position_controllers/JointTrajectoryController"
+    arm = run(control_of(world.models["arm"]).manager, "arm", type=kind, joints=list(NAMES))
+    Sent(controller, GripperSample(0.05, 10.0))
+    world.run_for(0.5)
+    world.set_gravity((0.0, 0.0, -9.8))
+    arm.command(trajectory((1.0, (0.5, 0.5, 0.5, 0.5, 0.0, 0.0), 0.0), (2.0, 0.0, 0.0)))
+    world.run_for(1.0)
+    assert world.models["box"].pose().position[2] < 1.2
+    world.run_for(1.5)
+    assert world.models["box"].pose().position == pytest.approx((0.0, 0.0, 1.55), abs=3e-3)
+    assert fingers() == pytest.approx([0.03, 0.03], abs=2e-3)
 
 
 def test_a_goal_that_is_cancelled_or_invalid(world):
