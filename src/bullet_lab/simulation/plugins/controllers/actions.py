@@ -72,6 +72,10 @@ class ActionController(Controller):
         except ControlError as error:
             self._reject(goal, error)
 
+    def take(self, content: Any) -> None:
+        """Take a command as a goal of nobody; raises ControlError if not running."""
+        self.post(self._accept, Goal(content, lambda *_: None, lambda _: None))
+
     def cancel(self, goal: Goal) -> None:
         """Cancel a goal, if it is still active at the next update."""
         self._inbox.append((self._cancel, goal))

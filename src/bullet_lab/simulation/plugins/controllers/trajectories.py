@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from itertools import chain
-from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins import Input, Output
@@ -78,7 +78,6 @@ class Segment(NamedTuple):
     end: float
     coefficients: Tuple[float, ...]
     origin: float
-    tolerance: Tolerance = Tolerance()
 
     def at(self, time: float) -> Tuple[float, float, float]:
         """Return the state at a time; before and after the segment, the joint stands still."""
@@ -131,8 +130,9 @@ class JointTrajectory(actions.ActionController):
         self.inputs = (Input(self.topic("command"), Trajectory, self.command),)
         self.queries = {"query_state": self.query}
         self._paths: List[Path] = []
-        # Those that have reached their goal tolerance.
-        self._arrived: Set[str] = set()
+        # Tolerances of the active goal, and when they begin to hold.
+        self._bounds: Mapping[str, Tolerance] = {}
+        self._since = 0.0
 
     def starting(self, step: int) -> None:
         self._desired = [(joint.position, joint.velocity, 0.0) for joint in self.joints]
@@ -143,7 +143,7 @@ class JointTrajectory(actions.ActionController):
     def command(self, trajectory: Trajectory) -> None:
         """Follow a trajectory, or hold the joints if it is empty; raises ControlError."""
         self._check(trajectory)
-        self.post(self._replace, trajectory)
+        self.take(TrajectoryGoal(trajectory, {}, {}, 0.0))
 
     def query(self, time: float) -> Tuple[Tuple[str, ...], TrajectoryPoint]:
         """Return the joints and their states at a simulated time in s; raises ControlError."""
@@ -153,14 +153,18 @@ class JointTrajectory(actions.ActionController):
 
     def begin(self, content: TrajectoryGoal, step: int) -> None:
         self._check(content.trajectory)
-        tolerances = {}
+        bounds = {}
         for name, (path, goal, seconds) in self._tolerances.items():
-            tolerances[name] = Tolerance(
+            bounds[name] = Tolerance(
                 _chosen(content.path.get(name, ()), path),
                 _chosen(content.goal.get(name, ()), goal),
                 *_chosen((content.seconds,), (seconds,)),
             )
-        self._follow(content.trajectory, step, tolerances)
+        if not content.trajectory.points:
+            self.hold(step)
+            return
+        self._follow(content.trajectory, step)
+        self._bounds = bounds
 
     def refusal(self, error: ControlError) -> Tuple[int, str]:
         return getattr(error, "code", INVALID_GOAL), str(error)
@@ -168,7 +172,7 @@ class JointTrajectory(actions.ActionController):
     def hold(self, step: int) -> None:
         """Stop within stop_trajectory_duration, or where the joints are."""
         now, span = step / STEPS_PER_SECOND, self._stop_seconds
-        self._paths, self._arrived = [], set()
+        self._paths, self._bounds, self._since = [], {}, now
         for joint, (position, velocity, _) in zip(self.joints, self._desired):
             parts: Tuple[float, ...] = (joint.position,)
             if span:
@@ -192,7 +196,7 @@ class JointTrajectory(actions.ActionController):
             if self._pids:
                 correction = self._pids[number].command(error, seconds, slope)
                 joint.command = self._forward[number] * speed + correction
-        if self.goal is not None:
+        if self.goal is not None and now >= self._since:
             self._judge(now)
         if is_due(self._publishing, step) and self.states.wanted:
             self.states.send(self.feedback(step))
@@ -229,24 +233,12 @@ class JointTrajectory(actions.ActionController):
                 raise TrajectoryError(INVALID_GOAL, f"point {number} of {len(points)}{problem}")
             before = point.seconds
 
-    def _replace(self, trajectory: Trajectory, step: int) -> None:
-        try:
-            self._follow(trajectory, step, {})
-            self.end(actions.CANCELED)
-        except ControlError as error:
-            LOG.error("controller '%s': trajectory refused: %s", self.name, error)
-
-    def _follow(
-        self, trajectory: Trajectory, step: int, tolerances: Mapping[str, Tolerance]
-    ) -> None:
+    def _follow(self, trajectory: Trajectory, step: int) -> None:
         """Follow a valid trajectory from now on; raises TrajectoryError if all of it is past."""
         now = step / STEPS_PER_SECOND
         origin = trajectory.start or now
         points = [one for one in trajectory.points if origin + one.seconds > now]
         gone = len(trajectory.points) - len(points)
-        if not trajectory.points:
-            self.hold(step)
-            return
         if not points:
             late = now - origin - trajectory.points[-1].seconds
             code = OLD_STAMP if trajectory.start else INVALID_GOAL
@@ -254,9 +246,9 @@ class JointTrajectory(actions.ActionController):
         # Without a stamp, the first point may be where the joints are.
         if gone > 1 or (gone and trajectory.start):
             LOG.warning("controller '%s': %d points are past; ignored", self.name, gone)
-        self._arrived = set()
+        self._since = max(now, origin)
         for column, name in enumerate(trajectory.joints):
-            number, start = self._names.index(name), max(now, origin)
+            number, start = self._names.index(name), self._since
             last: State = segment_at(self._paths[number], start).at(start)
             made = [one for one in self._paths[number] if one.start <= start]
             shift, first = 0.0, points[0].positions[column]
@@ -267,29 +259,24 @@ class JointTrajectory(actions.ActionController):
                 position = point.positions[column] + shift
                 state = (position, *(one[column] if one else None for one in others))
                 end = origin + point.seconds
-                parts = spline(last, state, end - start)
-                made.append(Segment(start, end, parts, origin, tolerances.get(name, Tolerance())))
+                made.append(Segment(start, end, spline(last, state, end - start), origin))
                 start, last = end, state
             self._paths[number] = made
 
     def _judge(self, now: float) -> None:
         """End the goal if a tolerance is violated, or if all joints have arrived."""
+        is_done = True
         for name, path, errors in zip(self._names, self._paths, self._errors):
-            segment, tolerance = path[0], path[0].tolerance
-            problem, code = "", OFF_PATH
-            if now < segment.end:
-                problem = _violation(errors, tolerance.path, "path")
-            elif len(path) == 1:
-                problem, code = _violation(errors, tolerance.goal, "goal"), OFF_GOAL
-                if not problem:
-                    self._arrived.add(name)
-                elif now < segment.end + tolerance.seconds:
-                    problem = ""
-            if problem:
+            tolerance = self._bounds.get(name, Tolerance())
+            is_over = len(path) == 1 and now >= path[0].end
+            where, code = ("goal", OFF_GOAL) if is_over else ("path", OFF_PATH)
+            problem = _violation(errors, getattr(tolerance, where), where)
+            if problem and not (is_over and now < path[0].end + tolerance.seconds):
                 text = f"joint '{name}': {problem}"
                 self.end(actions.ABORTED, (code, text), text)
                 return
-        if len(self._arrived) == len(self._names):
+            is_done = is_done and is_over and not problem
+        if is_done:
             self.end(actions.SUCCEEDED, (0, ""))
 
 

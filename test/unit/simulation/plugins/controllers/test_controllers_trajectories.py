@@ -186,12 +186,17 @@ def test_a_later_start_keeps_the_trajectory_until_then(world):
     controller = arm_controller(world)
     controller.command(trajectory((1.0, 1.0)))
     world.run_for(0.19)
-    controller.command(trajectory((0.1, 0.2), (0.4, 0.0), start=0.5))
+    later = trajectory((0.1, 0.2), (0.4, 0.0), start=0.5)
+    goal = Sent(controller, TrajectoryGoal(later, **{**DEFAULT, "path": {NAMES[0]: (1e-6, 0.0)}}))
     world.run_for(0.1)
     assert positions(controller) == pytest.approx([0.29] * 6, abs=0.01)
     world.run_for(0.2)
     assert positions(controller) == pytest.approx([0.49] * 6, abs=0.01)
+    # Its tolerance holds from its start on.
+    assert goal.states == ["accepted"]
     world.run_for(0.105)
+    # It still goes on.
+    assert goal.states == ["accepted", "aborted"]
     assert positions(controller) == pytest.approx([0.2] * 6, abs=0.02)
     # All points but the last are past.
     controller.command(trajectory((0.2, 9.0), (0.3, 9.0), (0.5, 0.4), start=0.25))
