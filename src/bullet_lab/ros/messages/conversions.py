@@ -28,10 +28,12 @@ from sensor_msgs.msg import (
 )
 from std_msgs.msg import Bool, ColorRGBA, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.gazebo_types import JointControllerState, msg
+from bullet_lab.ros.messages.actions import fill_trajectory_state, trajectory_of
+from bullet_lab.ros.messages.gazebo_types import JointControllerState, arm_msg, msg
 from bullet_lab.ros.messages.poses import (
     pose_message,
     set_pose,
@@ -57,6 +59,8 @@ from bullet_lab.simulation.plugins.samples import (
     RangeSample,
     ShapeContact,
     Stop,
+    Trajectory,
+    TrajectorySample,
     TransformSample,
     VelocitySample,
 )
@@ -274,6 +278,8 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     VelocitySample: (TwistStamped, _velocity),
     ContactsSample: (msg.ContactsState, _contacts),
 }
+if arm_msg is not None:
+    MESSAGES[TrajectorySample] = (arm_msg.JointTrajectoryControllerState, fill_trajectory_state)
 
 
 class Converter:
@@ -306,6 +312,7 @@ COMMANDS: dict[type, tuple[type, Callable[[Any], Any]]] = {
     JointCommand: (Float64, lambda message: JointCommand(message.data)),
     JointCommands: (Float64MultiArray, lambda message: JointCommands(tuple(message.data))),
     Stop: (Bool, lambda message: Stop(message.data)),
+    Trajectory: (JointTrajectory, trajectory_of),
 }
 
 
