@@ -62,7 +62,7 @@ debian_packages() {
       ;;
     catkin)
       echo g++ make cmake catkin ros-message-generation ros-message-runtime libroscpp-dev \
-        libtf2-ros-dev
+        libtf2-ros-dev libdynamic-reconfigure-config-init-mutex-dev python3-setuptools
       ;;
     rviz) echo rviz xvfb ;;
     test) echo shellcheck python3-rostest iproute2 libxml2-utils xvfb "$(if_known sdformat-sdf)" ;;
@@ -377,8 +377,8 @@ make_workspace() (
 build_workspace() (
   unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
   use_lab_python
-  # Only Python is used; generating messages for four other languages takes most of the time.
-  export ROS_LANG_DISABLE=gencpp:geneus:genlisp:gennodejs
+  # Python, and C++ for nodes of overlay.sh; messages for three other languages take time.
+  export ROS_LANG_DISABLE=geneus:genlisp:gennodejs
   PATH=$LAB_VENV/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
   if [[ $LAB_ROS != /usr ]]; then
     source_setup_file "$LAB_ROS/setup.bash"

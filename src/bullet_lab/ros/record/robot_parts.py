@@ -96,13 +96,13 @@ def failures_in(log: str) -> list[str]:
 
 
 @functools.lru_cache(maxsize=None)
-def debian_package(package: str) -> str:
+def debian_package(package: str, forms: Sequence[str] = DEBIAN) -> str:
     """Return the Debian package with a ROS package's nodes, by the lists of apt.
 
-    The text is empty if there is none, or if it is installed.
+    The text is empty if there is none, or if it is installed. `forms` are those of its name.
     """
     full = package.replace("_", "-")
-    names = [form.format(name) for form in DEBIAN for name in (full, full.replace("-ros", ""))]
+    names = [form.format(name) for form in forms for name in (full, full.replace("-ros", ""))]
     command = ["apt-cache", "show", *names]
     try:
         shown = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL).stdout
