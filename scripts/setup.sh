@@ -420,9 +420,17 @@ link_packages() {
   done
 }
 
+# old_names WORKSPACE: nodes under their names of before Noetic.
+old_names() {
+  local folder=lib/robot_state_publisher
+  mkdir -p "$1/devel/$folder"
+  ln -sfn "$LAB_ROS/$folder/robot_state_publisher" "$1/devel/$folder/state_publisher"
+}
+
 step_build() {
   link_packages "$LAB_WS/src"
   run_quietly "$1" "$2" make_workspace
+  old_names "$LAB_WS"
 }
 
 # The same workspace, by catkin_make, for tests of CMakeLists.txt and for those who extend it.
@@ -434,6 +442,7 @@ step_catkin() {
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"
   fi
   run_quietly "$1" "$2" build_workspace
+  old_names "$LAB_WS"
 }
 
 # ---- Rooms without internet ----
