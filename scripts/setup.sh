@@ -52,10 +52,11 @@ debian_packages() {
       printf 'python3-%s\n' {actionlib,diagnostic,geometry,rosgraph,sensor,std,tf2}-msgs \
         {trajectory,visualization}-msgs std-srvs
       ;;
-    # tf2, OpenGL, and the commands of ROS; rosmsg finds definitions by the package.xml of -dev.
+    # tf2, OpenGL, and the commands of ROS. rosmsg finds definitions, and roslaunch nodes of
+    # topic_tools and tf, by the package.xml of -dev.
     more)
-      echo rosbash topic-tools python3-rosbag python3-rosmsg python3-rosnode python3-rosservice \
-        python3-rostopic python3-tf2-ros python3-nav-msgs python3-move-base-msgs \
+      echo rosbash topic-tools libtopic-tools-dev python3-rosbag python3-rosmsg python3-rosnode \
+        python3-rosservice python3-rostopic python3-tf2-ros python3-nav-msgs python3-move-base-msgs \
         libegl1 libgl1 libgl1-mesa-dri
       printf 'lib%s-dev\n' {actionlib,diagnostic,geometry,move-base,nav,sensor,std,tf2}-msgs \
         {trajectory,visualization}-msgs ros-rosgraph-msgs std-srvs
@@ -70,7 +71,7 @@ debian_packages() {
     course)
       echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
         python3-image-geometry python3-matplotlib python3-tk python3-cv-bridge \
-        tf-tools libnodeletlib-tools
+        tf-tools libtf-dev tf2-tools libnodeletlib-tools
       ;;
     browser) echo chromium ;;
   esac
@@ -422,9 +423,12 @@ link_packages() {
 
 # old_names WORKSPACE: nodes under their names of before Noetic.
 old_names() {
-  local folder=lib/robot_state_publisher
+  local folder=lib/robot_state_publisher name
   mkdir -p "$1/devel/$folder"
-  ln -sfn "$LAB_ROS/$folder/robot_state_publisher" "$1/devel/$folder/state_publisher"
+  # roslaunch looks no further once it has found such a folder.
+  for name in robot_state_publisher state_publisher; do
+    ln -sfn "$LAB_ROS/$folder/robot_state_publisher" "$1/devel/$folder/$name"
+  done
 }
 
 step_build() {

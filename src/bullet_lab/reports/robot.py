@@ -25,6 +25,9 @@ LEAST_MOTION = 0.05
 # The share of the target that a robot must reach by the truth. Wheels that slip in a turn lose a
 # tenth (docs/contact_model.md); half as much again is allowed.
 DONE = 0.85
+# The share of a turn down to which slipping wheels may explain the rest. Robots that skid have a
+# wheel_separation_multiplier of up to 1.9.
+SLIPPING = 0.5
 # A part of the drive ends at this many times the target by the truth, whatever odometry reports.
 FARTHEST = 1.5
 # How many links that were touched a line names.
@@ -178,16 +181,26 @@ class Leg:
         return reported >= self.target or self.true() >= FARTHEST * self.target
 
     def has_failed(self) -> bool:
-        """Return whether the robot missed the target, by the truth.
+        """Return whether the robot missed the target, by the truth, unless its wheels slip.
 
         A robot that brakes slowly goes too far, and its odometry reports that.
         """
         share, error = self.true() / self.target, self.error()
         is_off = error is not None and error > 100.0 * (1.0 - DONE)
-        return self.late or share < DONE or (is_off and share > 2.0 - DONE)
+        misses = share < DONE and not self.slips()
+        return self.late or misses or (is_off and share > 2.0 - DONE)
+
+    def slips(self) -> bool:
+        """Return whether a free robot has turned less than its odometry, which has the target."""
+        odometry, share = displacement(self.odometry), self.true() / self.target
+        is_turn = self.quantity == "turned_deg" and not self.late and not self.touched
+        arrived = odometry is not None and odometry["turned_deg"] >= self.target
+        return is_turn and arrived and SLIPPING <= share < DONE
 
     def reasons(self) -> list[str]:
         """Return the known reasons why the robot missed the target."""
+        if self.slips():
+            return ["wheels slip"]
         if not self.has_failed():
             return []
         found = [] if self.has_moved() else list(self.causes)
@@ -239,7 +252,8 @@ class Leg:
             reported = f"its odometry says {odometry[self.quantity]:.3f} {unit}"
             reported += f" ({self.error():.2f} % off)"
         on_the_way = "" if unit == "°" else f", turned by {turned:.2f}° on the way"
-        reached = f"{true:.2f} of {self.target:g}" if self.has_failed() else f"{true:.3f}"
+        has_missed = self.has_failed() or self.slips()
+        reached = f"{true:.2f} of {self.target:g}" if has_missed else f"{true:.3f}"
         return f"{self.name}: {reached} {unit}{why}{on_the_way}; {reported}"
 
 

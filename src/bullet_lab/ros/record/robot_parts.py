@@ -38,6 +38,7 @@ NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
 DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code -?\d+|without exit code)")
 # Names of Debian packages with the nodes of a ROS package, the likeliest first.
 DEBIAN = ("{}-tools", "lib{}lib-tools", "ros-{}", "ros-noetic-{}", "{}", "python3-{}")
+DEBIAN_XML = ("lib{}-dev",)
 INSTALLED = Path("/var/lib/dpkg/info")
 ROS = re.compile(r"Robot OS|\bROS\b|ros\.org")
 
@@ -84,7 +85,8 @@ def failures_in(log: str) -> list[str]:
     log = COLOURS.sub("", log)
     found = []
     for package, name, why in NOT_LAUNCHED.findall(log):
-        debian = debian_package(package)
+        # The nodes may be there, and the package.xml in another Debian package.
+        debian = debian_package(package) or (why == package and debian_package(package, DEBIAN_XML))
         hint = f"; Debian has it: {debian}" if debian else ""
         if why == package:
             why = f"there is no ROS package '{package}'"

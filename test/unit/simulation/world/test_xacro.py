@@ -78,7 +78,7 @@ def test_it_can_be_spawned_by_its_path(write):
         ('<link name="${no_such_name}"/>', HEAD, "no_such_name"),
         ('<xacro:include filename="missing.xacro"/>', HEAD, "missing.xacro"),
         ('<link name="$(arg never_given)"/>', HEAD, "never_given"),
-        ('<property name="w" value="1"/><link name="${w}"/>', HEAD, "<property> is <xacro:property>"),
+        ('<property name="w" value="1"/><link name="${w}"/>', HEAD, "<property> is <xacro:prop"),
     ],
 )
 def test_refusals_are_one_line_with_the_file(write, body, head, message):
