@@ -30,6 +30,8 @@ DONE = 0.85
 SLIPPING = 0.5
 # A part of the drive ends at this many times the target by the truth, whatever odometry reports.
 FARTHEST = 1.5
+# It also ends where the robot has gone this share of the target the other way.
+BACKWARDS = 0.25
 # How many links that were touched a line names.
 MOST_NAMES = 3
 # Relative deviation of a topic's rate that is allowed.
@@ -175,10 +177,14 @@ class Leg:
         return displacement(self.truth)[self.quantity]
 
     def is_done(self, odometry_pauses: bool) -> bool:
-        """Return whether the odometry, or the truth while that pauses, has reached the target."""
+        """Return whether the odometry, or the truth while that pauses, has reached the target.
+
+        It is also done if the robot goes much too far, or the other way.
+        """
         odometry = None if odometry_pauses else displacement(self.odometry)
-        reported = odometry[self.quantity] if odometry else self.true()
-        return reported >= self.target or self.true() >= FARTHEST * self.target
+        share = self.true() / self.target
+        reported = odometry[self.quantity] / self.target if odometry else share
+        return reported >= 1.0 or not -BACKWARDS < share < FARTHEST
 
     def has_failed(self) -> bool:
         """Return whether the robot missed the target, by the truth, unless its wheels slip.

@@ -238,3 +238,9 @@ def test_the_truth_decides_while_odometry_pauses():
     part.truth += [(0.0, 0.0, 0.0), (1.1, 0.0, 0.0)]
     assert not part.is_done(odometry_pauses=False)
     assert part.is_done(odometry_pauses=True)
+
+
+@pytest.mark.parametrize(("turned", "done"), [(-80.0, False), (-91.0, True), (300.0, False)])
+def test_a_turn_the_other_way_ends_early(turned, done):
+    part = Leg("turn", "turned_deg", 360.0, truth=moved(turned_deg=turned))
+    assert part.is_done(odometry_pauses=False) == done
