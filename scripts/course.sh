@@ -9,14 +9,20 @@
 
 # A function, so that only the environment of the calling shell changes.
 _lab_course() {
-  local scripts root folder word words=() packages=${ROS_PACKAGE_PATH-}
+  local scripts root folder word words=() packages=${ROS_PACKAGE_PATH-} workspace=ws
   scripts=$(cd -P "$(dirname "${BASH_SOURCE[0]}")" && pwd) || return
-  "$scripts/setup.sh" --with course || return
   root=$(dirname "$scripts")
+  words=(--with course)
+  # Packages that scripts/overlay.sh has built on top of a build by catkin.
+  if [[ -e $root/build/overlay/devel/setup.bash ]]; then
+    workspace=overlay
+    words+=(--with catkin)
+  fi
+  "$scripts/setup.sh" "${words[@]}" || return
   # Debian's Python cannot import modules of another Python.
   unset PYTHONPATH PYTHONHOME
   # shellcheck disable=SC1090,SC1091
-  source "$root/build/ws/devel/setup.bash" || return
+  source "$root/build/$workspace/devel/setup.bash" || return
   [[ -z $packages || $packages == "$ROS_PACKAGE_PATH" ]] || ROS_PACKAGE_PATH+=:$packages
   # Before any virtual environment, which may have another OpenCV.
   folder=$root/build/course

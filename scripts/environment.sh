@@ -35,8 +35,11 @@ source_setup_file() {
 # Enter the built workspace and the virtual environment.
 enter_lab() {
   local given_master=${ROS_MASTER_URI-} given_packages=${ROS_PACKAGE_PATH-}
+  local workspace=$LAB_WS
+  # The user has entered the packages of overlay.sh.
+  [[ ${CMAKE_PREFIX_PATH-} != *"$LAB_DIR/overlay/devel"* ]] || workspace=$LAB_DIR/overlay
   use_lab_python
-  source_setup_file "$LAB_WS/devel/setup.bash"
+  source_setup_file "$workspace/devel/setup.bash"
   # They drop other folders from ROS_PACKAGE_PATH.
   if [[ -n $given_packages && $given_packages != "$ROS_PACKAGE_PATH" ]]; then
     export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:$given_packages

@@ -8,6 +8,7 @@
 #   resolve  PyPI has all required packages for Python 3.8 and Ubuntu 20.04's glibc
 #   newest   the unit tests pass with Python 3.8 and the newest packages for it
 #   lowest   the same, with the lowest versions that requirements.txt allows
+#   overlay  overlay.sh builds packages of test/overlay, and their nodes run
 #   catkin   the build works in a ROS that has gazebo_msgs, gazebo_ros, xacro …
 #
 # Python 3.8 is $PYTHON38, or python3.8; uv downloads it if it is missing. Packages for the check
@@ -19,7 +20,7 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 PLATFORM=$LAB_ROOT/build/platform
-CHECKS=(debian11 debian12 debian13 resolve newest lowest catkin)
+CHECKS=(debian11 debian12 debian13 resolve newest lowest overlay catkin)
 GLIBC=2_31
 # The Python packages that ROS's own packages import.
 ROS_NEEDS=(catkin_pkg netifaces pycryptodomex python-gnupg PyYAML rospkg)
@@ -114,6 +115,23 @@ link_ros() {
     fi
   done
 }
+
+# ---- Packages of users ----
+
+check_overlay() (
+  local said
+  said=$("$LAB_ROOT/scripts/overlay.sh" "$LAB_ROOT/test/overlay" 2>&1) && return 1
+  echo "$said"
+  grep -q 'course_lost: left out; it needs move_base (Debian has none' <<<"$said"
+  grep -q 'course_later: left out; it needs course_lost (left out)' <<<"$said"
+  set +u
+  # shellcheck source=/dev/null
+  source "$LAB_ROOT/scripts/course.sh"
+  said=$(ROS_MASTER_URI=http://localhost:11947 roslaunch course_client all.launch 2>&1)
+  echo "$said"
+  grep -q 'length 0.5 lap 2 in 2.0 s, goal 3 s' <<<"$said"
+  rm -rf "$LAB_DIR/overlay"
+)
 
 # ---- A ROS that has all packages ----
 

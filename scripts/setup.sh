@@ -52,17 +52,18 @@ debian_packages() {
       printf 'python3-%s\n' {actionlib,diagnostic,geometry,rosgraph,sensor,std,tf2}-msgs \
         {trajectory,visualization}-msgs std-srvs
       ;;
-    # tf2, OpenGL, and the commands of ROS; rosmsg finds definitions by the package.xml of -dev.
+    # tf2, OpenGL, and the commands of ROS. rosmsg finds definitions, and roslaunch nodes of
+    # topic_tools and tf, by the package.xml of -dev.
     more)
-      echo rosbash topic-tools python3-rosbag python3-rosmsg python3-rosnode python3-rosservice \
-        python3-rostopic python3-tf2-ros python3-nav-msgs python3-move-base-msgs \
+      echo rosbash topic-tools libtopic-tools-dev python3-rosbag python3-rosmsg python3-rosnode \
+        python3-rosservice python3-rostopic python3-tf2-ros python3-nav-msgs python3-move-base-msgs \
         libegl1 libgl1 libgl1-mesa-dri
       printf 'lib%s-dev\n' {actionlib,diagnostic,geometry,move-base,nav,sensor,std,tf2}-msgs \
         {trajectory,visualization}-msgs ros-rosgraph-msgs std-srvs
       ;;
     catkin)
       echo g++ make cmake catkin ros-message-generation ros-message-runtime libroscpp-dev \
-        libtf2-ros-dev
+        libtf2-ros-dev libdynamic-reconfigure-config-init-mutex-dev python3-setuptools
       ;;
     rviz) echo rviz xvfb ;;
     test) echo shellcheck python3-rostest iproute2 libxml2-utils xvfb "$(if_known sdformat-sdf)" ;;
@@ -70,7 +71,7 @@ debian_packages() {
     course)
       echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
         python3-image-geometry python3-matplotlib python3-tk python3-cv-bridge \
-        tf-tools libnodeletlib-tools
+        tf-tools libtf-dev tf2-tools libnodeletlib-tools
       ;;
     browser) echo chromium ;;
   esac
@@ -377,8 +378,8 @@ make_workspace() (
 build_workspace() (
   unset CMAKE_PREFIX_PATH ROS_PACKAGE_PATH
   use_lab_python
-  # Only Python is used; generating messages for four other languages takes most of the time.
-  export ROS_LANG_DISABLE=gencpp:geneus:genlisp:gennodejs
+  # Python, and C++ for nodes of overlay.sh; messages for three other languages take time.
+  export ROS_LANG_DISABLE=geneus:genlisp:gennodejs
   PATH=$LAB_VENV/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
   if [[ $LAB_ROS != /usr ]]; then
     source_setup_file "$LAB_ROS/setup.bash"
@@ -420,9 +421,20 @@ link_packages() {
   done
 }
 
+# old_names WORKSPACE: nodes under their names of before Noetic.
+old_names() {
+  local folder=lib/robot_state_publisher name
+  mkdir -p "$1/devel/$folder"
+  # roslaunch looks no further once it has found such a folder.
+  for name in robot_state_publisher state_publisher; do
+    ln -sfn "$LAB_ROS/$folder/robot_state_publisher" "$1/devel/$folder/$name"
+  done
+}
+
 step_build() {
   link_packages "$LAB_WS/src"
   run_quietly "$1" "$2" make_workspace
+  old_names "$LAB_WS"
 }
 
 # The same workspace, by catkin_make, for tests of CMakeLists.txt and for those who extend it.
@@ -434,6 +446,7 @@ step_catkin() {
     rm -rf "$LAB_WS/build" "$LAB_WS/devel"
   fi
   run_quietly "$1" "$2" build_workspace
+  old_names "$LAB_WS"
 }
 
 # ---- Rooms without internet ----

@@ -440,9 +440,12 @@ class TutorialsTest(unittest.TestCase):
         line = "-sdf -database crate -model second -x 2 -reference_frame first -wait first"
         self.assertEqual(0, spawn_model(line)[0])
         self.assertAlmostEqual(-39.0, state_of("second").pose.position.x, 2)
-        status, line = spawn_model("-sdf -database cafe_table -model table")
+        # The lab has the most used ones of Gazebo's database.
+        self.assertEqual(0, spawn_model("-sdf -database coke_can -model can -x -43")[0])
+        status, line = spawn_model("-sdf -database house_1 -model house")
         self.assertEqual(1, status)
-        self.assertIn("'model://cafe_table': in none of the model folders", line)
+        self.assertIn("'model://house_1': in none of the model folders", line)
+        self.assertIn("from github.com/osrf/gazebo_models", line)
 
     def test_spawn_model_unpauses(self):
         rospy.ServiceProxy("/gazebo/pause_physics", Empty)()

@@ -25,8 +25,13 @@ LEAST_MOTION = 0.05
 # The share of the target that a robot must reach by the truth. Wheels that slip in a turn lose a
 # tenth (docs/contact_model.md); half as much again is allowed.
 DONE = 0.85
+# The share of a turn down to which slipping wheels may explain the rest. Robots that skid have a
+# wheel_separation_multiplier of up to 1.9.
+SLIPPING = 0.5
 # A part of the drive ends at this many times the target by the truth, whatever odometry reports.
 FARTHEST = 1.5
+# It also ends where the robot has gone this share of the target the other way.
+BACKWARDS = 0.25
 # How many links that were touched a line names.
 MOST_NAMES = 3
 # Relative deviation of a topic's rate that is allowed.
@@ -172,22 +177,36 @@ class Leg:
         return displacement(self.truth)[self.quantity]
 
     def is_done(self, odometry_pauses: bool) -> bool:
-        """Return whether the odometry, or the truth while that pauses, has reached the target."""
+        """Return whether the odometry, or the truth while that pauses, has reached the target.
+
+        It is also done if the robot goes much too far, or the other way.
+        """
         odometry = None if odometry_pauses else displacement(self.odometry)
-        reported = odometry[self.quantity] if odometry else self.true()
-        return reported >= self.target or self.true() >= FARTHEST * self.target
+        share = self.true() / self.target
+        reported = odometry[self.quantity] / self.target if odometry else share
+        return reported >= 1.0 or not -BACKWARDS < share < FARTHEST
 
     def has_failed(self) -> bool:
-        """Return whether the robot missed the target, by the truth.
+        """Return whether the robot missed the target, by the truth, unless its wheels slip.
 
         A robot that brakes slowly goes too far, and its odometry reports that.
         """
         share, error = self.true() / self.target, self.error()
         is_off = error is not None and error > 100.0 * (1.0 - DONE)
-        return self.late or share < DONE or (is_off and share > 2.0 - DONE)
+        misses = share < DONE and not self.slips()
+        return self.late or misses or (is_off and share > 2.0 - DONE)
+
+    def slips(self) -> bool:
+        """Return whether a free robot has turned less than its odometry, which has the target."""
+        odometry, share = displacement(self.odometry), self.true() / self.target
+        is_turn = self.quantity == "turned_deg" and not self.late and not self.touched
+        arrived = odometry is not None and odometry["turned_deg"] >= self.target
+        return is_turn and arrived and SLIPPING <= share < DONE
 
     def reasons(self) -> list[str]:
         """Return the known reasons why the robot missed the target."""
+        if self.slips():
+            return ["wheels slip"]
         if not self.has_failed():
             return []
         found = [] if self.has_moved() else list(self.causes)
@@ -239,7 +258,8 @@ class Leg:
             reported = f"its odometry says {odometry[self.quantity]:.3f} {unit}"
             reported += f" ({self.error():.2f} % off)"
         on_the_way = "" if unit == "°" else f", turned by {turned:.2f}° on the way"
-        reached = f"{true:.2f} of {self.target:g}" if self.has_failed() else f"{true:.3f}"
+        has_missed = self.has_failed() or self.slips()
+        reached = f"{true:.2f} of {self.target:g}" if has_missed else f"{true:.3f}"
         return f"{self.name}: {reached} {unit}{why}{on_the_way}; {reported}"
 
 

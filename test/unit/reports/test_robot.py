@@ -173,6 +173,23 @@ def test_a_turn_the_other_way():
 
 
 @pytest.mark.parametrize(
+    ("turned", "touched", "line"),
+    [
+        (240.0, (), ": 240.00 of 360 °: wheels slip; its odometry says 361.000 °"),
+        (100.0, (), ""),
+        (240.0, ("wall",), ": 240.00 of 360 °: touches wall;"),
+    ],
+)
+def test_a_turn_may_slip_where_nothing_is_touched(turned, touched, line):
+    reported, true = {"turned_deg": 361.0}, {"turned_deg": turned}
+    one = leg(reported, true, "turned_deg", 360.0, touched=touched)
+    assert one.has_failed() == ("slip" not in line)
+    assert line in one.line()
+    # A metre does not slip.
+    assert leg({"ahead_m": 1.0}, {"ahead_m": 0.6}).has_failed()
+
+
+@pytest.mark.parametrize(
     "one",
     [
         leg({"ahead_m": 1.0}, {"ahead_m": 0.9}),
@@ -221,3 +238,9 @@ def test_the_truth_decides_while_odometry_pauses():
     part.truth += [(0.0, 0.0, 0.0), (1.1, 0.0, 0.0)]
     assert not part.is_done(odometry_pauses=False)
     assert part.is_done(odometry_pauses=True)
+
+
+@pytest.mark.parametrize(("turned", "done"), [(-80.0, False), (-91.0, True), (300.0, False)])
+def test_a_turn_the_other_way_ends_early(turned, done):
+    part = Leg("turn", "turned_deg", 360.0, truth=moved(turned_deg=turned))
+    assert part.is_done(odometry_pauses=False) == done

@@ -38,6 +38,7 @@ NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
 DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code -?\d+|without exit code)")
 # Names of Debian packages with the nodes of a ROS package, the likeliest first.
 DEBIAN = ("{}-tools", "lib{}lib-tools", "ros-{}", "ros-noetic-{}", "{}", "python3-{}")
+DEBIAN_XML = ("lib{}-dev",)
 INSTALLED = Path("/var/lib/dpkg/info")
 ROS = re.compile(r"Robot OS|\bROS\b|ros\.org")
 
@@ -84,7 +85,8 @@ def failures_in(log: str) -> list[str]:
     log = COLOURS.sub("", log)
     found = []
     for package, name, why in NOT_LAUNCHED.findall(log):
-        debian = debian_package(package)
+        # The nodes may be there, and the package.xml in another Debian package.
+        debian = debian_package(package) or (why == package and debian_package(package, DEBIAN_XML))
         hint = f"; Debian has it: {debian}" if debian else ""
         if why == package:
             why = f"there is no ROS package '{package}'"
@@ -96,13 +98,13 @@ def failures_in(log: str) -> list[str]:
 
 
 @functools.lru_cache(maxsize=None)
-def debian_package(package: str) -> str:
+def debian_package(package: str, forms: Sequence[str] = DEBIAN) -> str:
     """Return the Debian package with a ROS package's nodes, by the lists of apt.
 
-    The text is empty if there is none, or if it is installed.
+    The text is empty if there is none, or if it is installed. `forms` are those of its name.
     """
     full = package.replace("_", "-")
-    names = [form.format(name) for form in DEBIAN for name in (full, full.replace("-ros", ""))]
+    names = [form.format(name) for form in forms for name in (full, full.replace("-ros", ""))]
     command = ["apt-cache", "show", *names]
     try:
         shown = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL).stdout

@@ -17,6 +17,8 @@ from urllib.parse import quote, unquote, urlsplit
 from bullet_lab.errors import LabError
 
 PACKAGE = "bullet_lab"
+# What to do if a model is not found: Gazebo would download it.
+OF_GAZEBO = "copy one of Gazebo's from github.com/osrf/gazebo_models to ~/.gazebo/models"
 
 
 class ResourceError(LabError):
@@ -134,7 +136,7 @@ class ResourceFinder:
             return _search((folder,), unquote(parts.path).lstrip("/"), uri)
         if parts.scheme == "model":
             path = (parts.netloc + unquote(parts.path)).lstrip("/")
-            missing = "in none of the model folders (GAZEBO_MODEL_PATH)"
+            missing = f"in none of the model folders (GAZEBO_MODEL_PATH); {OF_GAZEBO}"
             return _search(self._models, path, uri, missing)
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):
             return self._absolute(uri, Path(unquote(parts.path)))

@@ -6,11 +6,15 @@ It is a part of `urdf`. `xacro` as a command finds its packages with it as well.
 from __future__ import annotations
 
 import contextlib
+import os
+import re
 import resource
 import sys
 import types
 from io import StringIO
 from typing import Any
+
+OLD_TAGS = re.compile(r"<(macro|property|include)\s[^>]*(?:params|value|filename)\s*=")
 
 
 def main() -> int:
@@ -32,9 +36,37 @@ def main() -> int:
     except (Exception, SystemExit) as error:
         if _is_memory_error(error):
             return _fail(f"xacro took more than {memory_bytes >> 20} MB of memory")
-        return _fail(" ".join(f"xacro: {error or type(error).__name__}".split()))
+        hint = hint_of_old_tags(path)
+        reason = f"xacro: {error or type(error).__name__}{hint and f' ({hint})'}"
+        return _fail(" ".join(reason.split()))
     sys.stdout.write(text)
     return 0
+
+
+def command() -> None:
+    """Run xacro's command line; if it fails, report first what Noetic no longer reads in a file."""
+    find_packages_of_ros1()
+    from xacro import main
+
+    said = StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            main()
+    except SystemExit as end:
+        for path in filter(os.path.isfile, sys.argv[1:] if end.code else ()):
+            hint = hint_of_old_tags(path)
+            sys.stderr.write(f"xacro: error in {path}: {hint}\n" if hint else "")
+        raise
+    finally:
+        sys.stderr.write(said.getvalue())
+
+
+def hint_of_old_tags(path: str) -> str:
+    """Return a remark on tags without the prefix that xacro demands since Noetic, or nothing."""
+    with open(path, errors="replace") as file:
+        found = sorted(set(OLD_TAGS.findall(file.read())))
+    names = ", ".join(f"<{name}> is <xacro:{name}>" for name in found)
+    return f"since ROS Noetic, {names}" if names else ""
 
 
 def find_packages_of_ros1() -> None:

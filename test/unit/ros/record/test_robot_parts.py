@@ -211,6 +211,7 @@ ROS path [0]=/usr/share\x1b[0m
 ERROR: cannot launch node of type [nodelet/nodelet]: nodelet
 ERROR: cannot launch node of type [nodelet/nodelet]: nodelet
 ERROR: cannot launch node of type [mine/run.py]: Cannot locate node of type [run.py] in package
+ERROR: cannot launch node of type [tf/tf_echo]: tf
 process[spawn-2]: started with pid [7]
 [spawn-2] process has finished cleanly
 \x1b[31m[gripper-4] process has died [pid 10, exit code -11, cmd /x/gripper __name:=gripper].
@@ -219,14 +220,18 @@ log file: /tmp/gripper-4*.log\x1b[0m
 
 
 def test_nodes_that_could_not_start_or_died(monkeypatch):
-    packages = {"nodelet": "libnodeletlib-tools"}
-    monkeypatch.setattr(robot_parts, "debian_package", lambda name: packages.get(name, ""))
+    # The nodes of tf are there, and its package.xml is not.
+    packages = {("nodelet",): "libnodeletlib-tools", ("tf", "lib{}-dev"): "libtf-dev"}
+    monkeypatch.setattr(
+        robot_parts, "debian_package", lambda name, forms=(): packages.get((name, *forms), "")
+    )
     assert failures_in(LOG) == [
         "map_server/map_server: there is no ROS package 'map_server'; "
         "Debian has none that is known",
         "nodelet/nodelet: there is no ROS package 'nodelet'; Debian has it: libnodeletlib-tools "
         "(2 times)",
         "mine/run.py: Cannot locate node of type [run.py] in package",
+        "tf/tf_echo: there is no ROS package 'tf'; Debian has it: libtf-dev",
         "gripper-4 has died (exit code -11)",
     ]
     assert failures_in("") == []

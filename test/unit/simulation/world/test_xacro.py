@@ -5,6 +5,7 @@ from sensor_worlds import INERTIAL
 
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world import urdf as xacro_files
+from bullet_lab.simulation.world import xacro_child
 from bullet_lab.simulation.world.description import Box
 from bullet_lab.simulation.world.urdf import XacroError, expand_xacro, read_urdf_file
 
@@ -77,6 +78,7 @@ def test_it_can_be_spawned_by_its_path(write):
         ('<link name="${no_such_name}"/>', HEAD, "no_such_name"),
         ('<xacro:include filename="missing.xacro"/>', HEAD, "missing.xacro"),
         ('<link name="$(arg never_given)"/>', HEAD, "never_given"),
+        ('<property name="w" value="1"/><link name="${w}"/>', HEAD, "<property> is <xacro:prop"),
     ],
 )
 def test_refusals_are_one_line_with_the_file(write, body, head, message):
@@ -85,6 +87,17 @@ def test_refusals_are_one_line_with_the_file(write, body, head, message):
         read_urdf_file(path)
     assert str(refusal.value).startswith(f"{path}: ")
     assert "\n" not in str(refusal.value)
+
+
+def test_the_command_names_tags_of_before_noetic(write, monkeypatch, capsys):
+    path = write('<macro name="m" params="a"><link name="${a}"/></macro>')
+    monkeypatch.setattr(xacro_child, "find_packages_of_ros1", lambda: None)
+    monkeypatch.setattr("sys.argv", ["xacro", str(path)])
+    with pytest.raises(SystemExit):
+        xacro_child.command()
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == f"xacro: error in {path}: since ROS Noetic, <macro> is <xacro:macro>"
+    assert "name 'a' is not defined" in said[1]
 
 
 def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
