@@ -36,10 +36,12 @@ class MobileBase(Plugin):
 
     Attributes:
         directions: the components of a command that it uses.
+        command_topic: the default of its topic.
         frame: name of the odometry's frame.
     """
 
     directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
+    command_topic: ClassVar[str] = "cmd_vel"
     transform: Output
 
     def __init__(self, mount: Mount):
@@ -50,7 +52,7 @@ class MobileBase(Plugin):
         self.frame = mount.frame(mount.text("odometryFrame", "odom"))
         self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
         self.odometry = self.output(mount.text("odometryTopic", "odom"), OdometrySample)
-        topic = mount.topic(mount.text("commandTopic", "cmd_vel"))
+        topic = mount.topic(mount.text("commandTopic", self.command_topic))
         self.inputs = (Input(topic, PlanarCommand, self.command),)
 
     def command(self, command: PlanarCommand) -> None:

@@ -247,9 +247,14 @@ def version_of(root: Element) -> tuple[int, ...]:
 
 
 def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
-    """Yield the plugins in an element and in the sensors below it."""
+    """Yield the plugins in an element and in the sensors below it.
+
+    A sensor without a plugin yields a tag without filename and element.
+    """
     for holder in (parent, *parent.findall("sensor")):
         sensor = None if holder is parent else holder
+        if sensor is not None and sensor.find("plugin") is None:
+            yield PluginTag("", sensor.get("name", ""), {}, link, sensor)
         for element in holder.findall("plugin"):
             tags = {child.tag: (child.text or "").strip() for child in element}
             filename, name = element.get("filename", ""), element.get("name", "")
