@@ -26,7 +26,8 @@ NEWEST = (1, 7)
 # The children of each SDF element that are simulated.
 SDF_READ = {
     "sdf": "world model light include",
-    "world": "model light include gravity scene state physics",
+    "world": "model light include actor gravity scene state physics",
+    "actor": "script pose link plugin",
     "model": "link joint plugin pose static frame include model",
     "link": "pose inertial visual collision sensor plugin self_collide gravity",
     "visual": "geometry pose material cast_shadows transparency",
@@ -38,6 +39,7 @@ SDF_READ = {
 # Children that Gazebo writes into every saved world, or that have no visible effect here.
 SDF_QUIET = {
     "world": "gui atmosphere wind magnetic_field spherical_coordinates audio",
+    "actor": "skin animation static joint",
     "model": "allow_auto_disable",
     "link": "must_be_base_link",
     "visual": "meta laser_retro",
