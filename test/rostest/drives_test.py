@@ -6,21 +6,17 @@ import unittest
 
 import rospy
 import rostest
-from controller_manager_msgs.srv import ListControllers
+from bridge_testing import call, spawn
+from controller_manager_msgs.srv import ListControllers, LoadController, SwitchController
 from gazebo_msgs.srv import GetModelState
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
-from lab_testing import Topic, wait_for
+from lab_testing import PACKAGE, Topic, publisher, wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
 
 VELOCITY = "mobile_base/commands/velocity"
-
-
-def call(service, kind, *arguments):
-    rospy.wait_for_service(service, 60.0)
-    return rospy.ServiceProxy(service, kind)(*arguments)
 
 
 def place(model):
@@ -29,7 +25,24 @@ def place(model):
 
 
 class DrivesTest(unittest.TestCase):
-    """Each robot stands where the launch file has spawned it."""
+    """Each robot is spawned by the services that launch files use."""
+
+    @classmethod
+    def setUpClass(cls):
+        """Spawn the robots, and start the car's controller."""
+        for name, path, y, namespace in (
+            ("kobuki", "urdf/kobuki_robot.urdf", 0.0, ""),
+            ("tricycle", "test/drives/tricycle.urdf", 4.0, "tricycle"),
+            ("car", "test/drives/car.urdf", -4.0, ""),
+        ):
+            pose = Pose(Point(0.0, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+            service = "spawn_urdf_model"
+            answer = spawn(name, (PACKAGE / path).read_text(), pose, namespace, "", service)
+            assert answer.success, answer.status_message
+        manager = "/car/controller_manager"
+        assert call(f"{manager}/load_controller", LoadController, "drive").ok
+        switch = (["drive"], [], 2, False, 10.0)
+        assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
 
     def topic(self, name, kind):
         topic = Topic(name, kind)
@@ -37,9 +50,8 @@ class DrivesTest(unittest.TestCase):
         return topic
 
     def publisher(self, name, kind):
-        made = rospy.Publisher(name, kind, queue_size=10)
+        made = publisher(name, kind)
         self.addCleanup(made.unregister)
-        wait_for(lambda: made.get_num_connections() > 0, f"{name} to be listened to")
         return made
 
     def drive(self, topic, vx, wz, until, what):
