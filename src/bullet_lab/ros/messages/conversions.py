@@ -254,16 +254,10 @@ def _contact(contact: ShapeContact, number: str) -> msg.ContactState:
     )
 
 
-def _bumper(message: kobuki_msg.BumperEvent, event: SwitchEvent) -> None:
-    message.bumper, message.state = event.number, event.on
-
-
-def _cliff(message: kobuki_msg.CliffEvent, event: SwitchEvent) -> None:
-    message.sensor, message.state, message.bottom = event.number, event.on, event.reading
-
-
-def _wheel_drop(message: kobuki_msg.WheelDropEvent, event: SwitchEvent) -> None:
-    message.wheel, message.state = event.number, event.on
+def _event(message: Any, event: SwitchEvent) -> None:
+    # The fields have other names in each type of event, but the same order.
+    for name, value in zip(message.__slots__, (event.number, int(event.on), event.reading)):
+        setattr(message, name, value)
 
 
 def _switches(message: kobuki_msg.SensorState, sample: SwitchesSample) -> None:
@@ -297,9 +291,9 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     LoopSample: (JointControllerState, _loop),
     VelocitySample: (TwistStamped, _velocity),
     ContactsSample: (msg.ContactsState, _contacts),
-    BumperEvent: (kobuki_msg.BumperEvent, _bumper),
-    CliffEvent: (kobuki_msg.CliffEvent, _cliff),
-    WheelDropEvent: (kobuki_msg.WheelDropEvent, _wheel_drop),
+    BumperEvent: (kobuki_msg.BumperEvent, _event),
+    CliffEvent: (kobuki_msg.CliffEvent, _event),
+    WheelDropEvent: (kobuki_msg.WheelDropEvent, _event),
     SwitchesSample: (kobuki_msg.SensorState, _switches),
 }
 

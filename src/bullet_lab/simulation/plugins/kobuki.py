@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from bullet_lab.core.pose import Pose
-from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
+from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins import Input, Mount, Output, SensorTag
 from bullet_lab.simulation.plugins.mobile_base import MobileBase
 from bullet_lab.simulation.plugins.motion_sensors import InertialUnit
@@ -33,6 +33,8 @@ POSE_VARIANCES = (0.1, 0.1, 1e6, 1e6, 1e6, 0.05)
 GYRO_VARIANCES = (1e6, 1e6, 0.05)
 # Contacts at these heights (m) above the robot's frame press a bumper.
 BUMPER_HEIGHTS = (0.01, 0.13)
+# Contacts whose normal is steeper than this (z of the unit normal) press none.
+STEEPEST = 0.99
 # Half of the angle (rad) of the bumper in the middle; the others reach to the sides.
 HALF_BUMPER = math.pi / 6.0
 # The reading of a cliff sensor's converter at a distance d (m) is FACTOR · atan2(OFFSET, d).
@@ -45,16 +47,11 @@ class Gyroscope(InertialUnit):
     def __init__(self, mount: Mount, tag: SensorTag):
         super().__init__(mount, mount.frame("base_link"), f"{PREFIX}/sensors/imu_data")
         self.place = tag.place()
-        self.schedule = tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> ImuSample:
         sample = super().measure(step)
         known = dict.fromkeys(("orientation_variance", "angular_velocity_variance"), GYRO_VARIANCES)
         return replace(sample, **known, specific_force_variance=0.0)
-
-    def turn_rate(self, step: int) -> float:
-        """Return the last angular velocity about the sensor's own z axis, in rad/s."""
-        return self.measure(step).angular_velocity[2]
 
 
 class Switches:
@@ -110,24 +107,32 @@ class Kobuki(MobileBase):
 
     def _find_sensors(self) -> None:
         mount = self.mount
-        self._gyroscope = Gyroscope(mount, mount.sensor("imu_name", "imu"))
+        imu = mount.sensor("imu_name", "imu")
+        self._gyroscope = Gyroscope(mount, imu)
+        self._sensing = imu.schedule("update_rate", 0.0)
         (self._threshold,) = mount.numbers("cliff_detection_threshold", 1)
         cliffs = [mount.sensor(f"cliff_sensor_{side}_name", "ray") for side in SIDES]
         self._cliff_rays = [RayScan(mount, tag) for tag in cliffs]
-        self._cliff_schedule = cliffs[0].schedule("update_rate", 0.0)
         bumper = mount.sensor("bumper_name", "contact")
-        self._bumper = bumper.place()
-        self._watched = watched_shapes(mount, bumper, self._bumper.link)
-        self._contact_schedule = bumper.schedule("update_rate", 0.0)
+        link = bumper.place().link
+        self._bumper_links = self._body.link_indices(link)
+        self._watched = watched_shapes(mount, bumper, link)
         tags = [f"wheel_drop_{side}_sensor_name" for side in ("left", "right")]
         # Robots before 2018 have no such sensors.
         given = tags if any(map(mount.text, tags)) else []
-        self._treads = [mount.sensor(tag, "contact").place() for tag in given]
-        events = f"{PREFIX}/events"
-        self._bumpers = Switches(self.output(f"{events}/bumper", BumperEvent), len(SIDES))
-        self._cliffs = Switches(self.output(f"{events}/cliff", CliffEvent), len(SIDES))
-        drops = self.output(f"{events}/wheel_drop", WheelDropEvent)
-        self._drops = Switches(drops, len(self._treads))
+        treads = [mount.sensor(tag, "contact").place().link for tag in given]
+        # The number of the wheel by PyBullet's index of each of its links.
+        self._tread_links = {
+            index: n for n, link in enumerate(treads) for index in self._body.link_indices(link)
+        }
+        self._bumpers, self._cliffs, self._drops = (
+            Switches(self.output(f"{PREFIX}/events/{name}", kind), count)
+            for name, kind, count in (
+                ("bumper", BumperEvent, len(SIDES)),
+                ("cliff", CliffEvent, len(SIDES)),
+                ("wheel_drop", WheelDropEvent, len(treads)),
+            )
+        )
 
     def command(self, command: PlanarCommand) -> None:
         super().command(command)
@@ -143,8 +148,7 @@ class Kobuki(MobileBase):
         self._now = self._commanded_at = step
         self._has_power = True
         self._zero(ResetOdometry())
-        for schedule in (self._gyroscope.schedule, self._cliff_schedule, self._contact_schedule):
-            schedule.restart(step)
+        self._sensing.restart(step)
         self._turn_rate = 0.0
         self._gyroscope.reset(step)
         self._pressed: set[int] = set()
@@ -171,10 +175,7 @@ class Kobuki(MobileBase):
             side = 0.5 * self._command.wz * self._separation
             for wheel, sign in zip(self._wheels, (-1.0, 1.0)):
                 wheel.follow((self._command.vx + sign * side) / self._radius)
-        self._pressed.update(self._pressed_bumpers())
-        for number, tread in enumerate(self._treads):
-            if tread.contact_points():
-                self._standing.add(number)
+        self._note_contacts()
 
     def produce(self, step: int) -> None:
         seconds = (step - self._last_step) / STEPS_PER_SECOND
@@ -185,43 +186,49 @@ class Kobuki(MobileBase):
             turns = zip(*((state.position, state.velocity, 0.0) for state in states))
             names = tuple(wheel.joint for wheel in self._wheels)
             self._joint_states.send(JointSample(step, names, *turns, frame))
-        self._sense(step)
+        if self._sensing.next_step <= step:
+            self._sense(step)
         self._report(step, seconds)
         if self._core.wanted:
             totals = (one.total() for one in (self._bumpers, self._cliffs, self._drops))
             self._core.send(SwitchesSample(step, frame, *totals))
 
     def _sense(self, step: int) -> None:
-        """Read those sensors that are due."""
-        if _is_due(self._gyroscope.schedule, step):
-            self._gyroscope.produce(step)
-            self._turn_rate = self._gyroscope.turn_rate(step)
-        if _is_due(self._cliff_schedule, step):
-            for number, rays in enumerate(self._cliff_rays):
-                distance = float(rays.distances()[0])
-                # The field of the message has 16 bits.
-                reading = int(FACTOR * math.atan2(OFFSET, distance)) & 0xFFFF
-                self._cliffs.set(step, number, distance >= self._threshold, reading)
-        if _is_due(self._contact_schedule, step):
-            for number in range(len(SIDES)):
-                self._bumpers.set(step, number, number in self._pressed)
-            for number in range(len(self._treads)):
-                self._drops.set(step, number, number not in self._standing)
-            self._pressed.clear()
-            self._standing.clear()
+        """Read all sensors, and send what has changed."""
+        while self._sensing.next_step <= step:
+            self._sensing.advance()
+        self._gyroscope.produce(step)
+        self._turn_rate = self._gyroscope.measure(step).angular_velocity[2]
+        for number, rays in enumerate(self._cliff_rays):
+            distance = float(rays.distances()[0])
+            # The field of the message has 16 bits.
+            reading = int(FACTOR * math.atan2(OFFSET, distance)) & 0xFFFF
+            self._cliffs.set(step, number, distance >= self._threshold, reading)
+        for number in range(len(SIDES)):
+            self._bumpers.set(step, number, number in self._pressed)
+        for number in range(len(self._drops.states)):
+            self._drops.set(step, number, number not in self._standing)
+        self._pressed.clear()
+        self._standing.clear()
 
-    def _pressed_bumpers(self) -> set[int]:
-        """Return the numbers of the bumpers with a contact in the step before."""
-        pressed, pose, name = set(), self._pose(), self.mount.simulation.shape_name
-        for point in self._bumper.contact_points():
-            height = point.place[2] - pose.position[2]
-            if BUMPER_HEIGHTS[0] <= height <= BUMPER_HEIGHTS[1]:
-                ahead, left, _ = pose.inverse().rotate(point.normal)
-                angle = math.atan2(-left, -ahead)
-                shape = name(*point.own, point.place)
-                if abs(angle) <= 3.0 * HALF_BUMPER and shape in self._watched:
-                    pressed.add(1 if abs(angle) <= HALF_BUMPER else 0 if angle > 0.0 else 2)
-        return pressed
+    def _note_contacts(self) -> None:
+        """Note which bumpers and which wheels touched something in the step before."""
+        for _, body, _, link, _, place, _, normal, *_ in self._body.touching_points():
+            if link in self._tread_links:
+                self._standing.add(self._tread_links[link])
+            # What lies below or above presses no bumper.
+            elif link in self._bumper_links and abs(normal[2]) < STEEPEST:
+                shape = self.mount.simulation.shape_name(body, link, place)
+                self._press(shape, place, normal)
+
+    def _press(self, shape: str, place: Vector, normal: Vector) -> None:
+        """Press the bumper at a contact (m, world) of a shape; the normal points to the robot."""
+        pose = self._pose()
+        ahead, left, _ = pose.inverse().rotate(normal)
+        angle = math.atan2(-left, -ahead)
+        is_high = BUMPER_HEIGHTS[0] <= place[2] - pose.position[2] <= BUMPER_HEIGHTS[1]
+        if shape in self._watched and is_high and abs(angle) <= 3.0 * HALF_BUMPER:
+            self._pressed.add(1 if abs(angle) <= HALF_BUMPER else 0 if angle > 0.0 else 2)
 
     def _report(self, step: int, seconds: float) -> None:
         """Send the odometry, `seconds` after the last time."""
@@ -235,11 +242,3 @@ class Kobuki(MobileBase):
         speed = driven / seconds if seconds > 0.0 else 0.0
         velocity = PlanarCommand(vx=speed, wz=self._turn_rate)
         self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
-
-
-def _is_due(schedule: Schedule, step: int) -> bool:
-    """Return whether a schedule is due, and let it go on."""
-    due = schedule.next_step <= step
-    while schedule.next_step <= step:
-        schedule.advance()
-    return due

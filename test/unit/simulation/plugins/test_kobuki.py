@@ -13,6 +13,8 @@ from bullet_lab.simulation.plugins.samples import (
     PlanarCommand,
     ResetOdometry,
 )
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 COMMANDS = "mobile_base/commands"
@@ -164,3 +166,14 @@ def test_robots_without_wheel_drop_sensors(world, model):
     drops = record(robot, "mobile_base/events/wheel_drop")
     drive(world, robot, 0.2, 0.0, 1.0)
     assert robot.pose().position[0] > 0.15 and not drops
+
+
+def test_it_drives_again_in_a_saved_world(world, robot, tmp_path):
+    text, _ = world_text(world.snapshot(), tmp_path)
+    # A sensor has no plugin of its own.
+    assert 'filename=""' not in text
+    (tmp_path / "again.world").write_text(text)
+    with Simulation.of(str(tmp_path / "again.world")) as again:
+        robot = again.models[robot.name]
+        drive(again, robot, 0.2, 0.0, 1.0)
+        assert robot.pose().position[0] > 0.15
