@@ -8,6 +8,7 @@ from bullet_lab.msg import PluginDescription
 from bullet_lab.reports import Reading
 from bullet_lab.reports.robot import (
     ODOMETRY,
+    STEERED,
     TRUTH,
     Count,
     Leg,
@@ -221,3 +222,15 @@ def test_the_truth_decides_while_odometry_pauses():
     part.truth += [(0.0, 0.0, 0.0), (1.1, 0.0, 0.0)]
     assert not part.is_done(odometry_pauses=False)
     assert part.is_done(odometry_pauses=True)
+
+
+@pytest.mark.parametrize(
+    "part, steered",
+    [
+        ({"controllers": (SimpleNamespace(type=STEERED[1]),)}, True),
+        ({"plugins": (SimpleNamespace(filename=STEERED[0]),)}, True),
+        ({"plugins": (WHEELS,), "controllers": (ARM,)}, False),
+    ],
+)
+def test_which_robots_cannot_turn_on_the_spot(part, steered):
+    assert Robot("cart", **part).is_steered() is steered
