@@ -28,10 +28,17 @@ from sensor_msgs.msg import (
 )
 from std_msgs.msg import Bool, ColorRGBA, Empty, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.gazebo_types import JointControllerState, kobuki_msg, msg
+from bullet_lab.ros.messages.actions import fill_trajectory_state, trajectory_of
+from bullet_lab.ros.messages.gazebo_types import (
+    JointControllerState,
+    arm_msg,
+    kobuki_msg,
+    msg,
+)
 from bullet_lab.ros.messages.poses import (
     pose_message,
     set_pose,
@@ -63,6 +70,8 @@ from bullet_lab.simulation.plugins.samples import (
     Stop,
     SwitchesSample,
     SwitchEvent,
+    Trajectory,
+    TrajectorySample,
     TransformSample,
     VelocitySample,
     WheelDropEvent,
@@ -296,6 +305,8 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     WheelDropEvent: (kobuki_msg.WheelDropEvent, _event),
     SwitchesSample: (kobuki_msg.SensorState, _switches),
 }
+if arm_msg is not None:
+    MESSAGES[TrajectorySample] = (arm_msg.JointTrajectoryControllerState, fill_trajectory_state)
 
 
 class Converter:
@@ -332,6 +343,7 @@ COMMANDS: dict[type, tuple[type, Callable[[Any], Any]]] = {
     Stop: (Bool, lambda message: Stop(message.data)),
     MotorPower: (kobuki_msg.MotorPower, lambda message: MotorPower(message.state != 0)),
     ResetOdometry: (Empty, lambda message: ResetOdometry()),
+    Trajectory: (JointTrajectory, trajectory_of),
 }
 
 
