@@ -118,7 +118,7 @@ class Kobuki(MobileBase):
         self._bumper_links = self._body.link_indices(link)
         self._watched = watched_shapes(mount, bumper, link)
         tags = [f"wheel_drop_{side}_sensor_name" for side in ("left", "right")]
-        # Robots before 2018 have no such sensors.
+        # Descriptions before October 2023 have no such sensors.
         given = tags if any(map(mount.text, tags)) else []
         treads = [mount.sensor(tag, "contact").place().link for tag in given]
         # The number of the wheel by PyBullet's index of each of its links.
