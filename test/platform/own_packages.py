@@ -10,7 +10,7 @@ from pathlib import Path
 
 import rospkg
 
-from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv, msg, srv
+from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv, kobuki_msg, msg, srv
 from bullet_lab.simulation.world.urdf import expand_xacro
 
 XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -25,7 +25,7 @@ def main():
     for name in names:
         found = Path(rospkg.RosPack().get_path(name))
         assert prefix in found.parents, f"{name} is {found}"
-    for module in (msg, srv, control_msg, control_srv):
+    for module in (msg, srv, control_msg, control_srv, kobuki_msg):
         assert prefix in Path(module.__file__).parents, f"{module.__file__} is used"
     compared = sum(map(compare, names))
     with tempfile.TemporaryDirectory() as place:

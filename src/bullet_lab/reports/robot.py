@@ -32,6 +32,11 @@ SLIPPING = 0.5
 FARTHEST = 1.5
 # It also ends where the robot has gone this share of the target the other way.
 BACKWARDS = 0.25
+# Drives whose `angular.z` is the angle of a front wheel: such a robot cannot turn on the spot.
+STEERED = (
+    "libgazebo_ros_tricycle_drive.so",
+    "ackermann_steering_controller/AckermannSteeringController",
+)
 # How many links that were touched a line names.
 MOST_NAMES = 3
 # Relative deviation of a topic's rate that is allowed.
@@ -65,6 +70,11 @@ class Robot:
     odometry: str = ""
     said: tuple[str, ...] = ()
     choice: tuple[str, ...] = ()
+
+    def is_steered(self) -> bool:
+        """Return whether it drives curves by a front wheel, and cannot turn on the spot."""
+        kinds = {*(p.filename for p in self.plugins), *(c.type for c in self.controllers)}
+        return not kinds.isdisjoint(STEERED)
 
 
 class Count:

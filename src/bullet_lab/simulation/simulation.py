@@ -366,6 +366,8 @@ class Simulation:
     ) -> tuple[Plugin, ...]:
         plugins = []
         for tag in model.plugins:
+            if tag.is_bare_sensor:
+                continue
             what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
             kind, space = kind_of(tag), namespace_of(tag, model.name)
             if kind is None:

@@ -8,6 +8,7 @@ from bullet_lab.msg import PluginDescription
 from bullet_lab.reports import Reading
 from bullet_lab.reports.robot import (
     ODOMETRY,
+    STEERED,
     TRUTH,
     Count,
     Leg,
@@ -244,3 +245,15 @@ def test_the_truth_decides_while_odometry_pauses():
 def test_a_turn_the_other_way_ends_early(turned, done):
     part = Leg("turn", "turned_deg", 360.0, truth=moved(turned_deg=turned))
     assert part.is_done(odometry_pauses=False) == done
+
+
+@pytest.mark.parametrize(
+    "part, steered",
+    [
+        ({"controllers": (SimpleNamespace(type=STEERED[1]),)}, True),
+        ({"plugins": (SimpleNamespace(filename=STEERED[0]),)}, True),
+        ({"plugins": (WHEELS,), "controllers": (ARM,)}, False),
+    ],
+)
+def test_which_robots_cannot_turn_on_the_spot(part, steered):
+    assert Robot("cart", **part).is_steered() is steered

@@ -345,11 +345,15 @@ class ControllerServices:
 
 
 def _state(controller: Controller) -> Any:
-    resources = control_msg.HardwareInterfaceResources(
-        INTERFACE_SPACE + controller.interface, sorted(joint.name for joint in controller.joints)
-    )
+    claimed = {controller.interface: []}
+    for joint in controller.joints:
+        claimed.setdefault(joint.interface, []).append(joint.name)
+    resources = [
+        control_msg.HardwareInterfaceResources(INTERFACE_SPACE + interface, sorted(joints))
+        for interface, joints in claimed.items()
+    ]
     names = (controller.name, controller.state, controller.kind)
-    return control_msg.ControllerState(*names, [resources])
+    return control_msg.ControllerState(*names, resources)
 
 
 def _parameters(namespace: str) -> Any:

@@ -250,7 +250,11 @@ def _description(world: RunningWorld, instance: ModelInstance) -> ModelDescripti
         of_world_file=any(one.name == model.name for one in world.simulation.world.models),
         links=[link.name for link in model.own_links()],
         joints=[joint.name for joint in model.joints],
-        plugins=[_described_plugin(tag, acting.get(id(tag))) for tag in model.plugins],
+        plugins=[
+            _described_plugin(tag, acting.get(id(tag)))
+            for tag in model.plugins
+            if not tag.is_bare_sensor
+        ],
         least=Point(*least),
         greatest=Point(*greatest),
         stands_on=sorted({own for own, _, _, up in touches if up > STEEPEST}),

@@ -9,7 +9,7 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Callable, Iterable, Mapping, NamedTuple
+from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
 
 import cv2
 import numpy as np
@@ -26,14 +26,19 @@ from sensor_msgs.msg import (
     PointField,
     Range,
 )
-from std_msgs.msg import Bool, ColorRGBA, Float64, Float64MultiArray
+from std_msgs.msg import Bool, ColorRGBA, Empty, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.actions import fill_trajectory_state, trajectory_of
-from bullet_lab.ros.messages.gazebo_types import JointControllerState, arm_msg, msg
+from bullet_lab.ros.messages.gazebo_types import (
+    JointControllerState,
+    arm_msg,
+    kobuki_msg,
+    msg,
+)
 from bullet_lab.ros.messages.poses import (
     pose_message,
     set_pose,
@@ -43,7 +48,9 @@ from bullet_lab.ros.messages.poses import (
     time_of,
 )
 from bullet_lab.simulation.plugins.samples import (
+    BumperEvent,
     CameraInfoSample,
+    CliffEvent,
     ContactsSample,
     ImageSample,
     ImuSample,
@@ -53,16 +60,21 @@ from bullet_lab.simulation.plugins.samples import (
     LaserSample,
     LoopSample,
     MotionSample,
+    MotorPower,
     OdometrySample,
     PlanarCommand,
     PointsSample,
     RangeSample,
+    ResetOdometry,
     ShapeContact,
     Stop,
+    SwitchesSample,
+    SwitchEvent,
     Trajectory,
     TrajectorySample,
     TransformSample,
     VelocitySample,
+    WheelDropEvent,
 )
 from bullet_lab.simulation.simulation import ModelInstance
 from bullet_lab.simulation.world.description import BLACK, Material, Texture, Visual
@@ -251,14 +263,25 @@ def _contact(contact: ShapeContact, number: str) -> msg.ContactState:
     )
 
 
+def _event(message: Any, event: SwitchEvent) -> None:
+    # The fields have other names in each type of event, but the same order.
+    for name, value in zip(message.__slots__, (event.number, int(event.on), event.reading)):
+        setattr(message, name, value)
+
+
+def _switches(message: kobuki_msg.SensorState, sample: SwitchesSample) -> None:
+    message.bumper, message.cliff = sample.bumpers, sample.cliffs
+    message.wheel_drop = sample.wheel_drops
+
+
 def _sum(vectors: tuple) -> Vector3:
     return Vector3(*(sum(values) for values in zip(*vectors)))
 
 
-def _diagonal(value: float, size: int) -> list[float]:
-    """Return a diagonal matrix, row by row, with the same value along the diagonal."""
+def _diagonal(value: float | Sequence[float], size: int) -> list[float]:
+    """Return a diagonal matrix, row by row, of `size` values or one value along the diagonal."""
     matrix = [0.0] * (size * size)
-    matrix[:: size + 1] = [value] * size
+    matrix[:: size + 1] = [value] * size if isinstance(value, float) else value
     return matrix
 
 
@@ -277,13 +300,17 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     LoopSample: (JointControllerState, _loop),
     VelocitySample: (TwistStamped, _velocity),
     ContactsSample: (msg.ContactsState, _contacts),
+    BumperEvent: (kobuki_msg.BumperEvent, _event),
+    CliffEvent: (kobuki_msg.CliffEvent, _event),
+    WheelDropEvent: (kobuki_msg.WheelDropEvent, _event),
+    SwitchesSample: (kobuki_msg.SensorState, _switches),
 }
 if arm_msg is not None:
     MESSAGES[TrajectorySample] = (arm_msg.JointTrajectoryControllerState, fill_trajectory_state)
 
 
 class Converter:
-    """Converts samples of one kind to messages of the class `message_kind`, with a header.
+    """Converts samples of one kind to messages of the class `message_kind`.
 
     All samples share one message, which saves time at a hundred times real time: rospy serialises
     it in `publish`.
@@ -299,9 +326,11 @@ class Converter:
 
     def convert(self, sample: Any) -> Any:
         """Return a sample as a message, which the next call overwrites."""
-        header = self._stamped.header
-        set_time(header.stamp, sample.step)
-        header.frame_id = sample.frame
+        # Events of a Kobuki have no header.
+        header = getattr(self._stamped, "header", None)
+        if header is not None:
+            set_time(header.stamp, sample.step)
+            header.frame_id = sample.frame
         self._fill(self._stamped, sample)
         return self._message
 
@@ -312,6 +341,8 @@ COMMANDS: dict[type, tuple[type, Callable[[Any], Any]]] = {
     JointCommand: (Float64, lambda message: JointCommand(message.data)),
     JointCommands: (Float64MultiArray, lambda message: JointCommands(tuple(message.data))),
     Stop: (Bool, lambda message: Stop(message.data)),
+    MotorPower: (kobuki_msg.MotorPower, lambda message: MotorPower(message.state != 0)),
+    ResetOdometry: (Empty, lambda message: ResetOdometry()),
     Trajectory: (JointTrajectory, trajectory_of),
 }
 

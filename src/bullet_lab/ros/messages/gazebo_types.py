@@ -1,9 +1,9 @@
-"""The message and service types of Gazebo and ros_control, under the names that clients use.
+"""The message and service types of Gazebo, ros_control and Kobuki, under the names clients use.
 
-If gazebo_msgs, control_msgs and controller_manager_msgs can be imported (the real packages, or the
-stand-ins that scripts/setup.sh builds), their classes are used, so that topics have their type
-names. Otherwise the same definitions of this package are used: a service client compares only the
-md5 sum.
+If gazebo_msgs, control_msgs, controller_manager_msgs and kobuki_msgs can be imported (the real
+packages, or the stand-ins that scripts/setup.sh builds), their classes are used, so that topics
+have their type names. Otherwise the same definitions of this package are used: a service client
+compares only the md5 sum.
 """
 
 try:
@@ -37,4 +37,20 @@ except (ImportError, AttributeError):
     from bullet_lab import msg as control_msg
     from bullet_lab import srv as control_srv
 
-__all__ = ["JointControllerState", "arm_msg", "arm_srv", "control_msg", "control_srv", "msg", "srv"]
+try:
+    from kobuki_msgs import msg as kobuki_msg
+
+    kobuki_msg.SensorState  # noqa: B018
+except (ImportError, AttributeError):
+    from bullet_lab import msg as kobuki_msg
+
+__all__ = [
+    "JointControllerState",
+    "arm_msg",
+    "arm_srv",
+    "control_msg",
+    "control_srv",
+    "kobuki_msg",
+    "msg",
+    "srv",
+]

@@ -137,7 +137,10 @@ class Trial:
                 speed, turn_rate = self._parameters.speed, self._parameters.turn_rate
                 self._drive(Leg("metre", "ahead_m", METRE), (speed, 0.0), METRE / speed)
                 seconds = math.radians(TURN) / turn_rate
-                self._drive(Leg("turn", "turned_deg", TURN), (0.0, turn_rate), seconds)
+                if self._robot.is_steered():
+                    rospy.loginfo("turn: left out; the robot steers, and cannot turn on the spot")
+                else:
+                    self._drive(Leg("turn", "turned_deg", TURN), (0.0, turn_rate), seconds)
             else:
                 self._stand(STAND)
             finished = True

@@ -15,7 +15,7 @@ import logging
 import pkgutil
 import re
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Callable, ClassVar, Mapping
 from zlib import crc32
 
@@ -158,6 +158,15 @@ class Mount(TagReader):
 
     def where(self, key: str) -> str:
         return f"{self.name()}: <{key}>"
+
+    def sensor(self, tag: str, kind: str) -> SensorTag:
+        """Return the sensor of the model that a tag names; raises PluginError."""
+        name, own = self.required(tag), self.plugin
+        for found in (one for one in self.model.plugins if one.scope == own.scope):
+            if found.sensor is not None and found.sensor.get("name") == name:
+                holder = replace(found, filename=own.filename, name=own.name)
+                return SensorTag(replace(self, plugin=holder), (kind,))
+        raise PluginError(f"{self.where(tag)}: the model has no sensor '{name}'")
 
     def require_moving(self) -> None:
         """Raise PluginError if the model is static."""

@@ -36,10 +36,14 @@ class MobileBase(Plugin):
 
     Attributes:
         directions: the components of a command that it uses.
+        command_topic: the default of their topic.
+        base_frame: the default of the robot's frame.
         frame: name of the odometry's frame.
     """
 
     directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
+    command_topic: ClassVar[str] = "cmd_vel"
+    base_frame: ClassVar[str] = "base_footprint"
     transform: Output
 
     def __init__(self, mount: Mount):
@@ -48,9 +52,9 @@ class MobileBase(Plugin):
         root = mount.model.root_links()[0].pose
         self._in_root = None if root == Pose() else root.inverse()
         self.frame = mount.frame(mount.text("odometryFrame", "odom"))
-        self._base_frame = mount.frame(mount.text("robotBaseFrame", "base_footprint"))
+        self._base_frame = mount.frame(mount.text("robotBaseFrame", self.base_frame))
         self.odometry = self.output(mount.text("odometryTopic", "odom"), OdometrySample)
-        topic = mount.topic(mount.text("commandTopic", "cmd_vel"))
+        topic = mount.topic(mount.text("commandTopic", self.command_topic))
         self.inputs = (Input(topic, PlanarCommand, self.command),)
 
     def command(self, command: PlanarCommand) -> None:

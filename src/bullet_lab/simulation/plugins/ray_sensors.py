@@ -195,7 +195,7 @@ class Bumper(Sensor):
     def __init__(self, mount: Mount):
         tag = SensorTag(mount, ("contact",))
         self._place = tag.place()
-        self._watched = _watched(mount, tag, self._place.link)
+        self._watched = watched_shapes(mount, tag, self._place.link)
         self._frame = mount.frame(mount.text("frameName", "/world"))
         super().__init__(mount, mount.text("bumperTopicName", "bumper_states"), ContactsSample)
         self.schedule = tag.schedule("update_rate", 0.0)
@@ -240,7 +240,7 @@ class Bumper(Sensor):
         return contacts
 
 
-def _watched(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
+def watched_shapes(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
     """Return the full names of the shapes that the sensor watches; raises PluginError."""
     known = [shape.name for shape in mount.model.links_by_name()[link].collisions]
     wanted = [(element.text or "").strip() for element in tag.element.findall("contact/collision")]

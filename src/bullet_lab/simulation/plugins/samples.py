@@ -7,7 +7,7 @@ Every sample has the simulated time `step` in whole milliseconds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Mapping, NamedTuple, Tuple
+from typing import Any, ClassVar, Mapping, NamedTuple, Tuple, Union
 
 import numpy as np
 
@@ -102,6 +102,18 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class MotorPower:
+    """Whether the motors have power."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class ResetOdometry:
+    """Odometry starts at zero again."""
+
+
+@dataclass(frozen=True)
 class OdometrySample(Sample):
     """Pose of `child_frame` in `frame`, and its velocity in its own frame.
 
@@ -143,8 +155,8 @@ class JointSample:
     positions: tuple[float, ...]
     velocities: tuple[float, ...] = ()
     efforts: tuple[float, ...] = ()
-    # Joints have no frame.
-    frame: ClassVar[str] = ""
+    # Joints have no frame, but a Kobuki names one.
+    frame: str = ""
 
 
 @dataclass(frozen=True)
@@ -257,6 +269,8 @@ class RangeSample(Sample):
 class ImuSample(Sample):
     """A measurement of an inertial unit in the axes of `frame`.
 
+    Variances are those of all axes, or of each.
+
     `orientation` is the unit quaternion of the frame in the world, `angular_velocity` in rad/s,
     `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Each has one
     variance for all three axes, in rad², (rad/s)² and (m/s²)².
@@ -265,9 +279,9 @@ class ImuSample(Sample):
     orientation: Quaternion
     angular_velocity: Vector
     specific_force: Vector
-    orientation_variance: float
-    angular_velocity_variance: float
-    specific_force_variance: float
+    orientation_variance: Union[float, Vector]
+    angular_velocity_variance: Union[float, Vector]
+    specific_force_variance: Union[float, Vector]
 
 
 @dataclass(frozen=True)
@@ -306,3 +320,38 @@ class ContactsSample(Sample):
     """All pairs of shapes that touched since the last sample, step by step."""
 
     contacts: tuple[ShapeContact, ...]
+
+
+@dataclass(frozen=True)
+class SwitchEvent:
+    """A switch of a Kobuki that has changed: its number from the left, and its state.
+
+    `reading` is that of a cliff sensor's converter.
+    """
+
+    step: int
+    number: int
+    on: bool
+    reading: int = 0
+    frame: ClassVar[str] = ""
+
+
+class BumperEvent(SwitchEvent):
+    """A bumper was pressed or released."""
+
+
+class CliffEvent(SwitchEvent):
+    """A cliff sensor saw the floor end, or begin again."""
+
+
+class WheelDropEvent(SwitchEvent):
+    """A wheel lost the floor, or touches it again."""
+
+
+@dataclass(frozen=True)
+class SwitchesSample(Sample):
+    """All switches of a Kobuki, as sums of powers of two; the rightmost one counts 1."""
+
+    bumpers: int
+    cliffs: int
+    wheel_drops: int

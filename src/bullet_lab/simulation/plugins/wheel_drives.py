@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Tuple
+from typing import ClassVar, Tuple
 
 from bullet_lab.core.pose import Pose, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -92,18 +92,20 @@ class WheelDrive(MobileBase):
     A command stays until the next one; as in Gazebo, there is no timeout.
 
     Attributes:
+        size_tags: of the separation and the diameter of the wheels.
         separation: of the left and right wheels in m, by the tags.
         radii: of the left and right wheels in m, by the tags.
         wheels: the left ones before as many right ones.
     """
 
+    size_tags: ClassVar[Tuple[str, str]] = ("wheelSeparation", "wheelDiameter")
     wheels: tuple[Wheel, ...]
 
     def __init__(self, mount: Mount, separation: float):
         mount.require_moving()
         super().__init__(mount)
-        self.separation = mount.positive("wheelSeparation", separation)
-        self.radii = 2 * (0.5 * mount.positive("wheelDiameter", 0.15),)
+        self.separation = mount.positive(self.size_tags[0], separation)
+        self.radii = 2 * (0.5 * mount.positive(self.size_tags[1], 0.15),)
         self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:
@@ -217,19 +219,21 @@ class DiffDrive(WheelDrive):
 
     filenames = ("libgazebo_ros_diff_drive.so",)
     named_by_model = (True, True)
+    # Tags of the joints, with their defaults, and the default separation in m.
+    joint_tags = (("leftJoint", "left_joint"), ("rightJoint", "right_joint"))
+    default_separation = 0.34
 
     def __init__(self, mount: Mount):
-        super().__init__(mount, 0.34)
+        super().__init__(mount, self.default_separation)
         if mount.boolean("legacyMode", False):
             reason = "as in ROS Noetic: <leftJoint> is the wheel on the left"
             LOG.warning("%s is ignored, %s", mount.where("legacyMode"), reason)
         self._from_wheels = mount.choice("odometrySource", ("world", "encoder")) == "encoder"
-        left = wheel_joint(mount, "leftJoint", "left_joint")
-        right = wheel_joint(mount, "rightJoint", "right_joint")
+        left, right = (wheel_joint(mount, *names) for names in self.joint_tags)
         if left is right:
-            where = mount.where("rightJoint")
+            where = mount.where(self.joint_tags[1][0])
             raise PluginError(f"{where}: '{right.name}' is the left one already")
-        self._joints = (left, right)
+        self._joints: tuple[Joint, ...] = (left, right)
         torque = mount.coefficient("wheelTorque", 5.0)
         self._acceleration = mount.coefficient("wheelAcceleration", 0.0)
         tags = ("leftWheelDiameter", "rightWheelDiameter")
@@ -283,7 +287,7 @@ class DiffDrive(WheelDrive):
         return self._set_speeds
 
     def _angles(self) -> tuple[float, float]:
-        left, right = self.wheels
+        left, right = self.wheels[:2]
         return left.state().position, right.state().position
 
     def _report(self, step: int, seconds: float) -> None:
@@ -301,7 +305,8 @@ class DiffDrive(WheelDrive):
         if self.wheel_states.wanted:
             # The right wheel before the left one, as Gazebo sends them.
             names = tuple(wheel.joint for wheel in self.wheels[::-1])
-            self.wheel_states.send(JointSample(step, names, self._angles()[::-1]))
+            angles = tuple(wheel.state().position for wheel in self.wheels[::-1])
+            self.wheel_states.send(JointSample(step, names, angles))
 
     def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
         """Return the pose by the wheels' angles, and the mean velocity since the last update."""

@@ -196,6 +196,11 @@ class PluginTag:
     element: Element | None = field(default=None, compare=False, repr=False)
     scope: str = ""
 
+    @property
+    def is_bare_sensor(self) -> bool:
+        """Whether it is a sensor without a plugin, which another plugin of its model may read."""
+        return self.element is None and not self.filename
+
 
 @dataclass(frozen=True)
 class Model:

@@ -11,6 +11,7 @@ from typing import Collection, Container, Iterable, Tuple, Union
 from xml.etree.ElementTree import Element, SubElement
 
 from bullet_lab.core.pose import Pose, Vector
+from bullet_lab.simulation.world.actors import actor_model
 from bullet_lab.simulation.world.description import (
     LIMITS,
     SEPARATOR,
@@ -66,7 +67,7 @@ FRAMES_ATTACHED = (1, 7)
 # A nested model with full names, and the frame that its pose is given in.
 Nested = Tuple[Model, str]
 # The elements of a world or a document that are read here.
-MODELS_AND_LIGHTS = ("model", "light", "include")
+MODELS_AND_LIGHTS = ("model", "light", "include", "actor")
 ModelOrLight = Union[Model, Light]
 
 
@@ -165,9 +166,11 @@ def _world(tag: SdfTag) -> World:
 
 
 def _resolved(child: Element, tag: SdfTag) -> SdfTag:
-    """Return a <model> or <light> in a document, or the one that an <include> there names."""
+    """Return a <model>, <light> or <actor> in a document, or what an <include> there names."""
     if child.tag == "light":
         return tag.below(child)
+    if child.tag == "actor":
+        child = actor_model(child)
     return tag.named(child) if child.tag == "model" else _included(tag.other(child))
 
 

@@ -292,7 +292,8 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
             pose = element.find("pose")
             pose = _add(element, "pose", "0 0 0 0 0 0") if pose is None else pose
             pose.set("frame", holder)
-        element.extend(plugin_element(p) for p in model.plugins if p.sensor is sensor)
+        own = (p for p in model.plugins if p.sensor is sensor and not p.is_bare_sensor)
+        element.extend(map(plugin_element, own))
         yield element
 
 

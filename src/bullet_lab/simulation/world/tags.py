@@ -26,7 +26,8 @@ NEWEST = (1, 7)
 # The children of each SDF element that are simulated.
 SDF_READ = {
     "sdf": "world model light include",
-    "world": "model light include gravity scene state physics",
+    "world": "model light include actor gravity scene state physics",
+    "actor": "script pose link plugin",
     "model": "link joint plugin pose static frame include model",
     "link": "pose inertial visual collision sensor plugin self_collide gravity",
     "visual": "geometry pose material cast_shadows transparency",
@@ -38,6 +39,7 @@ SDF_READ = {
 # Children that Gazebo writes into every saved world, or that have no visible effect here.
 SDF_QUIET = {
     "world": "gui atmosphere wind magnetic_field spherical_coordinates audio",
+    "actor": "skin animation static joint",
     "model": "allow_auto_disable",
     "link": "must_be_base_link",
     "visual": "meta laser_retro",
@@ -247,9 +249,14 @@ def version_of(root: Element) -> tuple[int, ...]:
 
 
 def plugins_in(parent: Element, link: str = "") -> Iterator[PluginTag]:
-    """Yield the plugins in an element and in the sensors below it."""
+    """Yield the plugins in an element and in the sensors below it.
+
+    A sensor without a plugin yields a tag without filename and element.
+    """
     for holder in (parent, *parent.findall("sensor")):
         sensor = None if holder is parent else holder
+        if sensor is not None and sensor.find("plugin") is None:
+            yield PluginTag("", sensor.get("name", ""), {}, link, sensor)
         for element in holder.findall("plugin"):
             tags = {child.tag: (child.text or "").strip() for child in element}
             filename, name = element.get("filename", ""), element.get("name", "")

@@ -1,4 +1,4 @@
-"""A service client checks the md5 sums of definitions: those of Gazebo and ros_control."""
+"""A client checks the md5 sums of definitions: those of Gazebo, ros_control and Kobuki."""
 
 import functools
 import re
@@ -161,3 +161,39 @@ def test_the_types_of_control_msgs(package, tmp_path):
     assert sums == ACTION_SUMS
     built = (folder / "CMakeLists.txt").read_text()
     assert set(re.findall(r"(\w+)\.action", built)) == set(ACTION_SUMS)
+
+
+# Of kobuki_msgs for Noetic.
+KOBUKI_SUMS = yaml.safe_load(
+    """
+    BumperEvent: ffe360cd50f14f9251d9844083e72ac5
+    ButtonEvent: 49eca512765dbdec759a79083ffcec8d
+    CliffEvent: c5b106efbb1427a94f517c5e05f06295
+    ControllerInfo: 46af38e72f0640f41ed22174d43a2550
+    DigitalInputEvent: 93da823c8b121f8a3940ef3830c58e44
+    DigitalOutput: 1e97cd7f196a0270516b506e8bf29ca2
+    DockInfraRed: a3d77f7d15e50579473dcc24e9b97b34
+    ExternalPower: 95149d524971a4c6d19e64c827307194
+    KeyboardInput: 9288b95cb32b48719d84d696be253401
+    Led: 4391183b0cf05f8f25d04220401b9f43
+    MotorPower: 8f77c0161e0f2021493136bb5f3f0e51
+    PowerSystemEvent: f6464657d6c911b00c7bc7b43a154bf8
+    RobotStateEvent: c6eccd4cb1f95df95635b56d6226ea32
+    ScanAngle: 06e2c839dc5c7f5c13ac09a8b4ff0a6a
+    SensorState: 430a4bfd78449c8740bfef32b26613a6
+    Sound: dfeab0daae67749c426c1db741a4f420
+    VersionInfo: 3dc0ce6edd49be1fc86730f4a4a21861
+    WheelDropEvent: e102837d89384d67669a0df86b63f33b
+    """
+)
+
+
+def test_the_types_of_a_kobuki(package):
+    folder = package / "stand_ins" / "kobuki_msgs"
+    assert {path.stem for path in folder.glob("msg/*.msg")} == set(KOBUKI_SUMS)
+    for name, expected in KOBUKI_SUMS.items():
+        assert md5_of(folder, name, "kobuki_msgs") == expected, name
+        if (folder / f"msg/{name}.msg").is_symlink():
+            assert md5_of(package, name, "kobuki_msgs") == expected, name
+    listed, _ = listed_types(package, "kobuki_msgs")
+    assert listed == set(KOBUKI_SUMS)

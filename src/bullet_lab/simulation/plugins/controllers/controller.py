@@ -110,13 +110,17 @@ class Controller(ABC):
         """Return a topic's name within the controller's namespace."""
         return f"{self.namespace}{self.name}/{name}"
 
-    def find_joints(self, names: Sequence[str]) -> Tuple[JointHandle, ...]:
-        """Return joints that take commands of the controller's interface; raises ControlError."""
-        usable = {name: j for name, j in self.handles.items() if j.interface == self.interface}
+    def find_joints(self, names: Sequence[str], interface: str = "") -> Tuple[JointHandle, ...]:
+        """Return joints that take commands of an interface; raises ControlError.
+
+        By default, it is that of the controller.
+        """
+        wanted = interface or self.interface
+        usable = {name: j for name, j in self.handles.items() if j.interface == wanted}
         for name in names:
             if name not in usable:
                 have = ", ".join(usable) or "none"
-                raise ControlError(f"no joint '{name}' has a {self.interface}; those are: {have}")
+                raise ControlError(f"no joint '{name}' has a {wanted}; those are: {have}")
         return tuple(usable[name] for name in names)
 
     @property

@@ -17,7 +17,7 @@ from bullet_lab.simulation.plugins.controllers.controller import (
     Setting,
     schedule_of,
 )
-from bullet_lab.simulation.plugins.controllers.joints import VELOCITY
+from bullet_lab.simulation.plugins.controllers.joints import VELOCITY, DescribedJoint
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     OdometrySample,
@@ -89,13 +89,8 @@ class DiffDriveController(Controller):
     kinds = {"diff_drive_controller/DiffDriveController": VELOCITY}
 
     def configure(self, given: ControlParameters) -> None:
-        sides = [given.required_names(f"{side}_wheel") for side in ("left", "right")]
-        if len(sides[0]) != len(sides[1]):
-            raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
-        self._left, self._right = map(self.find_joints, sides)
-        self.joints = self._left + self._right
-        self._measured = self._geometry(given)
-        self._set_multipliers(_multipliers(given))
+        self._multipliers: Dict[str, float] = {}
+        self.find_wheels(given)
         self._linear_limits = SpeedLimiter.of(given.below("linear/x"))
         self._angular_limits = SpeedLimiter.of(given.below("angular/z"))
         self._timeout = given.get("cmd_vel_timeout", 0.5)
@@ -136,6 +131,16 @@ class DiffDriveController(Controller):
         if given.get("publish_wheel_joint_controller_state", False):
             LOG.warning("%s/publish_wheel_joint_controller_state is not simulated", given.where)
 
+    def find_wheels(self, given: ControlParameters) -> None:
+        """Find the joints and the geometry of the wheels; raises ControlError."""
+        sides = [given.required_names(f"{side}_wheel") for side in ("left", "right")]
+        if len(sides[0]) != len(sides[1]):
+            raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
+        self._left, self._right = map(self.find_joints, sides)
+        self.joints = self._left + self._right
+        self._measured = self._geometry(given)
+        self._set_multipliers(_multipliers(given))
+
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.
 
@@ -169,14 +174,14 @@ class DiffDriveController(Controller):
             joint.command = 0.0
 
     def placed(self) -> None:
-        self._reckoning.resume(*self._distances())
+        self._reckoning.resume(*self.distances())
 
     def reset(self, step: int) -> None:
         self._asked = self._taken = [STANDSTILL]
         self._last = self._before = STANDSTILL
         self._taken_at = 0
         self._schedule.restart(step)
-        self._reckoning.restart(*self._distances())
+        self._reckoning.restart(*self.distances())
         self._velocities.clear()
         self._velocity = STANDSTILL
 
@@ -197,7 +202,7 @@ class DiffDriveController(Controller):
             self._reckoning.resume(0.0, 0.0)
             left, right = (speed * seconds for speed in self._rim_speeds(self._last))
         else:
-            left, right = self._distances()
+            left, right = self.distances()
         driven, turned = self._reckoning.advance(left, right)
         self._velocities.append((driven / seconds, turned / seconds))
         if self._open_loop:
@@ -226,17 +231,21 @@ class DiffDriveController(Controller):
             wz=self._angular_limits.limited(asked.wz, last.wz, before.wz, seconds),
         )
         self._before, self._last = last, command
+        self.command_joints(command)
+        return command
+
+    def command_joints(self, command: PlanarCommand) -> None:
+        """Pass a velocity on to the joints."""
         sides = (self._left, self._right)
         for side, speed, radius in zip(sides, self._rim_speeds(command), self.radii):
             for joint in side:
                 joint.command = speed / radius
-        return command
 
     def _rim_speeds(self, command: PlanarCommand) -> Tuple[float, float]:
         side = 0.5 * command.wz * self.separation
         return command.vx - side, command.vx + side
 
-    def _distances(self) -> Tuple[float, float]:
+    def distances(self) -> Tuple[float, float]:
         """Return how far (m) the wheels of each side have rolled, on average."""
         left, right = (
             radius * sum(joint.position for joint in side) / len(side)
@@ -250,12 +259,8 @@ class DiffDriveController(Controller):
         Values that are no parameters come from the URDF, of the first wheel of each side.
         """
         left, right = self._left[0].described, self._right[0].described
-        radius = given.get("wheel_radius", left.radius)
-        if radius is None:
-            what = f"the first collision of the wheel on '{left.name}'"
-            raise ControlError(f"{what} is no cylinder or sphere, and there is no wheel_radius")
         apart = math.dist(left.origin, right.origin)
-        return given.get("wheel_separation", apart), radius
+        return given.get("wheel_separation", apart), wheel_radius(given, left)
 
     def _set_multipliers(self, multipliers: Dict[str, float]) -> None:
         """Set the multipliers; raises ControlError for invalid ones, and changes nothing then."""
@@ -266,6 +271,15 @@ class DiffDriveController(Controller):
             raise ControlError("separation and radius of the wheels have to be positive")
         self._multipliers = multipliers
         self.separation, self.radii = sizes[0], sizes[1:]
+
+
+def wheel_radius(given: ControlParameters, wheel: DescribedJoint) -> float:
+    """Return the radius (m) that is a parameter or that of the URDF; raises ControlError."""
+    radius = given.get("wheel_radius", wheel.radius)
+    if radius is None:
+        what = f"the first collision of the wheel on '{wheel.name}'"
+        raise ControlError(f"{what} is no cylinder or sphere, and there is no wheel_radius")
+    return radius
 
 
 def _multipliers(given: ControlParameters) -> Dict[str, float]:

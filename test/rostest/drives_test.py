@@ -1,0 +1,123 @@
+#!/usr/bin/env python3
+"""Drives on the topics that programs for them use: a Kobuki, a tricycle, a car; and an actor."""
+
+import math
+import unittest
+
+import rospy
+import rostest
+from bridge_testing import call, spawn
+from controller_manager_msgs.srv import ListControllers, LoadController, SwitchController
+from gazebo_msgs.srv import GetModelState
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist
+from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
+from lab_testing import PACKAGE, Topic, publisher, wait_for
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Empty
+
+VELOCITY = "mobile_base/commands/velocity"
+
+
+def place(model):
+    """Return the place of a model in the world."""
+    return call("/gazebo/get_model_state", GetModelState, model, "world").pose.position
+
+
+class DrivesTest(unittest.TestCase):
+    """Each robot is spawned by the services that launch files use."""
+
+    @classmethod
+    def setUpClass(cls):
+        """Spawn the robots, and start the car's controller."""
+        for name, path, y, namespace in (
+            ("kobuki", "urdf/kobuki_robot.urdf", 0.0, ""),
+            ("tricycle", "test/drives/tricycle.urdf", 4.0, "tricycle"),
+            ("car", "test/drives/car.urdf", -4.0, ""),
+        ):
+            pose = Pose(Point(0.0, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+            service = "spawn_urdf_model"
+            answer = spawn(name, (PACKAGE / path).read_text(), pose, namespace, "", service)
+            assert answer.success, answer.status_message
+        manager = "/car/controller_manager"
+        assert call(f"{manager}/load_controller", LoadController, "drive").ok
+        switch = (["drive"], [], 2, False, 10.0)
+        assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
+
+    def topic(self, name, kind):
+        topic = Topic(name, kind)
+        self.addCleanup(topic.close)
+        return topic
+
+    def publisher(self, name, kind):
+        made = publisher(name, kind)
+        self.addCleanup(made.unregister)
+        return made
+
+    def drive(self, topic, vx, wz, until, what):
+        """Command a velocity until something holds, then stop."""
+        commands = self.publisher(topic, Twist)
+        command, stop = Twist(), Twist()
+        command.linear.x, command.angular.z = vx, wz
+
+        def holds():
+            commands.publish(command)
+            return until()
+
+        wait_for(holds, what)
+        commands.publish(stop)
+
+    def test_a_kobuki_bumps_into_a_wall(self):
+        bumper = self.topic("mobile_base/events/bumper", BumperEvent)
+        core = self.topic("mobile_base/sensors/core", SensorState)
+        imu = self.topic("mobile_base/sensors/imu_data", Imu).wait(1)[0]
+        self.assertEqual(("base_link", 0.05), (imu.header.frame_id, imu.orientation_covariance[8]))
+        odometry = self.topic("odom", Odometry)
+        self.drive(VELOCITY, 0.3, 0.0, lambda: bumper.messages, "the wall to be touched")
+        event = bumper.messages[0]
+        self.assertEqual((BumperEvent.CENTER, BumperEvent.PRESSED), (event.bumper, event.state))
+        wait_for(lambda: any(m.bumper == SensorState.BUMPER_CENTRE for m in core.messages), "core")
+        driven = odometry.messages[-1].pose.pose.position.x
+        self.assertAlmostEqual(0.95 - 0.177, driven, delta=0.05)
+        self.assertAlmostEqual(place("kobuki").x, driven, delta=0.03)
+        self.publisher("mobile_base/commands/motor_power", MotorPower).publish(MotorPower.OFF)
+        self.publisher("mobile_base/commands/reset_odometry", Empty).publish()
+        wait_for(lambda: abs(odometry.messages[-1].pose.pose.position.x) < 0.01, "the odometry")
+
+    def test_a_tricycle_and_a_car_drive_curves(self):
+        for model, commands, odom in (
+            ("tricycle", "tricycle/cmd_vel", "tricycle/odom"),
+            ("car", "car/drive/cmd_vel", "car/drive/odom"),
+        ):
+            odometry = self.topic(odom, Odometry)
+            odometry.wait(1)
+
+            def yaw(topic=odometry):
+                turn = topic.messages[-1].pose.pose.orientation
+                return 2.0 * math.atan2(turn.z, turn.w)
+
+            start = place(model)
+            self.drive(commands, 0.3, 0.5, lambda yaw=yaw: yaw() > 1.5, f"{model} to turn")
+            end = place(model)
+            # A quarter of a circle.
+            radius = 0.6 / math.tan(0.5)
+            self.assertAlmostEqual(radius, end.x - start.x, delta=0.15, msg=model)
+            self.assertAlmostEqual(radius, end.y - start.y, delta=0.25, msg=model)
+        (controller,) = call("/car/controller_manager/list_controllers", ListControllers).controller
+        claimed = {one.hardware_interface: one.resources for one in controller.claimed_resources}
+        space = "hardware_interface::"
+        expected = {
+            f"{space}VelocityJointInterface": ["rear_wheel_joint"],
+            f"{space}PositionJointInterface": ["steering_joint"],
+        }
+        self.assertEqual(expected, claimed)
+
+    def test_an_actor_walks(self):
+        wait_for(lambda: place("walker").y > 0.5, "the actor to walk")
+        wait_for(lambda: place("walker").y < -0.5, "the actor to come back")
+        self.assertAlmostEqual(-5.0, place("walker").x, delta=0.2)
+
+
+if __name__ == "__main__":
+    rospy.init_node("drives_test")
+    rostest.rosrun("bullet_lab", "drives_test", DrivesTest)

@@ -1,0 +1,179 @@
+"""The base of a TurtleBot2, on a robot written anew."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from sensor_worlds import box, record
+from shared import complains
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.plugins.samples import (
+    MotorPower,
+    PlanarCommand,
+    ResetOdometry,
+)
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.sdf_writer import world_text
+from bullet_lab.simulation.world.urdf import read_urdf_file
+
+COMMANDS = "mobile_base/commands"
+VELOCITY = f"{COMMANDS}/velocity"
+EVENTS = ("bumper", "cliff", "wheel_drop")
+LEFT, CENTRE, RIGHT = range(3)
+
+
+@pytest.fixture(scope="module")
+def model(package):
+    return read_urdf_file(package / "urdf" / "kobuki_robot.urdf")
+
+
+@pytest.fixture
+def robot(world, model):
+    robot = world.add(model)
+    world.run_for(0.5)
+    return robot
+
+
+def with_tags(model, **tags):
+    """The model with other tags of its Kobuki; None leaves one out."""
+
+    def changed(tag):
+        if tag.filename != "libgazebo_ros_kobuki.so":
+            return tag
+        return replace(tag, tags={k: v for k, v in {**tag.tags, **tags}.items() if v is not None})
+
+    return replace(model, plugins=tuple(map(changed, model.plugins)))
+
+
+def drive(world, robot, vx, wz, seconds):
+    """Command a velocity ten times a second."""
+    for _ in range(round(10 * seconds)):
+        robot.command(VELOCITY, PlanarCommand(vx=vx, wz=wz))
+        world.run_for(0.1)
+
+
+@pytest.mark.parametrize("vx, wz, seconds", [(0.25, 0.0, 4.0), (0.0, 1.0, math.pi), (0.2, 0.5, 4)])
+def test_it_drives_and_its_odometry_is_right(world, robot, vx, wz, seconds):
+    odometry, start = record(robot, "odom"), robot.pose()
+    drive(world, robot, vx, wz, seconds)
+    world.run_for(1.5)
+    driven = start.inverse() * robot.pose()
+    # It drives on until the timeout of 0.6 s, less the last 0.1 s.
+    turned = math.remainder(wz * (round(10 * seconds) / 10 + 0.5), math.tau)
+    assert math.remainder(driven.yaw - turned, math.tau) == pytest.approx(0.0, abs=0.02)
+    if wz == 0.0:
+        assert driven.position[0] == pytest.approx(vx * (seconds + 0.5), abs=0.01)
+    told = odometry[-1].pose
+    assert told.position[:2] == pytest.approx(driven.position[:2], abs=0.01)
+    assert told.yaw == pytest.approx(driven.yaw, abs=0.01)
+
+
+def test_the_messages(world, robot):
+    topics = ("odom", "/tf", "joint_states", "mobile_base/sensors/imu_data")
+    odometry, transforms, joints, gyro = (record(robot, topic) for topic in topics)
+    core = record(robot, "mobile_base/sensors/core")
+    drive(world, robot, 0.2, 0.5, 1.0)
+    assert [len(one) for one in (odometry, transforms, joints, gyro, core)] == [20] * 5
+    sample = odometry[-1]
+    assert (sample.frame, sample.child_frame) == ("odom", "base_footprint")
+    assert sample.pose_variances == (0.1, 0.1, 1e6, 1e6, 1e6, 0.05)
+    assert sample.velocity.vx == pytest.approx(0.2, abs=0.01)
+    assert gyro[-1].angular_velocity[2] == sample.velocity.wz == pytest.approx(0.5, abs=0.02)
+    assert joints[-1].names == ("wheel_left_joint", "wheel_right_joint")
+    rims = [0.035 * speed for speed in joints[-1].velocities]
+    assert rims == pytest.approx((0.2 - 0.5 * 0.115, 0.2 + 0.5 * 0.115), abs=2e-3)
+    assert {one.frame for one in (joints[-1], gyro[-1], core[-1])} == {"base_link"}
+    assert gyro[-1].angular_velocity_variance == (1e6, 1e6, 0.05)
+    assert gyro[-1].specific_force[2] == pytest.approx(9.8, abs=0.5)
+    assert (core[-1].bumpers, core[-1].cliffs, core[-1].wheel_drops) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("yaw, side, bit", [(0.0, CENTRE, 2), (-0.8, LEFT, 4), (0.8, RIGHT, 1)])
+def test_a_wall_presses_the_bumper_on_its_side(world, model, yaw, side, bit):
+    robot = world.add(model, pose=Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, yaw)))
+    world.add(box("0.1 4 1", "0.4 0 0.5 0 0 0"))
+    events = record(robot, "mobile_base/events/bumper")
+    core = record(robot, "mobile_base/sensors/core")
+    while not events and world.seconds < 5.0:
+        drive(world, robot, 0.2, 0.0, 0.1)
+    assert (events[0].number, events[0].on) == (side, True)
+    assert bit in {sample.bumpers for sample in core}
+    drive(world, robot, -0.2, 0.0, 1.0)
+    assert {(event.number, event.on) for event in events} >= {(side, False)}
+    assert core[-1].bumpers == 0
+
+
+@pytest.mark.parametrize("yaw, side, bit", [(0.0, CENTRE, 2), (-1.0, LEFT, 4), (1.0, RIGHT, 1)])
+def test_the_edge_of_a_plate_is_a_cliff(world, model, yaw, side, bit):
+    world.add(box("1 4 0.2", "0 0 0.1 0 0 0"))
+    robot = world.add(model, pose=Pose.from_rpy((0.2, 0.0, 0.2), (0.0, 0.0, yaw)))
+    cliffs, drops = (record(robot, f"mobile_base/events/{kind}") for kind in EVENTS[1:])
+    core = record(robot, "mobile_base/sensors/core")
+    world.run_for(0.5)
+    assert not cliffs and not drops
+    while not cliffs and world.seconds < 5.0:
+        drive(world, robot, 0.1, 0.0, 0.1)
+    assert [(event.number, event.on) for event in cliffs] == [(side, True)]
+    # Beyond its greatest range it sees nothing: the converter reads 0.
+    assert cliffs[0].reading == 0 and core[-1].cliffs == bit
+    drive(world, robot, -0.1, 0.0, 1.0)
+    assert [(event.number, event.on) for event in cliffs[1:]] == [(side, False)]
+    assert core[-1].cliffs == 0 and not drops
+
+
+def test_a_lifted_robot_drops_its_wheels(world, robot):
+    drops = record(robot, "mobile_base/events/wheel_drop")
+    robot.place(Pose((0.0, 0.0, 0.3)))
+    world.run_for(0.1)
+    assert [(event.number, event.on) for event in drops] == [(LEFT, True), (1, True)]
+    world.run_for(1.0)
+    assert {(event.number, event.on) for event in drops[2:]} >= {(LEFT, False), (1, False)}
+
+
+def test_the_motors_and_the_odometry_have_switches(world, robot):
+    odometry = record(robot, "odom")
+    robot.command(f"{COMMANDS}/motor_power", MotorPower(False))
+    drive(world, robot, 0.2, 0.0, 1.0)
+    assert robot.pose().position[0] == pytest.approx(0.0, abs=1e-3)
+    robot.command(f"{COMMANDS}/motor_power", MotorPower(True))
+    drive(world, robot, 0.2, 0.0, 1.0)
+    assert odometry[-1].pose.position[0] > 0.15
+    robot.command(f"{COMMANDS}/reset_odometry", ResetOdometry())
+    world.run_for(0.05)
+    assert odometry[-1].pose.position[0] < 0.02
+
+
+@pytest.mark.parametrize(
+    "tags, complaint",
+    [
+        ({"bumper_name": "nose"}, "<bumper_name>: the model has no sensor 'nose'"),
+        ({"imu_name": "bumpers"}, 'needs a <sensor type="imu">, not "contact"'),
+        ({"wheel_separation": None}, "<wheel_separation>: '' is not a finite number"),
+        ({"wheel_diameter": "-1"}, "<wheel_diameter>: -1 is not positive"),
+        ({"left_wheel_joint_name": "it"}, "<left_wheel_joint_name>: no movable joint 'it'"),
+    ],
+)
+def test_wrong_tags_are_named(world, model, tags, complaint):
+    with complains(complaint):
+        robot = world.add(with_tags(model, **tags))
+    assert not any(plugin.inputs for plugin in robot.plugins)
+
+
+def test_robots_without_wheel_drop_sensors(world, model):
+    sides = {f"wheel_drop_{side}_sensor_name": None for side in ("left", "right")}
+    robot = world.add(with_tags(model, **sides))
+    drops = record(robot, "mobile_base/events/wheel_drop")
+    drive(world, robot, 0.2, 0.0, 1.0)
+    assert robot.pose().position[0] > 0.15 and not drops
+
+
+def test_it_drives_again_in_a_saved_world(world, robot, tmp_path):
+    text, _ = world_text(world.snapshot(), tmp_path)
+    # A sensor has no plugin of its own.
+    assert 'filename=""' not in text
+    (tmp_path / "again.world").write_text(text)
+    with Simulation.of(str(tmp_path / "again.world")) as again:
+        robot = again.models[robot.name]
+        drive(again, robot, 0.2, 0.0, 1.0)
+        assert robot.pose().position[0] > 0.15

@@ -1,0 +1,113 @@
+"""The tricycle drive, on a tricycle written anew."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from sensor_worlds import record
+from shared import complains
+
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.world.urdf import read_urdf_file
+
+LENGTH, RADIUS = 0.6, 0.1
+
+
+@pytest.fixture
+def tricycle(world, package):
+    """Put the tricycle with some tags changed into the world."""
+    model = read_urdf_file(package / "test/drives/tricycle.urdf")
+
+    def add(**tags):
+        (plugin,) = model.plugins
+        robot = world.add(replace(model, plugins=(replace(plugin, tags={**plugin.tags, **tags}),)))
+        world.run_for(0.2)
+        return robot
+
+    return add
+
+
+def drive(world, robot, vx, angle, seconds):
+    """Return the motion of a robot."""
+    start = robot.pose()
+    robot.command("cmd_vel", PlanarCommand(vx=vx, wz=angle))
+    world.run_for(seconds)
+    return start.inverse() * robot.pose()
+
+
+def joint(robot, name):
+    (body,) = robot.bodies.values()
+    return body.joint_state(name)
+
+
+@pytest.mark.parametrize("source", ["encoder", "world"])
+def test_it_drives_a_metre(world, tricycle, source):
+    robot = tricycle(odometrySource=source)
+    odometry = record(robot, "odom")
+    driven = drive(world, robot, 0.25, 0.0, 4.0)
+    # The grip of the front wheel, with a third of the load, speeds it up.
+    assert driven.position[:2] == pytest.approx((1.0, 0.0), abs=0.02)
+    assert odometry[-1].pose.position[:2] == pytest.approx(driven.position[:2], abs=3e-3)
+    assert odometry[-1].velocity.vx == pytest.approx(0.25, rel=0.02)
+    assert (odometry[-1].frame, odometry[-1].child_frame) == ("odom", "base_link")
+    assert odometry[-1].pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+
+
+@pytest.mark.parametrize("angle", [-0.5, 0.2, 0.5, 0.9])
+def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, tricycle, angle):
+    robot = tricycle()
+    odometry = record(robot, "odom")
+    driven = drive(world, robot, 0.2, angle, 3.0)
+    x, y, _ = driven.position
+    # The front wheel has the commanded speed; the middle of the rear axle is slower.
+    radius = math.hypot(x, y) / (2.0 * math.sin(0.5 * driven.yaw))
+    assert radius == pytest.approx(LENGTH / math.tan(angle), rel=0.02)
+    assert radius * driven.yaw == pytest.approx(0.6 * math.cos(angle), rel=0.03)
+    assert odometry[-1].pose.position[:2] == pytest.approx((x, y), abs=0.01)
+    assert odometry[-1].pose.yaw == pytest.approx(driven.yaw, rel=0.03)
+
+
+def test_the_steering_speed_and_its_tolerance(world, tricycle):
+    robot = tricycle(steeringSpeed="0.5", steeringAngleTolerance="0.05")
+    drive(world, robot, 0.0, 0.4, 0.4)
+    assert joint(robot, "steering_joint").position == pytest.approx(0.2, abs=0.03)
+    drive(world, robot, 0.0, 0.4, 1.0)
+    assert joint(robot, "steering_joint").position == pytest.approx(0.4, abs=0.06)
+    drive(world, robot, 0.0, 9.0, 4.0)
+    assert joint(robot, "steering_joint").position == pytest.approx(0.5 * math.pi, abs=0.1)
+
+
+def test_acceleration_and_deceleration_of_the_wheel(world, tricycle):
+    robot = tricycle(wheelAcceleration="2", wheelDeceleration="8")
+    drive(world, robot, 0.4, 0.0, 0.5)
+    assert joint(robot, "front_wheel_joint").velocity == pytest.approx(1.0, abs=0.1)
+    drive(world, robot, 0.4, 0.0, 2.0)
+    assert joint(robot, "front_wheel_joint").velocity == pytest.approx(4.0, abs=0.1)
+    drive(world, robot, 0.0, 0.0, 0.25)
+    assert joint(robot, "front_wheel_joint").velocity == pytest.approx(2.0, abs=0.2)
+
+
+def test_all_four_joints_are_shown(world, tricycle):
+    robot = tricycle(publishWheelJointState="true", publishWheelTF="true")
+    states, transforms = record(robot, "joint_states"), record(robot, "/tf")
+    drive(world, robot, 0.2, 0.3, 1.0)
+    shown = dict(zip(states[-1].names, states[-1].positions))
+    assert shown["steering_joint"] == pytest.approx(0.3, abs=0.01)
+    assert shown["front_wheel_joint"] == pytest.approx(2.0, rel=0.05)
+    wheels = {f"{side}_wheel_joint" for side in ("front", "left", "right")}
+    assert shown.keys() == {"steering_joint", *wheels}
+    children = {sample.child_frame for sample in transforms}
+    assert children == {"base_link", "fork", "front_wheel", "left_wheel", "right_wheel"}
+
+
+@pytest.mark.parametrize(
+    "tags, complaint",
+    [
+        ({"steeringJoint": "it"}, "<steeringJoint>: no movable joint 'it'"),
+        ({"encoderWheelRightJoint": "left_wheel_joint"}, "<encoderWheelRightJoint>: 'left_wheel"),
+        ({"steeringSpeed": "-1"}, "<steeringSpeed>: -1 is negative; the default is used"),
+    ],
+)
+def test_wrong_tags_are_named(tricycle, tags, complaint):
+    with complains(complaint):
+        tricycle(**tags)
