@@ -13,7 +13,14 @@ from typing import Any, Callable, Iterable, Mapping, NamedTuple
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import TransformStamped, Twist, TwistStamped, Vector3, Wrench
+from geometry_msgs.msg import (
+    TransformStamped,
+    Twist,
+    TwistStamped,
+    Vector3,
+    Vector3Stamped,
+    Wrench,
+)
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import (
     CameraInfo,
@@ -22,6 +29,7 @@ from sensor_msgs.msg import (
     Imu,
     JointState,
     LaserScan,
+    NavSatFix,
     PointCloud2,
     PointField,
     Range,
@@ -43,6 +51,7 @@ from bullet_lab.ros.messages.poses import (
 from bullet_lab.simulation.plugins.samples import (
     CameraInfoSample,
     ContactsSample,
+    FixSample,
     ImageSample,
     ImuSample,
     JointCommand,
@@ -58,6 +67,8 @@ from bullet_lab.simulation.plugins.samples import (
     ShapeContact,
     Stop,
     TransformSample,
+    Variance,
+    VectorSample,
     VelocitySample,
 )
 from bullet_lab.simulation.simulation import ModelInstance
@@ -224,6 +235,18 @@ def _imu(message: Imu, sample: ImuSample) -> None:
     message.linear_acceleration_covariance = _diagonal(sample.specific_force_variance, 3)
 
 
+def _fix(message: NavSatFix, sample: FixSample) -> None:
+    message.status.status, message.status.service = sample.status, sample.service
+    message.latitude, message.longitude = sample.latitude, sample.longitude
+    message.altitude = sample.altitude
+    message.position_covariance = _diagonal(sample.variances, 3)
+    message.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+
+
+def _vector(message: Vector3Stamped, sample: VectorSample) -> None:
+    set_vector(message.vector, sample.vector)
+
+
 def _contacts(message: msg.ContactsState, sample: ContactsSample) -> None:
     count = len(sample.contacts)
     message.states = [
@@ -251,10 +274,10 @@ def _sum(vectors: tuple) -> Vector3:
     return Vector3(*(sum(values) for values in zip(*vectors)))
 
 
-def _diagonal(value: float, size: int) -> list[float]:
-    """Return a diagonal matrix, row by row, with the same value along the diagonal."""
+def _diagonal(value: Variance, size: int) -> list[float]:
+    """Return a diagonal matrix, row by row, with one value along the diagonal or several."""
     matrix = [0.0] * (size * size)
-    matrix[:: size + 1] = [value] * size
+    matrix[:: size + 1] = value if isinstance(value, tuple) else [value] * size
     return matrix
 
 
@@ -269,6 +292,8 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     LaserSample: (LaserScan, _scan),
     RangeSample: (Range, _range),
     ImuSample: (Imu, _imu),
+    FixSample: (NavSatFix, _fix),
+    VectorSample: (Vector3Stamped, _vector),
     MotionSample: (Odometry, _motion),
     LoopSample: (JointControllerState, _loop),
     VelocitySample: (TwistStamped, _velocity),

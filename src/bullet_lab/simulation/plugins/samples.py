@@ -7,7 +7,7 @@ Every sample has the simulated time `step` in whole milliseconds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Mapping, Tuple
+from typing import Any, ClassVar, Mapping, Tuple, Union
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from bullet_lab.core.pose import Pose, Quaternion, Vector
 
 # Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
 Diagonal = Tuple[float, float, float, float, float, float]
+# The variance of each axis, or one for all three.
+Variance = Union[float, Vector]
 
 
 @dataclass(frozen=True)
@@ -209,16 +211,39 @@ class ImuSample(Sample):
     """A measurement of an inertial unit in the axes of `frame`.
 
     `orientation` is the unit quaternion of the frame in the world, `angular_velocity` in rad/s,
-    `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Each has one
-    variance for all three axes, in rad², (rad/s)² and (m/s²)².
+    `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Variances are in
+    rad², (rad/s)² and (m/s²)².
     """
 
     orientation: Quaternion
     angular_velocity: Vector
     specific_force: Vector
-    orientation_variance: float
-    angular_velocity_variance: float
-    specific_force_variance: float
+    orientation_variance: Variance
+    angular_velocity_variance: Variance
+    specific_force_variance: Variance
+
+
+@dataclass(frozen=True)
+class VectorSample(Sample):
+    """A vector in the axes that its plugin names."""
+
+    vector: Vector
+
+
+@dataclass(frozen=True)
+class FixSample(Sample):
+    """A fix of a satellite receiver: degrees, m above the ellipsoid, variances in m².
+
+    `status` and `service` are those of sensor_msgs/NavSatStatus; `variances` are those along
+    north, west and up.
+    """
+
+    status: int
+    service: int
+    latitude: float
+    longitude: float
+    altitude: float
+    variances: Vector
 
 
 @dataclass(frozen=True)
