@@ -14,6 +14,7 @@ from typing import Any, Callable, Iterable, Mapping, NamedTuple
 import cv2
 import numpy as np
 from geometry_msgs.msg import (
+    Point32,
     TransformStamped,
     Twist,
     TwistStamped,
@@ -24,12 +25,14 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import (
     CameraInfo,
+    ChannelFloat32,
     CompressedImage,
     Image,
     Imu,
     JointState,
     LaserScan,
     NavSatFix,
+    PointCloud,
     PointCloud2,
     PointField,
     Range,
@@ -49,6 +52,7 @@ from bullet_lab.ros.messages.poses import (
     time_of,
 )
 from bullet_lab.simulation.plugins.samples import (
+    BlockSample,
     CameraInfoSample,
     ContactsSample,
     FixSample,
@@ -64,6 +68,7 @@ from bullet_lab.simulation.plugins.samples import (
     PlanarCommand,
     PointsSample,
     RangeSample,
+    RingsSample,
     ShapeContact,
     Stop,
     TransformSample,
@@ -85,6 +90,8 @@ POINT = np.dtype(
         "itemsize": 32,
     }
 )
+# As in PCL, a colour is declared as a float.
+DATATYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.FLOAT32, "<u2": PointField.UINT16}
 # OpenCV's parameters of each format, with their names in image_transport.
 COMPRESSIONS = {
     "jpeg": {
@@ -195,19 +202,28 @@ def _camera_info(message: CameraInfo, sample: CameraInfoSample) -> None:
 
 
 def _points(message: PointCloud2, sample: PointsSample) -> None:
-    message.height, message.width = shape = sample.points.shape[:2]
-    message.point_step, message.row_step = POINT.itemsize, shape[1] * POINT.itemsize
-    message.is_dense = bool(np.isfinite(sample.points[..., 2]).all())
-    # As in PCL, the colour is declared as a float.
-    message.fields = [
-        PointField(name, POINT.fields[name][1], PointField.FLOAT32, 1) for name in POINT.names
-    ]
-    message.data = bytearray(shape[0] * message.row_step)
-    points, colours = np.frombuffer(message.data, POINT).reshape(shape), sample.colours
+    points, colours = np.zeros(sample.points.shape[:2], POINT), sample.colours
     for axis, name in enumerate("xyz"):
         points[name] = sample.points[..., axis]
     red, green, blue = (colours[..., channel].astype(np.uint32) for channel in range(3))
     points["rgb"] = red << 16 | green << 8 | blue
+    _set_records(message, points)
+
+
+def _set_records(message: PointCloud2, records: np.ndarray) -> None:
+    kind = records.dtype
+    message.height, message.width = records.shape
+    message.point_step, message.row_step = kind.itemsize, kind.itemsize * message.width
+    message.is_dense = bool(np.isfinite(records["z"]).all())
+    message.fields = [
+        PointField(name, kind.fields[name][1], DATATYPES[kind[name].str], 1) for name in kind.names
+    ]
+    message.data = records.tobytes()
+
+
+def _block(message: PointCloud, sample: BlockSample) -> None:
+    message.points = [Point32(*point) for point in sample.points.tolist()]
+    message.channels = [ChannelFloat32(values=sample.intensities.tolist())]
 
 
 def _scan(message: LaserScan, sample: LaserSample) -> None:
@@ -289,6 +305,8 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     ImageSample: (Image, _image),
     CameraInfoSample: (CameraInfo, _camera_info),
     PointsSample: (PointCloud2, _points),
+    BlockSample: (PointCloud, _block),
+    RingsSample: (PointCloud2, lambda message, sample: _set_records(message, sample.records)),
     LaserSample: (LaserScan, _scan),
     RangeSample: (Range, _range),
     ImuSample: (Imu, _imu),

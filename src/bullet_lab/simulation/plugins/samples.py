@@ -178,6 +178,21 @@ class PointsSample(Sample):
 
 
 @dataclass(frozen=True)
+class BlockSample(Sample):
+    """Points in m in the axes of `frame`, (n, 3), and their intensities, (n,)."""
+
+    points: np.ndarray
+    intensities: np.ndarray
+
+
+@dataclass(frozen=True)
+class RingsSample(Sample):
+    """Points of a laser: records (rows, columns) with the fields of the message."""
+
+    records: np.ndarray
+
+
+@dataclass(frozen=True)
 class LaserSample(Sample):
     """A scan of a laser scanner, measured at one moment.
 
