@@ -37,6 +37,7 @@ from bullet_lab.simulation.plugins import (
     known_plugins,
     namespace_of,
 )
+from bullet_lab.simulation.plugins.missing import skipped_line
 from bullet_lab.simulation.rendering.renderer import (
     Renderer,
     RendererError,
@@ -364,15 +365,13 @@ class Simulation:
     def _make_plugins(
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
     ) -> tuple[Plugin, ...]:
-        plugins = []
+        plugins: list[Plugin] = []
+        skipped: list[PluginTag] = []
         for tag in model.plugins:
             what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
             kind, space = kind_of(tag), namespace_of(tag, model.name)
             if kind is None:
-                known = f"; known are {', '.join(known_plugins())}"
-                hint = "" if self._has_listed_plugins else known
-                self._has_listed_plugins = True
-                LOG.warning("%s is not simulated and skipped%s", what, hint)
+                skipped.append(tag)
                 continue
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
             try:
@@ -386,6 +385,10 @@ class Simulation:
             plugins.append(plugin)
             for unread in plugin.mount.unread_tags():
                 LOG.warning("%s is not known and skipped", plugin.mount.where(unread))
+        if skipped:
+            known = "" if self._has_listed_plugins else f"; known are {', '.join(known_plugins())}"
+            self._has_listed_plugins = True
+            LOG.warning("%s%s", skipped_line(model.name, skipped, plugins), known)
         return tuple(plugins)
 
 
