@@ -17,6 +17,7 @@ import logging
 import math
 import time
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Callable, Iterator, Mapping, Union
 
 import numpy as np
@@ -175,7 +176,8 @@ class Simulation:
         if pose is not None:
             check_pose(pose, name)
         check_proportions(model)
-        plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
+        parts = ((kind_of(plugin) or Plugin).split(plugin) for plugin in model.plugins)
+        plugins = tuple(_in_namespace(plugin, namespace) for plugin in chain.from_iterable(parts))
         model = usable(replace(model, name=name, pose=pose or model.pose, plugins=plugins))
         bodies = self._physics.add(model)
         plugins = self._make_plugins(model, bodies, tf_prefix)

@@ -37,6 +37,8 @@ SOURCE = re.compile(r"gazebo_(ros|plugins|ros_control)/[\w/]+\.(cpp|h):\d+(,\d+)
 OWN_TAGS = {
     *("samples", "exposure", "blur", "supportRadius", "leftWheelDiameter", "rightWheelDiameter"),
     *("alwaysOn", "visualize", "rosDebugLevel", "the rest", "legacyMode"),
+    # Of cameras with a trigger.
+    "triggerTopicName",
     *("reduceNormals", "normalsTopicName", "reflectanceTopicName", "autoDistortion", "borderCrop"),
 }
 TAG_ROW = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)

@@ -35,7 +35,7 @@ from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
 from bullet_lab.ros.messages.poses import InputError, vector_of
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.models import ModelInstance
-from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
+from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
 from bullet_lab.simulation.plugins.hector_sensors import DriftingError, HectorImu
@@ -101,7 +101,7 @@ class DeviceServices:
             offers: list[Callable[[], Any]] = []
             if isinstance(plugin, RosControl):
                 ends.append(ControllerServices(self._world, plugin).end)
-            elif type(plugin) in (Camera, DepthCamera):
+            elif isinstance(plugin, Camera):
                 images = CompressedImages(self._world, plugin)
                 ends.append(partial(self._world.topics.release, images.topic))
                 offers = self._camera_services(plugin, images)

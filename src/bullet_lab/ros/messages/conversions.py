@@ -37,7 +37,7 @@ from sensor_msgs.msg import (
     PointField,
     Range,
 )
-from std_msgs.msg import Bool, ColorRGBA, Float64, Float64MultiArray
+from std_msgs.msg import Bool, ColorRGBA, Empty, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
@@ -72,6 +72,7 @@ from bullet_lab.simulation.plugins.samples import (
     ShapeContact,
     Stop,
     TransformSample,
+    Trigger,
     Variance,
     VectorSample,
     VelocitySample,
@@ -175,7 +176,9 @@ def _image(message: Image, sample: ImageSample) -> None:
 def compressed_message(sample: ImageSample, settings: Mapping[str, Any]) -> CompressedImage:
     """Return an image as compressed_image_transport publishes it with the same settings."""
     kind, pixels = settings["format"], sample.pixels
-    if sample.encoding == "rgb8":
+    if kind == "jpeg" and pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    if sample.encoding.startswith("rgb"):
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     options: list[int] = []
     for key, name in COMPRESSIONS[kind].items():
@@ -349,6 +352,7 @@ COMMANDS: dict[type, tuple[type, Callable[[Any], Any]]] = {
     JointCommand: (Float64, lambda message: JointCommand(message.data)),
     JointCommands: (Float64MultiArray, lambda message: JointCommands(tuple(message.data))),
     Stop: (Bool, lambda message: Stop(message.data)),
+    Trigger: (Empty, lambda _: Trigger()),
 }
 
 

@@ -75,6 +75,11 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class Trigger:
+    """The command to take a picture."""
+
+
+@dataclass(frozen=True)
 class OdometrySample(Sample):
     """Pose of `child_frame` in `frame`, and its velocity in its own frame.
 
