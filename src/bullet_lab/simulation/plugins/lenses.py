@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Callable
+from typing import Callable
 
 import cv2
 import numpy as np
@@ -28,7 +28,6 @@ LENSES = {
     "equisolid_angle": (2.0, 2.0, "sin"),
     "orthographic": (1.0, 1.0, "sin"),
 }
-CUSTOM = "camera/lens/custom_function"
 # Pitch and yaw of the faces of a cube, in quarters of a turn.
 FACES = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (-1, 0))
 # Pixels of a face beyond its edge, for the interpolation.
@@ -104,54 +103,52 @@ class Lens:
 
 
 class WideLens:
-    """The lens of a `<sensor type="wideanglecamera">`.
+    """The lens of a `<sensor type="wideanglecamera">`: joins the faces of a cube around the camera.
 
-    It joins those faces of a cube around the camera that it shows. Pixels beyond its cutoff angle
-    are black. `camera` is the geometry near the middle, without distortion, `ideal` the camera that
-    draws a face. Raises PluginError if it does not reach the field of view.
+    Pixels beyond its cutoff angle are black. `camera` is the geometry near the middle, `ideal` the
+    camera that draws a face. Raises PluginError if it does not reach the field of view.
     """
 
     # That some pixels are dark needs no warning.
     black = 0.0
 
     def __init__(self, tag: SensorTag, width: int, height: int, fov: float):
-        half, middle = 0.5 * width, (0.5 * (width - 1), 0.5 * (height - 1))
-        radius_of, angle_of = _function(tag, half, fov)
+        radius_of, angle_of = _function(tag, 0.5 * width, fov)
         focal = float(radius_of(1e-6) - radius_of(0.0)) / 1e-6
+        middle = 0.5 * (width - 1), 0.5 * (height - 1)
         self.camera = PinholeCamera(width, height, focal, focal, *middle)
-        columns, rows = np.indices((height, width), dtype=float)[::-1]
-        right, down = columns - middle[0], rows - middle[1]
+        down, right = np.indices((height, width)) - np.reshape(middle[::-1], (2, 1, 1))
         radius = np.hypot(right, down)
+        cutoff = min(tag.positive("camera/lens/cutoff_angle", 0.5 * math.pi), math.pi)
         with np.errstate(invalid="ignore"):
             angle = angle_of(radius)
-            cutoff = min(tag.positive("camera/lens/cutoff_angle", 0.5 * math.pi), math.pi)
             shown = (angle >= 0.0) & (angle <= cutoff)
-        across = np.sin(angle) / np.maximum(radius, 1e-9)
-        rays = np.stack((np.cos(angle), -across * right, -across * down), axis=-1)
         if not shown.any():
             raise PluginError(f"{tag.where('camera/lens/cutoff_angle')}: shows nothing")
+        across = np.sin(angle) / np.maximum(radius, 1e-9)
+        rays = np.stack((np.cos(angle), -across * right, -across * down), axis=-1)
         # A face has as many pixels in a radian as the picture where it has most, within limits.
         reach = np.linspace(0.0, float(angle[shown].max()), 100)
-        densest = float(np.diff(radius_of(reach)).max() / reach[1])
-        side = 2 * math.ceil(min(densest, width)) + 2 * MARGIN
-        focal, centre = 0.5 * side - MARGIN, 0.5 * (side - 1)
+        focal = math.ceil(min(np.diff(radius_of(reach)).max() / reach[1], width))
+        side = 2 * (focal + MARGIN)
+        centre = 0.5 * (side - 1)
         self.ideal = PinholeCamera(side, side, focal, focal, centre, centre)
         turns = [Pose.from_rpy((0.0,) * 3, (0.0, *np.multiply(0.5 * math.pi, f))) for f in FACES]
-        locals_ = [np.moveaxis(rays @ turn.rotation_matrix(), -1, 0) for turn in turns]
-        nearest = np.argmax([ahead for ahead, _, _ in locals_], axis=0)
+        axes = [turn.rotation_matrix() for turn in turns]
+        nearest = np.argmax([rays @ own[:, 0] for own in axes], axis=0)
         # The pose of each face in the camera, and where each pixel is in it.
-        self._faces: list[tuple[Pose, list[np.ndarray]]] = []
-        for number, (turn, (ahead, *sideways)) in enumerate(zip(turns, locals_)):
+        self._faces: list[tuple[Pose, np.ndarray]] = []
+        for number, turn in enumerate(turns):
             own = shown & (nearest == number)
             if own.any():
-                slopes = (side / np.where(own, ahead, 1.0) for side in sideways)
-                places = [np.where(own, centre - focal * slope, NOWHERE) for slope in slopes]
-                self._faces.append((turn, [place.astype(np.float32) for place in places]))
+                ahead, *sideways = (rays[own] @ axes[number]).T
+                places = np.full((2, height, width), NOWHERE, np.float32)
+                places[:, own] = centre - focal * np.array(sideways) / ahead
+                self._faces.append((turn, places))
 
     def picture(self, draw: Callable[[Pose], np.ndarray]) -> np.ndarray:
         """Return the picture; `draw` draws with `ideal` at a pose in the camera."""
-        faces = self._faces
-        parts = [cv2.remap(draw(turn), *places, cv2.INTER_LINEAR) for turn, places in faces]
+        parts = [cv2.remap(draw(turn), *places, cv2.INTER_LINEAR) for turn, places in self._faces]
         # Each pixel is of one face, and black in the others.
         return np.sum(parts, axis=0, dtype=parts[0].dtype)
 
@@ -159,13 +156,13 @@ class WideLens:
 def _function(tag: SensorTag, half: float, fov: float) -> tuple[Callable, Callable]:
     """Return the distance in pixels for an angle in rad, and its inverse."""
     kind = tag.choice("camera/lens/type", (*LENSES, "custom"))
+    first, second, name = LENSES.get(kind, (0.0, 0.0, ""))
     shift, factor = 0.0, 1.0
     if kind == "custom":
-        first, second, factor = (tag.positive(f"{CUSTOM}/{key}", 1.0) for key in ("c1", "c2", "f"))
-        shift = tag.number(f"{CUSTOM}/c3", 0.0)
-        name = tag.choice(f"{CUSTOM}/fun", tuple(FUNCTIONS))
-    else:
-        first, second, name = LENSES[kind]
+        custom = "camera/lens/custom_function"
+        first, second, factor = (tag.positive(f"{custom}/{key}", 1.0) for key in ("c1", "c2", "f"))
+        shift = tag.number(f"{custom}/c3", 0.0)
+        name = tag.choice(f"{custom}/fun", tuple(FUNCTIONS))
     function, inverse = FUNCTIONS[name]
     if tag.boolean("camera/lens/scale_to_hfov", True):
         end = 0.5 * fov / second + shift
@@ -174,11 +171,7 @@ def _function(tag: SensorTag, half: float, fov: float) -> tuple[Callable, Callab
             raise PluginError(f"{where}: a {kind} lens does not reach {fov:g} rad")
         factor = 1.0 / (first * float(function(end)))
     scale = half * first * factor
-
-    def radius_of(angle: Any) -> Any:
-        return scale * function(angle / second + shift)
-
-    def angle_of(radius: np.ndarray) -> np.ndarray:
-        return second * (inverse(radius / scale) - shift)
-
-    return radius_of, angle_of
+    return (
+        lambda angle: scale * function(angle / second + shift),
+        lambda radius: second * (inverse(radius / scale) - shift),
+    )

@@ -1,4 +1,4 @@
-"""Pairs of cameras, and cameras that take a picture when they are told to.
+"""Pairs of cameras, and cameras that take a picture on demand.
 
 libgazebo_ros_multicamera.so, libgazebo_ros_triggered_camera.so and
 libgazebo_ros_triggered_multicamera.so.
@@ -7,6 +7,7 @@ libgazebo_ros_triggered_multicamera.so.
 from __future__ import annotations
 
 import logging
+from collections import deque
 from dataclasses import replace
 from xml.etree.ElementTree import Element
 
@@ -17,85 +18,66 @@ from bullet_lab.simulation.plugins.samples import Trigger
 from bullet_lab.simulation.world.description import PluginTag
 
 LOG = logging.getLogger(__name__)
-MULTICAMERA = "multicamera"
-SIDES = ("left", "right")
-# Simulated time never reaches it.
-NEVER = 2**62
 
 
 class MultiCamera(Camera):
-    """One of the cameras of a `<sensor type="multicamera">`.
+    """One camera of a `<sensor type="multicamera">`.
 
-    As in Gazebo, it has the namespace left or right below cameraName if that is in its name.
+    As in Gazebo, it has the namespace left or right below cameraName, by its own name.
     """
 
     filenames = ("libgazebo_ros_multicamera.so",)
 
     @classmethod
     def split(cls, tag: PluginTag) -> tuple[PluginTag, ...]:
-        if tag.sensor is None or tag.sensor.get("type") != MULTICAMERA:
+        if tag.sensor is None or tag.sensor.get("type") != "multicamera":
             return (tag,)
         parts = []
         for camera in tag.sensor.findall("camera"):
-            name = camera.get("name", "")
-            side = next((side for side in SIDES if side in name), None)
-            if side is None:
-                what = f"plugin '{tag.name}' ({tag.filename}): camera '{name}' is left out"
-                LOG.warning("%s: its name has neither left nor right, as Gazebo wants", what)
+            side = next((s for s in ("left", "right") if s in camera.get("name", "")), "")
+            if not side:
+                what = f"plugin '{tag.name}': camera '{camera.get('name')}' is left out"
+                LOG.warning("%s: its name has neither left nor right", what)
                 continue
             sensor = Element("sensor", type="camera", name=f"{tag.sensor.get('name', '')}_{side}")
-            sensor.extend(one for one in tag.sensor if one.tag in ("update_rate", "pose"))
+            sensor.extend([one for one in tag.sensor if one.tag in ("update_rate", "pose")])
             sensor.append(camera)
-            space = "/".join(filter(None, (tag.tags.get("cameraName"), side)))
-            tags = {**tag.tags, "cameraName": space}
+            space = tag.tags.get("cameraName", "")
+            tags = {**tag.tags, "cameraName": f"{space}/{side}" if space else side}
             if side == "left":
                 # As in Gazebo, the baseline is that of the right camera.
                 tags["hackBaseline"] = "0"
-            name = f"{tag.name}_{side}"
-            parts.append(replace(tag, name=name, tags=tags, sensor=sensor, element=None))
+            names = {"name": f"{tag.name}_{side}", "tags": tags}
+            parts.append(replace(tag, sensor=sensor, element=None, **names))
         return tuple(parts)
 
 
-class OnDemand(Schedule):
-    """Occurrences in the steps that follow requests, one for each request."""
-
-    period = float("inf")
-
-    def __init__(self) -> None:
-        super().__init__(1.0)
-
-    def request(self, step: int) -> None:
-        """Ask for one more occurrence after a step."""
-        self._requests += 1
-        self.next_step = min(self.next_step, step + 1)
-
-    def restart(self, start: int) -> None:
-        self._requests, self.next_step = 0, NEVER
-
-    def advance(self) -> None:
-        self._requests -= 1
-        self.next_step = self.next_step + 1 if self._requests > 0 else NEVER
-
-
 class TriggeredCamera(Camera):
-    """Takes a picture for each message on its topic of triggers."""
+    """Takes a picture for each message on its topic of triggers, one in a step."""
 
     filenames = ("libgazebo_ros_triggered_camera.so",)
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        self.schedule: OnDemand = OnDemand()
+        self.schedule = Schedule(0.0)
         topic = self.topic(mount.text("triggerTopicName", "image_trigger"))
-        self.inputs = (Input(topic, Trigger, self._trigger),)
+        # Filled by other threads.
+        self._requests: deque[Trigger] = deque()
+        self.inputs = (Input(topic, Trigger, self._requests.append),)
+
+    def reset(self, step: int) -> None:
+        self._requests.clear()
 
     def set_rate(self, rate: float, step: int) -> None:
         """Do nothing: it has no rate."""
 
-    def _trigger(self, _: Trigger) -> None:
-        self.schedule.request(self.mount.simulation.step)
+    def produce(self, step: int) -> None:
+        if self._requests:
+            self._requests.popleft()
+            super().produce(step)
 
 
 class TriggeredMultiCamera(MultiCamera, TriggeredCamera):
-    """One of the cameras of a `<sensor type="multicamera">`, with a trigger of its own."""
+    """One camera of a `<sensor type="multicamera">`, with a trigger of its own."""
 
     filenames = ("libgazebo_ros_triggered_multicamera.so",)

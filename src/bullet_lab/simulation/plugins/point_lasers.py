@@ -1,8 +1,4 @@
-"""Lasers with several rows of rays, which report points.
-
-libgazebo_ros_block_laser.so, and libgazebo_ros_velodyne_laser.so and
-libgazebo_ros_velodyne_gpu_laser.so of velodyne_simulator.
-"""
+"""Lasers with several rows of rays, which report points: block_laser and velodyne's."""
 
 from __future__ import annotations
 
