@@ -192,3 +192,19 @@ def test_names_of_older_versions_are_ignored_quietly(caplog):
     with empty() as simulation:
         simulation.add(robot("imu", "<headingDrift>0.005</headingDrift>"))
     assert not caplog.messages
+
+
+def test_the_drift_of_the_velocity_carries_the_position_away():
+    tags = elements(
+        updateRate=10,
+        referenceLatitude=45,
+        driftFrequency=0,
+        velocityDrift=1,
+        velocityDriftFrequency=0,
+    )
+    speed = readings("gps", tags, "fix_velocity", 0.1)[0].vector[0]
+    fix = readings("gps", tags, "fix", 5.0)
+    # The drift at a step is that of the velocities before.
+    north = (table(fix, "latitude") - 45.0) * NORTH_45
+    assert north == pytest.approx(0.1 * speed * np.arange(50), abs=1e-3)
+    assert abs(speed) > 0.01

@@ -159,3 +159,11 @@ def test_names(kind, names, topic, frame):
 def test_a_wrong_sensor_is_named():
     with complains('needs a <sensor type="ray">, not "camera"'), empty() as simulation:
         simulation.add(carrier(sensor("camera", "", KINDS["block"])))
+
+
+def test_no_point_of_velodyne_is_out_of_range_after_noise():
+    limits = "<min_range>3</min_range><max_range>4</max_range><gaussianNoise>1</gaussianNoise>"
+    samples = scans("velodyne", PLAIN + limits, seconds=1.0)
+    far = np.concatenate([np.linalg.norm(points_of(s.records), axis=-1).ravel() for s in samples])
+    assert len(far) > 100
+    assert 3.0 < far.min() < 3.1 < 3.9 < far.max() < 4.0
