@@ -7,6 +7,7 @@ libgazebo_ros_triggered_multicamera.so.
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from dataclasses import replace
 from xml.etree.ElementTree import Element
@@ -52,6 +53,12 @@ class MultiCamera(Camera):
         return tuple(parts)
 
 
+class OnDemand(Schedule):
+    """Each step, to look for requests: as a rate of messages, none."""
+
+    period = math.inf
+
+
 class TriggeredCamera(Camera):
     """Takes a picture for each message on its topic of triggers, one in a step."""
 
@@ -59,7 +66,7 @@ class TriggeredCamera(Camera):
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
-        self.schedule = Schedule(0.0)
+        self.schedule = OnDemand(0.0)
         topic = self.topic(mount.text("triggerTopicName", "image_trigger"))
         # Filled by other threads.
         self._requests: deque[Trigger] = deque()

@@ -131,6 +131,7 @@ def test_a_picture_for_each_trigger(robot, trigger, image):
         simulation.run_for(0.1)
         assert [sample.step for sample in pictures] == [501, 601, 602]
         assert [sample.step for sample in infos] == [501, 601, 602]
+        assert 1.0 / robot.plugins[0].schedule.period == 0.0
         robot.plugins[0].set_rate(30.0, simulation.step)
         simulation.run_for(0.1)
         assert len(pictures) == 3
