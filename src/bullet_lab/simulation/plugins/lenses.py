@@ -123,12 +123,12 @@ class WideLens:
         with np.errstate(invalid="ignore"):
             angle = angle_of(radius)
             shown = (angle >= 0.0) & (angle <= cutoff)
-        if not shown.any():
-            raise PluginError(f"{tag.where('camera/lens/cutoff_angle')}: shows nothing")
         across = np.sin(angle) / np.maximum(radius, 1e-9)
         rays = np.stack((np.cos(angle), -across * right, -across * down), axis=-1)
         # A face has as many pixels in a radian as the picture where it has most, within limits.
-        reach = np.linspace(0.0, float(angle[shown].max()), 100)
+        reach = np.linspace(0.0, np.max(angle[shown], initial=0.0), 100)
+        if not reach[1] > 0.0:
+            raise PluginError(f"{tag.where('camera/lens')}: shows nothing")
         focal = math.ceil(min(np.diff(radius_of(reach)).max() / reach[1], width))
         side = 2 * (focal + MARGIN)
         centre = 0.5 * (side - 1)

@@ -210,16 +210,23 @@ def test_without_scaling_f_counts_and_the_middle_is_published():
     assert not any(info.camera.distortion)
 
 
+TINY = "<custom_function><c1>1e-17</c1><fun>id</fun></custom_function>"
+
+
 @pytest.mark.parametrize(
-    ("fov", "kind", "complaint"),
+    ("fov", "kind", "more", "complaint"),
     [
-        (3.2, "gnomonical", "a gnomonical lens does not reach 3.2 rad"),
-        (7.0, "equidistant", "7 is not within 0 … 2 pi"),
-        (2.0, "fish", "'fish' is not one of stereographic, gnomonical"),
+        (3.2, "gnomonical", "", "a gnomonical lens does not reach 3.2 rad"),
+        (7.0, "equidistant", "", "7 is not within 0 … 2 pi"),
+        (2.0, "fish", "", "'fish' is not one of stereographic, gnomonical"),
+        (2.0, "equidistant", "<cutoff_angle>1e-9</cutoff_angle>", "<lens>: shows nothing"),
+        (2.0, "custom", f"<scale_to_hfov>0</scale_to_hfov>{TINY}", "<lens>: shows nothing"),
+        (2.0, "custom", TINY.replace("1e-17", "-1"), "<c1>: -1 is not positive"),
     ],
 )
-def test_wrong_lenses(fov, kind, complaint):
-    robot = single(sensor_kind="wideanglecamera", fov=fov, more=f"<lens><type>{kind}</type></lens>")
+def test_wrong_lenses(fov, kind, more, complaint):
+    lens = f"<lens><type>{kind}</type>{more}</lens>"
+    robot = single("camera", "wideanglecamera", width=41, height=41, fov=fov, more=lens)
     with floating() as simulation, complains(complaint):
         simulation.add(robot)
 
