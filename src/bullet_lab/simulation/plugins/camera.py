@@ -35,6 +35,8 @@ ENCODINGS.update({f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR"
 TO_16 = 257
 WIDE = "wideanglecamera"
 LARGEST_SIDE = 8192
+# px; OpenCV fails with much more.
+MOST_BLUR = 1000.0
 WHITE = 255.0
 # Hz.
 DEFAULT_RATE = 30.0
@@ -82,6 +84,8 @@ class CameraSettings:
             raise RendererError("a camera setting is not finite")
         if min(self.exposure, self.blur, self.noise_stddev) < 0.0:
             raise RendererError("exposure, blur and noise_stddev must not be negative")
+        if self.blur > MOST_BLUR:
+            raise RendererError(f"blur is {self.blur:g} px; at most {MOST_BLUR:g} are allowed")
         if abs(self.noise_mean) > 1.0 or self.noise_stddev > 1.0:
             raise RendererError("noise is a share of white; at most 1 is allowed")
 

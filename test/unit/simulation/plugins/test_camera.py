@@ -251,6 +251,7 @@ def test_impossible_settings_are_refused(wrong):
         ({"rate": 5000}, "not within 1e-09"),
         ({"more": noise(0.1, kind="custom")}, "<type>: 'custom' is not gaussian or none"),
         ({"more": noise(-0.1)}, "must not be negative"),
+        ({"tags": "<blur>1e9</blur>"}, "blur is 1e.09 px; at most 1000 are allowed"),
         ({"tags": "<samples>99</samples>"}, "99 samples"),
         ({"tags": "<distortionK1>0.1</distortionK1>",
           "more": "<distortion><k1>0.2</k1></distortion>"}, "the coefficients differ"),
