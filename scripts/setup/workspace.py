@@ -11,6 +11,7 @@ genpy makes for catkin, too.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -64,7 +65,9 @@ export ROS_DISTRO=Debian ROS_VERSION=1 ROS_PYTHON_VERSION=3 ROS_ETC_DIR=/etc/ros
 def action_messages(file: Path, folder: Path) -> list[str]:
     """Write the messages of an action to a folder; return their files."""
     name = file.stem
-    texts = dict(zip(("Goal", "Result", "Feedback"), file.read_text().split("\n---\n")))
+    # A part may be empty.
+    parts = re.split(r"^---$", file.read_text(), flags=re.MULTILINE)
+    texts = dict(zip(("Goal", "Result", "Feedback"), parts))
     texts.update({part: text.format(name) for part, text in ACTION_MESSAGES.items()})
     folder.mkdir(parents=True, exist_ok=True)
     for part, text in texts.items():

@@ -351,6 +351,28 @@ class TutorialsTest(unittest.TestCase):
         expect("one", "-10 0.5", 0.1)
         expect("two", "-12 0", 0.01)
 
+    def test_an_arm_with_a_gripper(self):
+        arm = Process("roslaunch", "--wait", "tutorials", "arm.launch")
+        try:
+            expect = self.check("arm.py")
+        finally:
+            arm.end()
+        self.assertNotIn("has died", arm.said())
+        expect("servers", "True True")
+        expect("followed", "True 0")
+        expect("at", "0.5 0.5", 0.02)
+        expect("feedback", "True shoulder_pan_joint")
+        expect("moved by then", "0.5", 0.1)
+        expect("too fast", "4")
+        expect("because", "-4 joint 'shoulder_pan_joint': path error in position")
+        expect("unknown joint", "5 -2")
+        expect("cancelled", "True 2")
+        expect("by topic", "0.1", 2e-3)
+        expect("query", "shoulder_pan_joint 0.100")
+        expect("gripper", "3")
+        expect("closed", "0.03 True False")
+        expect("other finger", "0.03", 2e-3)
+
     def test_skid_steer_from_xacro(self):
         expect = self.check("skid_steer.py")
         expect("spawned", "True")

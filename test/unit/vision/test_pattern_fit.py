@@ -229,7 +229,10 @@ def test_what_hides_a_corner_in_the_dark_moves_none(hidden):
     ],
 )
 def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
-    """Its edge was taken for the marker's: so many px off, with a deviation of a tenth of a px."""
+    """Its edge was taken for the marker's: so many px off, with a deviation of a tenth of a px.
+
+    Where it covers but a part of a pixel, no residual tells, and the deviation remains too small.
+    """
     for roll in (0.0, 90.0, 180.0, 270.0):
         view = View(distance, yaw=20.0, roll=roll)
         left = 0.1 - hidden * view.distance / CAMERA.fx
@@ -237,7 +240,7 @@ def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
         image = image_of([marker(quiet=2), wall], view, samples=16, blur=0.6, noise=2.0)
         (found,) = detected(image)
         assert off_by(found, view) < 0.45
-        assert normalised_square(found, view) < 8 * 5.0
+        assert normalised_square(found, view) < 8 * (7.0 if hidden < 1.0 else 5.0)
 
 
 def test_edges_that_are_nowhere_lead_corners_nowhere():

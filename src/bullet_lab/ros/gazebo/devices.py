@@ -7,7 +7,7 @@ compressed_image_transport. An image is compressed only while somebody listens.
 In the namespace of a robot with libgazebo_ros_control.so: controller_manager/list_controllers,
 list_controller_types, load_controller, unload_controller, switch_controller,
 reload_controller_libraries (controller_manager_msgs), and below the name of an adjustable
-controller, set_parameters of dynamic_reconfigure.
+controller, set_parameters of dynamic_reconfigure; its action, and query_state.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import logging
 import math
 import threading
 from functools import partial
+from itertools import chain
 from typing import Any, Callable
 
 import rosgraph
@@ -28,8 +29,10 @@ from std_srvs.srv import Empty
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
+from bullet_lab.ros.gazebo.actions import ControllerAction
 from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
 from bullet_lab.ros.gazebo.services import offer
+from bullet_lab.ros.messages.actions import ACTIONS
 from bullet_lab.ros.messages.conversions import compressed_message
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
 from bullet_lab.ros.messages.poses import InputError, vector_of
@@ -37,8 +40,10 @@ from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
+from bullet_lab.simulation.plugins.controllers.actions import ActionController
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
 from bullet_lab.simulation.plugins.hector_sensors import DriftingError, HectorImu
+from bullet_lab.simulation.plugins.mimic_joint import MimicJoint
 from bullet_lab.simulation.plugins.motion_sensors import Imu
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import ImageSample
@@ -107,6 +112,8 @@ class DeviceServices:
                 offers = self._camera_services(plugin, images)
             elif isinstance(plugin, HectorImu):
                 offers = self._bias_services(plugin)
+            elif isinstance(plugin, MimicJoint) and plugin.gains:
+                registrar.submit(self._give_gains, plugin)
             elif type(plugin) is Imu:
                 name = rospy.resolve_name(plugin.service)
                 offers = [partial(rospy.Service, name, Empty, lambda _: ())]
@@ -116,6 +123,13 @@ class DeviceServices:
     def _end(self, model: str) -> None:
         for end in self._ends.pop(model):
             end()
+
+    def _give_gains(self, plugin: MimicJoint) -> None:
+        try:
+            parameters = _parameters(plugin.gains)
+            self._world.do(lambda: plugin.configure(parameters))
+        except (LabError, *MASTER_ERRORS) as error:
+            LOG.warning("%s: %s; a motor moves it", plugin.mount.where("hasPID"), error)
 
     def _camera_services(self, camera: Camera, images: CompressedImages) -> list[Callable[[], Any]]:
         name = rospy.resolve_name(camera.topic("set_camera_info"))
@@ -195,7 +209,8 @@ class ControllerServices:
         self._where = f"controller_manager in {plugin.namespace}"
         self._ended = threading.Event()
         self._services: list[rospy.Service] = []
-        self._adjustable: dict[str, Reconfigurable] = {}
+        # Settings and actions of controllers, by name.
+        self._offered: dict[str, list[Any]] = {}
         # Serves one client at a time.
         self._lock = threading.Lock()
         threading.Thread(target=self._begin, daemon=True).start()
@@ -208,7 +223,7 @@ class ControllerServices:
 
     def _shut_down(self) -> None:
         with self._lock:
-            _shut_down([*self._services, *self._adjustable.values()])
+            _shut_down([*self._services, *chain(*self._offered.values())])
 
     def _begin(self) -> None:
         try:
@@ -281,10 +296,12 @@ class ControllerServices:
             refused[request.name] = f"{request.name} ({parameters.get('type', '') or 'no type'})"
         controller = self._world.do(lambda: self._add(request.name, parameters))
         refused.pop(request.name, None)
+        offered = self._offered[request.name] = []
         if controller.adjustables:
             change = partial(self._adjust, controller)
-            adjustable = Reconfigurable(where, controller.adjustables, change)
-            self._adjustable[request.name] = adjustable
+            offered.append(Reconfigurable(where, controller.adjustables, change))
+        if isinstance(controller, ActionController):
+            offered.append(ControllerAction(self._world, controller))
 
     def _adjust(self, controller: Controller, values: Values) -> None:
         self._world.do(lambda: controller.adjust(values, self._world.simulation.step))
@@ -293,6 +310,8 @@ class ControllerServices:
         manager = self._manager()
         controller = manager.load(name, parameters)
         try:
+            if isinstance(controller, ActionController) and not ACTIONS:
+                raise ControlError(f"'{controller.kind}' needs the package control_msgs")
             self._world.topics.connect((controller,), f"controller '{name}'")
         except LabError:
             manager.unload(name)
@@ -301,15 +320,15 @@ class ControllerServices:
 
     def _unload(self, request: Any) -> None:
         self._world.do(lambda: self._remove(request.name))
-        self._shut_down_settings()
+        self._shut_down_removed()
 
     def _remove(self, *names: str) -> None:
         self._world.topics.disconnect(tuple(map(self._manager().unload, names)))
 
-    def _shut_down_settings(self) -> None:
-        """Shut down the settings of controllers that were removed."""
-        for name in self._adjustable.keys() - self._manager().controllers.keys():
-            self._adjustable.pop(name).shutdown()
+    def _shut_down_removed(self) -> None:
+        """Shut down settings and actions of controllers that were removed."""
+        for name in self._offered.keys() - self._manager().controllers.keys():
+            _shut_down(self._offered.pop(name))
 
     def _switch(self, request: Any) -> None:
         strict = request.strictness == control_srv.SwitchControllerRequest.STRICT
@@ -328,7 +347,7 @@ class ControllerServices:
             self._remove(*names)
 
         self._world.do(remove_all)
-        self._shut_down_settings()
+        self._shut_down_removed()
 
     def _list(self, _request: Any) -> Any:
         loaded = self._world.do(lambda: [_state(c) for c in self._manager().controllers.values()])

@@ -39,10 +39,12 @@ from sensor_msgs.msg import (
 )
 from std_msgs.msg import Bool, ColorRGBA, Empty, Float64, Float64MultiArray
 from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.gazebo_types import JointControllerState, msg
+from bullet_lab.ros.messages.actions import fill_trajectory_state, trajectory_of
+from bullet_lab.ros.messages.gazebo_types import JointControllerState, arm_msg, msg
 from bullet_lab.ros.messages.poses import (
     pose_message,
     set_pose,
@@ -71,6 +73,8 @@ from bullet_lab.simulation.plugins.samples import (
     RingsSample,
     ShapeContact,
     Stop,
+    Trajectory,
+    TrajectorySample,
     TransformSample,
     Trigger,
     Variance,
@@ -320,6 +324,8 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     VelocitySample: (TwistStamped, _velocity),
     ContactsSample: (msg.ContactsState, _contacts),
 }
+if arm_msg is not None:
+    MESSAGES[TrajectorySample] = (arm_msg.JointTrajectoryControllerState, fill_trajectory_state)
 
 
 class Converter:
@@ -353,6 +359,7 @@ COMMANDS: dict[type, tuple[type, Callable[[Any], Any]]] = {
     JointCommands: (Float64MultiArray, lambda message: JointCommands(tuple(message.data))),
     Stop: (Bool, lambda message: Stop(message.data)),
     Trigger: (Empty, lambda _: Trigger()),
+    Trajectory: (JointTrajectory, trajectory_of),
 }
 
 

@@ -20,6 +20,15 @@ except ImportError:
     from bullet_lab.msg import JointControllerState
 
 try:
+    from control_msgs import msg as arm_msg
+    from control_msgs import srv as arm_srv
+
+    arm_msg.FollowJointTrajectoryAction, arm_srv.QueryTrajectoryState  # noqa: B018
+except (ImportError, AttributeError):
+    # Actions have no others: their controllers are refused.
+    arm_msg = arm_srv = None
+
+try:
     from controller_manager_msgs import msg as control_msg
     from controller_manager_msgs import srv as control_srv
 
@@ -28,4 +37,4 @@ except (ImportError, AttributeError):
     from bullet_lab import msg as control_msg
     from bullet_lab import srv as control_srv
 
-__all__ = ["JointControllerState", "control_msg", "control_srv", "msg", "srv"]
+__all__ = ["JointControllerState", "arm_msg", "arm_srv", "control_msg", "control_srv", "msg", "srv"]

@@ -60,7 +60,30 @@ class StoppableSender:
         self._publisher.publish(twist)
 
 
-class GoalServer(ActionServer):
+class LastingServer(ActionServer):
+    """An action server that outlives resets of time, and cancellations of unknown goals."""
+
+    def initialize(self) -> None:
+        """Connect, with a timer for the status that survives a reset of time."""
+        super().initialize()
+        if self.status_frequency > 0.0:
+            self.status_timer.shutdown()
+            period = rospy.Duration(1.0 / self.status_frequency)
+            self.status_timer = rospy.Timer(period, self.publish_status_async, reset=True)
+
+    def internal_cancel_callback(self, goal_id: GoalID) -> None:
+        """Cancel goals as actionlib does.
+
+        actionlib stores the cancellation of a goal that has not arrived yet without a goal, and
+        logs an error at each later cancellation: such an entry gets an empty goal here.
+        """
+        with self.lock:
+            super().internal_cancel_callback(goal_id)
+            for tracker in self.status_list:
+                tracker.goal = tracker.goal or self.ActionGoal()
+
+
+class GoalServer(LastingServer):
     """An action server that is polled, in which the newest goal to arrive counts.
 
     Args:
@@ -89,14 +112,6 @@ class GoalServer(ActionServer):
         self.goal: ServerGoalHandle | None = None
         super().__init__(name, kind, self._receive, self._cancel, auto_start=False)
         self.start()
-
-    def initialize(self) -> None:
-        """Connect, with a timer for the status that survives a reset of time."""
-        super().initialize()
-        if self.status_frequency > 0.0:
-            self.status_timer.shutdown()
-            period = rospy.Duration(1.0 / self.status_frequency)
-            self.status_timer = rospy.Timer(period, self.publish_status_async, reset=True)
 
     @property
     def is_cancelled(self) -> bool:
@@ -133,17 +148,6 @@ class GoalServer(ActionServer):
                 GoalStatus.ABORTED: goal.set_aborted,
             }
             ends[status](result, text)
-
-    def internal_cancel_callback(self, goal_id: GoalID) -> None:
-        """Cancel goals as actionlib does.
-
-        actionlib stores the cancellation of a goal that has not arrived yet without a goal, and
-        logs an error at each later cancellation: such an entry gets an empty goal here.
-        """
-        with self.lock:
-            super().internal_cancel_callback(goal_id)
-            for tracker in self.status_list:
-                tracker.goal = tracker.goal or self.ActionGoal()
 
     def _receive(self, goal: ServerGoalHandle) -> None:
         if self.next_goal is not None:

@@ -7,7 +7,7 @@ Every sample has the simulated time `step` in whole milliseconds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Mapping, Tuple, Union
+from typing import Any, ClassVar, Mapping, NamedTuple, Tuple, Union
 
 import numpy as np
 
@@ -65,6 +65,35 @@ class JointCommands:
     """A command to the joints of a group, in their order."""
 
     values: tuple[float, ...]
+
+
+class TrajectoryPoint(NamedTuple):
+    """States of joints `seconds` after a start; velocities and accelerations may be empty."""
+
+    seconds: float
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...] = ()
+    accelerations: tuple[float, ...] = ()
+
+
+class Trajectory(NamedTuple):
+    """Points for joints to pass, in the order of their names, from the time `start` (s; 0: now)."""
+
+    start: float
+    joints: tuple[str, ...]
+    points: tuple[TrajectoryPoint, ...]
+
+
+class TrajectoryGoal(NamedTuple):
+    """A trajectory with tolerances of position and velocity by joint, on the path and at its end.
+
+    The end may be late by `seconds`. A tolerance of 0 means the default, a negative one none.
+    """
+
+    trajectory: Trajectory
+    path: Mapping[str, tuple[float, ...]]
+    goal: Mapping[str, tuple[float, ...]]
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -143,6 +172,26 @@ class LoopSample:
     gains: tuple[float, float, float, float]
     antiwindup: bool
     frame: ClassVar[str] = ""
+
+
+class TrajectorySample(NamedTuple):
+    """Where joints on a trajectory should be, where they are, and the differences."""
+
+    step: int
+    joints: tuple[str, ...]
+    desired: TrajectoryPoint
+    actual: TrajectoryPoint
+    error: TrajectoryPoint
+    frame: str = ""
+
+
+class GripperSample(NamedTuple):
+    """Position (rad or m) and effort (N m or N) of a gripper's joint, wanted or measured."""
+
+    position: float
+    effort: float
+    stalled: bool = False
+    reached: bool = False
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 import functools
 import re
+import runpy
+import shutil
 
 import genmsg
 import pytest
@@ -56,7 +58,7 @@ UNUSED = {"SetJointTrajectory": "88f5c10979e3f9649d5ae87a3b12aa65"}
 def loaded(folder, package):
     """Return where types are loaded to, and where those of other packages are."""
     pack = rospkg.RosPack()
-    names = ("geometry_msgs", "std_msgs", "trajectory_msgs")
+    names = ("actionlib_msgs", "geometry_msgs", "std_msgs", "trajectory_msgs")
     folders = {name: [f"{pack.get_path(name)}/msg"] for name in names}
     return genmsg.MsgContext.create_default(), {**folders, package: [str(folder / "msg")]}
 
@@ -117,4 +119,45 @@ def test_the_types_of_ros_control(package, stand_in):
     for name, expected in sums.items():
         for folder in (package, package / "stand_ins" / stand_in):
             assert md5_of(folder, name, stand_in) == expected, name
-    assert listed_types(package, stand_in) == (set(sums), [])
+    others = ARM_SUMS if stand_in == "control_msgs" else {}
+    listed, left_out = listed_types(package, stand_in)
+    assert listed == {*sums, *others}
+    assert {name.split(".")[0] for name in left_out} == set(others)
+
+
+# Of control_msgs alone, version 1.5.
+ARM_SUMS = yaml.safe_load(
+    """
+    GripperCommand: 680acaff79486f017132a7f198d40f08
+    JointJog: 1685da700c8c2e1254afc92a5fb89c96
+    JointTolerance: f544fe9c16cf04547e135dd6063ff5be
+    JointTrajectoryControllerState: 10817c60c2486ef6b33e97dcd87f4474
+    PidState: b138ec00e886c10e73f27e8712252ea6
+    QueryCalibrationState: 28af3beedcb84986b8e470dc5470507d
+    QueryTrajectoryState: ec93cdecbd8062d761aa52b7c90cd44b
+    """
+)
+ACTION_SUMS = yaml.safe_load(
+    """
+    FollowJointTrajectory: bc4f9b743838566551c0390c65f1a248
+    GripperCommand: 950b2a6ebe831f5d4f4ceaba3d8be01e
+    JointTrajectory: a04ba3ee8f6a2d0985a6aeaf23d9d7ad
+    PointHead: 7252920f1243de1b741f14f214125371
+    SingleJointPosition: c4a786b7d53e5d0983decf967a5a779e
+    """
+)
+
+
+def test_the_types_of_control_msgs(package, tmp_path):
+    folder = package / "stand_ins/control_msgs"
+    for name, expected in ARM_SUMS.items():
+        assert md5_of(folder, name, "control_msgs") == expected, name
+    # As the set-up makes the messages of actions.
+    generator = runpy.run_path(str(package / "scripts/setup/workspace.py"))
+    shutil.copytree(folder / "msg", tmp_path / "msg")
+    for action in folder.glob("action/*"):
+        generator["action_messages"](action, tmp_path / "msg")
+    sums = {name: md5_of(tmp_path, f"{name}Action", "control_msgs") for name in ACTION_SUMS}
+    assert sums == ACTION_SUMS
+    built = (folder / "CMakeLists.txt").read_text()
+    assert set(re.findall(r"(\w+)\.action", built)) == set(ACTION_SUMS)

@@ -32,6 +32,10 @@ from bullet_lab.studies.noise_study.study import where_right_records
 from bullet_lab.studies.study import clopper_pearson
 
 
+# Beyond this standard deviation, the page promises less of the exponential region.
+HEADING_LOST = math.radians(70.0)
+
+
 def trajectory_of(moves):
     poses = [np.zeros(3)]
     for move in moves:
@@ -180,9 +184,12 @@ def test_the_promises_of_the_page(path, model):
                 assert missed["published"] < 0.01 + slack, (std, k)
             if known.first_order_enough(regions.poses[k]):
                 assert missed["first_order"] < 0.01 + slack, (std, k)
-            if missed["first_order"] > 0.02:
+            heading = math.sqrt(known.first_order.covariance[regions.poses[k], 2, 2])
+            if missed["first_order"] > 0.02 and heading < HEADING_LOST:
                 assert missed["exponential"] <= missed["first_order"] / 3.0 + slack, (std, k)
-    assert enough > 0 or (model == "report")
+    # A random walk bends 40 m from the least of these levels on.
+    bent = model == "random_walk" and path.poses[-1, 0] > 30.0
+    assert enough > 0 or model == "report" or bent
 
 
 def test_the_table_says_how_far_each_method_is_right():

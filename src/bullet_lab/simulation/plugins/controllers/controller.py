@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Dict, Iterator, Mapping, Sequence, Tuple, Type, Union
+from typing import Any, ClassVar, Dict, Iterator, Mapping, Optional, Sequence, Tuple, Type, Union
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Input, Output
@@ -158,12 +158,21 @@ CONTROLLERS: Dict[str, Type[Controller]] = {}
 """The controllers that are simulated, by the types of ros_controllers."""
 
 
-def schedule_of(rate: float, where: str) -> Schedule:
-    """Return the schedule for a publish_rate in Hz; raises ControlError."""
+def schedule_of(rate: float, where: str, name: str = "publish_rate") -> Schedule:
+    """Return the schedule for a rate in Hz; raises ControlError."""
     try:
         return Schedule(rate)
     except ScheduleError as error:
-        raise ControlError(f"{where}/publish_rate: {error}") from error
+        raise ControlError(f"{where}/{name}: {error}") from error
+
+
+def is_due(schedule: Optional[Schedule], step: int) -> bool:
+    """Return whether an occurrence is due, and go on to the next one after `step`."""
+    if schedule is None or step < schedule.next_step:
+        return False
+    while schedule.next_step <= step:
+        schedule.advance()
+    return True
 
 
 class JointTargets(Controller):
@@ -304,10 +313,9 @@ class JointStateController(Controller):
             self._schedule.restart(step)
 
     def update(self, step: int, seconds: float) -> None:
-        if self._schedule is None or (self._begun and step < self._schedule.next_step):
+        is_late = is_due(self._schedule, step)
+        if self._schedule is None or (self._begun and not is_late):
             return
-        while self._schedule.next_step <= step:
-            self._schedule.advance()
         self._begun = True
         if self.states.wanted:
             states = [(joint.position, joint.velocity, joint.effort) for joint in self._read]

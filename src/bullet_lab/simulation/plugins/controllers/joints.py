@@ -214,11 +214,14 @@ class Pid:
         # As in control_toolbox, the loop starts at error 0, so its first step has a derivative.
         self._last = 0.0
 
-    def command(self, error: float, seconds: float) -> float:
-        """Return the command for an error, `seconds` after the last one; 0 if it is not finite."""
+    def command(self, error: float, seconds: float, slope: Optional[float] = None) -> float:
+        """Return the command for an error, `seconds` after the last one; 0 if it is not finite.
+
+        `slope` is the error's, if it is known.
+        """
         if seconds <= 0.0 or not math.isfinite(error):
             return 0.0
-        slope = (error - self._last) / seconds
+        slope = (error - self._last) / seconds if slope is None else slope
         self._last = error
         self._integral += seconds * error
         if self.antiwindup and self.i:
@@ -315,9 +318,13 @@ class EffortJoint(JointHandle):
 
 
 class PositionJoint(JointHandle):
-    """A joint that follows positions, within its limits of position and velocity."""
+    """A joint that follows positions, within its limits of position and velocity.
+
+    `strength` is the greatest effort (N m or N) of its motor.
+    """
 
     interface = POSITION
+    strength = STRONGEST
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -339,7 +346,7 @@ class PositionJoint(JointHandle):
         most = min(before + fastest * STEP_SECONDS, self.limits.upper)
         self.command = self._before = _between(self.command, least, most)
         if self.pid is None:
-            self.body.hold_joint(self.name, self.command, STRONGEST, AT_ONCE)
+            self.body.hold_joint(self.name, self.command, self.strength, AT_ONCE)
         else:
             error = self.described.error(self.position, self.command)
             self._apply(self.pid.command(error, STEP_SECONDS))

@@ -186,4 +186,4 @@ def test_the_kinds_are_those_of_ros_controllers():
     assert "diff_drive_controller/DiffDriveController" in CONTROLLERS
     groups = [kind for kind in CONTROLLERS if "/JointGroup" in kind]
     assert len(groups) == 4
-    assert len(CONTROLLERS) == 12
+    assert len(CONTROLLERS) == 17
