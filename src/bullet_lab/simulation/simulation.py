@@ -17,6 +17,7 @@ import logging
 import math
 import time
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Callable, Iterator, Mapping, Union
 
 import numpy as np
@@ -37,6 +38,7 @@ from bullet_lab.simulation.plugins import (
     known_plugins,
     namespace_of,
 )
+from bullet_lab.simulation.plugins.missing import skipped_line
 from bullet_lab.simulation.rendering.renderer import (
     Renderer,
     RendererError,
@@ -174,7 +176,8 @@ class Simulation:
         if pose is not None:
             check_pose(pose, name)
         check_proportions(model)
-        plugins = tuple(_in_namespace(plugin, namespace) for plugin in model.plugins)
+        parts = ((kind_of(plugin) or Plugin).split(plugin) for plugin in model.plugins)
+        plugins = tuple(_in_namespace(plugin, namespace) for plugin in chain.from_iterable(parts))
         model = usable(replace(model, name=name, pose=pose or model.pose, plugins=plugins))
         bodies = self._physics.add(model)
         plugins = self._make_plugins(model, bodies, tf_prefix)
@@ -364,17 +367,15 @@ class Simulation:
     def _make_plugins(
         self, model: Model, bodies: Mapping[str, Body], tf_prefix: TfPrefix
     ) -> tuple[Plugin, ...]:
-        plugins = []
+        plugins: list[Plugin] = []
+        skipped: list[PluginTag] = []
         for tag in model.plugins:
             if tag.is_bare_sensor:
                 continue
             what = f"model '{model.name}': plugin '{tag.name}' ({tag.filename})"
             kind, space = kind_of(tag), namespace_of(tag, model.name)
             if kind is None:
-                known = f"; known are {', '.join(known_plugins())}"
-                hint = "" if self._has_listed_plugins else known
-                self._has_listed_plugins = True
-                LOG.warning("%s is not simulated and skipped%s", what, hint)
+                skipped.append(tag)
                 continue
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
             try:
@@ -388,6 +389,10 @@ class Simulation:
             plugins.append(plugin)
             for unread in plugin.mount.unread_tags():
                 LOG.warning("%s is not known and skipped", plugin.mount.where(unread))
+        if skipped:
+            known = "" if self._has_listed_plugins else f"; known are {', '.join(known_plugins())}"
+            self._has_listed_plugins = True
+            LOG.warning("%s%s", skipped_line(model.name, skipped, plugins), known)
         return tuple(plugins)
 
 

@@ -37,13 +37,21 @@ SOURCE = re.compile(r"gazebo_(ros|plugins|ros_control)/[\w/]+\.(cpp|h):\d+(,\d+)
 OWN_TAGS = {
     *("samples", "exposure", "blur", "supportRadius", "leftWheelDiameter", "rightWheelDiameter"),
     *("alwaysOn", "visualize", "rosDebugLevel", "the rest", "legacyMode"),
+    # Of cameras with a trigger.
+    "triggerTopicName",
     *("reduceNormals", "normalsTopicName", "reflectanceTopicName", "autoDistortion", "borderCrop"),
 }
 TAG_ROW = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
 
 
+# Of other packages than gazebo_ros_pkgs, or not in the contract: test/unit/simulation/plugins
+# compares them with closed forms.
+WITHOUT_ROWS = re.compile("velodyne|block_laser|multicamera|triggered")
+
+
 def plugins_of_gazebo():
-    return [name for name in known_plugins() if name.startswith("libgazebo_ros_")]
+    named = [name for name in known_plugins() if name.startswith("libgazebo_ros_")]
+    return [name for name in named if not WITHOUT_ROWS.search(name)]
 
 
 def test_each_row_names_a_line_of_gazebo_ros_pkgs():

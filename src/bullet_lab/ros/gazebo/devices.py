@@ -35,17 +35,19 @@ from bullet_lab.ros.gazebo.services import offer
 from bullet_lab.ros.messages.actions import ACTIONS
 from bullet_lab.ros.messages.conversions import compressed_message
 from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
-from bullet_lab.ros.messages.poses import InputError
+from bullet_lab.ros.messages.poses import InputError, vector_of
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.models import ModelInstance
-from bullet_lab.simulation.plugins.camera import Camera, DepthCamera
+from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.actions import ActionController
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
+from bullet_lab.simulation.plugins.hector_sensors import DriftingError, HectorImu
 from bullet_lab.simulation.plugins.mimic_joint import MimicJoint
 from bullet_lab.simulation.plugins.motion_sensors import Imu
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.plugins.samples import ImageSample
+from bullet_lab.srv import SetBias
 
 LOG = logging.getLogger(__name__)
 
@@ -104,10 +106,12 @@ class DeviceServices:
             offers: list[Callable[[], Any]] = []
             if isinstance(plugin, RosControl):
                 ends.append(ControllerServices(self._world, plugin).end)
-            elif type(plugin) in (Camera, DepthCamera):
+            elif isinstance(plugin, Camera):
                 images = CompressedImages(self._world, plugin)
                 ends.append(partial(self._world.topics.release, images.topic))
                 offers = self._camera_services(plugin, images)
+            elif isinstance(plugin, HectorImu):
+                offers = self._bias_services(plugin)
             elif isinstance(plugin, MimicJoint) and plugin.gains:
                 registrar.submit(self._give_gains, plugin)
             elif type(plugin) is Imu:
@@ -141,6 +145,21 @@ class DeviceServices:
             space, change = name.rsplit("/", 1)[0], partial(self._set_rate, camera)
             offers.append(partial(Reconfigurable, space, [rate], change))
         return offers
+
+    def _bias_services(self, imu: HectorImu) -> list[Callable[[], Any]]:
+        def set_drift(error: DriftingError, request: Any) -> None:
+            drift = vector_of(request.bias, "bias") if hasattr(request, "bias") else (0.0,) * 3
+            self._world.do(lambda: error.reset(self._world.simulation.step, drift))
+
+        kinds = (
+            (imu.service, Empty, imu.rate),
+            (f"{imu.space}/set_accel_bias", SetBias, imu.accel),
+            (f"{imu.space}/set_rate_bias", SetBias, imu.rate),
+        )
+        return [
+            partial(offer, rospy.resolve_name(name), kind, partial(set_drift, error))
+            for name, kind, error in kinds
+        ]
 
     def _calibrate(self, camera: Camera, request: Any) -> None:
         calibration = {name: getattr(request.camera_info, name) for name in CALIBRATED}

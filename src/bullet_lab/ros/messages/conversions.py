@@ -9,19 +9,30 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Iterable, Mapping, NamedTuple
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import TransformStamped, Twist, TwistStamped, Vector3, Wrench
+from geometry_msgs.msg import (
+    Point32,
+    TransformStamped,
+    Twist,
+    TwistStamped,
+    Vector3,
+    Vector3Stamped,
+    Wrench,
+)
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import (
     CameraInfo,
+    ChannelFloat32,
     CompressedImage,
     Image,
     Imu,
     JointState,
     LaserScan,
+    NavSatFix,
+    PointCloud,
     PointCloud2,
     PointField,
     Range,
@@ -48,10 +59,12 @@ from bullet_lab.ros.messages.poses import (
     time_of,
 )
 from bullet_lab.simulation.plugins.samples import (
+    BlockSample,
     BumperEvent,
     CameraInfoSample,
     CliffEvent,
     ContactsSample,
+    FixSample,
     ImageSample,
     ImuSample,
     JointCommand,
@@ -65,7 +78,7 @@ from bullet_lab.simulation.plugins.samples import (
     PlanarCommand,
     PointsSample,
     RangeSample,
-    ResetOdometry,
+    RingsSample,
     ShapeContact,
     Stop,
     SwitchesSample,
@@ -73,6 +86,9 @@ from bullet_lab.simulation.plugins.samples import (
     Trajectory,
     TrajectorySample,
     TransformSample,
+    Trigger,
+    Variance,
+    VectorSample,
     VelocitySample,
     WheelDropEvent,
 )
@@ -90,6 +106,8 @@ POINT = np.dtype(
         "itemsize": 32,
     }
 )
+# As in PCL, a colour is declared as a float.
+DATATYPES = {"<f4": PointField.FLOAT32, "<u4": PointField.FLOAT32, "<u2": PointField.UINT16}
 # OpenCV's parameters of each format, with their names in image_transport.
 COMPRESSIONS = {
     "jpeg": {
@@ -173,7 +191,9 @@ def _image(message: Image, sample: ImageSample) -> None:
 def compressed_message(sample: ImageSample, settings: Mapping[str, Any]) -> CompressedImage:
     """Return an image as compressed_image_transport publishes it with the same settings."""
     kind, pixels = settings["format"], sample.pixels
-    if sample.encoding == "rgb8":
+    if kind == "jpeg" and pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    if sample.encoding.startswith("rgb"):
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     options: list[int] = []
     for key, name in COMPRESSIONS[kind].items():
@@ -200,19 +220,28 @@ def _camera_info(message: CameraInfo, sample: CameraInfoSample) -> None:
 
 
 def _points(message: PointCloud2, sample: PointsSample) -> None:
-    message.height, message.width = shape = sample.points.shape[:2]
-    message.point_step, message.row_step = POINT.itemsize, shape[1] * POINT.itemsize
-    message.is_dense = bool(np.isfinite(sample.points[..., 2]).all())
-    # As in PCL, the colour is declared as a float.
-    message.fields = [
-        PointField(name, POINT.fields[name][1], PointField.FLOAT32, 1) for name in POINT.names
-    ]
-    message.data = bytearray(shape[0] * message.row_step)
-    points, colours = np.frombuffer(message.data, POINT).reshape(shape), sample.colours
+    points, colours = np.zeros(sample.points.shape[:2], POINT), sample.colours
     for axis, name in enumerate("xyz"):
         points[name] = sample.points[..., axis]
     red, green, blue = (colours[..., channel].astype(np.uint32) for channel in range(3))
     points["rgb"] = red << 16 | green << 8 | blue
+    _set_records(message, points)
+
+
+def _set_records(message: PointCloud2, records: np.ndarray) -> None:
+    kind = records.dtype
+    message.height, message.width = records.shape
+    message.point_step, message.row_step = kind.itemsize, kind.itemsize * message.width
+    message.is_dense = bool(np.isfinite(records["z"]).all())
+    message.fields = [
+        PointField(name, kind.fields[name][1], DATATYPES[kind[name].str], 1) for name in kind.names
+    ]
+    message.data = records.tobytes()
+
+
+def _block(message: PointCloud, sample: BlockSample) -> None:
+    message.points = [Point32(*point) for point in sample.points.tolist()]
+    message.channels = [ChannelFloat32(values=sample.intensities.tolist())]
 
 
 def _scan(message: LaserScan, sample: LaserSample) -> None:
@@ -238,6 +267,18 @@ def _imu(message: Imu, sample: ImuSample) -> None:
     message.orientation_covariance = _diagonal(sample.orientation_variance, 3)
     message.angular_velocity_covariance = _diagonal(sample.angular_velocity_variance, 3)
     message.linear_acceleration_covariance = _diagonal(sample.specific_force_variance, 3)
+
+
+def _fix(message: NavSatFix, sample: FixSample) -> None:
+    message.status.status, message.status.service = sample.status, sample.service
+    message.latitude, message.longitude = sample.latitude, sample.longitude
+    message.altitude = sample.altitude
+    message.position_covariance = _diagonal(sample.variances, 3)
+    message.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+
+
+def _vector(message: Vector3Stamped, sample: VectorSample) -> None:
+    set_vector(message.vector, sample.vector)
 
 
 def _contacts(message: msg.ContactsState, sample: ContactsSample) -> None:
@@ -278,10 +319,10 @@ def _sum(vectors: tuple) -> Vector3:
     return Vector3(*(sum(values) for values in zip(*vectors)))
 
 
-def _diagonal(value: float | Sequence[float], size: int) -> list[float]:
-    """Return a diagonal matrix, row by row, of `size` values or one value along the diagonal."""
+def _diagonal(value: Variance, size: int) -> list[float]:
+    """Return a diagonal matrix, row by row, with one value along the diagonal or several."""
     matrix = [0.0] * (size * size)
-    matrix[:: size + 1] = [value] * size if isinstance(value, float) else value
+    matrix[:: size + 1] = value if isinstance(value, tuple) else [value] * size
     return matrix
 
 
@@ -293,9 +334,13 @@ MESSAGES: dict[type, tuple[type, Callable[[Any, Any], None]]] = {
     ImageSample: (Image, _image),
     CameraInfoSample: (CameraInfo, _camera_info),
     PointsSample: (PointCloud2, _points),
+    BlockSample: (PointCloud, _block),
+    RingsSample: (PointCloud2, lambda message, sample: _set_records(message, sample.records)),
     LaserSample: (LaserScan, _scan),
     RangeSample: (Range, _range),
     ImuSample: (Imu, _imu),
+    FixSample: (NavSatFix, _fix),
+    VectorSample: (Vector3Stamped, _vector),
     MotionSample: (Odometry, _motion),
     LoopSample: (JointControllerState, _loop),
     VelocitySample: (TwistStamped, _velocity),
@@ -342,7 +387,7 @@ COMMANDS: dict[type, tuple[type, Callable[[Any], Any]]] = {
     JointCommands: (Float64MultiArray, lambda message: JointCommands(tuple(message.data))),
     Stop: (Bool, lambda message: Stop(message.data)),
     MotorPower: (kobuki_msg.MotorPower, lambda message: MotorPower(message.state != 0)),
-    ResetOdometry: (Empty, lambda message: ResetOdometry()),
+    Trigger: (Empty, lambda _: Trigger()),
     Trajectory: (JointTrajectory, trajectory_of),
 }
 

@@ -289,6 +289,11 @@ class Plugin:
         self.schedule: Schedule | None = None
         self.refused: dict[str, str] = {}
 
+    @classmethod
+    def split(cls, tag: PluginTag) -> tuple[PluginTag, ...]:
+        """Return the tags that stand for one: several if its sensor has several cameras."""
+        return (tag,)
+
     def output(self, topic: str, kind: type, offered: bool = True) -> Output:
         """Return a new output on a topic in the plugin's namespace.
 

@@ -17,14 +17,26 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
+from bullet_lab.simulation.plugins.lenses import Lens, WideLens
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
 from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError
 from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 
 LOG = logging.getLogger(__name__)
 
-ENCODINGS = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
+# The encodings of the formats of 8 bits, and of those that depth cameras do not have.
+PLAIN = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
+PLAIN.update({"RGB_INT8": "rgb8", "BGR_INT8": "bgr8", "L_INT8": "mono8"})
+ENCODINGS = {**PLAIN, "L16": "mono16", "L_INT16": "mono16"}
+ENCODINGS.update({"R16G16B16": "rgb16", "RGB_INT16": "rgb16"})
+BAYER = "bayer_"
+ENCODINGS.update({f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR", "GBRG", "GRBG")})
+# From 8 to 16 bits.
+TO_16 = 257
+WIDE = "wideanglecamera"
 LARGEST_SIDE = 8192
+# px; OpenCV fails with much more.
+MOST_BLUR = 1000.0
 WHITE = 255.0
 # Hz.
 DEFAULT_RATE = 30.0
@@ -46,10 +58,6 @@ BRIGHTEST = 4.0
 MOST_MILLIMETRES = 65535
 # How many numbers the table of noise has beyond those of one picture: the number of its offsets.
 SPARE_NOISE = 1 << 20
-# The ideal picture is at most this many times larger than the distorted one.
-WIDEST = 3.0
-# A coordinate outside every picture.
-NOWHERE = -10.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,8 @@ class CameraSettings:
             raise RendererError("a camera setting is not finite")
         if min(self.exposure, self.blur, self.noise_stddev) < 0.0:
             raise RendererError("exposure, blur and noise_stddev must not be negative")
+        if self.blur > MOST_BLUR:
+            raise RendererError(f"blur is {self.blur:g} px; at most {MOST_BLUR:g} are allowed")
         if abs(self.noise_mean) > 1.0 or self.noise_stddev > 1.0:
             raise RendererError("noise is a share of white; at most 1 is allowed")
 
@@ -114,70 +124,6 @@ def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
     return picture if picture.dtype == np.uint8 else cv2.convertScaleAbs(picture)
 
 
-class Lens:
-    """A distorting lens: the ideal camera to draw with, and the distortion of its pictures.
-
-    Pixels outside the lens, or that would need too large an ideal picture, are black.
-
-    Attributes:
-        camera: the camera with distortion.
-        ideal: the camera without distortion that draws.
-        black: the share of black pixels.
-
-    Raises:
-        RendererError: all pixels are black.
-    """
-
-    def __init__(self, camera: PinholeCamera):
-        self.camera = self.ideal = camera
-        self.black = 0.0
-        # Where each pixel is in the ideal picture, (2, height, width).
-        self._places: np.ndarray | None = None
-        if any(camera.distortion):
-            self._set_ideal()
-
-    def _set_ideal(self) -> None:
-        camera = self.camera
-        pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
-        centre, size = np.array((camera.cx, camera.cy)), np.array((camera.width, camera.height))
-        offsets = camera.slopes(pixels) * (camera.fx, camera.fy)
-        shown = (np.abs(offsets) < 0.5 * WIDEST * size).all(axis=1)
-        if not shown.any():
-            problem = "leaves nothing of the picture"
-            raise RendererError(f"a distortion of {camera.distortion} {problem}")
-        places = offsets + centre
-        # One pixel more on each side, for the interpolation.
-        first = np.floor(places[shown].min(axis=0)) - 1
-        width, height = (np.ceil(places[shown].max(axis=0)) + 2 - first).astype(int).tolist()
-        self.ideal = PinholeCamera(width, height, camera.fx, camera.fy, *(centre - first).tolist())
-        places = np.where(shown[:, None], places - first, NOWHERE).astype(np.float32)
-        self._places = places.T.reshape(2, camera.height, camera.width)
-        self.black = 1.0 - float(np.mean(shown))
-
-    def bend(self, picture: np.ndarray) -> np.ndarray:
-        """Return the picture of `camera` from that of `ideal`."""
-        if self._places is None:
-            return picture
-        return cv2.remap(picture, *self._places, cv2.INTER_LINEAR)
-
-    def pick(self, values: np.ndarray) -> np.ndarray:
-        """Return the values of `camera`'s pixels from the nearest pixels of `ideal`.
-
-        Interpolation would mix the depths of two objects.
-        """
-        if self._places is None:
-            return values
-        return cv2.remap(values, *self._places, cv2.INTER_NEAREST, borderValue=math.nan)
-
-    def slopes(self) -> np.ndarray:
-        """Return x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
-        camera, places = self.ideal, self._places
-        if places is None:
-            places = np.indices((camera.height, camera.width))[::-1]
-        slopes = (places[0] - camera.cx) / camera.fx, (places[1] - camera.cy) / camera.fy
-        return np.array(slopes, dtype=np.float32)
-
-
 class Camera(Plugin):
     """Takes pictures along the x axis of its link, with the link's z axis upwards.
 
@@ -192,21 +138,23 @@ class Camera(Plugin):
 
     filenames = ("libgazebo_ros_camera.so",)
     named_by_model = (False, True)
-    sensors: ClassVar[tuple[str, ...]] = ("camera",)
+    sensors: ClassVar[tuple[str, ...]] = ("camera", WIDE)
+    encodings: ClassVar[Mapping[str, str]] = ENCODINGS
     # Prefix of the picture's default topics.
     prefix: ClassVar[str] = ""
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
         tag = SensorTag(mount, self.sensors)
-        self._place = tag.place()
-        self.lens = Lens(_geometry(mount, tag))
+        offset = tag.numbers("camera/pose", 6, "0 0 0 0 0 0")
+        self._place = tag.place(Pose.from_rpy(offset[:3], offset[3:]))
+        self.lens: Lens | WideLens = _lens(mount, tag)
         if self.lens.black:
             where, share = tag.where("camera/distortion"), 100.0 * self.lens.black
             LOG.warning("%s: %.0f %% of the picture is black: outside of the lens", where, share)
         self.near = tag.number("camera/clip/near", 0.1)
         self.far = tag.number("camera/clip/far", 100.0)
-        self.encoding = ENCODINGS[tag.choice("camera/image/format", tuple(ENCODINGS))]
+        self.encoding = self.encodings[tag.choice("camera/image/format", tuple(self.encodings))]
         self.settings = _settings(mount, tag)
         self._shot()
         self._baseline = mount.number("hackBaseline", 0.0)
@@ -262,15 +210,29 @@ class Camera(Plugin):
             output.send(sample)
 
     def take(self, step: int) -> np.ndarray:
-        """Return the present picture, (height, width, 3) or, in grey, (height, width) uint8.
+        """Return the present picture, (height, width, 3) or, without colours, (height, width).
 
         Noise depends on the step. Raises LabError if something cannot be drawn.
         """
-        picture = blurred(self.lens.bend(self._picture()), self.settings.blur)
+        picture = self._with_noise(step, self._coloured(self.lens.picture(self._picture)))
+        return np.multiply(picture, TO_16, dtype=np.uint16) if "16" in self.encoding else picture
+
+    def _coloured(self, picture: np.ndarray) -> np.ndarray:
+        """Return a picture in the colours of the encoding, with 8 bits each."""
+        picture = blurred(picture, self.settings.blur)
         if self.encoding == "bgr8":
-            picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-        elif self.encoding == "mono8":
-            picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+            return cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+        if self.encoding.startswith("mono"):
+            return cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        if not self.encoding.startswith(BAYER):
+            return picture
+        mosaic = np.empty(picture.shape[:2], np.uint8)
+        for place, colour in enumerate(self.encoding[len(BAYER) : -1]):
+            row, column = divmod(place, 2)
+            mosaic[row::2, column::2] = picture[row::2, column::2, "rgb".index(colour)]
+        return mosaic
+
+    def _with_noise(self, step: int, picture: np.ndarray) -> np.ndarray:
         key = (self.settings.noise_mean, self.settings.noise_stddev)
         if not any(key):
             return picture
@@ -279,16 +241,17 @@ class Camera(Plugin):
             self._table = (key, table)
         return self._table[1].add_to(picture, self._noise.at(step))
 
-    def _picture(self) -> np.ndarray:
-        """Return the picture before the lens; if that blurs, with values brighter than white.
+    def _picture(self, turn: Pose) -> np.ndarray:
+        """Return a picture before the lens; if that blurs, with values brighter than white.
 
         A lens blurs the light before the sensor clips it.
         """
         draw, exposure = self.mount.simulation.renderer().picture, self.settings.exposure
-        picture = draw(self.pose(), self._shot(), exposure)
+        pose = self.pose() * turn
+        picture = draw(pose, self._shot(), exposure)
         if not self.settings.blur or not (picture == WHITE).any():
             return picture
-        light = BRIGHTEST * draw(self.pose(), self._shot(), exposure / BRIGHTEST)
+        light = BRIGHTEST * draw(pose, self._shot(), exposure / BRIGHTEST)
         # Near white, a part of the pixel was clipped; elsewhere, the two differ by rounding.
         return np.where(light > picture + BRIGHTEST, light, picture).astype(np.float32)
 
@@ -296,16 +259,21 @@ class Camera(Plugin):
         return Shot(self.lens.ideal, self.near, self.far, self.settings.samples)
 
 
-def _geometry(mount: Mount, tag: SensorTag) -> PinholeCamera:
+def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
     width = tag.count("camera/image/width", 320, LARGEST_SIDE)
     height = tag.count("camera/image/height", 240, LARGEST_SIDE)
     fov = tag.number("camera/horizontal_fov", 1.047)
-    if not 0.0 < fov < math.pi:
-        raise PluginError(f"{tag.where('camera/horizontal_fov')}: {fov:g} is not within 0 … pi")
+    is_wide = tag.element.get("type") == WIDE
+    if not (0.0 < fov < math.pi or is_wide and fov <= 2.0 * math.pi + 1e-3):
+        allowed = "0 … 2 pi" if is_wide else "0 … pi"
+        raise PluginError(f"{tag.where('camera/horizontal_fov')}: {fov:g} is not within {allowed}")
     for name in GEOMETRY_TAGS:
         if mount.number(name, 0.0) != 0.0:
             LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
-    return replace(centred_camera(width, height, fov), distortion=_distortion(mount, tag))
+    distortion = _distortion(mount, tag)
+    if is_wide:
+        return WideLens(tag, width, height, fov)
+    return Lens(replace(centred_camera(width, height, fov), distortion=distortion))
 
 
 def _distortion(mount: Mount, tag: SensorTag) -> tuple[float, ...]:
@@ -349,6 +317,7 @@ class DepthCamera(Camera):
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
     sensors: ClassVar[tuple[str, ...]] = ("depth",)
+    encodings: ClassVar[Mapping[str, str]] = PLAIN
     prefix = "ir/"
 
     def __init__(self, mount: Mount):

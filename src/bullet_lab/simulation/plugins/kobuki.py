@@ -19,9 +19,9 @@ from bullet_lab.simulation.plugins.samples import (
     JointSample,
     MotorPower,
     PlanarCommand,
-    ResetOdometry,
     SwitchesSample,
     TransformSample,
+    Trigger,
     WheelDropEvent,
 )
 from bullet_lab.simulation.plugins.wheel_drives import Wheel, wheel_joint
@@ -99,7 +99,7 @@ class Kobuki(MobileBase):
         self._core = self.output(f"{PREFIX}/sensors/core", SwitchesSample)
         self.inputs += (
             Input(mount.topic(f"{PREFIX}/commands/motor_power"), MotorPower, self._switch_motors),
-            Input(mount.topic(f"{PREFIX}/commands/reset_odometry"), ResetOdometry, self._zero),
+            Input(mount.topic(f"{PREFIX}/commands/reset_odometry"), Trigger, self._zero),
         )
         self._find_sensors()
         self.outputs += self._gyroscope.outputs
@@ -141,13 +141,13 @@ class Kobuki(MobileBase):
     def _switch_motors(self, power: MotorPower) -> None:
         self._has_power = power.on
 
-    def _zero(self, _command: ResetOdometry) -> None:
+    def _zero(self, _command: Trigger) -> None:
         self._x = self._y = self._yaw = 0.0
 
     def reset(self, step: int) -> None:
         self._now = self._commanded_at = step
         self._has_power = True
-        self._zero(ResetOdometry())
+        self._zero(Trigger())
         self._sensing.restart(step)
         self._turn_rate = 0.0
         self._gyroscope.reset(step)

@@ -26,8 +26,8 @@ AXES = ("x", "y", "z")
 QUANTITIES = ("angular_velocity", "linear_acceleration")
 
 
-def _offset(mount: Mount) -> Pose:
-    """Return the pose in the tags xyzOffset (m) and rpyOffset (rad)."""
+def mounting_offset(mount: Mount) -> Pose:
+    """Return the pose in the tags xyzOffset (m) and rpyOffset (rad) of a plugin."""
     return Pose.from_rpy(mount.vector("xyzOffset"), mount.vector("rpyOffset"))
 
 
@@ -161,7 +161,7 @@ class Imu(InertialUnit):
         frame = mount.text("frameName", body)
         super().__init__(mount, frame, mount.text("topicName", "/default_imu"))
         self.service = mount.topic(mount.text("serviceName", "/default_imu"))
-        self.place = mount.attached(body, _offset(mount))
+        self.place = mount.attached(body, mounting_offset(mount))
         self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
 
 
@@ -175,7 +175,7 @@ class ImuSensor(InertialUnit):
         tag = SensorTag(mount, ("imu",))
         frame = mount.required("frameName")
         super().__init__(mount, frame, mount.text("topicName", "imu_data"))
-        self.place = tag.place(_offset(mount))
+        self.place = tag.place(mounting_offset(mount))
         if mount.boolean("initialOrientationAsReference", False):
             self.reference = self.place.pose().inverse().quaternion
         self.schedule = tag.slower("updateRateHZ", 1.0)
@@ -213,7 +213,7 @@ class TruePose(Sensor):
         frame = mount.text("frameName", WORLD_FRAMES[0])
         self._frames = (mount.frame(frame), mount.frame(body))
         self._reference = None if frame in WORLD_FRAMES else mount.attached(frame)
-        self._offset = _offset(mount)
+        self._offset = mounting_offset(mount)
         self._deviation = mount.coefficient("gaussianNoise", 0.0)
         self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
 

@@ -46,6 +46,8 @@ class RayScan:
             increment from one to the next, 0 for a single one.
         least: least measured distance in m.
         greatest: greatest measured distance in m.
+        directions: unit vectors of the rays in the sensor's frame, row by row, (rays, 3).
+        shape: numbers of rows, from below, and of columns.
     """
 
     def __init__(self, mount: Mount, tag: SensorTag):
@@ -62,10 +64,13 @@ class RayScan:
         yaw, pitch = np.meshgrid(_spread(self.angles, columns), _spread(vertical, rows))
         level = np.cos(pitch)
         directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
-        self._place, directions = tag.place(), directions.reshape(-1, 3)
+        self.shape, self.directions = yaw.shape, directions.reshape(-1, 3)
+        self._place = tag.place()
         # The points of the rays at their origin, and at the least and the greatest distance.
         distances = (0.0, self.least, self.greatest)
-        origins, self._near, self._far = (self._place.ends(directions, d) for d in distances)
+        origins, self._near, self._far = (
+            self._place.ends(self.directions, d) for d in distances
+        )
         self._whole = (origins.tolist(), self._far.tolist())
 
     def distances(self) -> np.ndarray:

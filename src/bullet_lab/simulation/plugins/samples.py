@@ -16,6 +16,8 @@ from bullet_lab.core.pose import Pose, Quaternion, Vector
 
 # Row-major diagonals in REP 103 order x, y, z, rotation about x, y, z.
 Diagonal = Tuple[float, float, float, float, float, float]
+# The variance of each axis, or one for all three.
+Variance = Union[float, Vector]
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,8 @@ class MotorPower:
 
 
 @dataclass(frozen=True)
-class ResetOdometry:
-    """Odometry starts at zero again."""
+class Trigger:
+    """A command without content, such as to take a picture."""
 
 
 @dataclass(frozen=True)
@@ -237,6 +239,21 @@ class PointsSample(Sample):
 
 
 @dataclass(frozen=True)
+class BlockSample(Sample):
+    """Points in m in the axes of `frame`, (n, 3), and their intensities, (n,)."""
+
+    points: np.ndarray
+    intensities: np.ndarray
+
+
+@dataclass(frozen=True)
+class RingsSample(Sample):
+    """Points of a laser: records (rows, columns) with the fields of the message."""
+
+    records: np.ndarray
+
+
+@dataclass(frozen=True)
 class LaserSample(Sample):
     """A scan of a laser scanner, measured at one moment.
 
@@ -269,19 +286,40 @@ class RangeSample(Sample):
 class ImuSample(Sample):
     """A measurement of an inertial unit in the axes of `frame`.
 
-    Variances are those of all axes, or of each.
-
     `orientation` is the unit quaternion of the frame in the world, `angular_velocity` in rad/s,
-    `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Each has one
-    variance for all three axes, in rad², (rad/s)² and (m/s²)².
+    `specific_force` in m/s² (+g along z at rest, as an accelerometer reads). Variances are in
+    rad², (rad/s)² and (m/s²)².
     """
 
     orientation: Quaternion
     angular_velocity: Vector
     specific_force: Vector
-    orientation_variance: Union[float, Vector]
-    angular_velocity_variance: Union[float, Vector]
-    specific_force_variance: Union[float, Vector]
+    orientation_variance: Variance
+    angular_velocity_variance: Variance
+    specific_force_variance: Variance
+
+
+@dataclass(frozen=True)
+class VectorSample(Sample):
+    """A vector in the axes that its plugin names."""
+
+    vector: Vector
+
+
+@dataclass(frozen=True)
+class FixSample(Sample):
+    """A fix of a satellite receiver: degrees, m above the ellipsoid, variances in m².
+
+    `status` and `service` are those of sensor_msgs/NavSatStatus; `variances` are those along
+    north, west and up.
+    """
+
+    status: int
+    service: int
+    latitude: float
+    longitude: float
+    altitude: float
+    variances: Vector
 
 
 @dataclass(frozen=True)

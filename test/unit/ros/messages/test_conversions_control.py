@@ -15,9 +15,9 @@ from bullet_lab.simulation.plugins.samples import (
     LoopSample,
     MotorPower,
     PlanarCommand,
-    ResetOdometry,
     Stop,
     SwitchesSample,
+    Trigger,
     VelocitySample,
     WheelDropEvent,
 )
@@ -31,7 +31,7 @@ from bullet_lab.simulation.plugins.samples import (
         (Bool(True), Stop(True)),
         (kobuki_msg.MotorPower(0), MotorPower(False)),
         (kobuki_msg.MotorPower(1), MotorPower(True)),
-        (Empty(), ResetOdometry()),
+        (Empty(), Trigger()),
     ],
 )
 def test_commands(message, command):

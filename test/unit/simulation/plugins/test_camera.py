@@ -247,15 +247,16 @@ def test_impossible_settings_are_refused(wrong):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": "BAYER_RGGB8"}, "<format>: 'BAYER_RGGB8' is not one of R8G8B8, B8G8R8, L8"),
+        ({"format": "YUV"}, "<format>: 'YUV' is not one of R8G8B8, B8G8R8, L8"),
         ({"rate": 5000}, "not within 1e-09"),
         ({"more": noise(0.1, kind="custom")}, "<type>: 'custom' is not gaussian or none"),
         ({"more": noise(-0.1)}, "must not be negative"),
+        ({"tags": "<blur>1e9</blur>"}, "blur is 1e.09 px; at most 1000 are allowed"),
         ({"tags": "<samples>99</samples>"}, "99 samples"),
         ({"tags": "<distortionK1>0.1</distortionK1>",
           "more": "<distortion><k1>0.2</k1></distortion>"}, "the coefficients differ"),
         ({"tags": "<distortionK1>-3</distortionK1>"}, "8. % of the picture is black"),
-        ({"kind": "wideanglecamera"}, 'needs a <sensor type="camera">, not "wideanglecamera"'),
+        ({"kind": "multicamera"}, 'needs a <sensor type="camera">, not "multicamera"'),
     ],
 )  # fmt: skip
 def test_tags_that_make_no_camera(wall, changes, message):

@@ -11,7 +11,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import (
     MotorPower,
     PlanarCommand,
-    ResetOdometry,
+    Trigger,
 )
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf_writer import world_text
@@ -139,7 +139,7 @@ def test_the_motors_and_the_odometry_have_switches(world, robot):
     robot.command(f"{COMMANDS}/motor_power", MotorPower(True))
     drive(world, robot, 0.2, 0.0, 1.0)
     assert odometry[-1].pose.position[0] > 0.15
-    robot.command(f"{COMMANDS}/reset_odometry", ResetOdometry())
+    robot.command(f"{COMMANDS}/reset_odometry", Trigger())
     world.run_for(0.05)
     assert odometry[-1].pose.position[0] < 0.02
 

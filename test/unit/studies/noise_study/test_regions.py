@@ -31,7 +31,6 @@ from bullet_lab.studies.noise_study.regions import (
 from bullet_lab.studies.noise_study.study import where_right_records
 from bullet_lab.studies.study import clopper_pearson
 
-
 # Beyond this standard deviation, the page promises less of the exponential region.
 HEADING_LOST = math.radians(70.0)
 

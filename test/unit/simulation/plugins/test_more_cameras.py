@@ -1,0 +1,273 @@
+"""Stereo pairs, cameras with triggers, wide angles and formats, beside closed forms."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from picture_worlds import simulation_of, thing
+from sensor_worlds import carrier, record, sensor
+from shared import complains
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.plugins.samples import Trigger
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Box, Sphere
+from bullet_lab.simulation.world.sdf_writer import world_text
+
+RED = (1.0, 0.0, 0.0, 1.0)
+IMAGE = "<image><width>{}</width><height>{}</height><format>{}</format></image>"
+FOV = 1.2
+FOCAL = 160 / math.tan(0.5 * FOV)
+BASELINE = 0.12
+NAME = "<cameraName>eyes</cameraName><frameName>lens</frameName>"
+LIBRARY = "libgazebo_ros_{}.so"
+
+
+def camera(name="", pose="", width=320, height=240, format="R8G8B8", fov=FOV, more=""):
+    image = IMAGE.format(width, height, format)
+    place = f"<pose>{pose}</pose>" if pose else ""
+    return (
+        f'<camera name="{name}">{place}<horizontal_fov>{fov}</horizontal_fov>{image}'
+        f"<clip><near>0.05</near><far>50</far></clip>{more}</camera>"
+    )
+
+
+def pair(kind="multicamera", tags=""):
+    heads = camera("left", "0 0.06 0 0 0 0") + camera("my_right", "0 -0.06 0 0 0 0")
+    rate = "<update_rate>20</update_rate><pose>0.1 0 0 0 0 0</pose>"
+    tags = f"{NAME}<hackBaseline>{BASELINE}</hackBaseline>{tags}"
+    return carrier(sensor("multicamera", rate + heads, LIBRARY.format(kind), tags))
+
+
+def single(kind="camera", sensor_kind="camera", tags=NAME, **settings):
+    inner = f"<update_rate>20</update_rate>{camera(**settings)}"
+    return carrier(sensor(sensor_kind, inner, LIBRARY.format(kind), tags))
+
+
+def blobs(pixels):
+    """The centroids (column, row) of the red patches of a picture."""
+    red = (pixels[..., 0].astype(int) - pixels[..., 2] > 60).astype(np.uint8)
+    count, _, _, centres = cv2.connectedComponentsWithStats(red)
+    return centres[1:count]
+
+
+def floating(*things):
+    return simulation_of(*things, gravity=(0.0, 0.0, 0.0))
+
+
+TARGET = thing("target", Box((0.002, 0.2, 0.2)), Pose((2.1, 0.1, 0.05)), RED)
+
+
+def test_a_pair_sees_the_disparity_of_its_baseline():
+    with floating(TARGET) as simulation:
+        robot = simulation.add(pair())
+        sides = {side: record(robot, f"eyes/{side}/image_raw") for side in ("left", "right")}
+        infos = {side: record(robot, f"eyes/{side}/camera_info") for side in sides}
+        simulation.run_for(0.1)
+    assert [sample.step for sample in sides["left"]] == [50, 100]
+    assert [sample.step for sample in sides["right"]] == [50, 100]
+    assert sides["left"][0].frame == sides["right"][0].frame == "lens"
+    ((left, row),), ((right, other),) = (blobs(sides[side][0].pixels) for side in sides)
+    # The front of the target is 1.999 m ahead of the cameras, which are 0.1 m ahead of the link.
+    assert left - right == pytest.approx(FOCAL * BASELINE / 1.999, abs=0.5)
+    assert (row, other) == pytest.approx((119.5 - FOCAL * 0.05 / 1.999,) * 2, abs=0.5)
+    assert left == pytest.approx(159.5 - FOCAL * 0.04 / 1.999, abs=0.5)
+    assert [infos[side][0].baseline for side in ("left", "right")] == [0.0, BASELINE]
+
+
+def test_each_head_has_noise_of_its_own():
+    noise = "<noise><type>gaussian</type><stddev>0.1</stddev></noise>"
+    heads = camera("left", more=noise) + camera("right", more=noise)
+    robot = carrier(sensor("multicamera", heads, LIBRARY.format("multicamera"), NAME))
+    with floating() as simulation:
+        added = simulation.add(robot)
+        sides = [record(added, f"eyes/{side}/image_raw") for side in ("left", "right")]
+        simulation.run_for(0.04)
+    assert (sides[0][0].pixels != sides[1][0].pixels).mean() > 0.5
+
+
+def test_a_saved_pair_is_a_pair_again(tmp_path):
+    def topics(robot):
+        return [output.topic for plugin in robot.plugins for output in plugin.outputs]
+
+    with floating() as simulation:
+        expected = topics(simulation.add(pair()))
+        text, _ = world_text(simulation.snapshot(), tmp_path)
+    (tmp_path / "saved.world").write_text(text)
+    with Simulation.of(str(tmp_path / "saved.world")) as again:
+        assert topics(again.models["carrier"]) == expected
+    assert len(expected) == 4
+
+
+def test_a_camera_of_another_name_is_left_out():
+    robot = carrier(sensor("multicamera", camera("top"), LIBRARY.format("multicamera"), NAME))
+    with floating() as simulation, complains("camera 'top' is left out"):
+        assert simulation.add(robot).plugins == ()
+
+
+@pytest.mark.parametrize(
+    ("robot", "trigger", "image"),
+    [
+        (single("triggered_camera"), "eyes/image_trigger", "eyes/image_raw"),
+        (
+            pair("triggered_multicamera", "<triggerTopicName>now</triggerTopicName>"),
+            "eyes/right/now",
+            "eyes/right/image_raw",
+        ),
+    ],
+)
+def test_a_picture_for_each_trigger(robot, trigger, image):
+    with floating(TARGET) as simulation:
+        robot = simulation.add(robot)
+        pictures = record(robot, image)
+        infos = record(robot, image.replace("image_raw", "camera_info"))
+        simulation.run_for(0.5)
+        assert pictures == []
+        robot.command(trigger, Trigger())
+        simulation.run_for(0.1)
+        robot.command(trigger, Trigger())
+        robot.command(trigger, Trigger())
+        simulation.run_for(0.1)
+        assert [sample.step for sample in pictures] == [501, 601, 602]
+        assert [sample.step for sample in infos] == [501, 601, 602]
+        assert 1.0 / robot.plugins[0].schedule.period == 0.0
+        robot.plugins[0].set_rate(30.0, simulation.step)
+        simulation.run_for(0.1)
+        assert len(pictures) == 3
+        robot.command(trigger, Trigger())
+        simulation.reset_simulation()
+        simulation.run_for(0.1)
+    assert len(pictures) == 3
+    assert len(blobs(pictures[0].pixels)) == 1
+
+
+def radius(kind, angle, fov, c2=1.0, c3=0.0):
+    """The distance from the middle in half widths, by the formulas of the lenses."""
+
+    def raw(a):
+        return {
+            "gnomonical": math.tan(a) if a < 1.57 else math.inf,
+            "stereographic": 2.0 * math.tan(0.5 * a),
+            "equidistant": a,
+            "equisolid_angle": 2.0 * math.sin(0.5 * a),
+            "orthographic": math.sin(a),
+            "custom": math.tan(a / c2 + c3),
+        }[kind]
+
+    return raw(angle) / raw(0.5 * fov)
+
+
+CUSTOM = "<custom_function><c1>1.05</c1><c2>4</c2><f>1</f><fun>tan</fun></custom_function>"
+WIDTH = 401
+
+
+@pytest.mark.parametrize(
+    ("kind", "fov", "angles", "cutoff", "more"),
+    [
+        ("gnomonical", 2.4, (0.1, 0.7, 1.0), 1.57, ""),
+        ("stereographic", math.pi, (0.1, 0.7, 0.9, 1.4), 1.57, ""),
+        ("equidistant", math.pi, (0.1, 0.75, 0.9, 1.4), 1.57, ""),
+        ("equisolid_angle", 4.0, (0.2, 0.9, 1.8), 2.0, ""),
+        ("orthographic", 2.8, (0.1, 0.7, 1.2), 1.57, ""),
+        ("custom", 2.0 * math.pi, (0.2, 0.9, 1.6, 2.3, 2.6), 3.1415, CUSTOM),
+    ],
+)
+def test_a_point_is_where_the_lens_function_maps_it(kind, fov, angles, cutoff, more):
+    lens = f"<lens><type>{kind}</type>{more}<cutoff_angle>{cutoff}</cutoff_angle></lens>"
+    robot = single("camera", "wideanglecamera", width=WIDTH, height=WIDTH, fov=fov, more=lens)
+    middle, balls, expected = 0.5 * (WIDTH - 1), [], []
+    for number, angle in enumerate(angles):
+        for turn in (0.3 + 0.4 * number, 2.1 + 0.4 * number, 4.0 + 0.4 * number):
+            right, down = math.sin(angle) * math.cos(turn), math.sin(angle) * math.sin(turn)
+            place = Pose((4.0 * math.cos(angle), -4.0 * right, -4.0 * down))
+            balls.append(thing(f"ball{len(balls)}", Sphere(0.1), place, RED))
+            distance = 0.5 * WIDTH * radius(kind, angle, fov, 4.0)
+            offset = distance * math.cos(turn), distance * math.sin(turn)
+            expected.append((middle + offset[0], middle + offset[1]))
+    with floating(*balls) as simulation:
+        added = simulation.add(robot)
+        pictures = record(added, "eyes/image_raw")
+        simulation.run_for(0.05)
+    found = blobs(pictures[0].pixels)
+    assert len(found) == len(expected)
+    for point in expected:
+        assert np.linalg.norm(found - point, axis=1).min() < 0.5
+    corner = radius(kind, cutoff, fov, 4.0) * (middle + 0.5)
+    if corner < middle * math.sqrt(2.0):
+        assert (pictures[0].pixels[0, 0] == 0).all()
+
+
+def test_without_scaling_f_counts_and_the_middle_is_published():
+    lens = "<lens><type>equidistant</type><scale_to_hfov>false</scale_to_hfov></lens>"
+    robot = single("camera", "wideanglecamera", width=400, fov=2.0, more=lens)
+    with floating() as simulation:
+        added = simulation.add(robot)
+        infos = record(added, "eyes/camera_info")
+        simulation.run_for(0.05)
+    (info,) = infos
+    assert (info.camera.fx, info.camera.cx) == pytest.approx((200.0, 199.5))
+    assert not any(info.camera.distortion)
+
+
+TINY = "<custom_function><c1>1e-17</c1><fun>id</fun></custom_function>"
+
+
+@pytest.mark.parametrize(
+    ("fov", "kind", "more", "complaint"),
+    [
+        (3.2, "gnomonical", "", "a gnomonical lens does not reach 3.2 rad"),
+        (7.0, "equidistant", "", "7 is not within 0 … 2 pi"),
+        (2.0, "fish", "", "'fish' is not one of stereographic, gnomonical"),
+        (2.0, "equidistant", "<cutoff_angle>1e-9</cutoff_angle>", "<lens>: shows nothing"),
+        (2.0, "custom", f"<scale_to_hfov>0</scale_to_hfov>{TINY}", "<lens>: shows nothing"),
+        (2.0, "custom", TINY.replace("1e-17", "-1"), "<c1>: -1 is not positive"),
+    ],
+)
+def test_wrong_lenses(fov, kind, more, complaint):
+    lens = f"<lens><type>{kind}</type>{more}</lens>"
+    robot = single("camera", "wideanglecamera", width=41, height=41, fov=fov, more=lens)
+    with floating() as simulation, complains(complaint):
+        simulation.add(robot)
+
+
+def picture(format, noise=""):
+    back = thing("back", Box((0.1, 9.0, 9.0)), Pose((4.0, 0.0, 0.0)), (0.2, 0.5, 0.8, 1.0))
+    with floating(TARGET, back) as simulation:
+        added = simulation.add(single(format=format, more=noise))
+        pictures = record(added, "eyes/image_raw")
+        simulation.run_for(0.05)
+    return pictures[0]
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GBRG", "GRBG"])
+def test_bayer_has_one_colour_in_a_pixel(pattern):
+    colours, mosaic = picture("R8G8B8").pixels, picture(f"BAYER_{pattern}8")
+    assert mosaic.encoding == f"bayer_{pattern.lower()}8"
+    for place, letter in enumerate(pattern):
+        row, column = divmod(place, 2)
+        seen = colours[row::2, column::2, "RGB".index(letter)]
+        assert (mosaic.pixels[row::2, column::2] == seen).all()
+    assert len(np.unique(mosaic.pixels)) > 2
+
+
+@pytest.mark.parametrize(
+    ("format", "encoding", "plain", "factor"),
+    [
+        ("L16", "mono16", "L8", 257),
+        ("R16G16B16", "rgb16", "R8G8B8", 257),
+        ("RGB_INT8", "rgb8", "R8G8B8", 1),
+        ("L_INT8", "mono8", "L8", 1),
+    ],
+)
+def test_other_formats(format, encoding, plain, factor):
+    found, eight = picture(format), picture(plain)
+    assert found.encoding == encoding
+    assert found.pixels.dtype == (np.uint16 if factor > 1 else np.uint8)
+    assert (found.pixels == factor * eight.pixels.astype(int)).all()
+
+
+def test_a_depth_camera_has_no_bayer():
+    robot = single("depth_camera", "depth", format="BAYER_RGGB8")
+    with floating() as simulation, complains("'BAYER_RGGB8' is not one of R8G8B8"):
+        simulation.add(robot)
