@@ -50,6 +50,7 @@ class MapDriver(GoalDriver):
         command: the last command, if the robot is already moving.
 
     Attributes:
+        costmap: as given; it may be replaced while the robot drives.
         failure: why the goal cannot be reached; empty while it may be.
         plans: number of plans so far.
         recoveries: how often it drove back, as it was stuck.
@@ -64,7 +65,7 @@ class MapDriver(GoalDriver):
         command: Command = STANDSTILL,
     ):
         super().__init__(goal, limits, command)
-        self._costmap, self._wait = costmap, wait
+        self.costmap, self._wait = costmap, wait
         self.failure, self.plans, self.recoveries = "", 0, 0
         self._follower: PathFollower | None = None
         self._now = self._next_try = self._back_until = 0.0
@@ -90,11 +91,11 @@ class MapDriver(GoalDriver):
 
     def _plan(self, pose: PlanarPose) -> None:
         """Plan if there is no plan, or something is in its way."""
-        if self._follower is not None and self._costmap.is_free(self.plan, pose):
+        if self._follower is not None and self.costmap.is_free(self.plan, pose):
             return
         if self._now < self._next_try:
             return
-        way = self._costmap.plan(pose, self.goal)
+        way = self.costmap.plan(pose, self.goal)
         if way is not None:
             self._follower, self._since, self._cleared = PathFollower(way), None, False
             self.plans += 1
@@ -105,9 +106,9 @@ class MapDriver(GoalDriver):
         if waited >= 0.5 * self._wait and not self._cleared:
             # What the laser saw before may be gone.
             self._cleared = True
-            self._costmap.clear()
+            self.costmap.clear()
         elif waited >= self._wait:
-            self.failure = self._costmap.why_not(self.goal)
+            self.failure = self.costmap.why_not(self.goal)
 
     def _look_whether_stuck(self, pose: PlanarPose) -> None:
         """Drive back if the robot should move and does not, and give up in the end."""
@@ -132,7 +133,7 @@ class MapDriver(GoalDriver):
             return
         self._times_here += 1
         self.recoveries += 1
-        self._costmap.clear()
+        self.costmap.clear()
         self._follower, self._moved = None, None
         self._back_until = self._now + BACK_SECONDS
 
@@ -140,7 +141,7 @@ class MapDriver(GoalDriver):
         if self._now < self._back_until:
             x, y, yaw = pose
             behind = (x - BEHIND * math.cos(yaw), y - BEHIND * math.sin(yaw))
-            may = self._costmap.is_free([behind], pose)
+            may = self.costmap.is_free([behind], pose)
             return (-BACK_SPEED, 0.0) if may else STANDSTILL
         if self._follower is None:
             return STANDSTILL

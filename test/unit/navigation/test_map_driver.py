@@ -1,6 +1,7 @@
 """Tests of the costmap and of the drive on a map, in the engine too."""
 
 import math
+from pathlib import Path
 
 import house_drive
 import numpy as np
@@ -11,7 +12,7 @@ from bullet_lab.drive import STANDSTILL
 from bullet_lab.navigation import costmap as costmaps
 from bullet_lab.navigation.costmap import RobotCostmap
 from bullet_lab.navigation.driver import MapDriver
-from bullet_lab.navigation.occupancy import OccupancyMap
+from bullet_lab.navigation.occupancy import OccupancyMap, read_map
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.studies.map import MapSettings, map_world
@@ -174,3 +175,10 @@ def test_it_drives_through_the_house_around_what_the_map_does_not_show():
             assert driven > 1.05 * shortest if unknown else driven < 1.02 * shortest
             if unknown:
                 simulation.remove("thing")
+
+
+def test_the_map_beside_the_house_is_that_of_the_house():
+    folder = Path(__file__).parents[3] / "worlds"
+    found, made = read_map(folder / "house.yaml"), map_world(MapSettings())
+    np.testing.assert_array_equal(found.cells, made.cells)
+    np.testing.assert_allclose(found.origin, made.origin)

@@ -30,7 +30,7 @@ from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Report, save_all
 from bullet_lab.reports.dock import DockReport, Station
 from bullet_lab.reports.fleet import FleetReport
-from bullet_lab.reports.goal import Beacon, GoalReport
+from bullet_lab.reports.goal import Beacon, GoalReport, MapDriveReport
 from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.reports.vision import VisionReport
@@ -266,6 +266,8 @@ class PlotGoalParameters(RenewedParameters):
     frame: str = text("world", "frame of the goal")
     tolerance: float = number(0.05, "m, for the picture", above=0.0)
     stay: bool = boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
+    goals: int = integer(0, "of send_goals, which sends them all on a map", minimum=0)
+    radius: float = number(0.25, "m, of the robot on the map", above=0.0)
 
 
 @node
@@ -277,9 +279,17 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
         - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
         - drive_to_goal/current_goal, status, finished: the goals of all senders
         - /bullet_lab/world (visualization_msgs/MarkerArray): the beacons
+        - with ~goals: map, send_goals/boxes, send_goals/finished, bullet_lab/touched; the first
+          goal is not sent then
 
     Writes truth.tum, path.png and summary.json.
     """
+    if parameters.goals:
+        report = MapDriveReport(
+            Path(parameters.out), parameters.tolerance, parameters.goals, parameters.radius
+        )
+        Recorder(report, parameters).run()
+        return
     standing = StandingModels()
 
     def beacons() -> list[Beacon]:

@@ -1,0 +1,137 @@
+"""A client of move_base that sends goals drawn by a seed, and puts boxes in the way of some.
+
+:ROS Parameters: see `SendGoalsParameters`
+:ROS Actions: calls move_base (move_base_msgs/MoveBaseAction)
+:ROS Subscribers: map (nav_msgs/OccupancyGrid)
+:ROS Publishers:
+    - ~boxes (geometry_msgs/PoseStamped): each box, when it is put there
+    - ~finished (std_msgs/Time), latched: when the last goal has ended
+:ROS Service clients: /gazebo/spawn_sdf_model, /gazebo/delete_model
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import rospy
+from actionlib import SimpleActionClient
+from actionlib_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped
+from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
+from nav_msgs.msg import OccupancyGrid
+from std_msgs.msg import Time
+
+from bullet_lab.core.parameters import integer, number, number_list
+from bullet_lab.core.pose import Pose
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.navigation.costmap import RobotCostmap, spot_in_the_way
+from bullet_lab.navigation.occupancy import FREE
+from bullet_lab.ros.gazebo.client import call
+from bullet_lab.ros.messages.gazebo_types import srv
+from bullet_lab.ros.messages.poses import pose_message, stamped_pose
+from bullet_lab.ros.node.lock_step import Rate
+from bullet_lab.ros.node.node import NodeError, node
+from bullet_lab.ros.node.publishers import publisher
+from bullet_lab.ros.nodes.map_floor import read_grid
+
+# Wall seconds for the map to come.
+PATIENCE = 60.0
+# Looks per simulated second at whether a goal has ended, and wall seconds for its result to come.
+RATE, ARRIVAL = 1.0, 0.01
+# m between a goal and the one before, at least, and edge of a box.
+LEAST_WAY, BOX = 1.0, 0.4
+MOST_DRAWS = 10_000
+NAME = "unknown_box"
+MODEL = f"""<sdf version="1.6"><model name="{NAME}"><static>true</static><link name="link">
+<collision name="box"><geometry><box><size>{BOX} {BOX} {BOX}</size></box></geometry></collision>
+<visual name="box"><geometry><box><size>{BOX} {BOX} {BOX}</size></box></geometry></visual>
+</link></model></sdf>"""
+
+
+@dataclass(frozen=True)
+class SendGoalsParameters:
+    """Private parameters of send_goals."""
+
+    goals: int = integer(20, "how many", minimum=1)
+    box_every: int = integer(2, "put a box in the way of each so many-th goal; 0: none", minimum=0)
+    seed: int = integer(1, "of the goals", minimum=0)
+    radius: float = number(0.25, "m, of the robot, as of drive_to_goal", above=0.0)
+    start: tuple[float, ...] = number_list((0.0, 0.0, 0.0), "of the robot on the map: m, m, rad")
+
+
+def draw_goal(
+    costmap: RobotCostmap, robot: PlanarPose, random: np.random.Generator
+) -> PlanarPose:
+    """Return a pose on known free floor to which there is a way; raises NodeError."""
+    known = costmap.map
+    rows, columns = np.nonzero(known.cells == FREE)
+    for _ in range(MOST_DRAWS if len(rows) else 0):
+        cell = int(random.integers(len(rows)))
+        place = np.array([columns[cell], rows[cell]]) + random.uniform(0.0, 1.0, 2)
+        x, y = (place * known.resolution + known.origin[:2]).tolist()
+        is_far = np.hypot(x - robot[0], y - robot[1]) >= LEAST_WAY
+        if is_far and costmap.plan(robot, (x, y)) is not None:
+            return x, y, float(random.uniform(-np.pi, np.pi))
+    raise NodeError(f"no goal on the map has a way from ({robot[0]:.2f}, {robot[1]:.2f}) m")
+
+
+class GoalSender:
+    """Sends one goal after the other, and waits for each."""
+
+    def __init__(self, parameters: SendGoalsParameters):
+        self._parameters = parameters
+        self._boxes = publisher("~boxes", PoseStamped)
+        self._finished = publisher("~finished", Time, latch=True)
+        self._client = SimpleActionClient("move_base", MoveBaseAction)
+        message = rospy.wait_for_message("map", OccupancyGrid, PATIENCE)
+        self._frame = message.header.frame_id
+        self._costmap = RobotCostmap(read_grid(message), parameters.radius)
+        self._random = np.random.default_rng(parameters.seed)
+
+    def run(self) -> None:
+        """Send all goals."""
+        parameters, robot, reached = self._parameters, self._parameters.start, 0
+        self._ticks = Rate(RATE, self._is_connected, "move_base")
+        self._ticks.sleep()
+        for count in range(1, parameters.goals + 1):
+            goal = draw_goal(self._costmap, robot, self._random)
+            every = parameters.box_every
+            box = None
+            if every and count % every == 0:
+                box = spot_in_the_way(self._costmap, robot, goal, BOX)
+            if box is not None:
+                pose = Pose((*box, 0.5 * BOX))
+                place = pose_message(pose)
+                call("/gazebo/spawn_sdf_model", srv.SpawnModel, NAME, MODEL, "", place, "")
+                self._boxes.publish(stamped_pose(self._ticks.now, self._frame, (*box, 0.0)))
+            status = self._drive(goal)
+            if box is not None:
+                call("/gazebo/delete_model", srv.DeleteModel, NAME)
+            reached += status == GoalStatus.SUCCEEDED
+            log = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
+            log("goal %d of %d: %s", count, parameters.goals, self._client.get_goal_status_text())
+            robot = goal if status == GoalStatus.SUCCEEDED else robot
+        self._finished.publish(Time(self._ticks.now))
+        rospy.loginfo("%d of %d goals reached", reached, parameters.goals)
+        self._ticks.leave()
+        rospy.spin()
+
+    def _is_connected(self) -> bool:
+        ends = self._client.action_client
+        return ends.pub_goal.get_num_connections() > 0 < ends.result_sub.get_num_connections()
+
+    def _drive(self, goal: PlanarPose) -> int:
+        """Send a goal, wait for its end, and return its status."""
+        pose = stamped_pose(self._ticks.now, self._frame, goal)
+        self._client.send_goal(MoveBaseGoal(pose))
+        while self._client.get_state() in (GoalStatus.PENDING, GoalStatus.ACTIVE):
+            self._ticks.sleep()
+            rospy.rostime.wallsleep(ARRIVAL)
+        return self._client.get_state()
+
+
+@node
+def send_goals(parameters: SendGoalsParameters) -> None:
+    """Run until ROS shuts down."""
+    GoalSender(parameters).run()
