@@ -2,6 +2,7 @@
 """A client of move_base drives through the house that map_server, amcl and move_base know."""
 
 import math
+import signal
 import subprocess
 import sys
 import tempfile
@@ -46,6 +47,8 @@ class NavigationTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
+        launch = PACKAGE / "test" / "rostest" / "course_navigation" / "navigation.launch"
+        cls.course = subprocess.Popen(["roslaunch", "--wait", str(launch)])
         rospy.init_node("navigation_test")
         rospy.wait_for_service("/bullet_lab/set_rtf")
         rospy.ServiceProxy("/bullet_lab/set_rtf", SetRtf)(3.0)
@@ -55,6 +58,11 @@ class NavigationTest(unittest.TestCase):
         cls.touched = Topic("bullet_lab/touched", TouchedModels)
         wait_for(lambda: cls.pose.messages, "amcl_pose")
         cls.client.wait_for_server()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.course.send_signal(signal.SIGINT)
+        cls.course.wait()
 
     def test_1_the_map_is_that_of_the_file(self):
         known = read_map(HOUSE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Sequence, Tuple
+from typing import Sequence
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -26,8 +26,6 @@ ESCAPE_COST = 20.0
 MARK_RANGE, CLEAR_RANGE = 2.5, 3.0
 # Cells around what the map shows where the laser marks nothing: its noise would thicken walls.
 EXPLAINED = 1.6
-# m between what is put in the way and both ends of the way.
-LEAST_ROOM = 0.9
 # m of a way ahead that are checked.
 AHEAD = 2.5
 # m by which a robot that begins too near to something may come nearer.
@@ -205,35 +203,3 @@ def _with_fewer_cells(known: OccupancyMap) -> OccupancyMap:
     size = known.resolution
     x, y = known.origin[0] + first[1] * size, known.origin[1] + first[0] * size
     return OccupancyMap(cells, join * size, (x, y, 0.0))
-
-
-def spot_in_the_way(
-    costmap: RobotCostmap, robot: Sequence[float], goal: Sequence[float], size: float
-) -> Point | None:
-    """Return where on its way something (m wide) makes a robot drive another one.
-
-    None if there is no such place with room around start and goal. The costmap is cleared.
-    """
-    way = costmap.plan(robot, goal)
-    if way is None:
-        return None
-    points = np.concatenate([along(*ends, 0.05) for ends in zip(way, way[1:])])
-    square = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12) * size] * 2), axis=-1).reshape(-1, 2)
-    for share in (0.5, 0.4, 0.6, 0.3, 0.7):
-        spot = points[int(share * len(points))]
-        if min(math.dist(spot, way[0]), math.dist(spot, way[-1])) > LEAST_ROOM:
-            costmap.mark(spot + square)
-            other = costmap.plan(robot, goal)
-            costmap.clear()
-            if other is not None:
-                return tuple(spot.tolist())
-    return None
-
-
-def circumscribed(footprint: Sequence[Tuple[float, float]]) -> float:
-    """Return the radius (m) of the circle around the origin that holds a footprint.
-
-    >>> circumscribed([(0.3, 0.4), (-0.1, 0.0)])
-    0.5
-    """
-    return max(math.hypot(x, y) for x, y in footprint)

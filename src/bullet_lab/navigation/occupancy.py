@@ -19,7 +19,6 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 # Grey levels of the three in an image, as map_saver writes them.
 _FREE_LEVEL, _OCCUPIED_LEVEL, _UNKNOWN_LEVEL = 254, 0, 205
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
-MODES = ("trinary", "scale", "raw")
 
 
 class MapError(LabError):
@@ -87,7 +86,7 @@ def read_map(path: Path) -> OccupancyMap:
         negate = bool(int(content.get("negate", 0)))
         occupied = float(content.get("occupied_thresh", OCCUPIED_THRESHOLD))
         free = float(content.get("free_thresh", FREE_THRESHOLD))
-        mode = str(content.get("mode", MODES[0]))
+        mode = str(content.get("mode", "trinary"))
     except OSError as error:
         raise MapError(f"cannot read {path}: {error.strerror}") from error
     except KeyError as error:
@@ -95,29 +94,14 @@ def read_map(path: Path) -> OccupancyMap:
     except (TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
         raise MapError(f"{path} is no map: {error}".split("\n")[0]) from error
     is_finite = all(map(math.isfinite, (resolution, *origin, occupied, free)))
-    if len(origin) != 3 or not is_finite or resolution <= 0.0 or mode not in MODES:
-        allowed = f"a resolution > 0, an origin of 3 finite numbers, a mode of {', '.join(MODES)}"
+    if len(origin) != 3 or not is_finite or resolution <= 0.0 or mode != "trinary":
+        allowed = "a resolution > 0, an origin of 3 finite numbers, the mode trinary"
         raise MapError(f"{path}: needs {allowed}")
     levels = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
     if levels is None or levels.dtype != np.uint8:
         raise MapError(f"{path}: cannot read the image {image}; it must be one of 8 bits, as PGM")
-    return OccupancyMap(_values(levels, negate, mode, occupied, free), resolution, origin)
-
-
-def _values(levels: np.ndarray, negate: bool, mode: str, occupied: float, free: float):
-    """Return the cells that an image (h, w) or (h, w, channels) means, as map_server reads it."""
-    levels = np.atleast_3d(levels)
-    is_clear = levels[..., 3] < 255 if levels.shape[2] == 4 else np.zeros(levels.shape[:2], bool)
-    if mode != MODES[0]:
-        levels = levels[..., :3]
-    grey = levels.mean(axis=2)
-    grey = 255.0 - grey if negate else grey
-    if mode == "raw":
-        return grey.astype(np.uint8).astype(np.int8)[::-1]
-    share = (255.0 - grey) / 255.0
-    between = np.full(share.shape, float(UNKNOWN))
-    if mode == "scale":
-        scaled = 1.0 + np.floor(98.0 * (share - free) / max(occupied - free, 1e-9))
-        between = np.where(is_clear, between, scaled.clip(1, 99))
-    values = np.where(share > occupied, OCCUPIED, np.where(share < free, FREE, between))
-    return values.astype(np.int8)[::-1]
+    # As in map_server, the mean of all channels counts.
+    grey = np.atleast_3d(levels).mean(axis=2)
+    share = (grey if negate else 255.0 - grey) / 255.0
+    values = np.where(share > occupied, OCCUPIED, np.where(share < free, FREE, UNKNOWN))
+    return OccupancyMap(values.astype(np.int8)[::-1], resolution, origin)

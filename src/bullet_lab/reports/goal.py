@@ -18,7 +18,6 @@ from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.navigation.costmap import RobotCostmap
-from bullet_lab.navigation.occupancy import OccupancyMap
 from bullet_lab.reports import DriveReport, Reading, Report, draw_path
 
 # ns that are recorded after the end, while the robot should stand.
@@ -213,27 +212,23 @@ class MapDriveReport(GoalReport):
         folder: for the files.
         tolerance: m around the goals, for the figure.
         count: number of goals.
-        radius: of the robot, m, for the shortest ways.
+        costmap: of the robot, with the map.
     """
 
-    def __init__(self, folder: Path, tolerance: float, count: int, radius: float):
+    def __init__(self, folder: Path, tolerance: float, count: int, costmap: RobotCostmap):
         super().__init__(folder, tolerance, True, list)
-        self._count, self._radius = count, radius
+        self._count, self._costmap = count, costmap
         self.topics = {
             **self.topics,
-            "map": "nav_msgs/OccupancyGrid",
             "bullet_lab/touched": "bullet_lab/TouchedModels",
             "send_goals/boxes": "geometry_msgs/PoseStamped",
             "send_goals/finished": "std_msgs/Time",
         }
-        self._map: OccupancyMap | None = None
         self._touches: Mapping[str, int] = {}
         self._boxes: list[Reading] = []
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "map":
-            self._map = reading.detail
-        elif topic == "bullet_lab/touched":
+        if topic == "bullet_lab/touched":
             self._touches = {k: n for k, n in reading.detail.items() if k != GROUND}
         elif topic == "send_goals/boxes":
             self._boxes.append(reading)
@@ -265,10 +260,10 @@ class MapDriveReport(GoalReport):
     def _over_shortest(self, record: GoalRecord, driven: float | None) -> float | None:
         """Return the driven way as a share of the shortest on the map; None if unknown."""
         truth = self.truth.path()
-        if None in (driven, self._map, truth):
+        if driven is None or truth is None:
             return None
         start = truth.poses[max(0, np.searchsorted(truth.stamps, record.begun + 1e-9) - 1)]
-        way = RobotCostmap(self._map, self._radius).plan(start, record.goal)
+        way = self._costmap.plan(start, record.goal)
         shortest = sum(math.dist(*ends) for ends in zip(way or (), (way or ())[1:]))
         return driven / shortest if shortest else None
 
@@ -283,9 +278,9 @@ class MapDriveReport(GoalReport):
 
     def _draw_path(self, axes: Axes, truth: Trajectory | None, goals: Sequence[GoalRecord]) -> None:
         super()._draw_path(axes, truth, goals)
-        if self._map is not None:
-            shades = {"cmap": "gray", "vmin": 0, "vmax": 255, "zorder": 0}
-            axes.imshow(self._map.levels(), extent=self._map.extent(), **shades)
+        shades = {"cmap": "gray", "vmin": 0, "vmax": 255, "zorder": 0}
+        axes.imshow(self._costmap.map.levels(), extent=self._costmap.map.extent(), **shades)
+        axes.autoscale()
         for box in self._boxes:
             x, y = box.values[:2]
             axes.add_patch(Rectangle((x - 0.2, y - 0.2), 0.4, 0.4, color=BLUE, alpha=0.5))

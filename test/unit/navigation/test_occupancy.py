@@ -51,8 +51,7 @@ HEAD = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\n"
         ("", [[0, 88, 89, 204, 205, 206, 255]], [100, 100, 100, -1, -1, 0, 0]),
         ("negate: 1\n", [[0, 255, 49, 50]], [0, 100, 0, -1]),
         ("occupied_thresh: 0.9\nfree_thresh: 0.5\n", [[0, 100, 200]], [100, -1, 0]),
-        ("mode: scale\n", [[0, 127, 205, 255]], [100, 67, 1, 0]),
-        ("mode: raw\n", [[0, 42, 100, 255]], [0, 42, 100, -1]),
+        ("mode: trinary\n", [[0, 205]], [100, -1]),
         # Of a picture with colours, the mean.
         ("", [[[0, 0, 255], [255, 255, 240]]], [100, 0]),
     ],
@@ -70,7 +69,7 @@ def test_grey_levels_mean_what_they_mean_to_map_server(tmp_path, more, levels, v
         ("image: other.png\nresolution: 0.1\norigin: [0, 0, 0]\n", "cannot read the image"),
         (HEAD.replace("0.1", "-1"), "needs a resolution > 0"),
         (HEAD.replace("0, 0, 0", "0, 0"), "an origin of 3"),
-        (HEAD + "mode: fine\n", "trinary, scale, raw"),
+        (HEAD + "mode: scale\n", "the mode trinary"),
     ],
 )
 def test_what_is_no_map_is_refused(tmp_path, text, expected):

@@ -1,7 +1,7 @@
 """The floor of a robot that drives on a map: map, scans, plan and costmap by move_base's names.
 
 :ROS Subscribers:
-    - map (nav_msgs/OccupancyGrid), or the topic ~map
+    - map (nav_msgs/OccupancyGrid), or the topic ~map, unless that is the YAML file of a map
     - scan (sensor_msgs/LaserScan), or the topic ~scan
 :ROS Publishers, latched:
     - move_base/NavfnROS/plan (nav_msgs/Path)
@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ from bullet_lab.drive import Command, GoalLimits
 from bullet_lab.errors import LabError
 from bullet_lab.navigation.costmap import RobotCostmap
 from bullet_lab.navigation.driver import MapDriver, MapLimits
-from bullet_lab.navigation.occupancy import OccupancyMap
+from bullet_lab.navigation.occupancy import OccupancyMap, read_map
 from bullet_lab.navigation.paths import Point, along
 from bullet_lab.ros.messages.poses import InputError, pose_message, pose_of, stamped_pose
 from bullet_lab.ros.node.node import Refusals
@@ -55,7 +56,8 @@ KEPT = 100
 class MapParameters(MapLimits):
     """Private parameters of a node that drives on a map."""
 
-    map: str = text("", "topic of the map to plan on; empty: drive straight to goals")
+    map: str = text("", "topic or YAML file of the map to plan on; empty: drive straight to goals")
+    map_frame: str = text("map", "frame of the map in a file")
     scan: str = text("scan", "topic of the laser for what the map does not show; empty: none")
     scan_rate: float = number(10.0, "lock step: scans per second", above=0.0, maximum=1000.0)
 
@@ -147,7 +149,10 @@ class Floor:
         self._plan = Publisher("move_base/NavfnROS/plan", Path, queue_size=1, latch=True)
         name = "move_base/global_costmap/costmap"
         self._costs = Publisher(name, OccupancyGrid, queue_size=1, latch=True)
-        rospy.Subscriber(parameters.map, OccupancyGrid, self._take_map, queue_size=1)
+        if parameters.map.endswith(".yaml"):
+            self._use(read_map(FilePath(parameters.map)), parameters.map_frame)
+        else:
+            rospy.Subscriber(parameters.map, OccupancyGrid, self._take_map, queue_size=1)
         rospy.Service("move_base/make_plan", GetPlan, self._make_plan)
         rospy.Service("move_base/clear_costmaps", Empty, self.clear)
 
@@ -229,13 +234,15 @@ class Floor:
 
     def _take_map(self, message: OccupancyGrid) -> None:
         with self._refusals.on(self._parameters.map):
-            frame, limits = message.header.frame_id.lstrip("/"), self._parameters
+            frame = message.header.frame_id.lstrip("/")
             if not frame:
                 raise InputError("no frame_id")
-            made = RobotCostmap(
-                read_grid(message), limits.radius, limits.inflation, limits.allow_unknown
-            )
-            self._costmap, self._frame = made, frame
+            self._use(read_grid(message), frame)
+
+    def _use(self, known: OccupancyMap, frame: str) -> None:
+        limits = self._parameters
+        made = RobotCostmap(known, limits.radius, limits.inflation, limits.allow_unknown)
+        self._costmap, self._frame = made, frame
 
     def _make_plan(self, request: GetPlanRequest) -> Path | None:
         try:

@@ -2,7 +2,6 @@
 
 :ROS Parameters: see `SendGoalsParameters`
 :ROS Actions: calls move_base (move_base_msgs/MoveBaseAction)
-:ROS Subscribers: map (nav_msgs/OccupancyGrid)
 :ROS Publishers:
     - ~boxes (geometry_msgs/PoseStamped): each box, when it is put there
     - ~finished (std_msgs/Time), latched: when the last goal has ended
@@ -11,7 +10,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Sequence
 
 import numpy as np
 import rospy
@@ -19,28 +21,27 @@ from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
-from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Time
 
-from bullet_lab.core.parameters import integer, number, number_list
+from bullet_lab.core.parameters import integer, number, number_list, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.navigation.costmap import RobotCostmap, spot_in_the_way
-from bullet_lab.navigation.occupancy import FREE
+from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation.occupancy import FREE, read_map
+from bullet_lab.navigation.paths import Point, along
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message, stamped_pose
 from bullet_lab.ros.node.lock_step import Rate
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.publishers import publisher
-from bullet_lab.ros.nodes.map_floor import read_grid
 
-# Wall seconds for the map to come.
-PATIENCE = 60.0
 # Looks per simulated second at whether a goal has ended, and wall seconds for its result to come.
 RATE, ARRIVAL = 1.0, 0.01
 # m between a goal and the one before, at least, and edge of a box.
 LEAST_WAY, BOX = 1.0, 0.4
+# m between a box and both ends of the way, at least.
+LEAST_ROOM = 0.9
 MOST_DRAWS = 10_000
 NAME = "unknown_box"
 MODEL = f"""<sdf version="1.6"><model name="{NAME}"><static>true</static><link name="link">
@@ -53,6 +54,8 @@ MODEL = f"""<sdf version="1.6"><model name="{NAME}"><static>true</static><link n
 class SendGoalsParameters:
     """Private parameters of send_goals."""
 
+    map: str = text("", "YAML file of the map")
+    frame: str = text("map", "its frame")
     goals: int = integer(20, "how many", minimum=1)
     box_every: int = integer(2, "put a box in the way of each so many-th goal; 0: none", minimum=0)
     seed: int = integer(1, "of the goals", minimum=0)
@@ -76,6 +79,29 @@ def draw_goal(
     raise NodeError(f"no goal on the map has a way from ({robot[0]:.2f}, {robot[1]:.2f}) m")
 
 
+def spot_in_the_way(
+    costmap: RobotCostmap, robot: Sequence[float], goal: Sequence[float], size: float
+) -> Point | None:
+    """Return where on its way something (m wide) makes a robot drive another one.
+
+    None if there is no such place with room around start and goal. The costmap is cleared.
+    """
+    way = costmap.plan(robot, goal)
+    if way is None:
+        return None
+    points = np.concatenate([along(*ends, 0.05) for ends in zip(way, way[1:])])
+    square = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12) * size] * 2), axis=-1).reshape(-1, 2)
+    for share in (0.5, 0.4, 0.6, 0.3, 0.7):
+        spot = points[int(share * len(points))]
+        if min(math.dist(spot, way[0]), math.dist(spot, way[-1])) > LEAST_ROOM:
+            costmap.mark(spot + square)
+            other = costmap.plan(robot, goal)
+            costmap.clear()
+            if other is not None:
+                return tuple(spot.tolist())
+    return None
+
+
 class GoalSender:
     """Sends one goal after the other, and waits for each."""
 
@@ -84,9 +110,8 @@ class GoalSender:
         self._boxes = publisher("~boxes", PoseStamped)
         self._finished = publisher("~finished", Time, latch=True)
         self._client = SimpleActionClient("move_base", MoveBaseAction)
-        message = rospy.wait_for_message("map", OccupancyGrid, PATIENCE)
-        self._frame = message.header.frame_id
-        self._costmap = RobotCostmap(read_grid(message), parameters.radius)
+        self._frame = parameters.frame
+        self._costmap = RobotCostmap(read_map(Path(parameters.map)), parameters.radius)
         self._random = np.random.default_rng(parameters.seed)
 
     def run(self) -> None:
@@ -106,11 +131,12 @@ class GoalSender:
                 call("/gazebo/spawn_sdf_model", srv.SpawnModel, NAME, MODEL, "", place, "")
                 self._boxes.publish(stamped_pose(self._ticks.now, self._frame, (*box, 0.0)))
             status = self._drive(goal)
+            self._client.stop_tracking_goal()
             if box is not None:
                 call("/gazebo/delete_model", srv.DeleteModel, NAME)
             reached += status == GoalStatus.SUCCEEDED
             log = rospy.loginfo if status == GoalStatus.SUCCEEDED else rospy.logwarn
-            log("goal %d of %d: %s", count, parameters.goals, self._client.get_goal_status_text())
+            log("goal %d of %d: %s", count, parameters.goals, self._text)
             robot = goal if status == GoalStatus.SUCCEEDED else robot
         self._finished.publish(Time(self._ticks.now))
         rospy.loginfo("%d of %d goals reached", reached, parameters.goals)
@@ -128,6 +154,7 @@ class GoalSender:
         while self._client.get_state() in (GoalStatus.PENDING, GoalStatus.ACTIVE):
             self._ticks.sleep()
             rospy.rostime.wallsleep(ARRIVAL)
+        self._text = self._client.get_goal_status_text()
         return self._client.get_state()
 
 

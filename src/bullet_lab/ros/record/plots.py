@@ -26,6 +26,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.msg import DockAction, DockGoal
+from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation.occupancy import read_map
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Report, save_all
 from bullet_lab.reports.dock import DockReport, Station
@@ -267,6 +269,7 @@ class PlotGoalParameters(RenewedParameters):
     tolerance: float = number(0.05, "m, for the picture", above=0.0)
     stay: bool = boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
     goals: int = integer(0, "of send_goals, which sends them all on a map", minimum=0)
+    map: str = text("", "YAML file of the map")
     radius: float = number(0.25, "m, of the robot on the map", above=0.0)
 
 
@@ -279,15 +282,15 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
         - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
         - drive_to_goal/current_goal, status, finished: the goals of all senders
         - /bullet_lab/world (visualization_msgs/MarkerArray): the beacons
-        - with ~goals: map, send_goals/boxes, send_goals/finished, bullet_lab/touched; the first
+        - with ~goals: send_goals/boxes, send_goals/finished, bullet_lab/touched; the first
           goal is not sent then
 
     Writes truth.tum, path.png and summary.json.
     """
     if parameters.goals:
-        report = MapDriveReport(
-            Path(parameters.out), parameters.tolerance, parameters.goals, parameters.radius
-        )
+        costmap = RobotCostmap(read_map(Path(parameters.map)), parameters.radius)
+        out, count = Path(parameters.out), parameters.goals
+        report = MapDriveReport(out, parameters.tolerance, count, costmap)
         Recorder(report, parameters).run()
         return
     standing = StandingModels()

@@ -18,7 +18,7 @@ import rospy
 from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from matplotlib.figure import Figure
-from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import Image, Imu, LaserScan, Range
 from std_msgs.msg import Time
 
@@ -38,7 +38,6 @@ from bullet_lab.ros.node.odometry import FrameGuard
 from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
-from bullet_lab.ros.nodes.map_floor import read_grid
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.nodes.show_sensors import last_states
 
@@ -347,8 +346,6 @@ READERS: dict[str, tuple[type, Callable[[Any], tuple]]] = {
     # Detail: x and y of each pose (m), and of each point (px).
     "nav_msgs/Path": (Path, lambda m: _places(stamped.pose.position for stamped in m.poses)),
     "bullet_lab/ImagePoints": (ImagePoints, lambda m: _places(m.points)),
-    # Detail: the map.
-    "nav_msgs/OccupancyGrid": (OccupancyGrid, lambda m: ((), read_grid(m))),
     # Detail: the messages of the markers.
     "bullet_lab/MarkerDetectionArray": (MarkerDetectionArray, lambda m: ((), m.detections)),
 }

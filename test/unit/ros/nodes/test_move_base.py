@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
+from move_base.node import read  # noqa: E402
 from nav_msgs.msg import MapMetaData, OccupancyGrid  # noqa: E402
 from sensor_msgs.msg import LaserScan  # noqa: E402
 
@@ -16,7 +17,6 @@ from bullet_lab.navigation.occupancy import OccupancyMap  # noqa: E402
 from bullet_lab.ros.messages.poses import InputError  # noqa: E402
 from bullet_lab.ros.node.node import NodeError  # noqa: E402
 from bullet_lab.ros.nodes.map_floor import grid_message, read_grid, read_scan  # noqa: E402
-from bullet_lab.ros.nodes.move_base import read  # noqa: E402
 from bullet_lab.ros.nodes.send_goals import draw_goal  # noqa: E402
 
 

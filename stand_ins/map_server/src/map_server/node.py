@@ -4,8 +4,7 @@
 :ROS Publishers: map (nav_msgs/OccupancyGrid), map_metadata (nav_msgs/MapMetaData), both latched
 :ROS Services: static_map (nav_msgs/GetMap)
 
-map_server FILE.yaml serves a map. Of a world (FILE.world, or the name of one of the package) it
-serves the map that the job `map` makes. map_saver [-f NAME] [map:=TOPIC] writes one.
+map_server FILE.yaml serves a map; map_saver [-f NAME] [map:=TOPIC] writes one.
 """
 
 from __future__ import annotations
@@ -20,25 +19,17 @@ from std_msgs.msg import Header
 
 from bullet_lab.core.files import file_errors, make_folder
 from bullet_lab.core.parameters import ArgumentParser
-from bullet_lab.navigation.occupancy import OccupancyMap, read_map
+from bullet_lab.navigation.occupancy import read_map
 from bullet_lab.ros.node.node import NodeError, run_node
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.map_floor import grid_message, read_grid
-from bullet_lab.studies.map import MapSettings, map_world
-
-
-def load(name: str) -> OccupancyMap:
-    """Return the map of a YAML file or of a world; raises LabError."""
-    is_file = name.endswith((".yaml", ".yml"))
-    return read_map(Path(name)) if is_file else map_world(MapSettings(name))
 
 
 def _serve() -> None:
     words = [word for word in rospy.myargv(sys.argv)[1:] if word]
-    # An image with its resolution is the command line of before Fuerte.
     if len(words) != 1:
         raise NodeError(f"usage: map_server FILE.yaml; not '{' '.join(words)}'")
-    made = load(words[0])
+    made = read_map(Path(words[0]))
     now = rospy.Time.now()
     message = grid_message(made, Header(stamp=now, frame_id=rospy.get_param("~frame_id", "map")))
     message.info.map_load_time = now

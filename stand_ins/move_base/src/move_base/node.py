@@ -14,7 +14,6 @@ import rospy
 import yaml
 
 from bullet_lab.core.parameters import ParameterError, read_parameters
-from bullet_lab.navigation.costmap import circumscribed
 from bullet_lab.ros.node.node import run_node
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoal, DriveToGoalParameters
 
@@ -89,7 +88,7 @@ def _radius(footprint: Any) -> float:
     """Return the radius (m) of the circle in which a footprint turns; raises ParameterError."""
     try:
         points = yaml.safe_load(footprint) if isinstance(footprint, str) else footprint
-        radius = circumscribed([(float(x), float(y)) for x, y in points])
+        radius = max(math.hypot(float(x), float(y)) for x, y in points)
     except (TypeError, ValueError, yaml.YAMLError):
         radius = math.nan
     if not radius > 0.0:
