@@ -163,7 +163,7 @@ class RobotCostmap:
                 f"the goal ({x:.2f}, {y:.2f}) m is {room:.2f} m from something; "
                 f"the robot needs {self._least:.2f} m"
             )
-        return f"no way to ({x:.2f}, {y:.2f}) m is wide enough for a radius of {self._radius:g} m"
+        return f"no way to ({x:.2f}, {y:.2f}) m is wide enough for a radius of {self._radius:.3g} m"
 
     def values(self) -> OccupancyMap:
         """Return the costs as costmap_2d publishes them: 100 in the way, 99 too near, down to 0."""

@@ -33,7 +33,7 @@ from bullet_lab.core.pose import Vector
 from bullet_lab.core.se2 import PlanarPose, between, compose, inverse, wrap
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import pose_of, stamped_pose
-from bullet_lab.ros.node.node import Refusals, run_node
+from bullet_lab.ros.node.node import NodeError, Refusals, run_node
 from bullet_lab.ros.node.odometry import planar_pose
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.tf_buffer import CarefulBuffer
@@ -137,14 +137,13 @@ class Localization:
         link = self._parameters.base_frame_id
         try:
             state = self._ask(link, "world")
+            if not state.success:
+                raise NodeError(state.status_message)
             pose = pose_of(state.link_state.pose.position, state.link_state.pose.orientation)
         except (rospy.ServiceException, LabError) as error:
-            rospy.logwarn_throttle(10.0, f"no truth yet: {LINK_STATE}: {error}")
-            return
-        if state.success:
-            self._add(rospy.get_time(), (*pose.position[:2], pose.yaw))
+            rospy.logwarn_throttle(10.0, f"no true pose yet: {LINK_STATE}: {error}")
         else:
-            rospy.logwarn_throttle(10.0, f"no truth: {state.status_message}; is it a link?")
+            self._add(rospy.get_time(), (*pose.position[:2], pose.yaw))
 
     def _truth_at(self, seconds: float) -> PlanarPose | None:
         """Return the truth at a time, between two poses; None if it is not known."""
@@ -230,8 +229,9 @@ def _run_amcl() -> None:
     rospy.logwarn("this amcl localizes by the true pose of the simulation, not by the laser")
     localization = Localization(parameters, True, noise)
     rospy.Service("global_localization", Empty, localization.reset)
-    given = [rospy.get_param(f"~initial_pose_{axis}", None) for axis in "xya"]
-    localization.run(None if None in given else tuple(map(float, given)))
+    given = tuple(float(rospy.get_param(f"~initial_pose_{axis}", 0.0)) for axis in "xya")
+    # Zeros are amcl's defaults, and those of launch files whose user gives the pose in RViz.
+    localization.run(given if any(given) else None)
 
 
 def amcl() -> None:
