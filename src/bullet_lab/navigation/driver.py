@@ -90,8 +90,8 @@ class MapDriver(GoalDriver):
         return super().command(pose, seconds)
 
     def _plan(self, pose: PlanarPose) -> None:
-        """Plan if there is no plan, or something is in its way."""
-        if self._follower is not None and self.costmap.is_free(self.plan, pose):
+        """Plan if there is no plan, it is driven to its end, or something is in its way."""
+        if self.plan and self.costmap.is_free(self.plan, pose):
             return
         if self._now < self._next_try:
             return

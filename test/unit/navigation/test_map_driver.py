@@ -143,6 +143,15 @@ def test_a_robot_that_is_held_drives_back_and_gives_up():
     assert "stuck at (1.00, 1.00) m" in driver.failure
 
 
+def test_a_robot_that_is_pushed_aside_at_the_end_plans_anew():
+    driver = MapDriver((2.0, 1.0, 0.0), RobotCostmap(floor(), 0.2))
+    driver.command((1.0, 1.0, 0.0), 0.1)
+    # Beside the goal, as far along the line as it goes.
+    driver.command((2.0, 1.4, 0.0), 0.1)
+    v, w = driver.command((2.0, 1.4, 0.0), 0.1)
+    assert driver.plans == 2 and w < 0.0
+
+
 def test_a_robot_too_near_to_a_wall_drives_away_from_it():
     costmap = RobotCostmap(floor((2.0, 0.0, 2.1, 3.0)), 0.3)
     way = costmap.plan((1.8, 1.5), (0.5, 1.5))
