@@ -79,6 +79,8 @@ class OccupancyMap:
 
 def read_map(path: Path) -> OccupancyMap:
     """Read the YAML file of a map and its image; raises MapError."""
+    if path.suffix not in (".yaml", ".yml"):
+        raise MapError(f"the map is '{path}'; it must be a YAML file, such as that of the job map")
     try:
         content = yaml.safe_load(path.read_text())
         image = path.parent / str(content["image"])

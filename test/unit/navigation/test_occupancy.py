@@ -1,5 +1,7 @@
 """Tests of the files of maps: what is written is read back, and read as map_server reads it."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -77,3 +79,5 @@ def test_what_is_no_map_is_refused(tmp_path, text, expected):
         read_map(write(tmp_path, text, [[0]]))
     with pytest.raises(MapError, match="cannot read"):
         read_map(tmp_path / "none.yaml")
+    with pytest.raises(MapError, match="the map is '.'; it must be a YAML file"):
+        read_map(Path(""))

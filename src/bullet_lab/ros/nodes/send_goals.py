@@ -23,7 +23,7 @@ from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from std_msgs.msg import Time
 
-from bullet_lab.core.parameters import integer, number, number_list, text
+from bullet_lab.core.parameters import integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.navigation.costmap import RobotCostmap
@@ -43,6 +43,8 @@ LEAST_WAY, BOX = 1.0, 0.4
 # m between a box and both ends of the way, at least.
 LEAST_ROOM = 0.9
 MOST_DRAWS = 10_000
+# Of the robot on the map.
+START: PlanarPose = (0.0, 0.0, 0.0)
 NAME = "unknown_box"
 MODEL = f"""<sdf version="1.6"><model name="{NAME}"><static>true</static><link name="link">
 <collision name="box"><geometry><box><size>{BOX} {BOX} {BOX}</size></box></geometry></collision>
@@ -60,7 +62,6 @@ class SendGoalsParameters:
     box_every: int = integer(2, "put a box in the way of each so many-th goal; 0: none", minimum=0)
     seed: int = integer(1, "of the goals", minimum=0)
     radius: float = number(0.25, "m, of the robot, as of drive_to_goal", above=0.0)
-    start: tuple[float, ...] = number_list((0.0, 0.0, 0.0), "of the robot on the map: m, m, rad")
 
 
 def draw_goal(
@@ -116,18 +117,15 @@ class GoalSender:
 
     def run(self) -> None:
         """Send all goals."""
-        parameters, robot, reached = self._parameters, self._parameters.start, 0
+        parameters, robot, reached = self._parameters, START, 0
         self._ticks = Rate(RATE, self._is_connected, "move_base")
         self._ticks.sleep()
         for count in range(1, parameters.goals + 1):
             goal = draw_goal(self._costmap, robot, self._random)
-            every = parameters.box_every
-            box = None
-            if every and count % every == 0:
-                box = spot_in_the_way(self._costmap, robot, goal, BOX)
+            has_box = parameters.box_every and count % parameters.box_every == 0
+            box = spot_in_the_way(self._costmap, robot, goal, BOX) if has_box else None
             if box is not None:
-                pose = Pose((*box, 0.5 * BOX))
-                place = pose_message(pose)
+                place = pose_message(Pose((*box, 0.5 * BOX)))
                 call("/gazebo/spawn_sdf_model", srv.SpawnModel, NAME, MODEL, "", place, "")
                 self._boxes.publish(stamped_pose(self._ticks.now, self._frame, (*box, 0.0)))
             status = self._drive(goal)
