@@ -20,6 +20,11 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 _FREE_LEVEL, _OCCUPIED_LEVEL, _UNKNOWN_LEVEL = 254, 0, 205
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
+# What a file raises that is no map.
+_UNREADABLE = (
+    TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, yaml.YAMLError
+)
+
 
 class MapError(LabError):
     """A map cannot be read or used."""
@@ -93,7 +98,7 @@ def read_map(path: Path) -> OccupancyMap:
         raise MapError(f"cannot read {path}: {error.strerror}") from error
     except KeyError as error:
         raise MapError(f"{path}: {error.args[0]} is missing") from error
-    except (TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
+    except _UNREADABLE as error:
         raise MapError(f"{path} is no map: {error}".split("\n")[0]) from error
     is_finite = all(map(math.isfinite, (resolution, *origin, occupied, free)))
     if len(origin) != 3 or not is_finite or resolution <= 0.0 or mode != "trinary":
