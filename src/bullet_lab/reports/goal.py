@@ -69,12 +69,19 @@ class GoalReport(DriveReport):
         tolerance: m around the goals, for the figure.
         stay: whether the recording goes on after the first goal.
         beacons: returns the beacons of the world.
+        costmap: of the robot, with the map that it drives on, if there is one.
     """
 
     def __init__(
-        self, folder: Path, tolerance: float, stay: bool, beacons: Callable[[], list[Beacon]]
+        self,
+        folder: Path,
+        tolerance: float,
+        stay: bool,
+        beacons: Callable[[], list[Beacon]],
+        costmap: RobotCostmap | None = None,
     ):
         super().__init__(folder)
+        self._costmap = costmap
         self._tolerance = tolerance
         self._stay = stay
         self._beacons = beacons
@@ -176,6 +183,9 @@ class GoalReport(DriveReport):
         self, axes: Axes, truth: Trajectory | None, goals: Sequence[GoalRecord]
     ) -> None:
         figures.plan_axes(axes)
+        if self._costmap is not None:
+            known, shades = self._costmap.map, {"cmap": "gray", "vmin": 0, "vmax": 255, "zorder": 0}
+            axes.imshow(known.levels(), extent=known.extent(), **shades)
         shown = [[record.goal[:2]] for record in goals]
         for name, x, y in self._beacons():
             axes.add_patch(Circle((x, y), BEACON_RADIUS, facecolor="#d5d5d5", edgecolor=GREY))
@@ -216,8 +226,8 @@ class MapDriveReport(GoalReport):
     """
 
     def __init__(self, folder: Path, tolerance: float, count: int, costmap: RobotCostmap):
-        super().__init__(folder, tolerance, True, list)
-        self._count, self._costmap = count, costmap
+        super().__init__(folder, tolerance, True, list, costmap)
+        self._count = count
         self.topics = {
             **self.topics,
             "bullet_lab/touched": "bullet_lab/TouchedModels",
@@ -278,9 +288,8 @@ class MapDriveReport(GoalReport):
 
     def _draw_path(self, axes: Axes, truth: Trajectory | None, goals: Sequence[GoalRecord]) -> None:
         super()._draw_path(axes, truth, goals)
-        shades = {"cmap": "gray", "vmin": 0, "vmax": 255, "zorder": 0}
-        axes.imshow(self._costmap.map.levels(), extent=self._costmap.map.extent(), **shades)
-        axes.autoscale()
+        left, right, low, high = self._costmap.map.extent()
+        axes.set(xlim=(left, right), ylim=(low, high))
         for box in self._boxes:
             x, y = box.values[:2]
             axes.add_patch(Rectangle((x - 0.2, y - 0.2), 0.4, 0.4, color=BLUE, alpha=0.5))

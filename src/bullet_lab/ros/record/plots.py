@@ -287,10 +287,11 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
 
     Writes truth.tum, path.png and summary.json.
     """
-    if parameters.goals:
+    out, tolerance, costmap = Path(parameters.out), parameters.tolerance, None
+    if parameters.map or parameters.goals:
         costmap = RobotCostmap(read_map(Path(parameters.map)), parameters.radius)
-        out, count = Path(parameters.out), parameters.goals
-        report = MapDriveReport(out, parameters.tolerance, count, costmap)
+    if parameters.goals:
+        report = MapDriveReport(out, tolerance, parameters.goals, costmap)
         Recorder(report, parameters).run()
         return
     standing = StandingModels()
@@ -299,7 +300,7 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
         names = numbered(standing.names(), "beacon")
         return [(name, *standing.origin(name)[:2]) for name in names]
 
-    report = GoalReport(Path(parameters.out), parameters.tolerance, parameters.stay, beacons)
+    report = GoalReport(out, tolerance, parameters.stay, beacons, costmap)
     rospy.Subscriber(WORLD, MarkerArray, standing.take)
     first = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
 
