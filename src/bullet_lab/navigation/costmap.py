@@ -6,7 +6,6 @@ import math
 from typing import Sequence
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, OccupancyMap
@@ -177,6 +176,9 @@ class RobotCostmap:
 
 def _distances(occupied: np.ndarray) -> np.ndarray:
     """Return each cell's distance from the nearest occupied one, in cells; inf without any."""
+    # Imported late: most jobs have no map, and it takes a tenth of a second.
+    from scipy.ndimage import distance_transform_edt
+
     if not occupied.any():
         return np.full(occupied.shape, math.inf)
     return distance_transform_edt(~occupied)

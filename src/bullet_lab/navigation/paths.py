@@ -6,8 +6,6 @@ import math
 from typing import Sequence, Tuple
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive import STANDSTILL, Command, approach, clip
@@ -52,6 +50,10 @@ class CostGrid:
 
     def _dijkstra(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the costs of all cells, and each one's predecessor on the way there, by index."""
+        # Imported late: most jobs plan nothing, and it takes a tenth of a second.
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import dijkstra
+
         rows, columns = self._shape
         cells, edges = np.arange(rows * columns).reshape(self._shape), []
         for down, right, length in _NEIGHBOURS:
