@@ -26,6 +26,7 @@ from bullet_lab.core.parameters import declarations, read_parameters
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.docking.database import parse_docks
 from bullet_lab.jobs.declaration import find_jobs, read_assignments, read_job
+from bullet_lab.navigation.occupancy import read_map
 from bullet_lab.simulation.rendering.drawables import read_pixels
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Model, Texture
@@ -135,6 +136,13 @@ def read_docks_file(path: Path) -> List[float]:
     """Read a dock database."""
     docks = parse_docks(text_of(path))
     return [value for dock in docks.values() for value in _floats(dataclasses.astuple(dock))]
+
+
+def read_map_file(path: Path) -> List[float]:
+    """Read a map, with an image beside it."""
+    path.with_name("house.pgm").write_bytes(b"P5\n2 2\n255\n\0\xfe\xcd\xff")
+    found = read_map(path)
+    return [found.resolution, *found.origin, *found.cells.ravel().tolist()]
 
 
 def _floats(value: Any) -> Iterable[float]:
@@ -284,6 +292,7 @@ WAYS: Dict[str, Way] = {
     "material": Way(scripts, ".material", only(lambda path: parse_script(text_of(path)))),
     "picture": Way(files("models/**/*.png"), ".png", only(lambda path: read_pixels(Texture(path)))),
     "docks": Way(files("config/docks.yaml"), ".yaml", read_docks_file),
+    "map": Way(files("worlds/house.yaml"), ".yaml", read_map_file),
     "tum": Way(tum_files, ".tum", trajectory),
     "csv": Way(csv_files, ".csv", trajectory),
     "bag": Way(bags, ".bag", trajectory),

@@ -24,6 +24,8 @@ WAYS = [
     ("dock", "world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30"),
     ("dock", "world:=docking_nested", "x:=1.0", "y:=-0.3", "yaw:=20"),
     ("dock", "world:=docking_decoy", "x:=1.5", "y:=0.4", "yaw:=10"),
+    # It fails unless all goals are reached without a contact.
+    ("goal", "world:=house", "goals:=20", "seed:=1"),
 ]
 # The longest one, a detection range, takes three minutes on two cores.
 SECONDS = 1800

@@ -12,6 +12,7 @@ ROOMS = (
     "core",
     "noise",
     "drive",
+    "navigation",
     "vision",
     "markers",
     "docking",

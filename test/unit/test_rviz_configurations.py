@@ -13,6 +13,7 @@ WITHOUT = {
     "detection_range",
     "detectors",
     "grade",
+    "map",
     "dock_campaign",
     "noise_study",
     "published_noise",

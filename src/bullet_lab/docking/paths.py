@@ -1,7 +1,7 @@
 """Safe paths: the risk of each place when the dock is not known well, and paths over the floor.
 
 A grid in the odometry frame holds the share of the possible docks that a robot at each place would
-touch. Dijkstra's algorithm finds the cheapest paths, which are straightened afterwards.
+touch. `bullet_lab.navigation.paths` finds the cheapest paths on it.
 """
 
 from __future__ import annotations
@@ -10,16 +10,14 @@ import math
 from typing import Sequence
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import QUIET_ZONE, clearance, wall_boxes
-from bullet_lab.docking.types import TURNING_RADIUS, DockingSettings, Point
-from bullet_lab.drive import STANDSTILL, Command, approach, clip
+from bullet_lab.docking.types import TURNING_RADIUS, Point
+from bullet_lab.navigation.paths import CostGrid, along
 
 # Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
 CELL = 0.1
@@ -28,9 +26,6 @@ _MOST_CELLS = 40_000
 _TOUCH_COST = 300.0
 _NEAR_COST = 3.0
 _NEAR = 0.22
-_DIAGONAL = math.sqrt(2.0)
-# Half of a cell's neighbours: offset in rows and columns, and distance in cells.
-_NEIGHBOURS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, _DIAGONAL), (1, -1, _DIAGONAL))
 # Poses of the dock that a costmap is made of.
 _SAMPLES = 120
 # Share of the possible docks that a robot may touch.
@@ -46,22 +41,12 @@ _ROOM_TO_TURN = 0.17
 # walls begin to hide it, and most, rad.
 _ASIDE = 0.85
 _FARTHEST_ASIDE = math.radians(35.0)
-ACCELERATION = 0.5
-"""Of the wheels' mean, m/s²."""
 
 WALL_MARGIN = 0.04
 """Distance that is kept between robot and walls, m."""
 
-# Turns on the spot: rad/s for each rad that is left, slowest rad/s, and rad at which they are done.
-_TURN_GAIN = 2.5
-_SLOWEST_TURN = 0.06
-_TURNED = math.radians(1.0)
-# Distances along a line, m: to its end where it is done, and to the point ahead that is aimed at.
-_ARRIVED = 0.05
-_LOOKAHEAD = 0.35
 
-
-class Costmap:
+class Costmap(CostGrid):
     """Risks on a grid of (rows, columns) cells, along x and y of the odometry frame.
 
     Args:
@@ -73,10 +58,8 @@ class Costmap:
         reach: how far the map goes beyond robot and docks, m.
 
     Attributes:
-        cell: edge of a cell, m.
         points: (rows, columns, 2) of the cells' middles, m.
         touch: (rows, columns) share of the docks that a robot there would touch.
-        costs: (rows, columns) of the cheapest way there; a metre of free floor costs 1.
     """
 
     def __init__(
@@ -88,25 +71,23 @@ class Costmap:
         radius: float,
         reach: float = 4.0,
     ):
-        self._robot = (float(robot[0]), float(robot[1]))
         low = np.minimum(robot[:2], docks[:, :2].min(axis=0)) - reach
         high = np.maximum(robot[:2], docks[:, :2].max(axis=0)) + reach
         cell = max(CELL, math.sqrt(float(np.prod(high - low)) / _MOST_CELLS))
-        self.cell, self._low = cell, low
-        self._shape = tuple((np.ceil((high - low) / cell).astype(int) + 1).tolist())
-        x = low[0] + cell * np.arange(self._shape[0])
-        y = low[1] + cell * np.arange(self._shape[1])
+        shape = tuple((np.ceil((high - low) / cell).astype(int) + 1).tolist())
+        x = low[0] + cell * np.arange(shape[0])
+        y = low[1] + cell * np.arange(shape[1])
         self.points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
         self.touch, near = self._risks(docks, boxes, obstacles, radius)
-        free = np.hypot(*(self.points - self._robot).transpose(2, 0, 1)) < 1.2 * cell
+        free = np.hypot(*(self.points - robot[:2]).transpose(2, 0, 1)) < 1.2 * cell
         self.touch[free] = 0.0
-        self._rate = (1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near).ravel()
-        self.costs, self._before = self._dijkstra()
+        super().__init__(low, cell, 1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near, robot)
 
     def _risks(self, docks, boxes, obstacles, radius: float):
         """Return the shares of docks that a robot in a cell would touch, and come near to."""
-        touch, near = np.zeros(self._shape), np.zeros(self._shape)
-        flat = np.zeros((*self._shape, 3))
+        shape = self.points.shape[:2]
+        touch, near = np.zeros(shape), np.zeros(shape)
+        flat = np.zeros((*shape, 3))
         flat[..., :2] = self.points
 
         def add(away: np.ndarray, weight: float) -> None:
@@ -119,79 +100,9 @@ class Costmap:
             add(np.hypot(self.points[..., 0] - x, self.points[..., 1] - y) - size, weight)
         return touch, near
 
-    def _dijkstra(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the costs of all cells, and each one's predecessor on the way there, by index."""
-        rows, columns = self._shape
-        cells, edges = np.arange(rows * columns).reshape(self._shape), []
-        for down, right, length in _NEIGHBOURS:
-            first = cells[: rows - down, max(-right, 0) : columns - max(right, 0)].ravel()
-            second = first + down * columns + right
-            cost = 0.5 * length * (self.cell * self._rate[first] + self.cell * self._rate[second])
-            edges.append((first, second, cost))
-        first, second, costs = (np.concatenate(part) for part in zip(*edges))
-        graph = coo_matrix((costs, (first, second)), (cells.size, cells.size)).tocsr()
-        start = self._index(self._robot)
-        found = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-        return found[0].reshape(self._shape), found[1]
-
-    def _index(self, points) -> np.ndarray:
-        """Return the index of the cell nearest each of (..., 2 or more) points."""
-        places = np.round((np.asarray(points)[..., :2] - self._low) / self.cell).astype(int)
-        places = np.clip(places, 0, np.array(self._shape) - 1)
-        return places[..., 0] * self._shape[1] + places[..., 1]
-
     def risk(self, points: np.ndarray) -> float:
         """Return the largest share of docks that a robot at any of (n, 2) points would touch."""
         return float(np.max(self.touch.ravel()[self._index(points)], initial=0.0))
-
-    def path(self, goal: Sequence[float]) -> list[Point] | None:
-        """Return way points from the robot to a goal, both included; None if it is off the map."""
-        off = np.asarray(goal[:2]) - self._low
-        if np.any(off < 0.0) or np.any(off > self.cell * (np.array(self._shape) - 1)):
-            return None
-        way = [(float(goal[0]), float(goal[1]))]
-        cell = self._before[self._index(goal)]
-        while cell >= 0:
-            way.append(tuple(self.points[divmod(cell, self._shape[1])].tolist()))
-            cell = self._before[cell]
-        way[-1] = self._robot
-        if len(way) == 1:
-            way.append(self._robot)
-        return self._straighten(way[::-1])
-
-    def _straighten(self, way: list[Point]) -> list[Point]:
-        """Leave out points where the straight way costs hardly more."""
-        costs = [0.0]
-        for first, second in zip(way, way[1:]):
-            costs.append(costs[-1] + self._straight_cost(first, second))
-        kept, here = [way[0]], 0
-        while here < len(way) - 1:
-            there = len(way) - 1
-            while there > here + 1 and self._straight_cost(way[here], way[there]) > (
-                1.02 * (costs[there] - costs[here]) + 1e-6
-            ):
-                there -= 1
-            kept.append(way[there])
-            here = there
-        return kept
-
-    def _straight_cost(self, first: Point, second: Point) -> float:
-        length = math.dist(first, second)
-        points = along(first, second, 0.5 * self.cell)
-        return length * float(np.mean(self._rate[self._index(points)]))
-
-
-def along(first: Point, second: Point, spacing: float) -> np.ndarray:
-    """Return (n, 2) points on a line, both ends included, no farther apart than `spacing`.
-
-    >>> along((0.0, 0.0), (1.0, 0.0), 0.5)
-    array([[0. , 0. ],
-           [0.5, 0. ],
-           [1. , 0. ]])
-    """
-    count = max(2, math.ceil(math.dist(first, second) / spacing) + 1)
-    part = np.linspace(0.0, 1.0, count)[:, None]
-    return (1.0 - part) * np.asarray(first) + part * np.asarray(second)
 
 
 class PathPlanner:
@@ -307,55 +218,3 @@ class PathPlanner:
                 self._probes += 1
                 return way
         return 0.0
-
-
-class PathFollower:
-    """Drives along straight lines, turning on the spot between them.
-
-    `way` are points (m, m) in the odometry frame, the first where the robot stands.
-    """
-
-    def __init__(self, way: Sequence[Point]):
-        self._way: list[Point] = list(way)
-        self._turning = True
-
-    @property
-    def left(self) -> tuple[Point, ...]:
-        """The points still to be driven to."""
-        return tuple(self._way[1:])
-
-    def command(self, pose: PlanarPose, settings: DockingSettings) -> Command:
-        """Return the command for the present pose; zero when there."""
-        while len(self._way) > 1:
-            start, end = self._way[:2]
-            direction = math.atan2(end[1] - start[1], end[0] - start[0])
-            length, cos, sin = math.dist(start, end), math.cos(direction), math.sin(direction)
-            done = cos * (pose[0] - start[0]) + sin * (pose[1] - start[1])
-            if length - done > _ARRIVED:
-                break
-            self._way.pop(0)
-            self._turning = True
-        else:
-            return STANDSTILL
-        aim = min(done + _LOOKAHEAD, length)
-        x, y = start[0] + aim * cos, start[1] + aim * sin
-        off = wrap(math.atan2(y - pose[1], x - pose[0]) - pose[2])
-        if self._turning or abs(off) > 0.6:
-            self._turning = abs(off) > 0.06
-            if self._turning:
-                return turn_command(off, settings.turn_speed, 0.0)
-        braking = math.sqrt(0.6 * ACCELERATION * (length - done))
-        speed = min(settings.drive_speed, braking)
-        return speed * math.cos(off), clip(2.0 * off, 0.7 * settings.turn_speed)
-
-
-def turn_command(left: float, fastest: float, tolerance: float = _TURNED) -> Command:
-    """Return the command that turns on the spot by what is left (rad); zero when done.
-
-    >>> turn_command(-1.0, fastest=0.8)
-    (0.0, -0.8)
-    """
-    if abs(left) <= tolerance:
-        return STANDSTILL
-    speed = approach(abs(left), fastest, _SLOWEST_TURN, _TURN_GAIN)
-    return 0.0, math.copysign(speed, left)

@@ -15,10 +15,10 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.paths import PathFollower, turn_command
 from bullet_lab.docking.progress import MEASURE_FRAMES, DockingFailureError, DockingProgress
 from bullet_lab.docking.types import DockingError, DockingState, Point
 from bullet_lab.drive import STANDSTILL, Command, clip
+from bullet_lab.navigation.paths import PathFollower, turn_command
 
 _CHECK_SECONDS = 0.5
 # Images of a look, and at rest for the confirmation.
@@ -116,7 +116,8 @@ class DriveAlong(State):
             self._checked = docking.now
             if not docking.paths.is_safe(self._way.left):
                 return Outcome("not safe")
-        command = self._way.command(docking.belief.pose, docking.settings)
+        settings = docking.settings
+        command = self._way.command(docking.belief.pose, settings.drive_speed, settings.turn_speed)
         return Outcome("arrived") if command == STANDSTILL else command
 
 

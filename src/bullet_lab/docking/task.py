@@ -15,7 +15,6 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.geometry import misfit
-from bullet_lab.docking.paths import ACCELERATION
 from bullet_lab.docking.progress import DockAxis, DockingFailureError, DockingProgress
 from bullet_lab.docking.states import TRANSITIONS, LookForMarker, Outcome, State
 from bullet_lab.docking.types import (
@@ -31,6 +30,7 @@ from bullet_lab.docking.types import (
     motion_step,
 )
 from bullet_lab.drive import STANDSTILL, Command, clip
+from bullet_lab.navigation.paths import ACCELERATION
 
 USUAL = DockingSettings()
 """The settings by default."""

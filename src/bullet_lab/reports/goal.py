@@ -10,19 +10,22 @@ from typing import Any, Callable, Mapping, NamedTuple, Sequence, Tuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 
 from bullet_lab.core import figures
 from bullet_lab.core.figures import BEACON_RADIUS, BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports import DriveReport, Reading, draw_path
+from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.reports import DriveReport, Reading, Report, draw_path
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS
 # m; length of the arrows.
 ARROW = 0.25
+# The model that robots stand on.
+GROUND = "ground_plane"
 # m around the path.
 MARGIN = 0.6
 Beacon = Tuple[str, float, float]
@@ -66,12 +69,19 @@ class GoalReport(DriveReport):
         tolerance: m around the goals, for the figure.
         stay: whether the recording goes on after the first goal.
         beacons: returns the beacons of the world.
+        costmap: of the robot, with the map that it drives on, if there is one.
     """
 
     def __init__(
-        self, folder: Path, tolerance: float, stay: bool, beacons: Callable[[], list[Beacon]]
+        self,
+        folder: Path,
+        tolerance: float,
+        stay: bool,
+        beacons: Callable[[], list[Beacon]],
+        costmap: RobotCostmap | None = None,
     ):
         super().__init__(folder)
+        self._costmap = costmap
         self._tolerance = tolerance
         self._stay = stay
         self._beacons = beacons
@@ -173,6 +183,9 @@ class GoalReport(DriveReport):
         self, axes: Axes, truth: Trajectory | None, goals: Sequence[GoalRecord]
     ) -> None:
         figures.plan_axes(axes)
+        if self._costmap is not None:
+            known, shades = self._costmap.map, {"cmap": "gray", "vmin": 0, "vmax": 255, "zorder": 0}
+            axes.imshow(known.levels(), extent=known.extent(), **shades)
         shown = [[record.goal[:2]] for record in goals]
         for name, x, y in self._beacons():
             axes.add_patch(Circle((x, y), BEACON_RADIUS, facecolor="#d5d5d5", edgecolor=GREY))
@@ -200,6 +213,89 @@ class GoalReport(DriveReport):
         axes.axhline(self._tolerance, color=GREY, linewidth=0.8, linestyle="--", label="tolerance")
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="upper right")
+
+
+class MapDriveReport(GoalReport):
+    """The drive to all goals of `send_goals` on a map, with the contacts by the simulator's truth.
+
+    Args:
+        folder: for the files.
+        tolerance: m around the goals, for the figure.
+        count: number of goals.
+        costmap: of the robot, with the map.
+    """
+
+    def __init__(self, folder: Path, tolerance: float, count: int, costmap: RobotCostmap):
+        super().__init__(folder, tolerance, True, list, costmap)
+        self._count = count
+        self.topics = {
+            **self.topics,
+            "bullet_lab/touched": "bullet_lab/TouchedModels",
+            "send_goals/boxes": "geometry_msgs/PoseStamped",
+            "send_goals/finished": "std_msgs/Time",
+        }
+        self._touches: Mapping[str, int] = {}
+        self._boxes: list[Reading] = []
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        if topic == "bullet_lab/touched":
+            self._touches = {k: n for k, n in reading.detail.items() if k != GROUND}
+        elif topic == "send_goals/boxes":
+            self._boxes.append(reading)
+        elif topic == "send_goals/finished":
+            self.until = reading.stamp + REST
+        else:
+            return super().take(topic, reading)
+        return False
+
+    def is_complete(self) -> bool:
+        return Report.is_complete(self)
+
+    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+        found = super().summary(finished, run)
+        for record, entry in zip(self._records(), found["goals"]):
+            ends = record.begun, math.inf if record.ended is None else record.ended
+            entry["box_in_the_way"] = any(ends[0] - 2.0 < b.seconds < ends[1] for b in self._boxes)
+            entry["over_shortest"] = self._over_shortest(record, entry["driven_m"])
+        reached = sum(entry["reached"] for entry in found["goals"])
+        return {
+            "reached": reached,
+            "goals_sent": self._count,
+            "contacts": sum(self._touches.values()),
+            "touched": dict(self._touches),
+            "boxes": len(self._boxes),
+            **found,
+        }
+
+    def _over_shortest(self, record: GoalRecord, driven: float | None) -> float | None:
+        """Return the driven way as a share of the shortest on the map; None if unknown."""
+        truth = self.truth.path()
+        if driven is None or truth is None:
+            return None
+        start = truth.poses[max(0, np.searchsorted(truth.stamps, record.begun + 1e-9) - 1)]
+        way = self._costmap.plan(start, record.goal)
+        shortest = sum(math.dist(*ends) for ends in zip(way or (), (way or ())[1:]))
+        return driven / shortest if shortest else None
+
+    def line(self, summary: Mapping[str, Any]) -> str:
+        return (
+            f"{summary['reached']} of {self._count} goals reached, {summary['contacts']} contacts, "
+            f"{summary['boxes']} unknown boxes"
+        )
+
+    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+        return summary["reached"] < self._count or summary["contacts"] > 0
+
+    def _draw_path(self, axes: Axes, truth: Trajectory | None, goals: Sequence[GoalRecord]) -> None:
+        super()._draw_path(axes, truth, goals)
+        left, right, low, high = self._costmap.map.extent()
+        axes.set(xlim=(left, right), ylim=(low, high))
+        for box in self._boxes:
+            x, y = box.values[:2]
+            axes.add_patch(Rectangle((x - 0.2, y - 0.2), 0.4, 0.4, color=BLUE, alpha=0.5))
+        for number, record in enumerate(goals):
+            axes.annotate(str(number + 1), record.goal[:2], fontsize=8, ha="right", va="bottom")
+        axes.get_legend().remove()
 
 
 def _arrow(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:

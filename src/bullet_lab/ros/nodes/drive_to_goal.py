@@ -8,6 +8,7 @@
     - move_base_simple/goal (geometry_msgs/PoseStamped): likewise; an invalid goal is refused, and
       the robot goes on to the one before
     - odom (nav_msgs/Odometry), or the topic ~odom
+    - with ~map, those of `map_floor`, whose topics and services the node has as well
 :ROS Publishers:
     - cmd_vel (geometry_msgs/Twist), or the topic ~cmd_vel
     - ~status (actionlib_msgs/GoalStatus), latched: status of the newest goal
@@ -41,14 +42,9 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import marker, stamped_pose
 from bullet_lab.ros.node.driving import REPLACED, GoalNode, GoalServer
 from bullet_lab.ros.node.node import Refusals, holds_within, node
-from bullet_lab.ros.node.odometry import (
-    FrameError,
-    MessageQueue,
-    OdometryError,
-    framed,
-    planar_pose,
-)
+from bullet_lab.ros.node.odometry import FrameError, MessageQueue, OdometryError, framed
 from bullet_lab.ros.node.publishers import Publisher, publisher
+from bullet_lab.ros.nodes.map_floor import Floor, MapParameters, read_place
 
 ACTION = "move_base"
 SIMPLE_GOAL = "move_base_simple/goal"
@@ -74,7 +70,7 @@ NOT_BEGUN = {
 
 
 @dataclass(frozen=True)
-class DriveToGoalParameters(GoalLimits):
+class DriveToGoalParameters(MapParameters, GoalLimits):
     """Private parameters of drive_to_goal, with the limits of the drive."""
 
     cmd_vel: str = text("cmd_vel", "topic of the commands")
@@ -93,17 +89,20 @@ class DriveToGoalParameters(GoalLimits):
 
 
 class GoalTopics:
-    """Publishes the status of goals, and the drive for RViz a few times a second."""
+    """Publishes the status of goals, and the drive for RViz a few times a second.
 
-    def __init__(self, tolerance: float):
+    The names of the topics begin with `prefix`.
+    """
+
+    def __init__(self, tolerance: float, prefix: str = "~"):
         self._tolerance = tolerance
-        self._status = publisher("~status", GoalStatus, latch=True)
-        self._finished = publisher("~finished", Time, latch=True)
-        self._goal = publisher("~current_goal", PoseStamped, latch=True)
-        self._remaining = Publisher("~remaining", Float64, queue_size=10)
-        self._markers = Publisher("~markers", MarkerArray, queue_size=1, latch=True)
-        self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
-        self._path = Publisher("~path", Path, queue_size=1, latch=True)
+        self._status = publisher(f"{prefix}status", GoalStatus, latch=True)
+        self._finished = publisher(f"{prefix}finished", Time, latch=True)
+        self._goal = publisher(f"{prefix}current_goal", PoseStamped, latch=True)
+        self._remaining = Publisher(f"{prefix}remaining", Float64, queue_size=10)
+        self._markers = Publisher(f"{prefix}markers", MarkerArray, queue_size=1, latch=True)
+        self._plan = Publisher(f"{prefix}plan", Path, queue_size=1, latch=True)
+        self._path = Publisher(f"{prefix}path", Path, queue_size=1, latch=True)
         self._lock = threading.Lock()
         self._active: GoalStatus | None = None
         self._frame = ""
@@ -183,15 +182,20 @@ class GoalTopics:
 
 
 class DriveToGoal(GoalNode):
-    """Drives to one goal at a time; a cancellation stops the robot at once."""
+    """Drives to one goal at a time; a cancellation stops the robot at once.
 
-    def __init__(self, parameters: DriveToGoalParameters):
+    The names of the topics that are its own begin with `prefix`.
+    """
+
+    def __init__(self, parameters: DriveToGoalParameters, prefix: str = "~"):
         self._parameters = parameters
-        odometry = MessageQueue(
-            parameters.odom, Odometry, framed(planar_pose), parameters.odom_rate
-        )
+        odometry = MessageQueue(parameters.odom, Odometry, framed(read_place), parameters.odom_rate)
         super().__init__(parameters.cmd_vel, odometry)
-        self._topics = GoalTopics(parameters.tolerance)
+        self._floor: Floor | None = None
+        if parameters.map:
+            self._floor = Floor(parameters, self._frames)
+            self._queues += (self._floor.scans,) if self._floor.scans else ()
+        self._topics = GoalTopics(parameters.tolerance, prefix)
         self._refusals = Refusals()
         # The newest odometry, when it came, and whether the robot waits for the next one.
         self._pose: PlanarPose | None = None
@@ -222,7 +226,7 @@ class DriveToGoal(GoalNode):
     def _receive_simple_goal(self, message: PoseStamped) -> None:
         try:
             # The first message of the odometry has the frame.
-            holds_within(lambda: self._frame, PATIENCE)
+            holds_within(self._is_ready, PATIENCE)
             self._frames.planar(message, self._known_frame())
         except LabError as error:
             self._refusals.refuse(SIMPLE_GOAL, str(error))
@@ -232,18 +236,30 @@ class DriveToGoal(GoalNode):
         goal = MoveBaseActionGoal(header=message.header, goal=MoveBaseGoal(message))
         self._servers[0].internal_goal_callback(goal)
 
+    def _is_ready(self) -> bool:
+        try:
+            return bool(self._known_frame())
+        except OdometryError:
+            return False
+
     def _known_frame(self) -> str:
+        """Return the frame in which goals are: the map's, or that of the odometry."""
         if not self._frame:
             what = self._odometry.trouble or "no messages"
             raise OdometryError(f"no odometry on {self._parameters.odom}: {what}")
-        return self._frame
+        return self._floor.frame() if self._floor else self._frame
 
     # The loop
 
     def _tick(self, now: rospy.Time, seconds: float, ticket: int) -> None:
         odometry = self._take_odometry(now)
-        if odometry:
-            self._pose, self._seen = odometry[-1], now
+        pose = odometry[-1].pose if odometry else None
+        if self._floor:
+            placed = self._floor.place(odometry, self._frame, now)
+            pose = pose and placed
+            self._floor.show(now, self._driver)
+        if pose is not None:
+            self._pose, self._seen = pose, now
             if self._waiting:
                 self._waiting = False
                 rospy.loginfo("odometry is back")
@@ -253,8 +269,11 @@ class DriveToGoal(GoalNode):
             return
         self._sender.send(self._driver.command(self._pose, seconds), ticket)
         self._topics.progress(now, self._pose)
-        self._server.tell(MoveBaseFeedback(stamped_pose(now, self._frame, self._pose)), now)
-        if self._driver.phase is DrivePhase.ARRIVED:
+        frame = self._known_frame()
+        self._server.tell(MoveBaseFeedback(stamped_pose(now, frame, self._pose)), now)
+        if self._floor and self._driver.failure:
+            self._end(now, GoalStatus.ABORTED, self._driver.failure)
+        elif self._driver.phase is DrivePhase.ARRIVED:
             left = self._driver.distance(self._pose)
             turn = math.degrees(self._driver.turn_left(self._pose))
             text = f"there, {left:.3f} m and {abs(turn):.1f} degrees from the goal"
@@ -289,7 +308,8 @@ class DriveToGoal(GoalNode):
             if not may_wait or time.monotonic() > self._deadline:
                 self._end(now, GoalStatus.ABORTED, str(error))
             return
-        self._driver = GoalDriver(goal, self._parameters, self._moving)
+        make = self._floor.driver if self._floor else GoalDriver
+        self._driver = make(goal, self._parameters, self._moving)
         # A pause of the odometry before the goal does not count.
         self._seen = now
         self._waiting = False
@@ -332,6 +352,8 @@ class DriveToGoal(GoalNode):
     def _time_was_set_back(self) -> None:
         self._pose = None
         self._seen = rospy.Time(0)
+        if self._floor:
+            self._floor.clear()
         super()._time_was_set_back()
 
 

@@ -26,11 +26,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.msg import DockAction, DockGoal
+from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation.occupancy import read_map
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Report, save_all
 from bullet_lab.reports.dock import DockReport, Station
 from bullet_lab.reports.fleet import FleetReport
-from bullet_lab.reports.goal import Beacon, GoalReport
+from bullet_lab.reports.goal import Beacon, GoalReport, MapDriveReport
 from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.reports.vision import VisionReport
@@ -266,6 +268,9 @@ class PlotGoalParameters(RenewedParameters):
     frame: str = text("world", "frame of the goal")
     tolerance: float = number(0.05, "m, for the picture", above=0.0)
     stay: bool = boolean(False, "wait for more goals, such as RViz's, until Ctrl-C")
+    goals: int = integer(0, "of send_goals, which sends them all on a map", minimum=0)
+    map: str = text("", "YAML file of the map")
+    radius: float = number(0.25, "m, of the robot on the map", above=0.0)
 
 
 @node
@@ -277,16 +282,25 @@ def plot_goal(parameters: PlotGoalParameters) -> None:
         - odom (nav_msgs/Odometry): the true pose, as the simulation sends it
         - drive_to_goal/current_goal, status, finished: the goals of all senders
         - /bullet_lab/world (visualization_msgs/MarkerArray): the beacons
+        - with ~goals: send_goals/boxes, send_goals/finished, bullet_lab/touched; the first
+          goal is not sent then
 
     Writes truth.tum, path.png and summary.json.
     """
+    out, tolerance, costmap = Path(parameters.out), parameters.tolerance, None
+    if parameters.map or parameters.goals:
+        costmap = RobotCostmap(read_map(Path(parameters.map)), parameters.radius)
+    if parameters.goals:
+        report = MapDriveReport(out, tolerance, parameters.goals, costmap)
+        Recorder(report, parameters).run()
+        return
     standing = StandingModels()
 
     def beacons() -> list[Beacon]:
         names = numbered(standing.names(), "beacon")
         return [(name, *standing.origin(name)[:2]) for name in names]
 
-    report = GoalReport(Path(parameters.out), parameters.tolerance, parameters.stay, beacons)
+    report = GoalReport(out, tolerance, parameters.stay, beacons, costmap)
     rospy.Subscriber(WORLD, MarkerArray, standing.take)
     first = Publisher("move_base_simple/goal", PoseStamped, queue_size=10)
 

@@ -27,7 +27,7 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.paths import PathFollower, PathPlanner, turn_command
+from bullet_lab.docking.paths import PathPlanner
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.task import USUAL, DockingTask, WatchedTask
 from bullet_lab.docking.types import (
@@ -39,6 +39,7 @@ from bullet_lab.docking.types import (
     Odometry,
 )
 from bullet_lab.drive import STANDSTILL, Command, clip
+from bullet_lab.navigation.paths import PathFollower, turn_command
 from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_pose import MarkerPose, estimate_pose
 
@@ -182,7 +183,8 @@ class GracefulTask(WatchedTask):
                 message = "no safe way to the staging pose"
                 raise DockingFailureError(DockingError.STAGING_FAILED, message)
             self._way = PathFollower(way)
-        command = self._way.command(pose, self._settings)
+        settings = self._settings
+        command = self._way.command(pose, settings.drive_speed, settings.turn_speed)
         if command == STANDSTILL:
             command = turn_command(wrap(float(staging[2]) - pose[2]), self._settings.turn_speed)
         return self._go_on(self._perceive) if command == STANDSTILL else command

@@ -1,0 +1,1 @@
+"""Navigation on a map: occupancy grids, planning, and driving along a plan."""

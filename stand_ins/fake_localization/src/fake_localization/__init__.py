@@ -1,0 +1,1 @@
+"""The robot on the map, by the truth of the simulation."""

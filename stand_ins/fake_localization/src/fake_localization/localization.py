@@ -1,0 +1,1 @@
+../../../amcl/src/amcl/localization.py

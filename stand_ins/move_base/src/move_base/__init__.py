@@ -1,0 +1,1 @@
+"""Driving to goals on a map."""

@@ -1,0 +1,197 @@
+"""Tests of the costmap and of the drive on a map, in the engine too."""
+
+import math
+from pathlib import Path
+
+import house_drive
+import numpy as np
+import pytest
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.drive import STANDSTILL
+from bullet_lab.navigation import costmap as costmaps
+from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation.driver import MapDriver
+from bullet_lab.navigation.occupancy import OccupancyMap, read_map
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.sdf import read_spawned
+from bullet_lab.studies.map import MapSettings, map_world
+
+CELL = 0.05
+
+
+def floor(*walls, size=(4.0, 3.0), unknown=()):
+    """A map of free floor from 0, 0, but for boxes x0, y0, x1, y1 (m)."""
+    cells = np.zeros((round(size[1] / CELL), round(size[0] / CELL)), dtype=np.int8)
+    for value, boxes in ((100, walls), (-1, unknown)):
+        for box in boxes:
+            x0, y0, x1, y1 = (round(end / CELL) for end in box)
+            cells[y0:y1, x0:x1] = value
+    return OccupancyMap(cells, CELL)
+
+
+def length(way):
+    return sum(math.dist(*ends) for ends in zip(way, way[1:]))
+
+
+# A wall across the floor, with a door of 0.8 m.
+WALL, DOOR = (2.0, 0.0, 2.1, 1.5), (2.0, 2.3, 2.1, 3.0)
+
+
+def test_on_free_floor_the_plan_is_straight():
+    assert RobotCostmap(floor(), 0.2).plan((0.5, 0.5), (3.5, 2.0)) == [(0.5, 0.5), (3.5, 2.0)]
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.2, 0.3])
+def test_the_plan_goes_through_a_door_at_a_distance(radius):
+    costmap = RobotCostmap(floor(WALL, DOOR), radius)
+    way = costmap.plan((0.6, 0.6), (3.4, 0.6))
+    points = np.concatenate([costmaps.along(*ends, 0.01) for ends in zip(way, way[1:])])
+    assert costmap.clearance(points).min() >= radius
+    # It is about the shortest through the middle of the door.
+    shortest = 2.0 * math.hypot(1.45, 1.3)
+    assert shortest <= length(way) <= 1.05 * shortest
+
+
+@pytest.mark.parametrize(
+    "goal, radius, why",
+    [
+        ((3.4, 0.6), 0.45, "wide enough for a radius of 0.45 m"),
+        ((1.9, 0.6), 0.2, "from something; the robot needs 0.24"),
+        ((9.0, 0.6), 0.2, "off the map"),
+    ],
+)
+def test_without_a_way_there_is_a_reason(goal, radius, why):
+    costmap = RobotCostmap(floor(WALL, DOOR), radius)
+    assert costmap.plan((0.6, 0.6), goal) is None
+    assert why in costmap.why_not(goal)
+
+
+def test_unknown_floor_is_dear_or_closed():
+    known = floor(unknown=[(1.5, 0.0, 2.5, 2.0)])
+    assert RobotCostmap(known, 0.2, allow_unknown=True).plan((1.0, 0.2), (3.0, 0.2)) is not None
+    around = RobotCostmap(known, 0.2, allow_unknown=False).plan((1.0, 1.0), (3.0, 1.0))
+    assert max(y for _, y in around) > 2.0
+
+
+def test_costs_fall_with_the_distance_as_costmap_2d_publishes_them():
+    values = RobotCostmap(floor((2.0, 0.0, 2.05, 3.0)), 0.2, 0.5).values().cells[30]
+    assert values[40] == 100
+    assert (values[41:45] == 99).all()
+    assert (np.diff(values[45:51].astype(int)) < 0).all()
+    assert (values[51:] == 0).all()
+
+
+def test_a_large_map_is_planned_on_with_larger_cells(monkeypatch):
+    monkeypatch.setattr(costmaps, "MOST_CELLS", 1000)
+    costmap = RobotCostmap(floor(WALL, DOOR), 0.1)
+    assert costmap.map.cells.size <= 1000
+    assert costmap.plan((0.6, 0.6), (3.4, 0.6)) is not None
+    assert costmap.map.value(2.05, 0.5) == 100
+
+
+def scan(costmap, x, y, distances, yaw=0.0):
+    """A laser at a place sees one ray at 0 and others beside it."""
+    ranges = np.array(distances, dtype=float)
+    angles = np.linspace(-0.05, 0.05, len(ranges))
+    return costmap.see(Pose.from_rpy((x, y, 0.1), (0.0, 0.0, yaw)), angles, ranges, 5.0)
+
+
+def test_the_laser_marks_what_the_map_does_not_show_and_clears_it():
+    costmap = RobotCostmap(floor((3.0, 0.0, 3.1, 3.0)), 0.2)
+    way = [(3.0 - 0.5, 1.5)]
+    # The wall of the map, with noise, is not marked.
+    assert not scan(costmap, 1.0, 1.5, [1.99, 2.0, 2.03])
+    assert costmap.is_free(way, (1.0, 1.5))
+    assert scan(costmap, 1.0, 1.5, [0.8, 0.8, 0.8])
+    assert not costmap.is_free(way, (1.0, 1.5))
+    assert costmap.clearance(np.array([[1.81, 1.5]]))[0] < CELL
+    # Not a number and less than 0 tell nothing.
+    assert not scan(costmap, 1.0, 1.5, [math.nan, -1.0, 0.0])
+    assert scan(costmap, 1.0, 1.5, [math.inf] * 3)
+    assert costmap.is_free(way, (1.0, 1.5))
+    # Turned, it sees along y.
+    assert scan(costmap, 1.0, 1.0, [1.0, 1.0, 1.0], yaw=math.pi / 2)
+    assert costmap.clearance(np.array([[1.0, 2.01]]))[0] < CELL
+
+
+def tick_until(driver, pose, seconds, costmap=None):
+    commands = [driver.command(pose, 0.1) for _ in range(round(seconds / 0.1))]
+    return commands[-1]
+
+
+def test_without_a_way_it_waits_forgets_what_it_saw_and_gives_up():
+    closed = RobotCostmap(floor((2.0, 0.0, 2.1, 3.0)), 0.2)
+    driver = MapDriver((3.0, 1.0, 0.0), closed, wait=5.0)
+    assert tick_until(driver, (1.0, 1.0, 0.0), 4.0) == STANDSTILL and not driver.failure
+    tick_until(driver, (1.0, 1.0, 0.0), 3.0)
+    assert "no way to (3.00, 1.00) m" in driver.failure
+    # What only the laser has seen is forgotten after half of the time.
+    seen = RobotCostmap(floor(), 0.2)
+    seen.mark(np.column_stack([np.full(60, 2.0), np.linspace(0.01, 2.99, 60)]))
+    driver = MapDriver((3.0, 1.0, 0.0), seen, wait=5.0)
+    tick_until(driver, (1.0, 1.0, 0.0), 7.0)
+    assert driver.plans and not driver.failure
+
+
+def test_a_robot_that_is_held_drives_back_and_gives_up():
+    driver = MapDriver((3.0, 1.0, 0.0), RobotCostmap(floor(), 0.2))
+    assert tick_until(driver, (1.0, 1.0, 0.0), 4.0)[0] > 0.0
+    assert tick_until(driver, (1.0, 1.0, 0.0), 1.0)[0] < 0.0
+    tick_until(driver, (1.0, 1.0, 0.0), 30.0)
+    assert driver.recoveries == 3
+    assert "stuck at (1.00, 1.00) m" in driver.failure
+
+
+def test_a_robot_that_is_pushed_aside_at_the_end_plans_anew():
+    driver = MapDriver((2.0, 1.0, 0.0), RobotCostmap(floor(), 0.2))
+    driver.command((1.0, 1.0, 0.0), 0.1)
+    # Beside the goal, as far along the line as it goes.
+    driver.command((2.0, 1.4, 0.0), 0.1)
+    v, w = driver.command((2.0, 1.4, 0.0), 0.1)
+    assert driver.plans == 2 and w < 0.0
+
+
+def test_a_robot_too_near_to_a_wall_drives_away_from_it():
+    costmap = RobotCostmap(floor((2.0, 0.0, 2.1, 3.0)), 0.3)
+    way = costmap.plan((1.8, 1.5), (0.5, 1.5))
+    assert way is not None and max(x for x, _ in way) <= 1.8
+
+
+BOX = """<sdf version="1.6"><model name="thing"><static>1</static><pose>{} {} 0.2 0 0 0</pose>
+<link name="link"><collision name="box"><geometry><box><size>0.4 0.4 0.4</size></box></geometry>
+</collision></link></model></sdf>"""
+
+
+# Where boxes stand in the way to two goals.
+BOX_AT = {(2.8, 0.5, 1.0): (1.5, 0.25), (0.4, 2.0, 3.0): (1.9, 0.4)}
+
+
+def test_it_drives_through_the_house_around_what_the_map_does_not_show():
+    known = map_world(MapSettings())
+    costmap = RobotCostmap(known, house_drive.RADIUS)
+    with Simulation.of("package://bullet_lab/worlds/house.world") as simulation:
+        robot = house_drive.spawn(simulation, costmap)
+        for goal, unknown in (
+            ((2.8, 0.5, 1.0), True), ((4.0, -0.9, 0.0), False), ((0.4, 2.0, 3.0), True),
+        ):
+            start = house_drive.pose_of(robot)
+            shortest = length(costmap.plan(start, goal))
+            if unknown:
+                spot = BOX_AT[goal]
+                simulation.add(read_spawned(BOX.format(*spot), "test"))
+            driver, path, touched = house_drive.drive(simulation, robot, goal, costmap)
+            assert not driver.failure and not touched
+            assert driver.distance(house_drive.pose_of(robot)) <= 0.05
+            driven = house_drive.length(path)
+            assert (driver.plans > 1) == unknown
+            assert driven > 1.05 * shortest if unknown else driven < 1.02 * shortest
+            if unknown:
+                simulation.remove("thing")
+
+
+def test_the_map_beside_the_house_is_that_of_the_house():
+    folder = Path(__file__).parents[3] / "worlds"
+    found, made = read_map(folder / "house.yaml"), map_world(MapSettings())
+    np.testing.assert_array_equal(found.cells, made.cells)
+    np.testing.assert_allclose(found.origin, made.origin)

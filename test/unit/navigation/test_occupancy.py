@@ -1,0 +1,83 @@
+"""Tests of the files of maps: what is written is read back, and read as map_server reads it."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bullet_lab.navigation.occupancy import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    MapError,
+    OccupancyMap,
+    read_map,
+)
+
+CELLS = np.array([[0, 100, -1], [0, 0, 100]], dtype=np.int8)
+ORIGIN = (-1.5, 2.25, 0.0)
+
+
+def write(folder, text, levels=None):
+    if levels is not None:
+        cv2.imwrite(str(folder / "map.png"), np.array(levels, dtype=np.uint8))
+    (folder / "map.yaml").write_text(text)
+    return folder / "map.yaml"
+
+
+def test_a_map_is_read_back(tmp_path):
+    made = OccupancyMap(CELLS, 0.25, ORIGIN)
+    (tmp_path / "map.pgm").write_bytes(made.pgm())
+    found = read_map(write(tmp_path, made.yaml("map.pgm")))
+    np.testing.assert_array_equal(found.cells, CELLS)
+    assert (found.resolution, found.origin) == (0.25, ORIGIN)
+    # The first row of the image is the last of the map.
+    assert made.pgm() == b"P5\n3 2\n255\n" + bytes([254, 254, 0, 254, 0, 205])
+
+
+def test_a_value_is_that_of_the_cell_at_a_point():
+    made = OccupancyMap(CELLS, 0.25, ORIGIN)
+    assert [made.value(-1.5 + x, 2.25 + y) for x, y in ((0.1, 0.1), (0.26, 0.1), (0.51, 0.3))] == [
+        FREE, OCCUPIED, OCCUPIED,
+    ]
+    assert made.value(-1.6, 2.3) == made.value(-0.7, 2.3) == UNKNOWN
+
+
+HEAD = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\n"
+
+
+@pytest.mark.parametrize(
+    "more, levels, values",
+    [
+        ("", [[0, 88, 89, 204, 205, 206, 255]], [100, 100, 100, -1, -1, 0, 0]),
+        ("negate: 1\n", [[0, 255, 49, 50]], [0, 100, 0, -1]),
+        ("occupied_thresh: 0.9\nfree_thresh: 0.5\n", [[0, 100, 200]], [100, -1, 0]),
+        ("mode: trinary\n", [[0, 205]], [100, -1]),
+        # Of a picture with colours, the mean.
+        ("", [[[0, 0, 255], [255, 255, 240]]], [100, 0]),
+    ],
+)
+def test_grey_levels_mean_what_they_mean_to_map_server(tmp_path, more, levels, values):
+    assert read_map(write(tmp_path, HEAD + more, levels)).cells.tolist() == [values]
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("image: map.png\nresolution: 0.1\n", "origin is missing"),
+        ("[1, 2", "is no map"),
+        ("3", "is no map"),
+        ("image: other.png\nresolution: 0.1\norigin: [0, 0, 0]\n", "cannot read the image"),
+        (HEAD.replace("0.1", "-1"), "needs a resolution > 0"),
+        (HEAD.replace("0, 0, 0", "0, 0"), "an origin of 3"),
+        (HEAD + "mode: scale\n", "the mode trinary"),
+    ],
+)
+def test_what_is_no_map_is_refused(tmp_path, text, expected):
+    with pytest.raises(MapError, match=expected):
+        read_map(write(tmp_path, text, [[0]]))
+    with pytest.raises(MapError, match="cannot read"):
+        read_map(tmp_path / "none.yaml")
+    with pytest.raises(MapError, match="the map is '.'; it must be a YAML file"):
+        read_map(Path(""))
