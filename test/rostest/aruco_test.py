@@ -201,17 +201,22 @@ class ArucoParametersTest(ImageNodeTest):
     def test_transforms_in_lock_step_of_chosen_markers_in_rectified_images_until_ctrl_c(self):
         # Nobody offers the lock step here: the node waits for it, and works all the same.
         choice = {"tags": "4x4_50", "ids": "3 7", "sizes": "7=0.4", "rectified": True}
-        node = self.node("aruco.py", **choice, publish_tf=True, lock_step=True)
+        panel = "[{name: panel, layout: [{id: 7, size: 0.4, x: 0.1}, {id: 3, size: 0.2}]}]"
+        node = self.node("aruco.py", **choice, tag_bundles=panel, publish_tf=True, lock_step=True)
         transforms = self.topic("/tf", TFMessage)
         camera = self.camera()
         self.addCleanup(node.end)
         camera.connect()
         pixels = image_of([marker(7, size=0.4, tags="4x4_50")], CLOSE, samples=4)
         camera.send(1.0, pixels, about=info(1.0, BENT))
-        (transform,) = transforms.wait(1)[0].transforms
+        transform, of_panel = transforms.wait(1)[0].transforms
         self.assertEqual(
             ("fiducial_7", FRAME), (transform.child_frame_id, transform.header.frame_id)
         )
+        self.assertEqual("panel", of_panel.child_frame_id)
+        ends = (one.transform.translation for one in (transform, of_panel))
+        arm = [getattr(one, axis) for one in ends for axis in "xyz"]
+        self.assertAlmostEqual(0.1, float(np.linalg.norm(np.subtract(arm[:3], arm[3:]))), 6)
         turn = transform.transform.rotation
         self.assertAlmostEqual(1.0, turn.x**2 + turn.y**2 + turn.z**2 + turn.w**2, 9)
         detections = self.topic("/aruco/detections", MarkerDetectionArray)
@@ -223,6 +228,8 @@ class ArucoParametersTest(ImageNodeTest):
         (found,) = messages[-1].detections
         self.assertEqual((7, "DICT_4X4_50", 0.4), (found.id, found.dictionary, found.size))
         assert_place(found, CLOSE)
+        (bundle,) = messages[-1].bundles
+        self.assertEqual(("panel", (7,)), (bundle.name, bundle.ids))
         camera.send(3.0, image_of([marker(9, tags="4x4_50")], VIEW, samples=4))
         self.assertEqual([], detections.wait(31)[-1].detections)
         node.signal()

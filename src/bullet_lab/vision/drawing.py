@@ -11,7 +11,7 @@ from numpy import ndarray
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.images import mean_side
 from bullet_lab.vision.marker_detector import DetectedMarker
-from bullet_lab.vision.marker_pose import MarkerPose
+from bullet_lab.vision.pose_fit import MarkerPose
 
 # Colours as in OpenCV: blue, green, red.
 BLUE = (255, 0, 0)

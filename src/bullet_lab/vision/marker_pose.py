@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Mapping, Sequence
+from typing import Any, Mapping, Sequence
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.pose import Pose, Quaternion
 from bullet_lab.vision.images import Lens, VisionError, cross, homography, solve_symmetric
 from bullet_lab.vision.marker_detector import (
     DetectedMarker,
@@ -19,11 +18,14 @@ from bullet_lab.vision.marker_detector import (
     DetectorSettings,
     MarkerDetector,
 )
+from bullet_lab.vision.pose_fit import (
+    MarkerPose,
+    PoseEstimate,
+    PoseFit,
+    clearly_better,
+    projected,
+)
 
-# The better of two poses is right if the other one's error is larger by this factor, and by so many
-# standard deviations of the corners.
-_CLEAR_RATIO = 2.0
-_CLEAR_SIGMAS = 3.0
 # Least area of a marker in the image, px².
 _LEAST_AREA = 1.0
 # Seconds after which a pose no longer helps to choose the next one.
@@ -36,64 +38,12 @@ _CLEARLY_UPRIGHT = 0.0014
 _UP = np.array([0.0, -1.0, 0.0])
 
 # Top left, top right, bottom right, bottom left corner in the marker's frame, by half its edge.
-_SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
-_ITERATIONS = 10
-# The fit has converged when a step gains less, in squares of standard deviations.
-_CONVERGED = 1e-5
+SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 # Tilts (n, 2) at which the likelihood is evaluated, up to so many standard deviations.
 _REACH = 3.5
 _TILTS = np.stack(np.meshgrid(*2 * [np.linspace(-_REACH, _REACH, 15)]), axis=-1).reshape(-1, 2)
 # The other pose does not matter if it is so many standard deviations away.
 _FAR = 16.0
-
-
-@dataclass(frozen=True, eq=False)
-class MarkerPose:
-    """Pose of a marker in the optical frame of a camera.
-
-    The marker's frame has x to its right as one looks at it, y up, z out of its face. The
-    covariance (6, 6) is of x, y, z and small rotations about the x, y, z of the optical frame, as
-    in geometry_msgs/PoseWithCovariance; m² and rad².
-    """
-
-    rotation: ndarray  #: (3, 3), from the marker's frame to the optical frame
-    translation: ndarray  #: (3,) m, the marker's middle
-    #: root mean square of the corners' distances from where the pose puts them, ideal px
-    error: float
-    covariance: ndarray
-
-    @property
-    def quaternion(self) -> Quaternion:
-        """The rotation as x, y, z, w."""
-        return Pose.from_matrix(tuple(self.translation), self.rotation).quaternion
-
-    @property
-    def distance(self) -> float:
-        """From the camera to the marker's middle, m."""
-        return float(np.linalg.norm(self.translation))
-
-
-@dataclass(frozen=True, eq=False)
-class PoseEstimate:
-    """The two poses of a flat marker that its corners allow."""
-
-    best: MarkerPose  #: the one that fits better
-    alternative: MarkerPose  #: the other one; the same as `best` where there is but one
-    ambiguous: bool  #: the corners do not show which is right
-
-    def nearest_to(self, rotation: ndarray) -> MarkerPose:
-        """Return the pose that is turned least from a (3, 3) rotation, such as the last."""
-        both = self.best, self.alternative
-        return max(both, key=lambda pose: float(np.sum(pose.rotation * rotation)))
-
-    def upright(self, up: ndarray, least: float = 0.0) -> MarkerPose:
-        """Return the pose whose y axis is nearer to a direction (3,) of the optical frame.
-
-        A marker on an upright wall has its y axis up: (0, -1, 0) for a level camera. The one that
-        fits worse is returned only if the cosine of its angle is larger by more than `least`.
-        """
-        gain = (self.alternative.rotation[:, 1] - self.best.rotation[:, 1]) @ up
-        return self.alternative if gain > least else self.best
 
 
 def estimate_pose(
@@ -121,8 +71,7 @@ def estimate_pose(
     corners = np.asarray(corners, dtype=float)
     if corners.shape != (4, 2) or not np.isfinite(corners).all():
         raise VisionError("a marker needs four finite corners")
-    total = pixel_sigma**2 * np.eye(8) + (0.0 if covariance is None else covariance)
-    sigma = float(np.sqrt(np.trace(total) / 8.0))
+    sigma = float(np.sqrt(np.trace(_total(pixel_sigma, covariance)) / 8.0))
     if not (0.0 < size < math.inf and 0.0 < sigma < math.inf):
         raise VisionError(
             f"marker size {size} m, deviation of its corners {sigma} px; both must be above 0"
@@ -130,10 +79,7 @@ def estimate_pose(
     # The area of a quadrilateral, from its diagonals.
     if 0.5 * abs(cross(corners[2] - corners[0], corners[3] - corners[1])) < _LEAST_AREA:
         raise VisionError(f"the corners of a marker span less than {_LEAST_AREA:g} px²")
-    lens = Lens(camera)
-    ideal = lens.ideal(corners)
-    _, by_seen = cv2.invert(lens.derivatives(ideal))
-    square = _SquareFit(ideal, size, camera, by_seen @ total @ by_seen.T)
+    square = _SquareFit(*ideal_corners(corners, camera, pixel_sigma, covariance), size, camera)
     refined = [square.refined(*start) for start in square.starts()]
     fits = sorted((fit for fit in refined if fit is not None), key=lambda fit: fit[0])
     if not fits:
@@ -141,27 +87,38 @@ def estimate_pose(
     best, other = fits[0][1], fits[-1][1]
     best, other = square.widened(best, other), square.widened(other, best)
     same = len(fits) == 1 or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
-    clear = other.error > _CLEAR_RATIO * best.error
-    clear = clear and other.error - best.error > 0.5 * _CLEAR_SIGMAS * sigma
-    return PoseEstimate(best, other, not (same or clear))
+    return PoseEstimate(best, other, not (same or clearly_better(best, other, sigma)))
 
 
-class _SquareFit:
+def ideal_corners(
+    corners: ndarray, camera: PinholeCamera, pixel_sigma: float, covariance: ndarray | None
+) -> tuple[ndarray, ndarray]:
+    """Return corners (4, 2) as without distortion, px, and their covariance (8, 8), px².
+
+    The arguments are those of `estimate_pose`.
+    """
+    lens = Lens(camera)
+    ideal = lens.ideal(corners)
+    _, by_seen = cv2.invert(lens.derivatives(ideal))
+    return ideal, by_seen @ _total(pixel_sigma, covariance) @ by_seen.T
+
+
+def _total(pixel_sigma: float, covariance: ndarray | None) -> ndarray:
+    return pixel_sigma**2 * np.eye(8) + (0.0 if covariance is None else covariance)
+
+
+class _SquareFit(PoseFit):
     """Fits the pose of a square marker to its corners.
 
     Args:
         corners: (4, 2) ideal px.
+        covariance: (8, 8) of the corners, px².
         size: edge of the black square, m.
         camera: geometry of the image; its distortion does not matter.
-        covariance: (8, 8) of the corners, px².
     """
 
-    def __init__(self, corners: ndarray, size: float, camera: PinholeCamera, covariance: ndarray):
-        self._corners, self._camera = corners, camera
-        self._points = 0.5 * size * _SQUARE
-        # With this matrix the corners' errors become independent ones of 1.
-        _, values, vectors = cv2.eigen(covariance)
-        self._whitening = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
+    def __init__(self, corners: ndarray, covariance: ndarray, size: float, camera: PinholeCamera):
+        super().__init__(0.5 * size * SQUARE, corners, covariance[None], camera)
 
     def starts(self) -> list[tuple[ndarray, ndarray]]:
         """Return both poses, rotation and translation, by Collins and Bartoli (2014, IPPE).
@@ -199,37 +156,6 @@ class _SquareFit:
             poses.append((rotation, _translation(self._points @ rotation.T, rays)))
         return poses
 
-    def refined(self, rotation: ndarray, translation: ndarray) -> tuple[float, MarkerPose] | None:
-        """Return the pose of least squares from a start, and its sum of squares; None if none.
-
-        By Levenberg and Marquardt.
-        """
-        seen, residuals, jacobian = self._whitened(rotation, translation)
-        error, damping = float(residuals @ residuals), 1e-6
-        for _ in range(_ITERATIONS):
-            if not np.isfinite(error):
-                return None
-            normal = jacobian.T @ jacobian
-            damped = normal + damping * np.diag(np.diag(normal))
-            step = -solve_symmetric(damped, jacobian.T @ residuals)
-            moved = translation + step[:3]
-            turned = cv2.Rodrigues(step[3:])[0] @ rotation
-            there = self._whitened(turned, moved)
-            error_there = float(there[1] @ there[1])
-            if not error_there < error:
-                damping *= 100.0
-                continue
-            gain = error - error_there
-            rotation, translation, error = turned, moved, error_there
-            seen, residuals, jacobian = there
-            damping *= 0.1
-            if gain < _CONVERGED:
-                break
-        solved, inverse = cv2.invert(jacobian.T @ jacobian, flags=cv2.DECOMP_CHOLESKY)
-        covariance = 0.5 * (inverse + inverse.T) if solved else np.full((6, 6), np.nan)
-        distance = float(np.sqrt(seen @ seen / 4.0))
-        return error, MarkerPose(rotation, translation, distance, covariance)
-
     def widened(self, pose: MarkerPose, other: MarkerPose) -> MarkerPose:
         """Return a pose with the mean squares of its error as covariance.
 
@@ -264,8 +190,8 @@ class _SquareFit:
 
     def _followed(self, pose: MarkerPose, moves: ndarray) -> tuple[ndarray, ndarray]:
         """Return moves (n, 6) with the best place and roll for their tilts, and squares (n,)."""
-        residuals = self._moved_residuals(pose, moves) @ self._whitening.T
-        _, _, jacobian = self._whitened(pose.rotation, pose.translation)
+        residuals = self._moved_residuals(pose, moves) @ self._whitening[0].T
+        _, _, jacobian = self.whitened(pose.rotation, pose.translation)
         free = np.zeros((6, 4))
         free[:3, :3] = np.eye(3)
         free[3:, 3] = pose.translation / pose.distance
@@ -284,25 +210,8 @@ class _SquareFit:
         points = cosine * turned + sine * np.cross(axes, turned)
         points += (1.0 - cosine) * (axes * turned).sum(axis=2, keepdims=True) * axes
         points += (pose.translation + moves[:, :3])[:, None]
-        pixels, _ = _projected(points.reshape(-1, 3), self._camera)
+        pixels, _ = projected(points.reshape(-1, 3), self._camera)
         return pixels.reshape(len(moves), 8) - self._corners.ravel()
-
-    def _whitened(
-        self, rotation: ndarray, translation: ndarray
-    ) -> tuple[ndarray, ndarray, ndarray]:
-        """Return the residuals (8,) in px, and them and their derivatives in deviations.
-
-        The derivatives (8, 6) are by x, y, z and rotations.
-        """
-        turned = self._points @ rotation.T
-        pixels, by_point = _projected(turned + translation, self._camera)
-        x, y, z = turned.T
-        crosses = np.zeros((4, 3, 3))
-        crosses[:, 0, 1], crosses[:, 0, 2], crosses[:, 1, 2] = z, -y, x
-        crosses -= np.swapaxes(crosses, 1, 2)
-        jacobian = np.concatenate((by_point, by_point @ crosses), axis=2).reshape(8, 6)
-        residuals = (pixels - self._corners).ravel()
-        return residuals, self._whitening @ residuals, self._whitening @ jacobian
 
 
 def _translation(turned: ndarray, rays: ndarray) -> ndarray:
@@ -310,17 +219,6 @@ def _translation(turned: ndarray, rays: ndarray) -> ndarray:
     columns = np.concatenate((np.tile(np.eye(2), (4, 1)), -rays.reshape(8, 1)), axis=1)
     right = rays * turned[:, 2:] - turned[:, :2]
     return solve_symmetric(columns.T @ columns, columns.T @ right.ravel())
-
-
-def _projected(seen: ndarray, camera: PinholeCamera) -> tuple[ndarray, ndarray]:
-    """Return ideal pixels (n, 2) of points of the optical frame and their (n, 2, 3) derivatives."""
-    x, y = seen[:, 0], seen[:, 1]
-    z = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
-    u, v = camera.fx * x / z, camera.fy * y / z
-    by_point = np.zeros((len(seen), 2, 3))
-    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -u / z
-    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -v / z
-    return np.column_stack((u + camera.cx, v + camera.cy)), by_point
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,15 +284,15 @@ class PoseMemory:
 
     def __init__(self, upright: bool = True):
         self._upright = upright
-        self._last: list[tuple[int, MarkerPose]] = []
+        self._last: list[tuple[int | str, MarkerPose]] = []
         self._stamp = -math.inf
 
     def forget(self) -> None:
         """Forget the last poses."""
         self._last = []
 
-    def choose(self, markers: Sequence[ObservedMarker], stamp: float) -> list[MarkerPose]:
-        """Return a pose for each marker of an image of a stamp in s."""
+    def choose(self, markers: Sequence[Any], stamp: float) -> list[MarkerPose]:
+        """Return a pose for each marker or bundle of an image of a stamp in s."""
         if not 0.0 <= stamp - self._stamp <= _PATIENCE:
             self._last = []
         poses = [self._choose(marker) for marker in markers]
@@ -403,7 +301,7 @@ class PoseMemory:
             self._stamp = stamp
         return poses
 
-    def _choose(self, marker: ObservedMarker) -> MarkerPose:
+    def _choose(self, marker: Any) -> MarkerPose:
         estimate, best = marker.pose, marker.pose.best
         if not estimate.ambiguous:
             return best

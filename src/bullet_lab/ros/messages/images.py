@@ -22,10 +22,11 @@ from std_msgs.msg import Header
 
 from bullet_lab.core.pinhole import PinholeCamera, PinholeError
 from bullet_lab.errors import LabError
-from bullet_lab.msg import ImagePoints, MarkerDetection
+from bullet_lab.msg import ImagePoints, MarkerBundle, MarkerDetection
 from bullet_lab.vision.images import LEAST_EDGE
+from bullet_lab.vision.marker_bundles import ObservedBundle
 from bullet_lab.vision.marker_detector import DetectedMarker
-from bullet_lab.vision.marker_pose import MarkerPose
+from bullet_lab.vision.pose_fit import MarkerPose
 
 # px
 _LARGEST_EDGE = 16384
@@ -33,12 +34,17 @@ _LARGEST_EDGE = 16384
 _COLOURS = {
     "mono8": ("GRAY", 1),
     "mono16": ("GRAY", 1),
-    **{f"{name}{bits}": (name.upper(), len(name))
-       for name in ("bgr", "rgb", "bgra", "rgba") for bits in (8, 16)},
+    **{
+        f"{name}{bits}": (name.upper(), len(name))
+        for name in ("bgr", "rgb", "bgra", "rgba")
+        for bits in (8, 16)
+    },
     # OpenCV names a Bayer pattern by the second row.
-    **{f"bayer_{name}{bits}": (f"Bayer{code}", 1)
-       for name, code in (("rggb", "BG"), ("bggr", "RG"), ("gbrg", "GR"), ("grbg", "GB"))
-       for bits in (8, 16)},
+    **{
+        f"bayer_{name}{bits}": (f"Bayer{code}", 1)
+        for name, code in (("rggb", "BG"), ("bggr", "RG"), ("gbrg", "GR"), ("grbg", "GB"))
+        for bits in (8, 16)
+    },
     "yuv422": ("YUV_UYVY", 2),
     "yuv422_yuy2": ("YUV_YUY2", 2),
 }
@@ -213,6 +219,17 @@ def detection_message(
     message.alternative_reprojection_error = other.error
     message.ambiguous = estimate.ambiguous
     return message
+
+
+def bundle_message(bundle: ObservedBundle, pose: MarkerPose) -> MarkerBundle:
+    """Return a bundle as a message, with the chosen one of its two poses."""
+    return MarkerBundle(
+        name=bundle.id,
+        ids=bundle.seen,
+        pose=covariance_message(pose),
+        reprojection_error=pose.error,
+        ambiguous=bundle.pose.ambiguous,
+    )
 
 
 def marker_transform(header: Header, frame: str, pose: MarkerPose) -> TransformStamped:

@@ -9,7 +9,8 @@
       without a usable camera_info the markers have no poses, and a size of 0
     - ~pose (geometry_msgs/PoseStamped) and ~pose_with_covariance
       (geometry_msgs/PoseWithCovarianceStamped) of the marker that is largest in the image
-    - /tf, with ~publish_tf: fiducial_<id> in the camera's optical frame, with the node's tf_prefix
+    - /tf, with ~publish_tf: fiducial_<id>, and the names of ~tag_bundles, in the camera's optical
+      frame, with the node's tf_prefix
     - ~image_annotated, ~camera_info, /diagnostics, see `image_node`
 
 Stamps and frames are those of the images.
@@ -33,6 +34,7 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.msg import MarkerDetectionArray
 from bullet_lab.ros.messages.images import (
     CameraGeometryError,
+    bundle_message,
     camera_of,
     covariance_message,
     detection_message,
@@ -43,8 +45,15 @@ from bullet_lab.ros.node.node import node, tf_prefix
 from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.nodes.image_node import CameraImage, Health, ImageNode, ImageParameters
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
+from bullet_lab.vision.marker_bundles import (
+    Bundle,
+    ObservedBundle,
+    observe_bundles,
+    read_bundles,
+)
 from bullet_lab.vision.marker_detector import Detections, DetectorSettings, why_nothing
-from bullet_lab.vision.marker_pose import MarkerObserver, MarkerPose, PoseMemory
+from bullet_lab.vision.marker_pose import MarkerObserver, PoseMemory
+from bullet_lab.vision.pose_fit import MarkerPose
 
 
 def accept_sizes(value: Any) -> Mapping[int, float]:
@@ -57,6 +66,14 @@ def accept_sizes(value: Any) -> Mapping[int, float]:
     return sizes
 
 
+def accept_bundles(value: Any) -> tuple[Bundle, ...]:
+    """Return the bundles of a list of dictionaries; raises ValueError or TypeError."""
+    try:
+        return read_bundles(value)
+    except (KeyError, AttributeError) as error:
+        raise ValueError from error
+
+
 @dataclass(frozen=True)
 class ArucoParameters(ImageParameters, DetectorSettings):
     """Private parameters of aruco."""
@@ -67,6 +84,12 @@ class ArucoParameters(ImageParameters, DetectorSettings):
         "edges of markers with another size than ~width, m",
         "like 7=0.1 9=0.05: ids and edges in metres",
         accept_sizes,
+    )
+    tag_bundles: tuple[Bundle, ...] = checked(
+        (),
+        "markers that are fixed to each other and get one pose",
+        "a list as in apriltag_ros: name and layout, with id, size, x, y, z, qx, qy, qz, qw",
+        accept_bundles,
     )
     rectified: bool = boolean(False, "the images are rectified")
     upright: bool = boolean(
@@ -89,10 +112,14 @@ class Aruco(ImageNode):
     }
 
     def __init__(self, parameters: ArucoParameters):
-        self._observer = MarkerObserver(
-            parameters, parameters.width, parameters.sizes, parameters.pixel_sigma
-        )
-        self._memory = PoseMemory(parameters.upright)
+        bundled = {
+            number: marker.size
+            for bundle in parameters.tag_bundles
+            for number, marker in bundle.markers.items()
+        }
+        sizes = {**bundled, **(parameters.sizes or {})}
+        self._observer = MarkerObserver(parameters, parameters.width, sizes, parameters.pixel_sigma)
+        self._memory, self._bundle_memory = (PoseMemory(parameters.upright) for _ in range(2))
         self._health = Health(DiagnosticStatus.OK, "")
         super().__init__(parameters, always=parameters.publish_tf)
         self._prefix = tf_prefix(rospy.get_name())
@@ -104,10 +131,12 @@ class Aruco(ImageNode):
         detections = self._observer.observe(image.grey, camera)
         markers: Sequence[Any] = detections.markers
         if camera is None:
-            poses = [None] * len(markers)
+            poses, bundles = [None] * len(markers), []
         else:
-            poses = self._memory.choose(markers, image.header.stamp.to_sec())
-        self._publish_markers(image.header, markers, poses)
+            stamp = image.header.stamp.to_sec()
+            poses = self._memory.choose(markers, stamp)
+            bundles = self._bundles(markers, camera, stamp)
+        self._publish_markers(image.header, markers, poses, bundles)
         self.annotate(image, lambda canvas: self._draw(canvas, detections, poses, camera))
         self._health = problem or self._judge(detections, poses)
         return _figures(detections)
@@ -119,6 +148,7 @@ class Aruco(ImageNode):
     def reset(self) -> None:
         """Forget the earlier poses of markers."""
         self._memory.forget()
+        self._bundle_memory.forget()
 
     def health(self) -> Health:
         """Return the markers of the last image, or the reason why there are none."""
@@ -137,12 +167,26 @@ class Aruco(ImageNode):
             self.refuse(topic, str(error))
             return None, Health(DiagnosticStatus.ERROR, str(error))
 
+    def _bundles(
+        self, markers: Sequence[Any], camera: PinholeCamera, stamp: float
+    ) -> list[tuple[ObservedBundle, MarkerPose]]:
+        parameters = self.parameters
+        found = list(
+            observe_bundles(parameters.tag_bundles, markers, camera, parameters.pixel_sigma)
+        )
+        return list(zip(found, self._bundle_memory.choose(found, stamp)))
+
     def _publish_markers(
-        self, header: Header, markers: Sequence[Any], poses: Sequence[MarkerPose | None]
+        self,
+        header: Header,
+        markers: Sequence[Any],
+        poses: Sequence[MarkerPose | None],
+        bundles: Sequence[tuple[ObservedBundle, MarkerPose]],
     ) -> None:
         tags = self.parameters.tags
         message = MarkerDetectionArray(header=header)
         message.detections = [detection_message(*one, tags) for one in zip(markers, poses)]
+        message.bundles = [bundle_message(*one) for one in bundles]
         self.publish("detections", message)
         if not poses or poses[0] is None:
             return
@@ -155,6 +199,9 @@ class Aruco(ImageNode):
             transforms = [
                 marker_transform(header, f"{self._prefix}fiducial_{number}", pose)
                 for number, pose in by_id.items()
+            ]
+            transforms += [
+                marker_transform(header, self._prefix + bundle.id, pose) for bundle, pose in bundles
             ]
             self._tf.publish(TFMessage(transforms))
 

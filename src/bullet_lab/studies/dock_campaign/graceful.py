@@ -41,7 +41,8 @@ from bullet_lab.docking.types import (
 from bullet_lab.drive import STANDSTILL, Command, clip
 from bullet_lab.navigation.paths import PathFollower, turn_command
 from bullet_lab.vision.images import VisionError
-from bullet_lab.vision.marker_pose import MarkerPose, estimate_pose
+from bullet_lab.vision.marker_pose import estimate_pose
+from bullet_lab.vision.pose_fit import MarkerPose
 
 # Of the camera's axes, x ahead and z up, along those of its optical frame.
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

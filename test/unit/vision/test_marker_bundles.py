@@ -1,0 +1,160 @@
+"""Bundles of markers: one pose from all that are seen, and what its covariance is worth."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from marker_images import CAMERA, View, angle_between, image_of, marker
+from scipy import stats
+
+from bullet_lab.vision.marker_bundles import observe_bundles, read_bundles
+from bullet_lab.vision.marker_detector import DetectedMarker
+from bullet_lab.vision.marker_pose import MarkerObserver, ObservedMarker, estimate_pose
+
+SIZE = 0.08
+PLACES = {0: (-0.1, 0.1), 1: (0.1, 0.1), 2: (-0.1, -0.1), 3: (0.1, -0.1)}
+BOARD = {
+    "name": "board",
+    "layout": [{"id": i, "size": SIZE, "x": x, "y": y} for i, (x, y) in PLACES.items()],
+}
+# Two faces of a box, a right angle between them; the second looks to the right of the first.
+BOX = {
+    "name": "box",
+    "layout": [
+        {"id": 0, "size": SIZE, "z": 0.05},
+        {"id": 1, "size": SIZE, "x": 0.05, "qy": 1.0, "qw": 1.0},
+    ],
+}
+VIEW = View(1.2, yaw=25.0, pitch=10.0, roll=15.0, shift=(0.1, -0.05))
+
+
+def seen(bundle, view, chance=None, sigma=0.1, camera=CAMERA, ids=None):
+    """The markers of a bundle, with corners that are exact or noisy."""
+    found = []
+    for number, one in bundle.markers.items():
+        if ids is not None and number not in ids:
+            continue
+        corners = camera.project(view.to_camera(one.corners()))
+        if chance is not None:
+            corners = corners + chance.normal(0.0, sigma, (4, 2))
+        covariance = sigma**2 * np.eye(8)
+        detected = DetectedMarker(number, corners, 0, 1.0, covariance)
+        pose = estimate_pose(corners, one.size, camera, 0.0, covariance)
+        found.append(ObservedMarker(**vars(detected), size=one.size, pose=pose))
+    return found
+
+
+def error_of(pose, view):
+    turn = pose.rotation @ view.rotation.T
+    odd = 0.5 * (turn - turn.T)
+    small = odd[2, 1], odd[0, 2], odd[1, 0]
+    return np.concatenate([pose.translation - view.translation, small])
+
+
+@pytest.mark.parametrize("layout", [BOARD, BOX], ids=["board", "box"])
+@pytest.mark.parametrize("bent", [None, (-0.3, 0.1, 0.001, -0.002, 0.02)])
+def test_exact_corners_give_the_exact_pose(layout, bent):
+    camera = replace(CAMERA, distortion=bent) if bent else CAMERA
+    view = View(1.2, yaw=-35.0, pitch=10.0, shift=(0.1, -0.05))
+    (bundle,) = read_bundles([layout])
+    (found,) = observe_bundles([bundle], seen(bundle, view, camera=camera), camera, 0.0)
+    assert (found.id, found.seen) == (layout["name"], tuple(bundle.markers))
+    assert not found.pose.ambiguous
+    np.testing.assert_allclose(found.pose.best.translation, view.translation, atol=1e-5)
+    assert angle_between(found.pose.best.rotation, view.rotation) < 2e-4
+
+
+@pytest.mark.parametrize("layout", [BOARD, BOX], ids=["board", "box"])
+@pytest.mark.parametrize("sigma, wrong", [(0.1, 1.0), (0.1, 3.0)])
+def test_the_covariance_is_that_of_the_errors(layout, sigma, wrong):
+    """Also if corners are three times as far off as they believe.
+
+    200 draws; the mean NEES of a right covariance is within its bounds of 99.9 %.
+    """
+    (bundle,) = read_bundles([layout])
+    chance, squares = np.random.default_rng(7), []
+    view = View(1.2, yaw=-35.0, pitch=10.0, shift=(0.1, -0.05))
+    for _ in range(200):
+        markers = seen(bundle, view, chance, wrong * sigma)
+        markers = [replace(one, covariance=sigma**2 * np.eye(8)) for one in markers]
+        (found,) = observe_bundles([bundle], markers, CAMERA, 0.0)
+        error = error_of(found.pose.best, view)
+        squares.append(error @ np.linalg.solve(found.pose.best.covariance, error))
+    low, high = stats.chi2.interval(0.999, 6 * 200)
+    # The scale itself is estimated from the residuals, and never lowers a covariance.
+    spread = 1.0 if wrong == 1.0 else 1.6
+    assert low / spread / 1.15 < sum(squares) < high * spread
+
+
+def test_of_one_marker_a_bundle_has_the_poses_of_that_marker():
+    (bundle,) = read_bundles([BOARD])
+    chance, squares, flips = np.random.default_rng(8), [], 0
+    for _ in range(200):
+        markers = seen(bundle, VIEW, chance, 0.02, ids=[3])
+        (found,) = observe_bundles([bundle], markers, CAMERA, 0.0)
+        assert found.seen == (3,)
+        both = found.pose.best, found.pose.alternative
+        errors = [error_of(pose, VIEW) for pose in both]
+        values = [e @ np.linalg.solve(p.covariance, e) for e, p in zip(errors, both)]
+        squares.append(min(values))
+        flips += values[1] < values[0]
+    assert flips < 100
+    low, high = stats.chi2.interval(0.999, 6 * 200)
+    assert 0.8 * low < sum(squares) < high
+
+
+def test_four_markers_are_surer_than_one_and_not_ambiguous():
+    view = View(2.5, yaw=5.0)
+    (bundle,) = read_bundles([BOARD])
+    one, four = (
+        next(observe_bundles([bundle], seen(bundle, view, ids=ids), CAMERA, 0.0)).pose
+        for ids in ([0], None)
+    )
+    assert one.ambiguous
+    assert np.trace(four.best.covariance[3:, 3:]) < 0.1 * np.trace(one.best.covariance[3:, 3:])
+
+
+def test_a_marker_that_is_seen_twice_and_one_of_nobody_do_not_count():
+    (bundle,) = read_bundles([BOARD])
+    markers = seen(bundle, VIEW)
+    twice = [*markers, replace(markers[0], corners=markers[0].corners + 50.0)]
+    (found,) = observe_bundles([bundle], [*twice, replace(markers[1], id=77)], CAMERA)
+    assert found.seen == (1, 2, 3)
+    np.testing.assert_allclose(found.pose.best.translation, VIEW.translation, atol=1e-4)
+    assert not list(observe_bundles([bundle], [replace(markers[1], id=77)], CAMERA))
+
+
+def test_a_board_in_an_image():
+    layers = [marker(i, size=SIZE, centre=place, quiet=2) for i, place in PLACES.items()]
+    image = image_of(layers, VIEW, samples=8, blur=0.6, noise=2.0)
+    sizes = dict.fromkeys(PLACES, SIZE)
+    markers = MarkerObserver(sizes=sizes).observe(image, CAMERA).markers
+    (found,) = observe_bundles(read_bundles([BOARD]), markers, CAMERA)
+    assert sorted(found.seen) == [0, 1, 2, 3]
+    assert np.linalg.norm(found.pose.best.translation - VIEW.translation) < 1e-3
+    assert angle_between(found.pose.best.rotation, VIEW.rotation) < 2e-3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"name": ""},
+        {"layout": []},
+        {"layout": [{"id": 1}]},
+        {"layout": [{"id": 1, "size": 0.0}]},
+        {"layout": [{"id": 1, "size": 0.1, "x": math.nan}]},
+        {"layout": [{"id": 1, "size": 0.1, "qw": 0.0}]},
+        {"layout": [{"id": 1, "size": 0.1}, {"id": 1, "size": 0.1}]},
+        {"layout": 7},
+        {"layout": ["marker"]},
+    ],
+)
+def test_what_is_no_bundle(change):
+    with pytest.raises((ValueError, TypeError, KeyError, AttributeError)):
+        read_bundles([{**BOARD, **change}])
+
+
+def test_two_bundles_of_one_name_are_refused():
+    with pytest.raises(ValueError):
+        read_bundles([BOARD, BOARD])
