@@ -25,7 +25,8 @@ UP = {
     "database": ((), 3),
     "inorder": (CART, 1),
     "legacy_mode": (CART, 1),
-    "navigation": (CART, 1),
+    "mapping": (CART, 1),
+    "navigation": ((*CART, "/map", "/amcl_pose", "/move_base/goal"), 1),
     "own_server": (CART, 1),
     "paused": (CART, 1),
     "ros_control": (("/mobile_base_controller/odom", "/joint_states", "/scan"), 1),
@@ -46,8 +47,8 @@ ENDS = {
     "old_tags": r"since ROS Noetic, <macro> is <xacro:macro>, <property> is <xacro:property>",
 }
 # Packages whose nodes cannot start; others may, where they are installed.
-MISSING = {"navigation": ("map_server", "amcl", "move_base")}
-NONE = "{0}/{0}: there is no ROS package '{0}'; Debian has none that is known"
+MISSING = {"mapping": ("gmapping",)}
+NONE = "{0}/slam_{0}: there is no ROS package '{0}'; Debian has none that is known"
 MAY_MISS = {"static_tf": r"tf2?_ros|tf/", "tools": r"teleop|rqt_robot_steering|_gui/"}
 
 

@@ -67,7 +67,9 @@ def accept_sizes(value: Any) -> Mapping[int, float]:
 
 
 def accept_bundles(value: Any) -> tuple[Bundle, ...]:
-    """Return the bundles of a list of dictionaries; raises ValueError or TypeError."""
+    """Return the bundles of a list of dictionaries or bundles; raises ValueError or TypeError."""
+    if all(isinstance(one, Bundle) for one in value):
+        return tuple(value)
     try:
         return read_bundles(value)
     except (KeyError, AttributeError) as error:
