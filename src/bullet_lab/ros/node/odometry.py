@@ -106,10 +106,16 @@ def _wait_for(new: threading.Condition, holds: Callable[[], bool], seconds: floa
 
 
 class NewestOdometry:
-    """The newest valid pose on an odometry topic."""
+    """The newest valid pose on an odometry topic.
 
-    def __init__(self, topic: str):
-        self._topic = topic
+    Args:
+        topic: of the odometry.
+        late: whether messages come when time leaves the step of their stamp, as those of the
+            controllers of ros_control.
+    """
+
+    def __init__(self, topic: str, late: bool = False):
+        self._topic, self._late = topic, late
         self._new = threading.Condition()
         self._pose: PlanarPose | None = None
         self._stamp = rospy.Time(0)
@@ -140,7 +146,10 @@ class NewestOdometry:
             return False
         if not in_lock_step():
             return not self.is_stale()
-        return self._period is None or self._stamp + self._period > now
+        if self._period is None:
+            return True
+        due = self._stamp + self._period
+        return due >= now if self._late else due > now
 
     def take(self, message: Odometry) -> None:
         """Store the pose of a message; an invalid message is refused and counted."""

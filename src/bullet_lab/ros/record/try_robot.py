@@ -114,7 +114,9 @@ class Trial:
         self._rate: Rate | None = None
         self._connected_since = time.monotonic()
         if self._robot.odometry:
-            self._odometry = NewestOdometry(self._robot.odometry)
+            of_plugins = {topic for plugin in self._robot.plugins for topic in plugin.outputs}
+            is_late = self._robot.odometry not in of_plugins
+            self._odometry = NewestOdometry(self._robot.odometry, is_late)
         self._subscribers = {
             topic: subscriber(topic, _class_of(count.kind), partial(self._receive, topic))
             for topic, count in self._report.counts.items()
