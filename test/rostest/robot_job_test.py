@@ -65,7 +65,7 @@ WORLD = f"""<sdf version="1.6"><world name="lab"><include><uri>model://ground_pl
     <plugin name="control" filename="libgazebo_ros_control.so">
       <robotNamespace>/</robotNamespace></plugin>
   </model></world></sdf>"""
-KIND = "effort_controllers/JointTrajectoryController"
+KIND = "pos_vel_controllers/JointTrajectoryController"
 LAUNCH = f"""<launch>
   <include file="$(find gazebo_ros)/launch/empty_world.launch">
     <arg name="world_name" value="{FOLDER.name}/lab.world"/><arg name="gui" value="false"/>
@@ -74,7 +74,7 @@ LAUNCH = f"""<launch>
   <param name="arm/type" value="{KIND}"/>
   <node name="load" pkg="rosservice" type="rosservice"
         args="call --wait /controller_manager/load_controller arm"/>
-  <node name="map" pkg="map_server" type="map_server"/>
+  <node name="map" pkg="gmapping" type="slam_gmapping"/>
   <node name="fails" pkg="rostopic" type="rostopic" args="bogus"/>
 </launch>"""
 
@@ -130,7 +130,7 @@ class RobotJobTest(unittest.TestCase):
         self.assertEqual([f"arm ({KIND})"], summary["left_out"])
         self.assertIn(f"controller 'arm': the type '{KIND}' is not simulated", printed)
         missing, died = summary["not_started"]
-        self.assertIn("map_server/map_server: there is no ROS package 'map_server'", missing)
+        self.assertIn("gmapping/slam_gmapping: there is no ROS package 'gmapping'", missing)
         self.assertRegex(died, r"fails-\d+ has died \(exit code \d+\)")
         metre = summary["drive"]["metre"]
         self.assertIn("touches house::wall_3", metre["reasons"])
