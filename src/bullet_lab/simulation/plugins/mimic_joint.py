@@ -47,12 +47,15 @@ class MimicJoint(Plugin):
 
     def before_step(self, step: int) -> None:
         body, name = self._leader
-        target = body.joint_state(name).position * self._multiplier + self._offset
+        lead = body.joint_state(name)
+        target = lead.position * self._multiplier + self._offset
         body, name = self._follower
         error = target - body.joint_state(name).position
         if abs(error) < self._least:
             return
         if self._pid is None:
+            # Where the leader will be after the step: a lag would feed the leader's oscillations.
+            target += lead.velocity * self._multiplier * STEP_SECONDS
             body.hold_joint(name, target, STRONGEST, AT_ONCE)
         else:
             effort = self._pid.command(error, STEP_SECONDS)

@@ -126,7 +126,8 @@ class ControllerManager:
             raise ControlError(f"controller '{name}' is loaded already")
         kind = parameters.get("type", "")
         if not kind:
-            raise ControlError(f"controller '{name}': {parameters.where}/type is missing")
+            hint = "is the namespace of its parameters right?"
+            raise ControlError(f"controller '{name}': {parameters.where}/type is missing; {hint}")
         if kind not in CONTROLLERS:
             known = f"known are {', '.join(sorted(CONTROLLERS))}"
             raise ControlError(f"controller '{name}': the type '{kind}' is not simulated; {known}")

@@ -242,7 +242,8 @@ class JointTrajectory(actions.ActionController):
         if not points:
             late = now - origin - trajectory.points[-1].seconds
             code = OLD_STAMP if trajectory.start else INVALID_GOAL
-            raise TrajectoryError(code, f"all {gone} points are past, the last by {late:.3f} s")
+            what = "the last stamp + time_from_start"
+            raise TrajectoryError(code, f"all points are past: {what} was {late:.3f} s ago")
         # Without a stamp, the first point may be where the joints are.
         if gone > 1 or (gone and trajectory.start):
             LOG.warning("controller '%s': %d points are past; ignored", self.name, gone)

@@ -118,6 +118,19 @@ def test_a_joint_mimics_another_one(world, tags, expected):
     assert fingers() == pytest.approx([0.02, expected], abs=1e-3)
 
 
+def test_a_mimicking_motor_does_not_lag_behind(world):
+    controller, fingers = gripper(world, "position", box=False)
+    Sent(controller, GripperSample(0.02, 5.0))
+    apart = []
+    for _ in range(50):
+        world.run_for(0.001)
+        left, right = fingers()
+        apart.append(abs(left - right))
+    # A lag of one step would be 0.2 mm at 0.2 m/s.
+    assert max(apart) < 1e-4
+    assert left > 0.0
+
+
 def test_a_mimicked_joint_that_is_missing(world, caplog):
     spawn_arm(world, change=lambda urdf: urdf.replace("<joint>left_finger", "<joint>no_finger"))
     assert "<joint>: no movable joint 'no_finger_joint'" in caplog.text

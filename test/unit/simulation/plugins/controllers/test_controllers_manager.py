@@ -145,7 +145,7 @@ def test_a_kind_that_is_not_simulated_is_named_with_those_that_are(world):
     kind = "joint_trajectory_controller/JointTrajectoryController"
     with pytest.raises(ControlError, match=r"'arm'.*JointTrajectoryController.*diff_drive"):
         manager.load("arm", ControlParameters({"type": kind}, "/bot/arm"))
-    with pytest.raises(ControlError, match="/bot/arm/type is missing"):
+    with pytest.raises(ControlError, match="/bot/arm/type is missing; is the namespace"):
         manager.load("arm", ControlParameters(None, "/bot/arm"))
 
 

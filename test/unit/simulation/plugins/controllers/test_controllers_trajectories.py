@@ -88,8 +88,8 @@ def test_an_arm_follows_ten_points(world, kind):
         (trajectory((1.0, ())), INVALID_GOAL, "0/0/0 positions/velocities/accelerations for 6"),
         (trajectory((1.0, 0.5, NAN)), INVALID_GOAL, "point 1 of 1 is not finite"),
         (trajectory((1.0, 0.5), (1.0, 0.6)), INVALID_GOAL, "point 2 of 2: 1 s comes after 1 s"),
-        (trajectory((0.0, 0.5)), INVALID_GOAL, "all 1 points are past"),
-        (trajectory((0.1, 0.5), start=1e-9), OLD_STAMP, "the last by 0.4"),
+        (trajectory((0.0, 0.5)), INVALID_GOAL, "all points are past: the last stamp"),
+        (trajectory((0.1, 0.5), start=1e-9), OLD_STAMP, "was 0.410 s ago"),
     ],
 )
 def test_invalid_goals_are_rejected(world, content, code, text):
