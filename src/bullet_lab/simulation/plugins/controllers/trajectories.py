@@ -246,7 +246,7 @@ class JointTrajectory(actions.ActionController):
             raise TrajectoryError(code, f"all points are past: {what} was {late:.3f} s ago")
         # Without a stamp, the first point may be where the joints are.
         if gone > 1 or (gone and trajectory.start):
-            LOG.warning("controller '%s': %d points are past; ignored", self.name, gone)
+            LOG.warning("controller '%s': points in the past are ignored: %d", self.name, gone)
         self._since = max(now, origin)
         for column, name in enumerate(trajectory.joints):
             number, start = self._names.index(name), self._since
