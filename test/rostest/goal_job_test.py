@@ -48,13 +48,12 @@ class GoalJobTest(unittest.TestCase):
 
     def test_goals_that_are_drawn_on_the_map_of_the_house_with_a_box_in_the_way(self):
         words = ("world:=house", "goals:=2", "seed:=3")
-        (out, summary), (again, _) = run(*words), run(*words)
+        out, summary = run(*words)
         self.assertEqual((summary["reached"], summary["contacts"]), (2, 0))
         self.assertEqual([g["box_in_the_way"] for g in summary["goals"]], [False, True])
         straight, around = (goal["over_shortest"] for goal in summary["goals"])
         self.assertTrue(0.95 < straight < 1.05 < around, (straight, around))
         self.assertTrue((out / "path.png").is_file())
-        self.assertTrue((out / "truth.tum").read_bytes() == (again / "truth.tum").read_bytes())
 
 
 if __name__ == "__main__":

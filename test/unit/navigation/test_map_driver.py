@@ -167,6 +167,7 @@ BOX = """<sdf version="1.6"><model name="thing"><static>1</static><pose>{} {} 0.
 BOX_AT = {(2.8, 0.5, 1.0): (1.5, 0.25), (0.4, 2.0, 3.0): (1.9, 0.4)}
 
 
+@pytest.mark.long
 def test_it_drives_through_the_house_around_what_the_map_does_not_show():
     known = map_world(MapSettings())
     costmap = RobotCostmap(known, house_drive.RADIUS)
