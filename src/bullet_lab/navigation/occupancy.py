@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Tuple
+from typing import Tuple
 
 import cv2
 import numpy as np
@@ -22,7 +22,12 @@ OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
 # What a file raises that is no map.
 _UNREADABLE = (
-    TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, yaml.YAMLError
+    TypeError,
+    ValueError,
+    ArithmeticError,
+    AttributeError,
+    RecursionError,
+    yaml.YAMLError,
 )
 
 
@@ -43,18 +48,6 @@ class OccupancyMap:
     cells: np.ndarray
     resolution: float
     origin: Tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def cells_of(self, points: Any) -> np.ndarray:
-        """Return row and column (..., 2) of points x, y (..., 2) in m; they may be off the map."""
-        places = (np.asarray(points, dtype=float) - self.origin[:2]) / self.resolution
-        return np.floor(places).astype(int)[..., ::-1]
-
-    def value(self, x: float, y: float) -> int:
-        """Return the value at a point (m); unknown off the map."""
-        row, column = self.cells_of((x, y)).tolist()
-        rows, columns = self.cells.shape
-        inside = 0 <= row < rows and 0 <= column < columns
-        return int(self.cells[row, column]) if inside else UNKNOWN
 
     def extent(self) -> Tuple[float, float, float, float]:
         """Return left, right, bottom and top in m, as of matplotlib's `imshow`."""

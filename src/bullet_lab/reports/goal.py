@@ -24,6 +24,8 @@ from bullet_lab.reports import DriveReport, Reading, Report, draw_path
 REST = NANOSECONDS
 # m; length of the arrows.
 ARROW = 0.25
+# Edge in m of the boxes that send_goals puts in the way.
+BOX = 0.4
 # The model that robots stand on.
 GROUND = "ground_plane"
 # m around the path.
@@ -292,7 +294,8 @@ class MapDriveReport(GoalReport):
         axes.set(xlim=(left, right), ylim=(low, high))
         for box in self._boxes:
             x, y = box.values[:2]
-            axes.add_patch(Rectangle((x - 0.2, y - 0.2), 0.4, 0.4, color=BLUE, alpha=0.5))
+            corner = (x - 0.5 * BOX, y - 0.5 * BOX)
+            axes.add_patch(Rectangle(corner, BOX, BOX, color=BLUE, alpha=0.5))
         for number, record in enumerate(goals):
             axes.annotate(str(number + 1), record.goal[:2], fontsize=8, ha="right", va="bottom")
         axes.get_legend().remove()

@@ -6,6 +6,7 @@ from pathlib import Path
 import house_drive
 import numpy as np
 import pytest
+from map_values import value_at
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import STANDSTILL
@@ -87,7 +88,7 @@ def test_a_large_map_is_planned_on_with_larger_cells(monkeypatch):
     costmap = RobotCostmap(floor(WALL, DOOR), 0.1)
     assert costmap.map.cells.size <= 1000
     assert costmap.plan((0.6, 0.6), (3.4, 0.6)) is not None
-    assert costmap.map.value(2.05, 0.5) == 100
+    assert value_at(costmap.map, 2.05, 0.5) == 100
 
 
 def scan(costmap, x, y, distances, yaw=0.0):

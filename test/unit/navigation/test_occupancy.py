@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 
 from bullet_lab.navigation.occupancy import (
-    FREE,
-    OCCUPIED,
-    UNKNOWN,
     MapError,
     OccupancyMap,
     read_map,
@@ -34,14 +31,6 @@ def test_a_map_is_read_back(tmp_path):
     assert (found.resolution, found.origin) == (0.25, ORIGIN)
     # The first row of the image is the last of the map.
     assert made.pgm() == b"P5\n3 2\n255\n" + bytes([254, 254, 0, 254, 0, 205])
-
-
-def test_a_value_is_that_of_the_cell_at_a_point():
-    made = OccupancyMap(CELLS, 0.25, ORIGIN)
-    assert [made.value(-1.5 + x, 2.25 + y) for x, y in ((0.1, 0.1), (0.26, 0.1), (0.51, 0.3))] == [
-        FREE, OCCUPIED, OCCUPIED,
-    ]
-    assert made.value(-1.6, 2.3) == made.value(-0.7, 2.3) == UNKNOWN
 
 
 HEAD = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\n"

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from map_values import value_at
 
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, read_map
 from bullet_lab.studies.map import MapSettings, main, map_world
@@ -91,7 +92,7 @@ def test_a_table_is_its_leg_or_its_top_by_height(mapped, low, high, occupied):
     at_table = (np.abs(x - 0.5) < 0.55) & (np.abs(y) < 0.55)
     area = (found.cells[at_table] == OCCUPIED).sum() * 0.05**2
     assert area == pytest.approx(occupied, abs=0.1)
-    assert found.value(0.501, 0.001) == OCCUPIED
+    assert value_at(found, 0.501, 0.001) == OCCUPIED
 
 
 def test_loose_things_are_mapped_where_they_come_to_rest_and_robots_are_not(mapped):
@@ -102,8 +103,8 @@ def test_loose_things_are_mapped_where_they_come_to_rest_and_robots_are_not(mapp
         "</model>", '<plugin name="p" filename="libgazebo_ros_planar_move.so"/></model>'
     )
     found = mapped(ROOM + falling + robot)
-    assert found.value(-0.81, 0.0) == OCCUPIED
-    assert found.value(1.0, 0.5) == FREE
+    assert value_at(found, -0.81, 0.0) == OCCUPIED
+    assert value_at(found, 1.0, 0.5) == FREE
 
 
 def test_a_mesh_is_mapped_as_its_triangles(mapped, tmp_path):
@@ -113,8 +114,8 @@ def test_a_mesh_is_mapped_as_its_triangles(mapped, tmp_path):
     )
     mesh = f"<mesh><uri>file://{tmp_path}/tent.obj</uri></mesh>"
     found = mapped(ROOM + model("tent", "0 0 0 0 0 0", mesh), low=0.2, high=0.2)
-    assert [found.value(0.0, y) for y in (-0.9, 0.9)] == [OCCUPIED, OCCUPIED]
-    assert found.value(0.0, 0.0) == FREE and found.value(0.0, -1.2) == FREE
+    assert [value_at(found, 0.0, y) for y in (-0.9, 0.9)] == [OCCUPIED, OCCUPIED]
+    assert value_at(found, 0.0, 0.0) == FREE and value_at(found, 0.0, -1.2) == FREE
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,9 @@ def test_exact_corners_give_the_exact_pose(layout, bent):
 def test_the_covariance_is_that_of_the_errors(layout, sigma, wrong):
     """Also if corners are three times as far off as they believe.
 
-    200 draws; the mean NEES of a right covariance is within its bounds of 99.9 %.
+    The scale of the covariance is estimated from the residuals, and never lowers it. So NEES is
+    chi-square with 6 degrees of freedom over that scale; the mean of 200 is within its bounds of
+    99.9 %.
     """
     (bundle,) = read_bundles([layout])
     chance, squares = np.random.default_rng(7), []
@@ -81,10 +83,19 @@ def test_the_covariance_is_that_of_the_errors(layout, sigma, wrong):
         (found,) = observe_bundles([bundle], markers, CAMERA, 0.0)
         error = error_of(found.pose.best, view)
         squares.append(error @ np.linalg.solve(found.pose.best.covariance, error))
-    low, high = stats.chi2.interval(0.999, 6 * 200)
-    # The scale itself is estimated from the residuals, and never lowers a covariance.
-    spread = 1.0 if wrong == 1.0 else 1.6
-    assert low / spread / 1.15 < sum(squares) < high * spread
+    residuals = stats.chi2(8 * len(bundle.markers) - 6)
+
+    def moment(power):
+        """Of the true variance over the estimated one."""
+
+        def ratio(squares):
+            return (wrong**2 / max(1.0, wrong**2 * squares / residuals.mean())) ** power
+
+        return residuals.expect(ratio)
+
+    mean = 6.0 * moment(1)
+    deviation = math.sqrt((48.0 * moment(2) - mean**2) / len(squares))
+    assert np.mean(squares) == pytest.approx(mean, abs=stats.norm.ppf(0.9995) * deviation)
 
 
 def test_of_one_marker_a_bundle_has_the_poses_of_that_marker():

@@ -222,17 +222,17 @@ def test_what_hides_a_corner_in_the_dark_moves_none(hidden):
     [
         (0.8, 2.0, 60.0),
         (4.5, 0.6, 235.0),
+        # Where a light wall covers a part of a pixel, the covariance is too small by 6.6 times.
+        pytest.param(0.8, 0.6, 235.0, marks=[pytest.mark.long, pytest.mark.xfail(strict=True)]),
         *(
             pytest.param(0.8, *case, marks=pytest.mark.long)
             for case in product([0.6, 2.0, 5.0], [60.0, 160.0, 235.0])
+            if case != (0.6, 235.0)
         ),
     ],
 )
 def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
-    """Its edge was taken for the marker's: so many px off, with a deviation of a tenth of a px.
-
-    Where it covers but a part of a pixel, no residual tells, and the deviation remains too small.
-    """
+    """Its edge was taken for the marker's: so many px off, with a deviation of a tenth of a px."""
     for roll in (0.0, 90.0, 180.0, 270.0):
         view = View(distance, yaw=20.0, roll=roll)
         left = 0.1 - hidden * view.distance / CAMERA.fx
@@ -240,7 +240,7 @@ def test_a_wall_before_a_side_is_no_side(distance, hidden, grey):
         image = image_of([marker(quiet=2), wall], view, samples=16, blur=0.6, noise=2.0)
         (found,) = detected(image)
         assert off_by(found, view) < 0.45
-        assert normalised_square(found, view) < 8 * (7.0 if hidden < 1.0 else 5.0)
+        assert normalised_square(found, view) < 8 * 5.0
 
 
 def test_edges_that_are_nowhere_lead_corners_nowhere():

@@ -101,7 +101,8 @@ def read_grid(message: OccupancyGrid) -> OccupancyMap:
     """Return a map; raises InputError."""
     info, data = message.info, np.array(message.data, dtype=np.int8)
     origin = pose_of(info.origin.position, info.origin.orientation)
-    if data.size != info.width * info.height or not data.size or not info.resolution > 0.0:
+    is_size = math.isfinite(info.resolution) and info.resolution > 0.0
+    if data.size != info.width * info.height or not data.size or not is_size:
         size = f"{info.width} x {info.height} cells of {info.resolution:g} m"
         raise InputError(f"{data.size} values for {size}")
     if abs(origin.yaw) > 1e-6:
@@ -154,7 +155,7 @@ class Floor:
         else:
             rospy.Subscriber(parameters.map, OccupancyGrid, self._take_map, queue_size=1)
         rospy.Service("move_base/make_plan", GetPlan, self._make_plan)
-        rospy.Service("move_base/clear_costmaps", Empty, self.clear)
+        rospy.Service("move_base/clear_costmaps", Empty, self._clear_costmap)
 
     def frame(self) -> str:
         """Return the frame of the map; raises OdometryError if there is no map yet."""
@@ -200,6 +201,11 @@ class Floor:
                 return x + share * (x1 - x), y + share * (y1 - y), yaw + turn
             later = place
         return later.pose
+
+    def clear(self) -> None:
+        """Forget what the laser has seen, and where the robot was."""
+        self._places.clear()
+        self._clear_costmap()
 
     def driver(self, goal: PlanarPose, limits: GoalLimits, moving: Command) -> MapDriver:
         """Return the driver to a goal in the map's frame."""
@@ -256,9 +262,7 @@ class Floor:
         way = None if start is None else self._costmap.plan(start, goal)
         return self._path(rospy.Time.now(), way or [])
 
-    def clear(self, _request: Any = None) -> list:
-        """Forget what the laser has seen, and where the robot was."""
-        self._places.clear()
+    def _clear_costmap(self, _request: Any = None) -> list:
         if self._costmap is not None:
             self._costmap.clear()
         return []

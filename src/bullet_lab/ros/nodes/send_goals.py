@@ -29,6 +29,7 @@ from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.navigation.costmap import RobotCostmap
 from bullet_lab.navigation.occupancy import FREE, read_map
 from bullet_lab.navigation.paths import Point, along
+from bullet_lab.reports.goal import BOX
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message, stamped_pose
@@ -38,8 +39,8 @@ from bullet_lab.ros.node.publishers import publisher
 
 # Looks per simulated second at whether a goal has ended, and wall seconds for its result to come.
 RATE, ARRIVAL = 1.0, 0.01
-# m between a goal and the one before, at least, and edge of a box.
-LEAST_WAY, BOX = 1.0, 0.4
+# m between a goal and the one before, at least.
+LEAST_WAY = 1.0
 # m between a box and both ends of the way, at least.
 LEAST_ROOM = 0.9
 MOST_DRAWS = 10_000

@@ -94,7 +94,9 @@ def test_a_map_is_the_same_as_a_message():
     assert (found.resolution, found.origin) == (made.resolution, made.origin)
 
 
-@pytest.mark.parametrize("change", [{"width": 3}, {"resolution": 0.0}, {"resolution": math.nan}])
+@pytest.mark.parametrize(
+    "change", [{"width": 3}, *({"resolution": wrong} for wrong in (0.0, math.nan, math.inf))]
+)
 def test_a_map_of_another_size_is_refused(change):
     info = MapMetaData(width=2, height=2, resolution=0.1)
     info.origin.orientation.w = 1.0

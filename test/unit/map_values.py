@@ -1,0 +1,13 @@
+"""Values of occupancy grids at points."""
+
+import math
+
+from bullet_lab.navigation.occupancy import UNKNOWN
+
+
+def value_at(grid, x, y):
+    """The value of the cell at a point (m); unknown off the map."""
+    column, row = (math.floor((p - low) / grid.resolution) for p, low in zip((x, y), grid.origin))
+    rows, columns = grid.cells.shape
+    inside = 0 <= row < rows and 0 <= column < columns
+    return int(grid.cells[row, column]) if inside else UNKNOWN
