@@ -20,6 +20,9 @@ from bullet_lab.simulation.world.description import PluginTag
 
 LOG = logging.getLogger(__name__)
 
+# Triggers that wait for their picture; more are dropped.
+MOST_REQUESTS = 100
+
 
 class MultiCamera(Camera):
     """One camera of a `<sensor type="multicamera">`.
@@ -69,7 +72,7 @@ class TriggeredCamera(Camera):
         self.schedule = OnDemand(0.0)
         topic = self.topic(mount.text("triggerTopicName", "image_trigger"))
         # Filled by other threads.
-        self._requests: deque[Trigger] = deque()
+        self._requests: deque[Trigger] = deque(maxlen=MOST_REQUESTS)
         self.inputs = (Input(topic, Trigger, self._requests.append),)
 
     def reset(self, step: int) -> None:
