@@ -122,7 +122,7 @@ check_overlay() (
   local said
   said=$("$LAB_ROOT/scripts/overlay.sh" "$LAB_ROOT/test/overlay" 2>&1) && return 1
   echo "$said"
-  grep -q 'course_lost: left out; it needs move_base (Debian has none' <<<"$said"
+  grep -q 'course_lost: left out; it needs gmapping (Debian has none' <<<"$said"
   grep -q 'course_later: left out; it needs course_lost (left out)' <<<"$said"
   set +u
   # shellcheck source=/dev/null
