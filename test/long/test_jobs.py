@@ -19,11 +19,13 @@ JOBS = find_jobs(PACKAGE)
 assert "squares" in JOBS
 # Without a submission there is nothing to grade.
 NEEDED = {"grade": shlex.split(JOBS["grade"].smallest)}
+KOBUKI = PACKAGE / "urdf" / "kobuki_robot.urdf"
 # Other ways that jobs go than by default, on top of those that rostests take.
 WAYS = [
     ("dock", "world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30"),
     ("dock", "world:=docking_nested", "x:=1.0", "y:=-0.3", "yaw:=20"),
     ("dock", "world:=docking_decoy", "x:=1.5", "y:=0.4", "yaw:=10"),
+    ("dock", f"robot:={KOBUKI}", "cmd_vel:=mobile_base/commands/velocity"),
     # It fails unless all goals are reached without a contact.
     ("goal", "world:=house", "goals:=20", "seed:=1"),
 ]

@@ -8,7 +8,7 @@ import tempfile
 import unittest
 
 import rostest
-from lab_testing import PACKAGE, run_job
+from lab_testing import run_job
 
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.docking.database import DockUncertainty, drawn_error
@@ -29,7 +29,7 @@ def summary_of(out):
 
 
 class DockJobTest(unittest.TestCase):
-    """Other worlds are in test/long."""
+    """Other worlds and robots are in test/long."""
 
     def assert_docked(self, out):
         summary = summary_of(out)
@@ -64,11 +64,6 @@ class DockJobTest(unittest.TestCase):
         same = (dock(*NEAR) / "truth.tum").read_bytes() == (again / "truth.tum").read_bytes()
         # Not assertEqual, which would print them.
         self.assertTrue(same, "truth.tum differs")
-
-    def test_a_robot_of_the_kobuki_class_docks(self):
-        robot = PACKAGE / "urdf" / "kobuki_robot.urdf"
-        out = dock(f"robot:={robot}", "cmd_vel:=mobile_base/commands/velocity")
-        self.assert_docked(out)
 
     def test_a_start_inside_of_a_wall(self):
         # It comes out of the wall, and docks, but not without a contact.

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The goal job ends at the goal, with either robot, and runs the same way each time."""
+"""The goal job ends at the goal, with either robot, alone or on a map."""
 
 import json
 import math
@@ -22,9 +22,8 @@ def run(*words):
 class GoalJobTest(unittest.TestCase):
     """Short ways, so that it does not take long."""
 
-    def test_the_robot_stops_at_the_goal_and_the_run_can_be_repeated(self):
-        words = ("x:=0.5", "y:=-0.3", "yaw:=90")
-        (out, summary), (again, _) = run(*words), run(*words)
+    def test_the_robot_stops_at_the_goal(self):
+        out, summary = run("x:=0.5", "y:=-0.3", "yaw:=90")
         self.assertTrue(summary["finished"])
         (goal,) = summary["goals"]
         self.assertTrue(goal["reached"], goal)
@@ -34,8 +33,6 @@ class GoalJobTest(unittest.TestCase):
         path = read_tum(out / "truth.tum")
         self.assertLess(math.dist(path.poses[-1][:2], (0.5, -0.3)), 0.05)
         self.assertTrue((out / "path.png").is_file())
-        # To the byte, though the nodes run in processes of their own.
-        self.assertTrue((out / "truth.tum").read_bytes() == (again / "truth.tum").read_bytes())
 
     def test_the_camera_robot_by_noisy_odometry_without_heading(self):
         _, summary = run(

@@ -104,8 +104,7 @@ class LauncherTest(unittest.TestCase):
         for number, is_there in enumerate(
             (
                 lambda run, out: has_begun(command_of(run.pid)),
-                lambda run, out: len(processes_of(out)) > 0,
-                lambda run, out: len(processes_of(out)) > 3,
+                lambda run, out: len(processes_of(out)) > 2,
                 lambda run, out: is_driving(out),
             )
         ):

@@ -16,6 +16,7 @@ from bullet_lab.studies.squares import SquaresSettings, run_squares
 FOLDER = tempfile.TemporaryDirectory()
 STD = 0.1
 SEED = 1
+CLOSED_LOOP = ("mode:=closed_loop", "as_published:=true", "rtf:=20")
 
 
 @functools.lru_cache(maxsize=None)
@@ -55,17 +56,15 @@ class SquaresJobTest(unittest.TestCase):
     def test_open_loop_is_the_same_as_without_ros(self):
         self.assert_same_files(squares())
 
-    def test_closed_loop_is_the_same_as_without_ros(self):
-        self.assert_same_files(squares("mode:=closed_loop"), mode="closed_loop")
-
-    def test_as_published_is_the_same_as_without_ros_at_another_speed(self):
-        self.assert_same_files(squares("as_published:=true", "rtf:=20"), as_published=True)
+    def test_closed_loop_as_published_at_another_speed_is_the_same_as_without_ros(self):
+        settings = {"mode": "closed_loop", "as_published": True}
+        self.assert_same_files(squares(*CLOSED_LOOP), **settings)
 
     def test_open_loop_drives_the_published_square(self):
         self.assert_square(squares(), 1.90, 0.01, 90.4, 0.5)
 
     def test_closed_loop_drives_a_true_square(self):
-        out = squares("mode:=closed_loop")
+        out = squares(*CLOSED_LOOP)
         self.assert_square(out, 2.00, 0.01, 90.0, 0.3)
         self.assertLess(summary_of(out)["closure_error_m"], 0.02)
 
