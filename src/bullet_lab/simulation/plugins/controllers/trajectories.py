@@ -142,6 +142,9 @@ class JointTrajectory(actions.ActionController):
 
     def command(self, trajectory: Trajectory) -> None:
         """Follow a trajectory, or hold the joints if it is empty; raises ControlError."""
+        if not trajectory.points and not trajectory.joints:
+            self.post(self._stop, None)
+            return
         self._check(trajectory)
         self.take(TrajectoryGoal(trajectory, {}, {}, 0.0))
 
@@ -207,11 +210,13 @@ class JointTrajectory(actions.ActionController):
         states = (self._desired, actual, self._errors)
         return TrajectorySample(step, self._names, *(_point(since, state) for state in states))
 
+    def _stop(self, _: None, step: int) -> None:
+        self.end(actions.CANCELED)
+        self.hold(step)
+
     def _check(self, trajectory: Trajectory) -> None:
         """Raise TrajectoryError for a trajectory that these joints can never follow."""
         names, points = trajectory.joints, trajectory.points
-        if not points and not names:
-            return
         given, known = set(names), set(self._names)
         is_enough = bool(given) if self._partial else given == known
         if not is_enough or given - known or len(given) < len(names):

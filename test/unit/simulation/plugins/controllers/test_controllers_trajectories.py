@@ -82,6 +82,7 @@ def test_an_arm_follows_ten_points(world, kind):
     ("content", "code", "text"),
     [
         (trajectory((1.0, 0.5), joints=NAMES[:5]), INVALID_JOINTS, "needed are shoulder_pan_joint"),
+        (trajectory()._replace(joints=()), INVALID_JOINTS, "it names no joints"),
         (trajectory((1.0, 0.5), joints=("tail",)), INVALID_JOINTS, "it names tail"),
         (trajectory((1.0, 0.5), joints=NAMES[:5] * 2), INVALID_JOINTS, "needed are"),
         (trajectory((1.0, (0.5,))), INVALID_GOAL, "point 1 of 1 has 1/0/0 positions"),
