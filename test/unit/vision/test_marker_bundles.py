@@ -117,13 +117,6 @@ def test_of_one_marker_a_bundle_has_the_poses_of_that_marker():
     assert 0.8 * low < squares.min(axis=1).sum() < high
 
 
-def test_four_markers_are_surer_than_one_and_not_ambiguous():
-    bundle, view = bundle_of(BOARD), View(2.5, yaw=5.0)
-    one, four = (observed(bundle, seen(bundle, view, ids=ids)).pose for ids in ([0], None))
-    assert one.ambiguous
-    assert np.trace(four.best.covariance[3:, 3:]) < 0.1 * np.trace(one.best.covariance[3:, 3:])
-
-
 def test_a_marker_that_is_seen_twice_and_one_of_nobody_do_not_count():
     bundle = bundle_of(BOARD)
     markers = seen(bundle, VIEW)
