@@ -68,6 +68,7 @@ class Stand:
     camera: CameraMount = MOUNT  #: where it really is
     settings: object = DockingSettings()  #: of the controller
     lag: float = 0.04  #: s, of the wheels
+    late: float = 0.0  #: s, of the images
 
 
 def make_dock(stand: Stand) -> Dock:
@@ -82,22 +83,18 @@ def make_dock(stand: Stand) -> Dock:
     )  # fmt: skip
 
 
-def body_clearance(pose, boxes) -> float:
-    """Return the distance of the robot's square from boxes, all in one frame; 0 at contact."""
-    edge = np.linspace(-0.2, 0.2, 9)
-    outline = np.concatenate([[(e, 0.2), (e, -0.2), (0.2, e), (-0.2, e)] for e in edge])
-    flat = np.column_stack([outline, np.zeros(len(outline))])
-    points = se2.compose(pose, flat)[:, :2]
-    best = math.inf
-    corners = []
-    for x0, x1, y0, y1 in boxes:
-        dx = np.maximum(np.maximum(x0 - points[:, 0], points[:, 0] - x1), 0.0)
-        dy = np.maximum(np.maximum(y0 - points[:, 1], points[:, 1] - y1), 0.0)
-        best = min(best, float(np.min(np.hypot(dx, dy))))
-        corners += [(x0, y0), (x0, y1), (x1, y0), (x1, y1)]
-    local = se2.between(pose, np.column_stack([np.array(corners), np.zeros(len(corners))]))
-    away = np.hypot(*np.maximum(np.abs(local[:, :2]) - 0.2, 0.0).T)
-    return min(best, float(np.min(away)))
+def touches(pose, boxes) -> bool:
+    """Say whether the robot's square touches boxes, all in one frame."""
+    outline = [
+        corner for e in np.linspace(-0.2, 0.2, 9) for side in (-0.2, 0.2)
+        for corner in ((e, side, 0.0), (side, e, 0.0))
+    ]  # fmt: skip
+    x, y, _ = se2.compose(pose, np.array(outline)).T
+    corners = [(x, y, 0.0) for x0, x1, y0, y1 in boxes for x in (x0, x1) for y in (y0, y1)]
+    local = np.abs(se2.between(pose, np.array(corners))[:, :2])
+    return (local <= 0.2).all(axis=1).any() or any(
+        ((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).any() for x0, x1, y0, y1 in boxes
+    )
 
 
 def _crosses(a, b, c, d) -> bool:
@@ -111,45 +108,36 @@ def _crosses(a, b, c, d) -> bool:
 
 def see_print(robot, shown: Print, stand: Stand, rng) -> Optional[np.ndarray]:
     """Return the corners of a print for a robot pose in the dock's frame; None if not found."""
-    px, py, yaw = shown.pose
-    half = 0.5 * shown.size
-    across = np.array([half, -half, -half, half])
-    up = np.array([half, half, -half, -half])
-    points = np.column_stack(
-        [px - math.sin(yaw) * across, py + math.cos(yaw) * across, shown.height + up]
-    )
-    cos, sin = math.cos(robot[2]), math.sin(robot[2])
-    mount = stand.camera
-    eye = (
-        robot[0] + cos * mount.x - sin * mount.y, robot[1] + sin * mount.x + cos * mount.y
-    )  # fmt: skip
-    dx, dy = points[:, 0] - eye[0], points[:, 1] - eye[1]
-    there = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, points[:, 2] - mount.z])
+    mount, half = stand.camera, 0.5 * shown.size
+    left_and_up = half * np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+    offsets = np.zeros((4, 3))
+    offsets[:, 1] = left_and_up[:, 0]
+    corners = se2.compose(shown.pose, offsets)
+    eye = se2.compose(robot, (mount.x, mount.y, 0.0))
+    there = se2.between(eye, corners)
+    there[:, 2] = shown.height + left_and_up[:, 1] - mount.z
     ahead, left, rise = (there @ mount.rotation).T
     tilt = rng.normal(0.0, stand.tilt) if stand.tilt else 0.0
     rise = rise - tilt * ahead
     if np.min(ahead) < 0.05:
         return None
-    normal = (-math.cos(yaw), -math.sin(yaw))
-    to_eye = (eye[0] - px, eye[1] - py)
-    range_ = math.hypot(*to_eye)
-    facing = (normal[0] * to_eye[0] + normal[1] * to_eye[1]) / range_
-    if facing < math.cos(math.radians(65.0)):
+    behind, aside, _ = se2.between(shown.pose, eye)
+    range_ = math.hypot(behind, aside)
+    if -behind / range_ < math.cos(math.radians(65.0)):
         return None
     pixels = CAMERA.project(np.column_stack([-left, -rise, ahead]))
     if np.min(pixels) < 3.0 or np.any(pixels > (636.0, 476.0)):
         return None
     extent = CAMERA.fy * shown.size / range_
-    if extent * facing < 12.0 or extent < 18.0:
+    if extent * -behind / range_ < 12.0 or extent < 18.0:
         return None
     if stand.walls:
-        quiet = 1.25 * points[:, :2] - 0.25 * np.array([px, py])
-        if abs(px) < 0.1:  # what is printed on the back wall ends there
+        quiet = se2.compose(shown.pose, 1.25 * offsets)
+        if abs(shown.pose[0]) < 0.1:  # what is printed on the back wall ends there
             quiet[:, 1] = np.clip(quiet[:, 1], -0.48, 0.48)
-        for edge in quiet:
-            for first, second in WALL_SEGMENTS:
-                if _crosses(eye, (edge[0] - 2e-3, edge[1]), first, second):
-                    return None
+        ends = quiet[:, :2] - (2e-3, 0.0)
+        if any(_crosses(eye, end, *segment) for end in ends for segment in WALL_SEGMENTS):
+            return None
     if rng.random() < stand.dropout + (0.2 if extent < 22.0 else 0.0):
         return None
     return pixels + rng.normal(0.0, stand.pixel_noise, (4, 2))
@@ -166,13 +154,12 @@ class Feed:
         contact: whether the robot touches a wall, which ends the run.
         images: whether any come; likewise `odometry`.
         blocked: whether the wheels turn in vain.
-        late: s, of the images.
     """
 
     def __init__(self, task, stand: Stand):
         self.task, self.stand = task, stand
         self.pose = np.array(stand.start, dtype=float)
-        self.now = self.moved = self.late = 0.0
+        self.now = self.moved = 0.0
         self.truth: List[Tuple[float, float, float, float]] = []
         self.images = self.odometry = True
         self.blocked = self.contact = False
@@ -205,9 +192,9 @@ class Feed:
             self._next_image += 1.0 / self.stand.image_rate
             if self.images and self.task.wants_images:
                 self._waiting.append(Observation(self.now, CAMERA, self._sightings(robot)))
-        while self._waiting and self._waiting[0].stamp <= self.now - self.late + 1e-9:
+        while self._waiting and self._waiting[0].stamp <= self.now - self.stand.late + 1e-9:
             self.task.add_observation(self._waiting.pop(0))
-        self.contact = bool(self._boxes) and body_clearance(robot, self._boxes) <= 0.0
+        self.contact = bool(self._boxes) and touches(robot, self._boxes)
         command = np.array(self.task.tick(self.now))
         self.speeds += (1.0 - self._left) * (command - self.speeds)
         if not self.blocked:

@@ -1,5 +1,6 @@
 """Images of markers, computed exactly: each pixel is the mean of what it sees."""
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
@@ -10,9 +11,12 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.vision.dictionaries import dictionary_named
 
 CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
+BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.002, 0.02))
 TAGS = "apriltag_36h10"
 # Of large images fewer samples will do, as they have longer edges.
 _MOST_SAMPLES = 1.0e6
+# From the top left clockwise, in the frame of a plane.
+_CORNERS = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 
 
 @dataclass
@@ -41,9 +45,7 @@ def marker(number=0, tags=TAGS, size=0.2, black=20.0, white=220.0, quiet=1, cent
 
 def corner_points(size, centre=(0.0, 0.0)):
     """The (4, 3) corners in the frame of the plane: top left, top right, bottom right, left."""
-    h = size / 2.0
-    x, y = centre
-    return np.array([[x - h, y + h, 0], [x + h, y + h, 0], [x + h, y - h, 0], [x - h, y - h, 0]])
+    return size / 2.0 * _CORNERS + (*centre, 0.0)
 
 
 @dataclass
@@ -63,10 +65,9 @@ class View:
     translation: np.ndarray = field(init=False)
 
     def __post_init__(self):
-        facing = np.diag([1.0, -1.0, -1.0])
-        turns = [np.array(v) for v in ((0, 0, self.roll), (self.pitch, 0, 0), (0, self.yaw, 0))]
-        roll, pitch, yaw = (cv2.Rodrigues(np.radians(v.astype(float)))[0] for v in turns)
-        self.rotation = facing @ yaw @ pitch @ roll
+        turns = np.radians(np.diag([self.pitch, self.yaw, self.roll]))
+        pitch, yaw, roll = (cv2.Rodrigues(turn)[0] for turn in turns)
+        self.rotation = np.diag([1.0, -1.0, -1.0]) @ yaw @ pitch @ roll
         self.translation = np.array([*self.shift, self.distance])
 
     def to_camera(self, points):
@@ -81,17 +82,28 @@ def image_of(layers, view, camera=CAMERA, background=120.0, samples=6, blur=0.0,
     if right > left and bottom > top:
         each_way = math.sqrt(_MOST_SAMPLES / ((right - left) * (bottom - top)))
         samples = max(2, min(samples, int(each_way)))
-        grid_u, grid_v = _grid(left, top, right, bottom, samples)
-        x, y = _on_plane(grid_u, grid_v, view, camera)
-        fine = np.full(grid_u.shape, float(background))
+        shape = (bottom - top, samples, right - left, samples)
+        # Each place is moved at random within its share of the pixel: on a regular grid an edge
+        # along a row or column would be seen at a multiple of a share.
+        row, column = np.indices((shape[0] * samples, shape[2] * samples), dtype=float)
+        chance = np.random.default_rng(0)
+        u = left + (column + chance.random(row.shape)) / samples - 0.5
+        v = top + (row + chance.random(row.shape)) / samples - 0.5
+        x, y = _on_plane(np.column_stack((u.ravel(), v.ravel())), view, camera).T
+        fine = np.full(x.shape, float(background))
         for layer in layers:
             layer.paint(x, y, fine)
-        shape = (bottom - top, samples, right - left, samples)
         values[top:bottom, left:right] = fine.reshape(shape).mean(axis=(1, 3))
     if blur:
         values = cv2.GaussianBlur(values, (0, 0), blur)
     if noise:
-        values = values + np.random.default_rng(seed).normal(0.0, noise, values.shape)
+        return noisy(values, noise, np.random.default_rng(seed))
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def noisy(values, sigma, chance):
+    """An image of values with noise, whole numbers from 0 to 255."""
+    values = values + chance.normal(0.0, sigma, values.shape)
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
@@ -100,9 +112,10 @@ def true_corners(view, size=0.2, camera=CAMERA, centre=(0.0, 0.0)):
     return camera.project(view.to_camera(corner_points(size, centre)))
 
 
-def corner_error(found, true):
-    """The largest distance between corners, px."""
-    return float(np.linalg.norm(np.asarray(found) - true, axis=1).max())
+def off_by(found, view, *of, **marker_and_camera):
+    """The largest distance between a corner that was found and the true one, px."""
+    off = found.corners - true_corners(view, *of, **marker_and_camera)
+    return float(np.linalg.norm(off, axis=1).max())
 
 
 def angle_between(first, second):
@@ -110,46 +123,24 @@ def angle_between(first, second):
     return math.acos(np.clip((np.trace(first.T @ second) - 1.0) / 2.0, -1.0, 1.0))
 
 
+def normalised_square(error, covariance):
+    """The square of an error by its covariance."""
+    return error @ np.linalg.solve(covariance, error)
+
+
 def _bounds(layers, view, camera):
+    """The part of the image that layers are in: left, top, right, bottom."""
     corners = np.vstack([corner_points(layer.width, layer.centre) for layer in layers])
     seen = camera.project(view.to_camera(corners))
     if np.isnan(seen).any():
         return 0, 0, camera.width, camera.height
-    low, high = np.floor(seen.min(axis=0)) - 2, np.ceil(seen.max(axis=0)) + 3
-    left, top = np.clip(low, 0, (camera.width, camera.height)).astype(int)
-    right, bottom = np.clip(high, 0, (camera.width, camera.height)).astype(int)
-    return left, top, right, bottom
+    ends = np.stack((np.floor(seen.min(axis=0)) - 2, np.ceil(seen.max(axis=0)) + 3))
+    return np.clip(ends, 0, (camera.width, camera.height)).astype(int).ravel()
 
 
-def _grid(left, top, right, bottom, samples):
-    """Places in pixels, `samples` each way, each moved at random within its share of the pixel.
-
-    On a regular grid an edge along a row or column would be seen at a multiple of a share.
-    """
-    chance = np.random.default_rng(0)
-    shape = ((bottom - top) * samples, (right - left) * samples)
-    row, column = np.indices(shape, dtype=float)
-    u = left + (column + chance.random(shape)) / samples - 0.5
-    v = top + (row + chance.random(shape)) / samples - 0.5
-    return u, v
-
-
-def _on_plane(u, v, view, camera):
-    """Where the rays of pixels meet the plane, in its frame."""
-    pixels = np.column_stack((u.ravel(), v.ravel())).astype(float)
-    if any(camera.distortion):
-        rays = cv2.undistortPoints(
-            pixels[:, None],
-            camera.matrix,
-            np.array(camera.distortion),
-            None,
-            None,
-            None,
-        )[:, 0]
-    else:
-        rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    rays = np.column_stack((rays, np.ones(len(rays))))
+def _on_plane(pixels, view, camera):
+    """Where the rays of pixels meet the plane, (x, y) in its frame."""
+    rays = np.column_stack((camera.slopes(pixels), np.ones(len(pixels))))
     normal = view.rotation[:, 2]
     scale = (normal @ view.translation) / (rays @ normal)
-    points = (rays * scale[:, None] - view.translation) @ view.rotation
-    return points[:, 0].reshape(u.shape), points[:, 1].reshape(u.shape)
+    return ((rays * scale[:, None] - view.translation) @ view.rotation)[:, :2]

@@ -70,9 +70,8 @@ class Viewpoint:
         """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
         cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
         x, y = points[..., 0] - self.moved[0], points[..., 1] - self.moved[1]
-        then, optical = np.empty(points.shape), np.empty(points.shape)
+        then, optical = points.astype(float), np.empty(points.shape)
         then[..., 0], then[..., 1] = cos * x + sin * y, cos * y - sin * x
-        then[..., 2] = points[..., 2]
         there = (then - (self.mount.x, self.mount.y, self.mount.z)) @ self.mount.rotation
         optical[..., 0], optical[..., 1] = -there[..., 1], -there[..., 2]
         optical[..., 2] = there[..., 0]

@@ -210,7 +210,7 @@ class MarkerTrack:
 
     def learned(self) -> CalibrationErrors:
         """Return camera and odometry errors of the likeliest Gaussian, if it is real."""
-        best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
+        best = self._best_real()
         (x,), (p,) = as_known(self._x[best, None], self._p[best, None])
         values = [Learned(*pair) for pair in zip(x.tolist(), np.sqrt(np.diag(p)).tolist())]
         height = Learned(values[3].value - self._height, values[3].deviation)
@@ -223,6 +223,10 @@ class MarkerTrack:
     def likeliest_size(self) -> float:
         """Return the likeliest size in m."""
         return float(self._actual_sizes()[np.argmax(self._weights)])
+
+    def _best_real(self) -> int:
+        """Return the index of the likeliest Gaussian, if it is real."""
+        return int(np.argmax(np.where(self._scale == 0, self._within, -1.0)))
 
     @property
     def _sizes(self) -> np.ndarray:
@@ -262,7 +266,7 @@ class MarkerTrack:
 
     def predict_corners(self, view: Viewpoint) -> np.ndarray:
         """Return where the corners (4, 2) would be seen, if it is real; NaN if behind."""
-        best = np.argmax(np.where(self._scale == 0, self._within, -1.0))
+        best = self._best_real()
         return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)
 
     def see(self, sighting: Sighting, view: Viewpoint) -> None:
@@ -348,9 +352,8 @@ class MarkerTrack:
     def _start(self, sighting: Sighting, view: Viewpoint, prior: GaussianPose) -> None:
         ray, reach = view.line_of_sight(sighting.corners, self._size)
         count = len(_SLANTS)
-        scale = np.repeat(np.arange(len(SCALES)), count)
+        self._scale = scale = np.repeat(np.arange(len(SCALES)), count)
         slants = np.tile(_SLANTS, len(SCALES))
-        sizes = self._size * SCALES[scale]
         distance = reach * SCALES[scale]
         eye = view.origin
         states = np.zeros((len(scale), STATES))
@@ -366,9 +369,8 @@ class MarkerTrack:
         deviations[:, CORNERS] = OFF_CORNER
         deviations[:, ODOMETRY] = UNKNOWN_ODOMETRY
         covariance = deviations[:, None] ** 2 * np.eye(STATES)
-        self._scale = scale
-        measured = Measurement(sighting, view)
-        self._x, self._p, squares, _ = robust_update(states, covariance, sizes, measured, rounds=6)
+        given = states, covariance, self._sizes, Measurement(sighting, view)
+        self._x, self._p, squares, _ = robust_update(*given, rounds=6)
         unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)
         logs = -0.5 * np.minimum(squares + unlikely, 2000.0)

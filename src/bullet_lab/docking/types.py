@@ -208,6 +208,19 @@ class Learned(NamedTuple):
     deviation: float
 
 
+_DEGREES = 180.0 / math.pi
+# Of each of the calibration errors: how it is called, its factor, and the least that is remarked.
+_REMARKS = (
+    ("° roll", _DEGREES, 0.3),
+    ("° pitch", _DEGREES, 0.3),
+    ("° yaw", _DEGREES, 0.3),
+    (" mm height", 1e3, 5.0),
+    (" % way", 100.0, 1.0),
+    (" % turn", 100.0, 2.0),
+    ("°/m drift", _DEGREES, 0.3),
+)
+
+
 class CalibrationErrors(NamedTuple):
     """Estimated errors of camera and odometry, each against its nominal value."""
 
@@ -222,16 +235,7 @@ class CalibrationErrors(NamedTuple):
     def remarks(self) -> str:
         """Return the errors that are large and certain (four standard deviations) as text."""
         remarks = []
-        for name, unit, scale, least in (
-            ("roll", "° roll", 180.0 / math.pi, 0.3),
-            ("pitch", "° pitch", 180.0 / math.pi, 0.3),
-            ("yaw", "° yaw", 180.0 / math.pi, 0.3),
-            ("height", " mm height", 1e3, 5.0),
-            ("way", " % way", 100.0, 1.0),
-            ("turn", " % turn", 100.0, 2.0),
-            ("drift", "°/m drift", 180.0 / math.pi, 0.3),
-        ):
-            value, deviation = getattr(self, name)
+        for (value, deviation), (unit, scale, least) in zip(self, _REMARKS):
             if abs(value) > 4.0 * deviation and abs(scale * value) > least:
                 remarks.append(f"{scale * value:+.2g}{unit}")
         return ", ".join(remarks)

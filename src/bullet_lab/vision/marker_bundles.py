@@ -10,13 +10,11 @@ import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.vision.marker_pose import SQUARE, ObservedMarker, ideal_corners
+from bullet_lab.vision.marker_pose import SAME, SQUARE, ObservedMarker, ideal_corners
 from bullet_lab.vision.pose_fit import MarkerPose, PoseEstimate, PoseFit, clearly_better
 
 # The fit starts from the poses of so many markers, the largest in the image.
 _STARTS = 2
-# Rotations are one pose if the trace of that between them is larger.
-_SAME = 3.0 - 1e-4
 _PLACE, _TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 
 
@@ -153,7 +151,7 @@ def _fitted(
         return starts[0]
     poses = [_widened(*one, 8 * len(markers) - 6) for one in fits]
     best = poses[0]
-    others = [pose for pose in poses if np.sum(pose.rotation * best.rotation) < _SAME]
+    others = [pose for pose in poses if np.sum(pose.rotation * best.rotation) < SAME]
     if not others:
         return PoseEstimate(best, best, False)
     sigma = float(np.sqrt(np.mean([np.trace(one) / 8.0 for one in covariances])))

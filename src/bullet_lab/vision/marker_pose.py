@@ -42,6 +42,8 @@ SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -
 # Tilts (n, 2) at which the likelihood is evaluated, up to so many standard deviations.
 _REACH = 3.5
 _TILTS = np.stack(np.meshgrid(*2 * [np.linspace(-_REACH, _REACH, 15)]), axis=-1).reshape(-1, 2)
+# Rotations are one pose if the trace of that between them is larger.
+SAME = 3.0 - 1e-4
 # The other pose does not matter if it is so many standard deviations away.
 _FAR = 16.0
 
@@ -86,7 +88,7 @@ def estimate_pose(
         raise VisionError("no pose fits the corners")
     best, other = fits[0][1], fits[-1][1]
     best, other = square.widened(best, other), square.widened(other, best)
-    same = len(fits) == 1 or np.sum(best.rotation * other.rotation) > 3.0 - 1e-4
+    same = np.sum(best.rotation * other.rotation) > SAME
     return PoseEstimate(best, other, not (same or clearly_better(best, other, sigma)))
 
 

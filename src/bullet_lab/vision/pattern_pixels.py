@@ -172,15 +172,14 @@ class Pixels:
 
 def _mixed(grids: ndarray, shared: float, axis: int) -> ndarray:
     """Return grids (k, rows, columns), each pixel with a part of both neighbours along an axis."""
-    inner = grids[:, 1:-1] if axis == 1 else grids[:, :, 1:-1]
-    return inner + shared * _less_own(grids, axis)
+    along = grids.swapaxes(1, axis)
+    return along[:, 1:-1].swapaxes(1, axis) + shared * _less_own(grids, axis)
 
 
 def _less_own(grids: ndarray, axis: int) -> ndarray:
     """Return both neighbours of each pixel along an axis, less twice its own value."""
-    if axis == 1:
-        return grids[:, :-2] + grids[:, 2:] - 2.0 * grids[:, 1:-1]
-    return grids[:, :, :-2] + grids[:, :, 2:] - 2.0 * grids[:, :, 1:-1]
+    along = grids.swapaxes(1, axis)
+    return (along[:, :-2] + along[:, 2:] - 2.0 * along[:, 1:-1]).swapaxes(1, axis)
 
 
 def _less_mean(columns: ndarray, valid: ndarray) -> ndarray:
@@ -267,19 +266,18 @@ def _edge_pixels(
     seen = seen[:, inside].reshape(-1, 2)
     levels = picture.levels[seen[:, 1], seen[:, 0]].astype(float)
     points = np.ascontiguousarray(picture.ideal(seen.astype(float)).T)
-    by_group = levels.reshape(_GROUP, -1)
+    by_group, valid, flooded = levels.reshape(_GROUP, -1), np.ones(len(levels), dtype=bool), None
+    over_exposed = False
     if _is_sunlit(by_group):
-        valid = np.ones(len(levels), dtype=bool)
         flooded = np.tile((by_group >= _BRIGHTEST).any(axis=0), _GROUP)
-        levels = _less_mean(levels[None], valid)[0]
-        return Pixels(points, levels, valid, False, False, _GROUP, flooded=flooded)
-    valid = _valid_in_groups(levels)
-    of_groups = valid.reshape(_GROUP, -1)
-    over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
+    elif (levels >= _BRIGHTEST).mean() >= _CLIPPED:
+        valid = levels < _over_exposed(levels)
+        of_groups = valid.reshape(_GROUP, -1)
+        over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
     cut_off = over_exposed and cut_off
     valid |= cut_off
     levels = _less_mean(levels[None], valid)[0]
-    return Pixels(points, levels, valid, over_exposed, cut_off, _GROUP)
+    return Pixels(points, levels, valid, over_exposed, cut_off, _GROUP, flooded=flooded)
 
 
 def _is_sunlit(levels: ndarray) -> bool:
@@ -291,13 +289,6 @@ def _is_sunlit(levels: ndarray) -> bool:
         return False
     noise = 1.4826 * _ROOT_HALF * np.median(np.abs(np.diff(white)))
     return bool(high - low > _SUN_DEVIATIONS * noise)
-
-
-def _valid_in_groups(levels: ndarray) -> ndarray:
-    """Return which levels (n,) count: those that are not over-exposed, where many are."""
-    if (levels >= _BRIGHTEST).mean() < _CLIPPED:
-        return np.ones(len(levels), dtype=bool)
-    return levels < _over_exposed(levels)
 
 
 def _edges_of(

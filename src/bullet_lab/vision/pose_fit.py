@@ -60,7 +60,7 @@ class PoseEstimate:
         both = self.best, self.alternative
         return max(both, key=lambda pose: float(np.sum(pose.rotation * rotation)))
 
-    def upright(self, up: ndarray, least: float = 0.0) -> MarkerPose:
+    def upright(self, up: ndarray, least: float) -> MarkerPose:
         """Return the pose whose y axis is nearer to a direction (3,) of the optical frame.
 
         A marker on an upright wall has its y axis up: (0, -1, 0) for a level camera. The one that

@@ -22,20 +22,19 @@ class Lookout:
         self.belief = DockBelief(dock, dock.pose, standin.MOUNT, STAND.settings, self.rng)
         self.belief.add_odometry(Odometry(0.0, tuple(self.pose)))
 
-    def look(self, *prints, step=(0.0, 0.0, 0.0), changes=(np.copy, np.copy)):
-        self.pose = se2.compose(self.pose, step)
-        self.stamp += 0.2
-        self.belief.add_odometry(Odometry(self.stamp, tuple(self.pose)))
-        robot = se2.between(STAND.dock, self.pose)
-        seen = [standin.see_print(robot, shown, STAND, self.rng) for shown in prints]
-        sightings = tuple(
-            Sighting(0, standin.DICTIONARY, change(corners))
-            for change, corners in zip(changes, seen)
-        )
-        self.belief.observe(Observation(self.stamp, standin.CAMERA, sightings))
-
-    @property
-    def tracks(self):
+    def look(self, *prints, times=1, step=(0.0, 0.0, 0.0), changes=(np.copy, np.copy)):
+        """Look at prints some times, after a step each; return the tracks."""
+        for _ in range(times):
+            self.pose = se2.compose(self.pose, step)
+            self.stamp += 0.2
+            self.belief.add_odometry(Odometry(self.stamp, tuple(self.pose)))
+            robot = se2.between(STAND.dock, self.pose)
+            seen = [standin.see_print(robot, shown, STAND, self.rng) for shown in prints]
+            sightings = tuple(
+                Sighting(0, standin.DICTIONARY, change(corners))
+                for change, corners in zip(changes, seen)
+            )
+            self.belief.observe(Observation(self.stamp, standin.CAMERA, sightings))
         return self.belief.tracks
 
 
@@ -63,11 +62,14 @@ def test_a_place_where_the_marker_was_missed_may_have_walls():
 
 
 def test_two_prints_are_two_tracks():
+    tracks = Lookout().look(MARKER, COPY, times=20, step=(0.03, 0.0, 0.0))
+    assert [track.real > 0.9 for track in tracks] == [True, False]
+
+
+def test_what_is_seen_elsewhere_is_another_track():
     lookout = Lookout()
-    for _ in range(20):
-        lookout.look(MARKER, COPY, step=(0.03, 0.0, 0.0))
-    assert len(lookout.tracks) == 2
-    assert [c.real > 0.9 for c in lookout.tracks] == [True, False]
+    lookout.look(MARKER, times=5)
+    assert len(lookout.look(standin.Print((0.0, 0.6, 0.0)), times=5)) == 2
 
 
 def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
@@ -76,13 +78,9 @@ def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
         return middle + 1.15 * (corners - middle)
 
     lookout = Lookout()
-    for _ in range(6):
-        lookout.look(MARKER)
-    lookout.look(MARKER, MARKER, changes=(np.copy, white_border))
-    assert len(lookout.tracks) > 1
-    for _ in range(3):
-        lookout.look(MARKER)
-    (only,) = lookout.tracks
+    lookout.look(MARKER, times=6)
+    assert len(lookout.look(MARKER, MARKER, changes=(np.copy, white_border))) > 1
+    (only,) = lookout.look(MARKER, times=3)
     assert only.frames > 6
 
 
@@ -96,18 +94,5 @@ def test_a_print_that_a_wall_begins_to_hide_stays_the_same_track():
     # Too high for the marker, and of any other size: nothing was driven so far that tells.
     large = standin.Print((0.0, 0.0, 0.0), 0.62, 0.8)
     lookout = Lookout((0.9, 0.3, -0.1))
-    for _ in range(12):
-        lookout.look(large)
-    assert lookout.tracks[0].sized < 0.5
-    for _ in range(8):
-        lookout.look(large, step=(-0.05, 0.0, 0.0), changes=(cut,))
-    assert len(lookout.tracks) == 1
-
-
-def test_what_is_seen_elsewhere_is_another_track():
-    lookout = Lookout()
-    for _ in range(5):
-        lookout.look(MARKER)
-    for _ in range(5):
-        lookout.look(standin.Print((0.0, 0.6, 0.0)))
-    assert len(lookout.tracks) == 2
+    assert lookout.look(large, times=12)[0].sized < 0.5
+    assert len(lookout.look(large, times=8, step=(-0.05, 0.0, 0.0), changes=(cut,))) == 1

@@ -28,8 +28,8 @@ def look(pose, rng, shown=MARKER, stand=QUIET):
     return standin.see_print(se2.between(DOCK, pose), shown, stand, rng)
 
 
-def moved(odometry):
-    return motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), odometry)
+def move(track, *step, covariance=None):
+    track.move(motion_step(Odometry(0.0, (0.0, 0.0, 0.0)), Odometry(0.2, step, covariance)))
 
 
 def drive(
@@ -41,17 +41,21 @@ def drive(
     """
     rng = np.random.default_rng(1)
     pose = np.array(start, dtype=float)
-    believed = se2.between(pose, DOCK) if prior is None else prior
+    believed = se2.between(pose, DOCK) if prior is None else np.array(prior)
     first = change(look(pose, rng, shown, stand))
-    marker, prior = QUIET.marker, GaussianPose(believed, WIDE)
-    track = MarkerTrack(shown_at(first), view, marker, prior)
+    track = MarkerTrack(shown_at(first), view, stand.marker, GaussianPose(believed, WIDE))
     for step, said in zip(steps, told or steps):
         pose = se2.compose(pose, step)
-        track.move(moved(Odometry(0.2, tuple(said))))
+        move(track, *said)
         corners = look(pose, rng, shown, stand)
         if corners is not None:
             track.see(shown_at(change(corners)), view)
     return track, pose
+
+
+def ahead(length, count):
+    """Steps of a drive straight ahead or back."""
+    return [(length, 0.0, 0.0)] * count
 
 
 def test_derivatives_are_those_of_the_pixels():
@@ -69,90 +73,83 @@ def test_derivatives_are_those_of_the_pixels():
 
 def test_a_state_says_how_the_camera_is_turned():
     mount = replace(standin.MOUNT, roll=0.02, pitch=-0.03, yaw=0.025)
-    state = np.array([[2.5, 0.4, 0.3, 0.5, 0.0, 0.02, -0.03, 0.025, *[0.0] * (STATES - 8)]])
-    by_state, _, _ = predict(state, np.array([0.2]), VIEW)
-    state[0, CAMERA] = 0.0
+    state = np.array([[2.5, 0.4, 0.3, 0.5, *[0.0] * (STATES - 4)]])
+    straight, _, _ = predict(state, np.array([0.2]), VIEW)
     by_mount, _, _ = predict(state, np.array([0.2]), replace(VIEW, mount=mount))
+    state[0, CAMERA] = mount.roll, mount.pitch, mount.yaw
+    by_state, _, _ = predict(state, np.array([0.2]), VIEW)
     assert by_state == pytest.approx(by_mount, abs=0.5)
-    assert np.max(np.abs(by_state - predict(state, np.array([0.2]), VIEW)[0])) > 10.0
+    assert np.max(np.abs(by_state - straight)) > 10.0
 
 
 APPROACH = [(0.05, 0.0, -0.002)] * 56
-NEAR = (0.003, 0.003, math.radians(0.4))
 
 
-def check_pose(track, pose, most=NEAR):
-    """Check the estimate of the dock's pose, within limits and its own deviations."""
+def check_pose(track, pose, *most):
+    """Check the estimate of the dock's pose, within limits (m, m, degrees) and its deviations."""
     error = np.abs(track.estimate().mean - se2.between(pose, DOCK))
-    assert np.all(error < most)
+    assert np.all(error < (*most[:2], math.radians(most[2])))
     assert np.all(error < 4.0 * track.estimate().deviations)
 
 
 def test_finds_the_pose_on_an_approach():
     track, pose = drive((0.6, 0.15, 0.0), APPROACH)
-    check_pose(track, pose, (0.002, 0.002, math.radians(0.3)))
+    check_pose(track, pose, 0.002, 0.002, 0.3)
     assert track.real > 0.99
 
 
 def test_finds_how_the_camera_is_turned_on_an_approach():
-    mount = replace(standin.MOUNT, roll=0.02, pitch=-0.025, yaw=0.025)
-    stand = replace(QUIET, camera=mount)
+    turned = {"roll": 0.02, "pitch": -0.025, "yaw": 0.025}
+    stand = replace(QUIET, camera=replace(standin.MOUNT, **turned))
     track, pose = drive((0.6, 0.15, 0.0), APPROACH, stand=stand)
-    check_pose(track, pose)
-    found = track.learned()
-    for name, turned in (("roll", 0.02), ("pitch", -0.025), ("yaw", 0.025)):
-        value, deviation = getattr(found, name)
-        assert value == pytest.approx(turned, abs=4.0 * deviation)
+    check_pose(track, pose, 0.003, 0.003, 0.4)
+    for name, angle in turned.items():
+        value, deviation = getattr(track.learned(), name)
+        assert value == pytest.approx(angle, abs=4.0 * deviation)
         assert deviation < math.radians(0.25)
 
 
 def test_finds_what_is_wrong_with_the_odometry_on_an_approach():
     told = [(1.05 * 0.05, 0.0, -0.002 + 0.02 * 0.05)] * 56
     track, pose = drive((0.6, 0.15, 0.0), APPROACH, told=told)
-    check_pose(track, pose)
+    check_pose(track, pose, 0.003, 0.003, 0.4)
     assert track.learned().way[0] == pytest.approx(1.0 / 1.05 - 1.0, abs=0.01)
 
 
 @pytest.mark.parametrize("back", [0.035, -0.035], ids=["gyro", "wheels"])
 def test_what_drifts_ahead_says_nothing_of_the_way_back(back):
-    steps = [(0.05, 0.0, 0.0)] * 50 + [(-0.05, 0.0, 0.0)] * 40 + [(0.05, 0.0, 0.0)] * 40
-    drifts = {0.05: 0.035 * 0.05, -0.05: back * 0.05}
-    told = [(way, 0.0, drifts[way]) for way, _, _ in steps]
+    steps = [*ahead(0.05, 50), *ahead(-0.05, 40), *ahead(0.05, 40)]
+    told = [(way, 0.0, (0.035 if way > 0.0 else back) * way) for way, _, _ in steps]
     turned = replace(VIEW, mount=replace(standin.MOUNT, roll=0.02, pitch=0.02, yaw=-0.018))
     track, pose = drive((0.8, 0.05, 0.0), steps, told=told, view=turned)
-    check_pose(track, pose, math.inf)
+    check_pose(track, pose, math.inf, math.inf, math.inf)
     learned = track.learned()
     assert learned.drift.value == pytest.approx(-0.035, abs=0.01)
     assert learned.turn.value == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_corner_that_something_hides_is_left_out():
-    def hide(corners):
-        hidden = corners.copy()
-        hidden[1] += (-6.0, 4.0)
-        return hidden
-
-    check_pose(*drive((1.5, 0.1, 0.0), [(0.05, 0.0, 0.0)] * 36, change=hide))
+    hidden = np.array([(0.0, 0.0), (-6.0, 4.0), (0.0, 0.0), (0.0, 0.0)])
+    track, pose = drive((1.5, 0.1, 0.0), ahead(0.05, 36), change=hidden.__add__)
+    check_pose(track, pose, 0.003, 0.003, 0.4)
 
 
 @pytest.mark.parametrize("corner", [0, 2])
 def test_a_corner_that_is_off_in_all_images_alike_is_found_out(corner):
     """Light or something before it moves it: the yaw was 0.9 degrees off, and certain to 0.2."""
-
-    def shifted(corners):
-        return corners + np.eye(4)[corner][:, None] * (0.25, 0.2)
-
+    shift = np.eye(4)[corner][:, None] * (0.25, 0.2)
     stand = replace(QUIET, camera=replace(standin.MOUNT, roll=0.02, yaw=-0.01), pixel_noise=0.05)
-    steps, told = [(0.05, 0.0, 0.0)] * 68, [(0.05, 0.0, 0.02 * 0.05)] * 68
-    track, pose = drive((0.1, 0.1, 0.0), steps, stand=stand, told=told, change=shifted)
-    check_pose(track, pose, (1.0, 1.0, math.radians(0.45)))
+    told = [(0.05, 0.0, 0.02 * 0.05)] * 68
+    track, pose = drive(
+        (0.1, 0.1, 0.0), ahead(0.05, 68), stand=stand, told=told, change=shift.__add__
+    )
+    check_pose(track, pose, 1.0, 1.0, 0.45)
 
 
 def test_an_image_that_is_told_to_be_poor_moves_little():
-    track, pose = drive((1.2, -0.3, 0.1), [(0.03, 0.0, 0.0)] * 10)
+    track, pose = drive((1.2, -0.3, 0.1), ahead(0.03, 10))
     before, wrong = track.estimate().mean, look(pose, np.random.default_rng(3))
-    wrong[1] += (4.0, -3.0)
-    wrong[2] += (-3.0, 0.0)
+    wrong[1:3] += [(4.0, -3.0), (-3.0, 0.0)]
     track.see(shown_at(wrong, np.full((4, 2), 1.75)), VIEW)
     assert track.estimate().mean == pytest.approx(before, abs=math.radians(1.0))
 
@@ -160,9 +157,8 @@ def test_an_image_that_is_told_to_be_poor_moves_little():
 def test_one_far_image_leaves_both_yaws_open():
     track, pose = drive((0.6, -0.5, 0.15), [])
     poses, _, weights = track.components()
-    true = se2.between(pose, DOCK)
     assert np.ptp(poses[weights > 0.02, 2]) > math.radians(5.0)
-    assert np.min(np.abs(poses[:, 2] - true[2])) < math.radians(5.0)
+    assert np.min(np.abs(poses[:, 2] - se2.between(pose, DOCK)[2])) < math.radians(5.0)
 
 
 @pytest.mark.parametrize("scale", [0.6, 1.75])
@@ -170,43 +166,41 @@ def test_a_copy_of_another_size_is_found_out_by_driving(scale):
     # It seems to be the marker, 1.9 m before the camera and as high.
     place = (2.06 + 1.9 * scale - 4.0, 0.0, 0.0)
     shown = standin.Print(place, 0.44 + 0.06 * scale, 0.2 * scale)
-    start = (1.9, 0.0, 0.0)
-    prior = np.array([2.06, 0.0, 0.0])
-    track, _ = drive(start, [(0.04, 0.0, 0.0)] * 3, shown, prior)
-    assert track.real > 0.5
-    track, _ = drive(start, [(0.04, 0.0, 0.0)] * 20, shown, prior)
-    assert track.real < 0.02
-    assert track.likeliest_size() == pytest.approx(0.2 * scale, rel=0.1)
+    near, far = (
+        drive((1.9, 0.0, 0.0), ahead(0.04, count), shown, (2.06, 0.0, 0.0))[0] for count in (3, 20)
+    )
+    assert near.real > 0.5
+    assert far.real < 0.02
+    assert far.likeliest_size() == pytest.approx(0.2 * scale, rel=0.1)
 
 
 def test_standing_still_proves_nothing():
-    track, _ = drive((1.5, 0.1, 0.0), [(0.0, 0.0, 0.0)] * 100)
+    track, _ = drive((1.5, 0.1, 0.0), ahead(0.0, 100))
     assert track.real == pytest.approx(0.9, abs=0.02)
     assert track.estimate().deviations[2] > math.radians(0.3)
 
 
-def test_a_wrong_height_is_no_marker():
-    # By more than a camera that is turned explains.
-    lifted = standin.Print(height=0.66)
-    track, _ = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 3, lifted)
-    assert track.real < 0.02
-
-
-def test_what_the_database_rules_out_is_no_marker():
-    track, _ = drive((1.0, 0.0, 0.0), [], prior=np.array([1.2, 0.5, 0.0]))
-    assert track.real < 0.02
+@pytest.mark.parametrize(
+    ("start", "steps", "shown", "prior"),
+    [
+        # By more than a camera that is turned explains.
+        ((2.0, 0.0, 0.0), ahead(0.03, 3), standin.Print(height=0.66), None),
+        ((1.0, 0.0, 0.0), [], MARKER, (1.2, 0.5, 0.0)),
+    ],
+)
+def test_what_height_and_database_rule_out_is_no_marker(start, steps, shown, prior):
+    assert drive(start, steps, shown, prior)[0].real < 0.02
 
 
 def test_noise_of_the_odometry_widens_it():
-    track, _ = drive((1.5, 0.2, 0.1), [(0.02, 0.0, 0.0)] * 20)
+    track, _ = drive((1.5, 0.2, 0.1), ahead(0.02, 20))
     before = track.estimate().deviations
-    noisy = Odometry(1.0, (0.1, 0.0, 0.0), twist_covariance=np.diag([0.02, 0.0, 0.05]) ** 2)
-    track.move(moved(noisy))
+    move(track, 0.1, 0.0, 0.0, covariance=np.diag([0.1, 0.0, 0.25]) ** 2)
     assert np.all(track.estimate().deviations[1:] > before[1:] + 0.005)
 
 
 def test_an_odd_image_is_passed_over_and_a_new_place_believed_in_the_end():
-    track, pose = drive((2.0, 0.0, 0.0), [(0.03, 0.0, 0.0)] * 20)
+    track, pose = drive((2.0, 0.0, 0.0), ahead(0.03, 20))
     before = track.estimate().mean
     rng, odd = np.random.default_rng(3), se2.compose(pose, (0.0, 0.03, 0.1))
     track.see(shown_at(look(odd, rng)), VIEW)
@@ -217,9 +211,8 @@ def test_an_odd_image_is_passed_over_and_a_new_place_believed_in_the_end():
 
 
 def test_a_small_marker_takes_over_the_yaw_of_a_larger_one():
-    first = shown_at(look((2.5, 0.0, 0.0), np.random.default_rng(5), standin.Print(size=0.075)))
-    believed = GaussianPose(np.array([1.5, 0.0, 0.0]), WIDE)
-    track = MarkerTrack(first, VIEW, replace(QUIET.marker, size=0.075), believed)
+    stand = replace(QUIET, marker=replace(QUIET.marker, size=0.075))
+    track, _ = drive((2.5, 0.0, 0.0), [], standin.Print(size=0.075), stand=stand)
     yaw = track.estimate().mean[2]
     track.adopt_yaw(yaw, 0.015**2)
     assert track.estimate().mean[2] == pytest.approx(yaw)
@@ -230,7 +223,7 @@ def test_a_small_marker_takes_over_the_yaw_of_a_larger_one():
 
 
 def test_a_large_marker_keeps_its_yaw():
-    track, _ = drive((3.0, 0.0, 0.0), [(0.01, 0.0, 0.0)] * 5)
+    track, _ = drive((3.0, 0.0, 0.0), ahead(0.01, 5))
     yaw = track.estimate().mean[2]
     track.adopt_yaw(yaw + 1.0, 0.015**2)
     assert track.estimate().mean[2] == pytest.approx(yaw)

@@ -1,7 +1,6 @@
 """Tests of where a docking lets a robot go and look."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import docking_standin as standin
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.docking.belief import DockBelief
+from bullet_lab.docking.database import DockMarker
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import clearance, wall_boxes
 from bullet_lab.docking.paths import WALL_MARGIN
@@ -20,14 +20,13 @@ KNOWN = GaussianPose(np.array([5.0, 0.0, 0.0]), 1e-6 * np.eye(3))
 
 def docking_at_the_origin(marker_size, corners=None):
     """A docking that has taken a few images, of a print or of nothing."""
-    marker = replace(standin.Stand((0.0, 0.0, 0.0)).marker, size=marker_size)
+    marker = DockMarker(standin.DICTIONARY, 0, marker_size, 0.5)
     stand = standin.Stand((0.0, 0.0, 0.0), dock=(5.0, 0.0, 0.0), marker=marker)
     dock, rng = standin.make_dock(stand), np.random.default_rng(1)
     belief = DockBelief(dock, dock.pose, standin.MOUNT, stand.settings, rng)
-    for index in range(5):
-        stamp = 0.2 * index
+    seen = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
+    for stamp in 0.2 * np.arange(5):
         belief.add_odometry(Odometry(stamp, (0.0, 0.0, 0.0)))
-        seen = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
         belief.observe(Observation(stamp, standin.CAMERA, seen))
     return DockingProgress(belief)
 
@@ -39,16 +38,14 @@ def test_stages_where_the_marker_is_found_but_clear_of_the_walls(size, before):
 
 
 def test_looks_at_a_marker_from_either_side_of_its_axis_in_turn():
-    docking, ends = docking_at_the_origin(0.075), []
-    for to_the_left in (False, True):
-        x, y = docking.paths.way_aside(KNOWN, to_the_left)[-1]
-        assert math.hypot(x - 5.0, y) == pytest.approx(5.0, abs=0.02)
-        ends.append(y)
-    assert ends[0] == pytest.approx(-ends[1], abs=0.02)
+    docking = docking_at_the_origin(0.075)
     # In sight between the walls' front edges, with an eighth of the free angle to spare.
     walls, half = docking.belief.dock.walls, 0.075 * 0.625
-    free = math.atan2(0.5 * walls.opening - half, walls.depth)
-    assert math.asin(abs(ends[0]) / 5.0) == pytest.approx(0.85 * free, abs=0.01)
+    angle = 0.85 * math.atan2(0.5 * walls.opening - half, walls.depth)
+    for side in (-1.0, 1.0):
+        end = docking.paths.way_aside(KNOWN, side > 0.0)[-1]
+        there = 5.0 * (1.0 - math.cos(angle)), 5.0 * side * math.sin(angle)
+        assert end == pytest.approx(there, abs=0.02)
 
 
 def test_a_print_of_unknown_size_does_not_hang_where_the_robot_stands():
