@@ -37,7 +37,7 @@ MACHINE = """<sdf version="1.6"><model name="machine"><pose>1 2 3 0.1 0.2 0.3</p
         <range><min>0.1</min><max>3</max></range></ray>
       <plugin name="scan" filename="libgazebo_ros_laser.so"><topicName>scan</topicName>
         <frameName>arm</frameName></plugin></sensor></link>
-  <link name="slide"><pose>0.5 0 0 0.2 0.1 0</pose>
+  <link name="slide"><gravity>0</gravity><pose>0.5 0 0 0.2 0.1 0</pose>
     <inertial><mass>1</mass>
       <inertia><ixx>0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia></inertial></link>
   <joint name="turn" type="revolute"><parent>base</parent><child>arm</child>
