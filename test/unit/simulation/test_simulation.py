@@ -86,33 +86,6 @@ def test_simulations_do_not_disturb_each_other():
         assert (one.step, other.step) == (3000, 2100)
 
 
-def test_poses_are_those_of_the_models_frames(world):
-    # The centre of mass and the principal axes lie anywhere else.
-    turn = Pose.from_rpy((0, 0, 0), (0.3, 0.2, 0.1)).rotation_matrix()
-    inertia = Inertia(1.0, (0.1, 0.2, 0.3), turn @ np.diag([0.01, 0.02, 0.025]) @ turn.T)
-    link = Link("link", Pose((1, 0, 0)), inertia, (), (Collision(CUBE),))
-    placed = Pose.from_rpy((3, 4, 5), (0.5, -0.4, 2.0))
-    for static in (False, True):
-        instance = world.add(Model(str(static), (link,), pose=placed, static=static))
-        assert instance.pose().position == pytest.approx(placed.position)
-        assert instance.pose().rotation_matrix() == pytest.approx(placed.rotation_matrix())
-        # A cube of 0.2 m about the link's frame, whatever the inertia.
-        low, high = pybullet.getAABB(instance.bodies["link"].unique_id, -1, world.client)
-        centre = (placed * Pose((1, 0, 0))).position
-        assert np.add(low, high) / 2 == pytest.approx(centre, abs=1e-5)
-
-
-def test_a_shape_turned_straight_up_reaches_the_engine_as_it_is(world):
-    upright = Pose.from_rpy((0, 0, 0), (0.4, math.pi / 2, 0.9))
-    shape = Collision(Box((1.0, 0.1, 0.3)), upright)
-    model = Model("m", (Link("l", collisions=(shape,)),), static=True)
-    (body,) = world.add(model).bodies.values()
-    low, high = pybullet.getAABB(body.unique_id, -1, world.client)
-    expected = np.abs(upright.rotation_matrix()) @ (1.0, 0.1, 0.3)
-    # Bullet's boxes are given a skin of 1 mm.
-    assert np.subtract(high, low) == pytest.approx(expected, abs=2.1e-3)
-
-
 def test_adding_naming_and_removing(world):
     added = world.add(thing(), "mine", Pose((1, 2, 3)))
     assert world.models["mine"] is added

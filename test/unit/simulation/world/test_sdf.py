@@ -74,15 +74,6 @@ def test_shapes(text, geometry):
     assert found.collisions[0].geometry == found.visuals[0].geometry == geometry
 
 
-def test_shapes_throw_shadows_unless_they_say_otherwise():
-    said = ("", "<cast_shadows>true</cast_shadows>", "<cast_shadows>0</cast_shadows>")
-    shapes = "".join(shape("<sphere><radius>1</radius></sphere>", s, "visual") for s in said)
-    (body,) = read_spawned(model(link(shapes)), "s").links
-    assert [visual.casts_shadows for visual in body.visuals] == [True, True, False]
-    with complains("cast_shadows"):
-        read_spawned(model(link(shapes.replace(">0<", ">some<"))), "s")
-
-
 def test_poses_colours_friction_and_static():
     pose = "<pose>1 2 3 0 0 1</pose>"
     mu = "<surface><friction><ode><mu>0.25</mu></ode></friction></surface>"
@@ -244,6 +235,10 @@ BAD_MODELS = [
         "<radius>: '1 2' is not a finite number",
     ),
     (model(link(shape(BALL.replace("1", "0")))), "<radius>: 0 is not positive"),
+    (
+        model(link(shape(BALL, "<cast_shadows>some</cast_shadows>", "visual"))),
+        "link 'a': <cast_shadows>: 'some' is not true or false",
+    ),
     (
         model(link(shape("<plane><normal>0 0 0</normal></plane>"))),
         "<normal>: a zero vector has no direction",
