@@ -30,12 +30,6 @@ def dumbbell(first, second, joint="fixed"):
     )
 
 
-@pytest.fixture
-def falling(space):
-    space.set_gravity((0.0, 0.0, -G))
-    return space
-
-
 OFF = "<gravity>0</gravity>"
 
 

@@ -227,7 +227,7 @@ def half_height(geometry):
 
 
 @pytest.mark.parametrize(("seed", "static"), [(0, True), (1, False), (2, True), (3, False)])
-def test_every_shape_of_random_trees_acts(space, cube, seed, static):
+def test_every_shape_of_random_trees_acts_and_is_named(space, cube, seed, static):
     model = replace(some_tree(random.Random(seed), cube), static=static)
     instance = space.add(model)
     (body,) = instance.bodies.values()
@@ -238,11 +238,14 @@ def test_every_shape_of_random_trees_acts(space, cube, seed, static):
             middle = frames[link.name] * shape.pose
             height = half_height(shape.geometry)
             start, end = ((middle * Pose((0.0, 0.0, z))).position for z in (height + 0.2, 0.0))
-            (found,) = pybullet.rayTest(start, end, physicsClientId=space.client)
-            assert found[0] == body.unique_id, (link.name, shape)
-            assert shape in body.link_at(found[1]).shapes
+            ((unique_id, index, _, place, _),) = pybullet.rayTest(
+                start, end, physicsClientId=space.client
+            )
+            assert unique_id == body.unique_id, (link.name, shape)
+            assert shape in body.link_at(index).shapes
+            assert space.shape_name(unique_id, index, place) == f"tree::{link.name}::{shape.name}"
             surface = (middle * Pose((0.0, 0.0, height))).position
-            assert found[3] == pytest.approx(surface, abs=1e-3)
+            assert place == pytest.approx(surface, abs=1e-3)
 
 
 # Joints, shown by their motion
@@ -396,22 +399,6 @@ def row(count, cube, every=0):
         Collision(cube if mesh else Box((1.0, 1.0, 1.0)), Pose((2.0 * n, 0.0, 0.0)), name=f"c{n}")
         for n, mesh in enumerate(meshes)
     )
-
-
-def test_every_shape_carries_and_is_named(hall, cube):
-    """A ball lies on each shape of a thing that never moves; they are touched by their names."""
-    hall.add(lump(row(40, cube, 3), name="bench", static=True, pose=Pose((0.0, 0.0, 2.0))))
-    ball = thing(Sphere(0.1), inertia=even_inertia(1.0, 0.004))
-    balls = [hall.add(ball, f"ball{n}", Pose((2.0 * n, 0.0, 2.6))) for n in range(40)]
-    hall.run_for(0.3)
-    for number, ball in enumerate(balls):
-        # No skin of Bullet's around a mesh, on whatever part of the body.
-        assert ball.pose().position[2] == pytest.approx(2.6, abs=2e-4)
-        assert hall.contacts(ball.name) == {"bench"}
-        assert pressures(hall, ball.name)["bench"] == pytest.approx(G, rel=1e-3)
-        (point,) = ball.bodies["l"].near_points()
-        name = hall.shape_name(point[2], point[4], point[6])
-        assert name == f"bench::l::c{number}"
 
 
 def test_what_never_moves_does_not_touch_what_never_moves(hall, cube):

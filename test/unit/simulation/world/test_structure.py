@@ -7,7 +7,6 @@ from alike import assert_alike
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import World
 from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.sdf_writer import world_text
 
@@ -120,31 +119,29 @@ def test_axes_are_in_the_joint_or_the_model(version, said, extra, expected):
     assert found.joints[0].axis == pytest.approx(expected, abs=1e-12)
 
 
-def test_what_is_joined_to_the_world_hangs_there():
+def test_what_is_joined_to_the_world_hangs_there(falling):
     door = link("door", "0.6 0 1 0 0 0")
     hinge = joint("revolute", "world", "door", "<pose>-0.5 0 0 0 0 0</pose>" + axis("0 1 0"))
     post = link("post") + joint("fixed", "post", "world", name="k")
-    with Simulation(World("w")) as world:
-        instance = world.add(model(post + door + hinge), pose=Pose((3.0, 0.0, 0.0)))
-        assert [link.name for link in instance.model.links if link.anchored] == ["post", "world"]
-        world.run_for(0.2)
-        near(instance.frame("post").pose(), 3, 0, 0)
-        fallen = instance.frame("door").pose()
-        assert math.dist(fallen.position, (3.1, 0, 1)) == pytest.approx(0.5, abs=1e-3)
-        assert fallen.position[2] < 0.95
-        instance.place(Pose((1.0, 0.0, 0.0)))
-        near(instance.frame("door").pose(), 1.6, 0, 1)
+    instance = falling.add(model(post + door + hinge), pose=Pose((3.0, 0.0, 0.0)))
+    assert [link.name for link in instance.model.links if link.anchored] == ["post", "world"]
+    falling.run_for(0.2)
+    near(instance.frame("post").pose(), 3, 0, 0)
+    fallen = instance.frame("door").pose()
+    assert math.dist(fallen.position, (3.1, 0, 1)) == pytest.approx(0.5, abs=1e-3)
+    assert fallen.position[2] < 0.95
+    instance.place(Pose((1.0, 0.0, 0.0)))
+    near(instance.frame("door").pose(), 1.6, 0, 1)
 
 
-def test_a_model_on_a_joint_to_the_world_is_where_its_link_is():
+def test_a_model_on_a_joint_to_the_world_is_where_its_link_is(space):
     lift = link("car") + joint("prismatic", "world", "car", axis("0 0 1"))
-    with Simulation(World("w", gravity=(0, 0, 0))) as world:
-        instance = world.add(model(lift))
-        instance.configure({"j": 2.0})
-        near(instance.pose(), 0, 0, 2)
-        assert list(instance.state().joints) == ["j"]
-        assert instance.model.canonical_link().name == "car"
-        assert [link.name for link in instance.model.own_links()] == ["car"]
+    instance = space.add(model(lift))
+    instance.configure({"j": 2.0})
+    near(instance.pose(), 0, 0, 2)
+    assert list(instance.state().joints) == ["j"]
+    assert instance.model.canonical_link().name == "car"
+    assert [link.name for link in instance.model.own_links()] == ["car"]
 
 
 URDF = """<robot name="r"><link name="world"/><link name="base">{body}</link><link name="arm">{body}
@@ -161,18 +158,17 @@ URDF_BODY = (
 @pytest.mark.parametrize(
     ("kind", "joints"), [("fixed", ["j"]), ("continuous", ["hold", "j"]), ("floating", ["j"])]
 )
-def test_a_urdf_on_the_link_world_stays_unless_it_floats(kind, joints, caplog):
+def test_a_urdf_on_the_link_world_stays_unless_it_floats(kind, joints, caplog, falling):
     robot = read_spawned(URDF.format(body=URDF_BODY, kind=kind), "s")
     assert ("type 'floating' is not simulated" in caplog.text) == (kind == "floating")
-    with Simulation(World("w")) as world:
-        instance = world.add(robot, pose=Pose((2.0, 0.0, 0.0)))
-        world.run_for(0.3)
-        base = instance.frame("base").pose()
-        if kind == "floating":
-            assert base.position[2] < 0.7
-        else:
-            near(base, 2, 0, 1)
-        assert list(instance.state().joints) == joints
+    instance = falling.add(robot, pose=Pose((2.0, 0.0, 0.0)))
+    falling.run_for(0.3)
+    base = instance.frame("base").pose()
+    if kind == "floating":
+        assert base.position[2] < 0.7
+    else:
+        near(base, 2, 0, 1)
+    assert list(instance.state().joints) == joints
 
 
 def test_two_joints_to_one_link_make_a_tree(caplog):
@@ -189,15 +185,14 @@ def test_two_joints_to_one_link_make_a_tree(caplog):
     near(turned.pose, -1, 0, 0)
 
 
-def test_a_static_model_in_one_that_moves_stays():
+def test_a_static_model_in_one_that_moves_stays(falling):
     rail = f'<model name="rail"><static>1</static>{link("l", "0 0 1 0 0 0")}</model>'
     car = link("car", "1 0 1 0 0 0")
     slide = joint("prismatic", "car", "rail::l", axis("1 0 0"))
-    with Simulation(World("w")) as world:
-        instance = world.add(model(car + rail + slide))
-        world.run_for(0.2)
-        near(instance.frame("rail::l").pose(), 0, 0, 1)
-        assert instance.frame("car").pose().position[2] == pytest.approx(1.0, abs=1e-3)
+    instance = falling.add(model(car + rail + slide))
+    falling.run_for(0.2)
+    near(instance.frame("rail::l").pose(), 0, 0, 1)
+    assert instance.frame("car").pose().position[2] == pytest.approx(1.0, abs=1e-3)
 
 
 PLUGIN = """<plugin name="p" filename="libgazebo_ros_p3d.so"><bodyName>l</bodyName>
