@@ -4,8 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sensor_worlds
+from alike import assert_alike
 from contact_forces import pressures, strongest_place
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import bounds
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import View, take_picture
@@ -51,15 +53,11 @@ def test_size(world, model, hidden):
 def test_frames(model):
     assert model.root_links()[0].name == "base_footprint"
     assert {parent for parent, _ in model.frames.values()} == {"base_footprint"}
-    camera = model.frames["camera_link"][1]
-    assert camera.position == pytest.approx((0.16, 0.0, 0.44))
-    assert camera.rotation_matrix() == pytest.approx(np.eye(3))
-    optical = model.frames["camera_optical_frame"][1]
-    assert optical.position == pytest.approx(camera.position)
+    place = (0.16, 0.0, 0.44)
+    assert_alike(Pose(place), model.frames["camera_link"][1], within=1e-9)
     # REP 103: z ahead, x to the right, y down.
-    assert optical.rotation_matrix() == pytest.approx(
-        np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]), abs=1e-9
-    )
+    optical = Pose(place, (-0.5, 0.5, -0.5, 0.5))
+    assert_alike(optical, model.frames["camera_optical_frame"][1], within=1e-9)
 
 
 def test_tags(model):

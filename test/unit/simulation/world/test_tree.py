@@ -1,24 +1,19 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
-    Box,
-    Collision,
     Inertia,
     Joint,
     Link,
     Model,
-    Visual,
 )
 from bullet_lab.simulation.world.tree import (
     check_tree,
     combine,
     lump_fixed_joints,
-    place_links,
     principal_axes,
     top_down,
 )
@@ -60,44 +55,6 @@ def test_what_is_no_tree_is_refused(names, ends, message):
 def test_joint_names_are_not_shared():
     with pytest.raises(XmlError, match="joint 'j0' appears twice"):
         check_tree(links("abc"), joints("ab") + joints("ac"), "s")
-
-
-def test_links_are_placed_along_the_joints():
-    up, turn = Pose((0, 0, 1)), Pose.from_rpy((1, 0, 0), (0, 0, np.pi / 2))
-    chain = (Joint("j", "fixed", "a", "b", turn), Joint("k", "revolute", "b", "c", up * turn))
-    placed = {link.name: link.pose for link in place_links(links("cba"), chain)}
-    assert placed["a"] == Pose()
-    assert placed["b"].position == (1, 0, 0)
-    assert placed["c"].position == pytest.approx((1, 1, 1))
-    assert placed["c"].yaw == pytest.approx(np.pi)
-
-
-def test_lumping_moves_shapes_masses_and_joints_to_the_link_that_stays():
-    half = Inertia(1.0, (0, 0, 0), np.eye(3))
-    shape = (Visual(Box((1, 1, 1)), Pose((0, 0, 0.1))),)
-    touch = (Collision(Box((1, 1, 1)), Pose((0, 0, 0.2)), 0.3),)
-    parts = (
-        Link("base"),
-        Link("plate", inertia=half),
-        Link("mast", inertia=half, visuals=shape, collisions=touch),
-        Link("wheel", inertia=half),
-    )
-    to_plate, to_mast = Pose((0, 0, 1)), Pose.from_rpy((1, 0, 0), (0, 0, np.pi / 2))
-    hung = (
-        Joint("a", "fixed", "base", "plate", to_plate),
-        Joint("b", "fixed", "plate", "mast", to_mast),
-        Joint("c", "revolute", "mast", "wheel", Pose((2, 0, 0)), axis=(0, 1, 0)),
-    )
-    lumped = lump_fixed_joints(Model("m", parts, hung))
-    base, wheel = lumped.links
-    assert (base.name, wheel.name) == ("base", "wheel")
-    assert base.inertia.mass == 2.0
-    assert base.inertia.centre == pytest.approx((0.5, 0, 1))
-    there = to_plate * to_mast
-    assert lumped.frames == {"plate": ("base", to_plate), "mast": ("base", there)}
-    assert base.visuals == (replace(shape[0], pose=there * shape[0].pose),)
-    assert base.collisions == (replace(touch[0], pose=there * touch[0].pose),)
-    assert lumped.joints == (replace(hung[2], parent="base", pose=there * hung[2].pose),)
 
 
 def test_nothing_is_lumped_without_fixed_joints():
