@@ -41,10 +41,8 @@ def poses(described):
 
 
 def near(pose, *numbers):
-    position, rpy = numbers[:3], numbers[3:] or (0, 0, 0)
-    assert pose.position == pytest.approx(position, abs=1e-9)
-    turned = Pose.from_rpy((0, 0, 0), rpy).inverse() * Pose(quaternion=pose.quaternion)
-    assert abs(turned.quaternion[3]) == pytest.approx(1.0)
+    wanted = Pose.from_rpy(numbers[:3], numbers[3:] or (0, 0, 0))
+    assert_alike(wanted, pose, within=1e-9)
 
 
 TURN = math.pi / 2
