@@ -4,7 +4,6 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -180,11 +179,6 @@ def test_pictures_and_shadow_maps_keep_no_bytes():
     assert bytes_kept(lambda: graphics.remove(graphics.shadow_target(64, (1, 1))), 100) < 10.0
 
 
-def resident_megabytes():
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
-
-
 def test_buffers_and_shadow_maps_of_other_sizes_are_given_back():
     widths = itertools.count(800)
     with simulation_of(cube("a", RED), thing("floor", Plane()), **SUNNY) as simulation:
@@ -202,27 +196,27 @@ def test_buffers_and_shadow_maps_of_other_sizes_are_given_back():
 
 
 def test_shadow_maps_have_no_colours_and_leave_nothing_behind():
-    graphics = shared_graphics()
+    shared, maps = shared_graphics(), []
 
-    def aimed(target):
-        target.aim(panda3d().NodePath("nothing"), graphics.state(), 0, [np.eye(4)])
-        return target
+    def draw(*targets):
+        for target in targets:
+            target.aim(panda3d().NodePath("nothing"), shared.state(), 0, [np.eye(4)])
+        shared.draw(targets)
 
-    picture = aimed(graphics.target(64, 64, 1))
-    graphics.draw([picture])
-    before = resident_megabytes()
-    for _ in range(2):
-        maps = [aimed(graphics.shadow_target(4096, (1, 1))) for _ in range(3)]
-        for _ in range(3):
-            graphics.draw([*maps, picture])
-        # The depths of each are 67 MB.
-        assert 150.0 < resident_megabytes() - before < 300.0
-        while maps:
-            graphics.remove(maps.pop())
-        for _ in range(4):
-            graphics.draw([picture])
-        # The scenes of a driver with threads keep one or two maps.
-        assert resident_megabytes() - before < 50.0
+    def make():
+        maps.append(shared.shadow_target(4096, (1, 1)))
+        draw(*maps, shared.target(64, 64, 1))
+
+    def come_and_go():
+        make()
+        shared.remove(maps.pop())
+        draw(shared.target(64, 64, 1))
+
+    # Depths of four bytes.
+    assert bytes_kept(make, 1) == pytest.approx(4 * 4096**2, rel=0.02)
+    assert bytes_kept(come_and_go, 2) < 1e6
+    for target in maps:
+        shared.remove(target)
 
 
 def test_textures_that_are_gone_are_given_back(tmp_path):
