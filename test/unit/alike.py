@@ -15,25 +15,29 @@ TOLERANCE = 1e-6
 OPEN = ("", None, "continuous")
 
 
-def assert_alike(one, other, *besides):
+def assert_alike(one, other, *besides, within=TOLERANCE):
     """Compare data classes and what they hold, but for some fields and rounding."""
+
+    def parts_alike(part, again):
+        assert_alike(part, again, *besides, within=within)
+
     if isinstance(one, Pose):
         sign = math.copysign(1.0, np.dot(one.quaternion, other.quaternion))
-        assert other.position == pytest.approx(one.position, abs=TOLERANCE)
-        assert np.multiply(sign, other.quaternion) == pytest.approx(one.quaternion, abs=TOLERANCE)
+        assert other.position == pytest.approx(one.position, abs=within)
+        assert np.multiply(sign, other.quaternion) == pytest.approx(one.quaternion, abs=within)
     elif is_dataclass(one):
         for name in vars(one).keys() - set(besides):
-            assert_alike(getattr(one, name), getattr(other, name), *besides)
+            parts_alike(getattr(one, name), getattr(other, name))
     elif isinstance(one, Mapping):
         assert other.keys() == one.keys()
         for key, value in one.items():
-            assert_alike(value, other[key], *besides)
+            parts_alike(value, other[key])
     elif isinstance(one, (tuple, list)):
         assert len(other) == len(one)
         for value, again in zip(one, other):
-            assert_alike(value, again, *besides)
+            parts_alike(value, again)
     elif isinstance(one, (int, float, np.ndarray)):
-        assert other == pytest.approx(one, abs=TOLERANCE)
+        assert other == pytest.approx(one, abs=within)
     elif isinstance(one, Element):
         assert other.get("type") == one.get("type")
     elif one not in OPEN:

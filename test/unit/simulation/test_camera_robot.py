@@ -4,18 +4,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sensor_worlds
+from alike import assert_alike
 from contact_forces import pressures, strongest_place
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import bounds
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import View, take_picture
-from bullet_lab.simulation.world.description import Inertia
-from bullet_lab.simulation.world.tree import combine
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 CAMERA_ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
-WHEEL_RADIUS, TRACK, TORQUE = 0.14, 0.38, 1.5
+WHEEL_RADIUS, TORQUE = 0.14, 1.5
 AHEAD = PlanarCommand(vx=0.2)
 STOP = PlanarCommand()
 
@@ -30,74 +29,47 @@ def model(package):
     return read_urdf_file(package / "urdf" / "camera_robot.urdf")
 
 
-def box(mass, x, y, z):
-    return Inertia(
-        mass, (0, 0, 0), mass / 12 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
-    )
-
-
-def cylinder(mass, radius, length):
-    """A cylinder along z."""
-    across = mass * (3 * radius**2 + length**2) / 12
-    return Inertia(mass, (0, 0, 0), np.diag([across, across, mass * radius**2 / 2]))
-
-
 def test_masses_and_inertias_are_those_of_the_parts(model):
-    at_base = Pose((0.0, 0.0, 0.20))
-    parts = [
-        (box(4.4, 0.40, 0.36, 0.30), at_base),
-        (box(4.0, 0.16, 0.24, 0.10), at_base * Pose((0.12, 0.0, -0.09))),
-        (cylinder(0.3, 0.145, 0.075), Pose((0.01, 0.0, 0.3875))),
-        (Inertia(0.1, (0, 0, 0), 0.4 * 0.1 * 0.05**2 * np.eye(3)), Pose((0.15, 0.0, 0.05))),
-        (box(0.05, 0.03, 0.03, 0.03), Pose((0.14, 0.0, 0.44))),
-    ]
-    expected, root = combine(parts), model.links[0].inertia
-    assert root.mass == pytest.approx(expected.mass)
-    assert root.centre == pytest.approx(expected.centre, abs=1e-6)
-    assert root.matrix == pytest.approx(expected.matrix, abs=2e-6)
-    along_y = np.diag(cylinder(0.5, WHEEL_RADIUS, 0.02).matrix)[[0, 2, 1]]
-    for link in model.links[1:]:
-        assert link.inertia.mass == 0.5
-        assert link.inertia.matrix == pytest.approx(np.diag(along_y), abs=1e-8)
+    """Boxes, cylinders and a ball, each even: the base, the battery, the can, caster and camera."""
+    base, *wheels = (link.inertia for link in model.links)
+    matrix = ((0.142322941, 0, 0.025703686), (0, 0.174846557, 0), (0.025703686, 0, 0.169224866))
+    assert base.mass == pytest.approx(8.85)
+    assert base.centre == pytest.approx((0.057062147, 0.0, 0.165338983), abs=1e-6)
+    assert base.matrix == pytest.approx(np.array(matrix), abs=2e-6)
+    for wheel in wheels:
+        assert wheel.mass == 0.5
+        assert wheel.matrix == pytest.approx(np.diag((2.466667e-3, 4.9e-3, 2.466667e-3)), abs=1e-8)
 
 
 @pytest.mark.parametrize("hidden", ["collisions", "visuals"])
 def test_size(world, model, hidden):
     links = tuple(replace(link, **{hidden: ()}) for link in model.links)
-    low, high = bounds(world.add(replace(model, links=links)))
-    assert low == pytest.approx((-0.20, -0.20, 0.0))
-    assert high[:2] == pytest.approx((0.20, 0.20))
-    assert 0.42 <= high[2] <= 0.46
+    low, (x, y, z) = bounds(world.add(replace(model, links=links)))
+    assert (*low, x, y) == pytest.approx((-0.20, -0.20, 0.0, 0.20, 0.20))
+    assert 0.42 <= z <= 0.46
 
 
 def test_frames(model):
     assert model.root_links()[0].name == "base_footprint"
     assert {parent for parent, _ in model.frames.values()} == {"base_footprint"}
-    camera = model.frames["camera_link"][1]
-    assert camera.position == pytest.approx((0.16, 0.0, 0.44))
-    assert camera.rotation_matrix() == pytest.approx(np.eye(3))
-    optical = model.frames["camera_optical_frame"][1]
-    assert optical.position == pytest.approx(camera.position)
+    place = (0.16, 0.0, 0.44)
+    assert_alike(Pose(place), model.frames["camera_link"][1], within=1e-9)
     # REP 103: z ahead, x to the right, y down.
-    assert optical.rotation_matrix() == pytest.approx(
-        np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]), abs=1e-9
-    )
+    optical = Pose(place, (-0.5, 0.5, -0.5, 0.5))
+    assert_alike(optical, model.frames["camera_optical_frame"][1], within=1e-9)
 
 
-def test_drive_tags(model):
-    (plugin,) = [p for p in model.plugins if p.filename == "libgazebo_ros_diff_drive.so"]
+def test_tags(model):
+    tags = {plugin.filename: plugin for plugin in model.plugins}
+    drive, camera = (tags[f"libgazebo_ros_{kind}.so"] for kind in ("diff_drive", "camera"))
     told = ("wheelSeparation", "wheelDiameter", "wheelTorque", "updateRate")
-    assert [float(plugin.tags[tag]) for tag in told] == [TRACK, 2 * WHEEL_RADIUS, TORQUE, 20.0]
-
-
-def test_camera_tags(model):
-    (plugin,) = [p for p in model.plugins if p.filename == "libgazebo_ros_camera.so"]
-    assert plugin.link == "camera_link"
+    assert [float(drive.tags[tag]) for tag in told] == [0.38, 2 * WHEEL_RADIUS, TORQUE, 20.0]
+    assert camera.link == "camera_link"
     told = ("cameraName", "imageTopicName", "cameraInfoTopicName", "frameName")
-    assert [plugin.tags[tag] for tag in told] == [
+    assert [camera.tags[tag] for tag in told] == [
         "mycamera", "image_raw", "camera_info", "camera_optical_frame"
     ]  # fmt: skip
-    sensor = plugin.sensor
+    sensor = camera.sensor
     assert sensor.get("type") == "camera"
     assert sensor.findtext("camera/image/format") == "R8G8B8"
     numbers = ("update_rate", "camera/image/width", "camera/image/height", "camera/horizontal_fov")

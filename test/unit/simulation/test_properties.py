@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from sensor_worlds import thing
 
-from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.models import change_joint, change_link, find_link
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Inertia
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -21,11 +20,9 @@ FLYWHEEL = """<robot name="flywheel">
 
 
 @pytest.fixture
-def world():
-    with Simulation() as simulation:
-        simulation.set_gravity((0.0, 0.0, 0.0))
-        simulation.add(read_urdf(FLYWHEEL, "flywheel"))
-        yield simulation
+def world(space):
+    space.add(read_urdf(FLYWHEEL, "flywheel"))
+    return space
 
 
 def speed_after(world, effort, seconds=0.5):
@@ -77,7 +74,6 @@ def test_refusals(world, inertia, said):
 
 
 def test_what_never_moves_is_refused(world):
-    with Simulation.of("package://bullet_lab/worlds/empty.world") as floor:
-        link = find_link(floor.models, "ground_plane::link")
-        with pytest.raises(LabError, match="never moves"):
-            change_link(link, Inertia(1.0, Pose().position, np.eye(3)), True)
+    world.add(thing("<sphere><radius>1</radius></sphere>", "9 9 9 0 0 0"))
+    with pytest.raises(LabError, match="never moves"):
+        change_link(find_link(world.models, "l"), Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3)), True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import importlib.util
-import logging
 import os
 import threading
 from pathlib import Path
@@ -20,7 +19,6 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.entry import hidden_native_output
 from bullet_lab.errors import LabError
 
-LOG = logging.getLogger(__name__)
 # Columns and rows.
 Size = Tuple[int, int]
 
@@ -57,9 +55,6 @@ OVERRIDE = 100
 # Major and minor version of the programs' language; Debian 11's llvmpipe has no more.
 GLSL = (1, 40)
 NO_DRIVER = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
-# Values of the parameter `renderer`; Panda3D draws for all of them.
-AUTO = "auto"
-CHOICES = (AUTO, "egl", "tiny")
 
 
 class RendererError(LabError):
@@ -76,12 +71,6 @@ def check_samples(samples: float) -> None:
     if samples not in SAMPLES:
         known = ", ".join(map(str, SAMPLES))
         raise RendererError(f"{samples:g} samples per pixel; allowed are {known}")
-
-
-def check_choice(renderer: str) -> None:
-    """Warn if the removed renderer "tiny" is chosen."""
-    if renderer == "tiny":
-        LOG.warning("renderer 'tiny' was removed; Panda3D draws all pictures, through EGL")
 
 
 class Canvas:

@@ -64,32 +64,23 @@ def test_wheels_on_rockers_skid():
 
 
 @pytest.mark.parametrize(
-    "other",
+    ("count", "other"),
     [
-        {"shape": Collision(Box((0.2, 0.05, 0.2)))},
-        {"shape": Collision(Cylinder(0.1, 0.05))},
-        {"shape": replace(ROUND, pose=Pose((0.05, 0.0, 0.0), LYING.quaternion))},
-        {"kind": "revolute", "limits": {"lower": -1.0, "upper": 1.0}},
-        {"kind": "prismatic"},
-        {"axis": Z, "shape": Collision(Cylinder(0.1, 0.05))},
+        (0, {"shape": Collision(Box((0.2, 0.05, 0.2)))}),
+        (0, {"shape": Collision(Cylinder(0.1, 0.05))}),
+        (0, {"shape": replace(ROUND, pose=Pose((0.05, 0.0, 0.0), LYING.quaternion))}),
+        (0, {"kind": "revolute", "limits": {"lower": -1.0, "upper": 1.0}}),
+        (0, {"kind": "prismatic"}),
+        (0, {"axis": Z, "shape": Collision(Cylinder(0.1, 0.05))}),
+        (4, {"shape": Collision(Sphere(0.1))}),
+        (4, {"kind": "revolute", "limits": {"lower": -1e16, "upper": 1e16}}),
+        (4, {"kind": "revolute"}),
+        (4, {"shape": replace(ROUND, pose=Pose((0.0, 0.03, 0.0), LYING.quaternion))}),
+        (4, {"axis": (0.0, -1.0, 0.0)}),
     ],
 )
-def test_what_is_no_wheel_does_not_skid(other):
-    assert not skidding(wheels(*CORNERS, **other))
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"shape": Collision(Sphere(0.1))},
-        {"kind": "revolute", "limits": {"lower": -1e16, "upper": 1e16}},
-        {"kind": "revolute"},
-        {"shape": replace(ROUND, pose=Pose((0.0, 0.03, 0.0), LYING.quaternion))},
-        {"shape": replace(ROUND, pose=LYING * Pose((0.0, 0.0, 0.0))), "axis": (0.0, -1.0, 0.0)},
-    ],
-)
-def test_what_is_one_does(other):
-    assert len(skidding(wheels(*CORNERS, **other))) == 4
+def test_what_is_no_wheel_does_not_skid(count, other):
+    assert len(skidding(wheels(*CORNERS, **other))) == count
 
 
 def test_wheels_of_meshes(tmp_path):
@@ -141,16 +132,12 @@ def test_what_hangs_on_a_joint_adds_less_than_what_is_fixed(kind):
 
 def test_no_wheel_is_too_light():
     rover = Rover(wheel_mass=1e-4).model()
-    base, *fitted = heavy_enough(rover.links, skidding_wheels(rover.links, rover.joints))
+    told = skidding_wheels(rover.links, rover.joints)
+    assert told == [RoundWheel(f"w{n}", Y, 0.1) for n in range(4)]
+    base, *fitted = heavy_enough(rover.links, told)
     assert base is rover.links[0]
     for link in fitted:
         assert link.inertia.matrix[1, 1] == pytest.approx(LEAST_RIM * 8.0004 / 4 * 0.1**2)
-
-
-def test_a_wheel_is_named_by_its_link():
-    rover = Rover().model()
-    told = skidding_wheels(rover.links, rover.joints)
-    assert told == [RoundWheel(f"w{n}", Y, 0.1) for n in range(4)]
 
 
 @pytest.mark.parametrize(

@@ -56,32 +56,39 @@ def test_the_smaller_friction_counts(one, floor, smaller):
     assert slowing(floor, shape) == pytest.approx(smaller, abs=0.01)
 
 
-@pytest.mark.parametrize("quarters", [0, 1])
-def test_a_direction_of_friction_is_that_of_the_shape(quarters):
+@pytest.mark.parametrize(
+    ("heading", "turned", "towards", "friction"),
+    [
+        (0, 0, 0, 0.1),
+        (0, 0, 1, 0.6),
+        (1, 0, 1, 0.1),
+        (1, 0, 2, 0.6),
+        (0, 1, 1, 0.1),
+        (1, 1, 2, 0.1),
+    ],
+)
+def test_a_direction_of_friction_is_that_of_the_shape(heading, turned, towards, friction):
+    """Turns are quarters; it turns with the shape in its link."""
+    pose = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 0.5 * math.pi * turned))
     runner = Collision(
-        Box((0.3, 0.3, 0.2)), friction=0.1, cross_friction=0.6, direction=(1.0, 0.0, 0.0)
+        Box((0.3, 0.3, 0.2)), pose, 0.1, cross_friction=0.6, direction=(1.0, 0.0, 0.0)
     )
-    heading = quarters * 0.5 * math.pi
-    assert slowing(1.0, runner, heading=heading, towards=heading) == pytest.approx(0.1, abs=0.01)
-    across = heading + 0.5 * math.pi
-    assert slowing(1.0, runner, heading=heading, towards=across) == pytest.approx(0.6, abs=0.01)
-    # It turns with the shape in its link.
-    turned = replace(runner, pose=Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 0.5 * math.pi)))
-    there = heading + 0.5 * math.pi
-    assert slowing(1.0, turned, heading=heading, towards=there) == pytest.approx(0.1, abs=0.01)
+    angles = {"heading": 0.5 * math.pi * heading, "towards": 0.5 * math.pi * towards}
+    assert slowing(1.0, runner, **angles) == pytest.approx(friction, abs=0.01)
 
 
 # Treads
 
 
+WHEEL = Collision(Cylinder(0.1, 0.04), LYING, name="wheel")
+
+
 def test_a_lone_wheel_gets_a_tread_and_a_rim():
-    wheel = Collision(Cylinder(0.1, 0.04), LYING, name="wheel")
-    tread, rim = on_treads((wheel,), Y, skids=False)
-    assert tread.geometry == Cylinder(0.1, TREAD)
-    assert rim.geometry == Cylinder((1.0 - RIM) * 0.1, 0.04)
-    assert tread.pose == rim.pose == LYING
+    tread, rim = on_treads((WHEEL,), Y, skids=False)
+    assert tread == replace(WHEEL, geometry=Cylinder(0.1, TREAD))
+    assert rim == replace(WHEEL, geometry=Cylinder((1.0 - RIM) * 0.1, 0.04))
     # One that skids has a tread at each edge.
-    *treads, rim = on_treads((wheel,), Y, skids=True)
+    *treads, rim = on_treads((WHEEL,), Y, skids=True)
     assert [tread.geometry for tread in treads] == 2 * [Cylinder(0.1, TREAD)]
     assert [round(tread.pose.position[1], 6) for tread in treads] == [0.019, -0.019]
 
@@ -89,11 +96,11 @@ def test_a_lone_wheel_gets_a_tread_and_a_rim():
 @pytest.mark.parametrize(
     ("shapes", "axle"),
     [
-        ((Collision(Cylinder(0.1, 0.04), LYING),), None),
-        ((Collision(Cylinder(0.1, 0.04), LYING),), (1.0, 0.0, 0.0)),
-        ((Collision(Cylinder(0.1, 0.001), LYING),), Y),
+        ((WHEEL,), None),
+        ((WHEEL,), (1.0, 0.0, 0.0)),
+        ((replace(WHEEL, geometry=Cylinder(0.1, 0.001)),), Y),
         ((Collision(Sphere(0.1)),), Y),
-        ((Collision(Cylinder(0.1, 0.04), LYING), Collision(Sphere(0.1))), Y),
+        ((WHEEL, Collision(Sphere(0.1))), Y),
     ],
 )
 def test_what_is_no_lone_wheel_stays_as_it_is(shapes, axle):
@@ -105,18 +112,17 @@ def test_what_is_no_lone_wheel_stays_as_it_is(shapes, axle):
 
 def test_hard_shapes_are_springs_that_the_load_compresses():
     soft = Collision(Box((1.0, 1.0, 1.0)), stiffness=1e4, damping=3.0)
-    hard = Collision(Cylinder(0.1, 0.04), LYING)
     base = Link("base", inertia=even_inertia(2.0, 0.1), collisions=(soft,))
-    wheel = Link("wheel", inertia=even_inertia(1.0, 0.1), collisions=(hard,))
+    wheel = Link("wheel", inertia=even_inertia(1.0, 0.1), collisions=(WHEEL,))
     joint = Joint("j", "continuous", "base", "wheel", Pose(), Y)
     footing = Footing.of((base, wheel), (joint,), set())
     one = footing.surface(base, ContactSurface.of(soft, None))
-    other = footing.surface(wheel, ContactSurface.of(hard, Y))
+    other = footing.surface(wheel, ContactSurface.of(WHEEL, Y))
     assert (one.stiffness, one.damping) == (1e4, 3.0)
     # ODE gives a wheel two contacts, Bullet one.
     assert other.stiffness == pytest.approx(2.0 * 3.0 * G / SINKING)
     assert other.damping == pytest.approx(2.0 * 3.0 * G / SINKING_SPEED)
-    ball = Link("ball", inertia=even_inertia(2.0, 0.1), collisions=(Collision(Sphere(0.1)),))
+    ball = replace(base, collisions=(Collision(Sphere(0.1)),))
     assert Footing.of((ball,), (), set()).load == 0.0
 
 
@@ -130,12 +136,11 @@ def test_friction_has_a_limit_along_each_axis_of_the_world_or_for_all_directions
 # Directions on wheels
 
 
-@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.8, 0.6, 0.0)])
-def test_what_a_direction_on_a_wheel_means_does_not_turn_with_it(direction):
-    frictions = (0.3, 0.6) if direction[2] else (0.6, 0.3)
-    shape = Collision(
-        Cylinder(0.1, 0.04), LYING, frictions[0], "", None, None, frictions[1], direction
-    )
+@pytest.mark.parametrize(
+    ("direction", "along", "across"), [((0.0, 0.0, 1.0), 0.3, 0.6), ((0.8, 0.6, 0.0), 0.6, 0.3)]
+)
+def test_what_a_direction_on_a_wheel_means_does_not_turn_with_it(direction, along, across):
+    shape = replace(WHEEL, friction=along, cross_friction=across, direction=direction)
     surface = ContactSurface.of(shape, Y)
     assert np.abs(surface.axis) == pytest.approx(Y)
     assert (surface.friction, surface.along, surface.across) == (0.6, 0.5, 1.0)

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 from contact_forces import pressures
-from rovers import Drive, G, Rover, coulomb_twist
+from rovers import Drive, G, Rover, coulomb_twist, even_inertia
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.traction import limit_friction
-from bullet_lab.simulation.world.description import Box, Collision, Inertia, Link, Model
+from bullet_lab.simulation.world.description import Box, Collision, Link, Model
 
 # The law
 
@@ -156,8 +156,8 @@ def test_on_too_steep_a_slope_it_slides_as_a_block_does():
 
 
 def thing(mass, size, pose, friction):
-    inertia = Inertia(mass, (0.0, 0.0, 0.0), mass * np.diag((0.1, 0.1, 0.2))) if mass else None
-    link = Link("l", Pose(), inertia, (), (Collision(Box(size), friction=friction),))
+    shape = Collision(Box(size), friction=friction)
+    link = Link("l", inertia=even_inertia(mass, 0.1 * mass), collisions=(shape,))
     return Model("thing", (link,), pose=pose, static=not mass)
 
 

@@ -106,15 +106,15 @@ def test_impossible_shots_are_refused(wrong):
 
 # One of a real lens with a wide view; one that bends outwards; those that fold, at the slope where
 # r (1 + k1 r²) is greatest.
-STRONG = [
-    ((-0.279817, 0.060321, 0.00031, 0.0, 0.000487), 228.8),
-    ((9.0, 0.0, 0.0, 0.0, 0.0), 300.0),
-    ((-0.9, 0.0, 0.0, 0.0, 0.0), 300.0),
-    ((-2.0, 0.0, 0.01, 0.02, 0.0), 300.0),
-]
-
-
-@pytest.mark.parametrize(("distortion", "focal"), STRONG)
+@pytest.mark.parametrize(
+    ("distortion", "focal"),
+    [
+        ((-0.279817, 0.060321, 0.00031, 0.0, 0.000487), 228.8),
+        ((9.0, 0.0, 0.0, 0.0, 0.0), 300.0),
+        ((-0.9, 0.0, 0.0, 0.0, 0.0), 300.0),
+        ((-2.0, 0.0, 0.01, 0.02, 0.0), 300.0),
+    ],
+)
 def test_where_a_lens_shows_nothing_its_picture_is_black(distortion, focal):
     camera = PinholeCamera(640, 480, focal, focal, 319.5, 239.5, distortion)
     lens = Lens(camera)
@@ -128,11 +128,7 @@ def test_where_a_lens_shows_nothing_its_picture_is_black(distortion, focal):
     assert dark.mean() == pytest.approx(lens.black, abs=0.005)
     assert np.array_equal(np.isnan(lens.pick(np.ones(size, np.float32))), dark)
     assert lens.ideal.width <= 3 * camera.width + 4
-
-
-@pytest.mark.parametrize(("distortion", "focal"), STRONG)
-def test_slopes_are_the_inverse_of_a_projection(distortion, focal):
-    camera = PinholeCamera(640, 480, focal, focal, 319.5, 239.5, distortion)
+    # Slopes are the inverse of a projection.
     pixels = np.indices((640, 480)).reshape(2, -1).T.astype(float)
     slopes = camera.slopes(pixels)
     there = np.isfinite(slopes).all(axis=1)

@@ -1,8 +1,9 @@
+import itertools
 import os
 import subprocess
 import sys
 import threading
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering import graphics
 from bullet_lab.simulation.rendering.graphics import RendererError, panda3d, shared_graphics
 from bullet_lab.simulation.rendering.renderer import Shot
@@ -30,30 +32,13 @@ def middle(simulation):
     return tuple(simulation.renderer().picture(AHEAD, Shot(CAMERA))[240, 320])
 
 
-def test_models_come_and_go():
+def test_another_model_by_the_same_name():
     with simulation_of() as simulation:
-        assert middle(simulation) == BLUE
-        simulation.add(cube("a", RED))
-        assert middle(simulation) == (255, 0, 0)
-        simulation.add(cube("b", GREEN, 1.0))
-        assert middle(simulation) == (0, 255, 0)
-        simulation.remove("b")
-        assert middle(simulation) == (255, 0, 0)
-        simulation.remove("a")
-        # Another model by the same name.
-        simulation.add(cube("a", GREEN))
-        assert middle(simulation) == (0, 255, 0)
-
-
-def test_two_simulations_by_turns():
-    first = simulation_of(cube("a", RED))
-    second = simulation_of(cube("a", GREEN))
-    for _ in range(2):
-        assert middle(first) == (255, 0, 0)
-        assert middle(second) == (0, 255, 0)
-    first.close()
-    assert middle(second) == (0, 255, 0)
-    second.close()
+        for colour, seen in ((RED, (255, 0, 0)), (GREEN, (0, 255, 0))):
+            simulation.add(cube("a", colour))
+            assert middle(simulation) == seen
+            simulation.remove("a")
+            assert middle(simulation) == BLUE
 
 
 def test_physics_does_not_notice_the_pictures():
@@ -89,21 +74,23 @@ def test_a_picture_does_not_depend_on_what_was_drawn_before(tmp_path, samples):
     with simulation_of(*models, **SUNNY) as simulation:
         wanted = look(simulation, samples)
     for size in (64, 1280):
-        camera = PinholeCamera(size, size, 300.0, 300.0, size / 2, size / 2)
-        with simulation_of(cube("b", GREEN), board(tmp_path, "other"), **SUNNY) as other:
-            other.renderer().picture(AHEAD, Shot(camera))
-            other.renderer().depths(AHEAD, Shot(camera))
-            with simulation_of(*models, **SUNNY) as simulation:
-                assert look(simulation, samples) == wanted
-                # What came and went, or moved there and back, leaves nothing.
-                simulation.add(cube("c", GREEN, 1.0))
-                assert look(simulation, samples) != wanted
-                simulation.remove("c")
-                assert look(simulation, samples) == wanted
-                simulation.models["a"].place(Pose((2.0, -0.5, 0.5)))
-                assert look(simulation, samples) != wanted
-                simulation.models["a"].place(simulation.models["a"].model.pose)
-                assert look(simulation, samples) == wanted
+        shot = Shot(PinholeCamera(size, size, 300.0, 300.0, size / 2, size / 2))
+        other = simulation_of(cube("b", GREEN), board(tmp_path, "other"), **SUNNY)
+        beside = other.renderer().picture(AHEAD, shot)
+        other.renderer().depths(AHEAD, shot)
+        with simulation_of(*models, **SUNNY) as simulation:
+            assert look(simulation, samples) == wanted
+            assert np.array_equal(other.renderer().picture(AHEAD, shot), beside)
+            other.close()
+            # What came and went, or moved there and back, leaves nothing.
+            simulation.add(cube("c", GREEN, 1.0))
+            assert look(simulation, samples) != wanted
+            simulation.remove("c")
+            assert look(simulation, samples) == wanted
+            simulation.models["a"].place(Pose((2.0, -0.5, 0.5)))
+            assert look(simulation, samples) != wanted
+            simulation.models["a"].place(simulation.models["a"].model.pose)
+            assert look(simulation, samples) == wanted
 
 
 def test_a_picture_stays_as_it_was_while_others_are_drawn():
@@ -127,12 +114,36 @@ def test_any_thread_draws():
     assert seen == [(255, 0, 0), BLUE, (255, 0, 0)]
 
 
-def test_glass_shows_what_is_behind_it_and_air_nothing():
-    glass = (0.0, 1.0, 0.0, 0.5)
-    with simulation_of(cube("pane", glass, 1.0), cube("a", RED)) as simulation:
-        assert middle(simulation) == pytest.approx((128, 128, 0), abs=1)
-    with simulation_of(cube("air", (0.0, 1.0, 0.0, 0.0), 1.0), cube("a", RED)) as simulation:
-        assert middle(simulation) == (255, 0, 0)
+@pytest.mark.parametrize(("alpha", "seen"), [(0.5, (128, 128, 0)), (0.0, (255, 0, 0))])
+def test_glass_shows_what_is_behind_it_and_air_nothing(alpha, seen):
+    with simulation_of(cube("pane", (0.0, 1.0, 0.0, alpha), 1.0), cube("a", RED)) as simulation:
+        assert middle(simulation) == pytest.approx(seen, abs=1)
+
+
+@pytest.mark.parametrize("exposure", [0.5, 3.0])
+def test_exposure_scales_everything_up_to_white(exposure):
+    colour, sky = np.array((0.8, 0.4, 0.2, 1.0)), np.array((0.5, 0.2, 0.1, 1.0))
+    box = cube("box", tuple(colour))
+    with simulation_of(box, ambient=(0.25,) * 4, background=tuple(sky)) as simulation:
+        picture = simulation.renderer().picture(AHEAD, Shot(CAMERA), exposure)
+    for seen, wanted in ((picture[240, 320], 0.25 * colour), (picture[0, 0], sky)):
+        assert seen == pytest.approx(np.minimum(255, exposure * 255 * wanted[:3]), abs=1)
+
+
+def test_lights_that_come_change_and_go_while_pictures_are_drawn():
+    lamp, (sun,) = Light("lamp", "point", Pose((0.0, 0.0, 0.5))), SUNNY["lights"]
+    with simulation_of(cube("a", RED)) as simulation:
+        for lights in ([sun], [replace(sun, diffuse=(0.2,) * 4), lamp]):
+            for light in lights:
+                simulation.set_light(light)
+            with simulation_of(cube("a", RED), lights=tuple(lights)) as fresh:
+                assert look(simulation) == look(fresh)
+        simulation.remove_light("sun")
+        simulation.remove_light("lamp")
+        with simulation_of(cube("a", RED)) as fresh:
+            assert look(simulation) == look(fresh)
+        with pytest.raises(LabError, match="not found"):
+            simulation.remove_light("lamp")
 
 
 def test_what_cannot_be_read_is_left_out_and_the_rest_is_drawn(tmp_path, caplog):
@@ -168,52 +179,44 @@ def test_pictures_and_shadow_maps_keep_no_bytes():
     assert bytes_kept(lambda: graphics.remove(graphics.shadow_target(64, (1, 1))), 100) < 10.0
 
 
-def resident_megabytes():
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
-
-
 def test_buffers_and_shadow_maps_of_other_sizes_are_given_back():
+    widths = itertools.count(800)
     with simulation_of(cube("a", RED), thing("floor", Plane()), **SUNNY) as simulation:
 
-        def grown(widths):
-            before = resident_megabytes()
-            for width in widths:
-                camera = PinholeCamera(width, 1000, 1000.0, 1000.0, 999.5, 499.5)
-                simulation.renderer().picture(AHEAD, Shot(camera))
-                # The shadow map grows from 256 to 4096 pixels along each side.
-                simulation.add(cube("b", GREEN, 12.0))
-                look(simulation)
-                simulation.remove("b")
-            return resident_megabytes() - before
+        def draw():
+            camera = PinholeCamera(next(widths), 1000, 1000.0, 1000.0, 399.5, 499.5)
+            simulation.renderer().picture(AHEAD, Shot(camera))
+            # The shadow map grows from 256 to 4096 pixels along each side.
+            simulation.add(cube("b", GREEN, 12.0))
+            look(simulation)
+            simulation.remove("b")
 
-        grown(range(2000, 2010))
-        # A buffer with its depths has 16 MB, a shadow map 64 MB.
-        assert grown(range(2010, 2025)) < 150.0
+        # A buffer with its depths has 6 MB, a shadow map 64 MB.
+        assert bytes_kept(draw, graphics.KEPT_BUFFERS) < 1e6
 
 
 def test_shadow_maps_have_no_colours_and_leave_nothing_behind():
-    graphics = shared_graphics()
+    shared, maps = shared_graphics(), []
 
-    def aimed(target):
-        target.aim(panda3d().NodePath("nothing"), graphics.state(), 0, [np.eye(4)])
-        return target
+    def draw(*targets):
+        for target in targets:
+            target.aim(panda3d().NodePath("nothing"), shared.state(), 0, [np.eye(4)])
+        shared.draw(targets)
 
-    picture = aimed(graphics.target(64, 64, 1))
-    graphics.draw([picture])
-    before = resident_megabytes()
-    for _ in range(2):
-        maps = [aimed(graphics.shadow_target(4096, (1, 1))) for _ in range(3)]
-        for _ in range(3):
-            graphics.draw([*maps, picture])
-        # The depths of each are 67 MB.
-        assert 150.0 < resident_megabytes() - before < 300.0
-        while maps:
-            graphics.remove(maps.pop())
-        for _ in range(4):
-            graphics.draw([picture])
-        # The scenes of a driver with threads keep one or two maps.
-        assert resident_megabytes() - before < 50.0
+    def make():
+        maps.append(shared.shadow_target(4096, (1, 1)))
+        draw(*maps, shared.target(64, 64, 1))
+
+    def come_and_go():
+        make()
+        shared.remove(maps.pop())
+        draw(shared.target(64, 64, 1))
+
+    # Depths of four bytes.
+    assert bytes_kept(make, 1) == pytest.approx(4 * 4096**2, rel=0.02)
+    assert bytes_kept(come_and_go, 2) < 1e6
+    for target in maps:
+        shared.remove(target)
 
 
 def test_textures_that_are_gone_are_given_back(tmp_path):

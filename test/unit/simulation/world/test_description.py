@@ -52,20 +52,20 @@ def test_distance_to_a_turned_and_moved_box(point, distance):
     assert found.distance((x, y)) == pytest.approx(distance, abs=1e-12)
 
 
-def test_what_hangs_above_is_left_out():
-    world = world_of(box(pose=Pose((0.0, 0.0, 2.0))))
-    assert footprints(world, below=1.0) == ()
-    assert len(footprints(world, below=1.8)) == 1
+LEANING = Pose.from_rpy((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
 
 
-def test_only_upright_boxes_of_what_stands_still():
-    assert footprints(world_of(Collision(Sphere(1.0)))) == ()
-    assert footprints(world_of(box(), static=False)) == ()
-    leaning = Pose.from_rpy((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
-    assert footprints(world_of(box(), pose=leaning)) == ()
-
-
-def test_all_models_are_seen():
-    world = world_of(box(), box())
-    two = replace(world, models=(*world.models, *world.models))
-    assert len(footprints(two)) == 4
+@pytest.mark.parametrize(
+    ("world", "below", "count"),
+    [
+        (world_of(box(), box()), 1.0, 2),
+        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.0, 0),
+        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.8, 1),
+        (world_of(Collision(Sphere(1.0))), 1.0, 0),
+        (world_of(box(), static=False), 1.0, 0),
+        (world_of(box(), pose=LEANING), 1.0, 0),
+    ],
+)
+def test_all_upright_boxes_of_what_stands_still_and_not_above(world, below, count):
+    twice = replace(world, models=2 * world.models)
+    assert len(footprints(twice, below=below)) == 2 * count

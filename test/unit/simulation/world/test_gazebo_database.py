@@ -7,32 +7,36 @@ from bullet_lab.simulation.models import bounds
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_world_file
 
-# Size of each in m, with its origin, and its mass in kg: 0 for those that do not move.
+# Name, size in m with its origin, and mass in kg: 0 for those that do not move.
+TABLE = """
+asphalt_plane         20     20     0.1    0
+beer                  0.11   0.11   0.23   0.39
+bookshelf             0.92   0.405  1.2    0
+bowl                  0.196  0.196  0.035  0.1
+brick_box_3x1x3       3      1      3      0
+cabinet               0.47   0.49   1.02   0
+cafe_table            0.913  0.913  0.775  0
+cardboard_box         0.5    0.4    0.3    2
+cinder_block          0.435  0.203  0.203  5
+coke_can              0.067  0.067  0.124  0.39
+construction_barrel   1.02   1.02   1.55   500
+construction_cone     0.503  0.503  1.089  1
+cube_20k              1      1      1      1
+dumpster              2.505  1.535  1.773  1
+fire_hydrant          0.424  0.424  0.929  0
+grey_wall             7.5    0.2    2.8    0
+jersey_barrier        4.065  0.811  1.143  0
+nist_maze_wall_120    1.2    0.605  1.2    0
+nist_maze_wall_240    1.2    0.605  2.4    0
+table                 1.5    0.8    1.015  0
+wood_cube_10cm        0.1    0.1    0.1    0.5167
+wood_cube_2_5cm       0.025  0.025  0.025  0.0073
+wood_cube_5cm         0.05   0.05   0.05   0.0565
+wood_cube_7_5cm       0.075  0.075  0.075  0.2249
+"""
 MODELS = {
-    "asphalt_plane": ((20, 20, 0.1), 0),
-    "beer": ((0.11, 0.11, 0.23), 0.39),
-    "bookshelf": ((0.92, 0.405, 1.2), 0),
-    "bowl": ((0.196, 0.196, 0.035), 0.1),
-    "brick_box_3x1x3": ((3, 1, 3), 0),
-    "cabinet": ((0.47, 0.49, 1.02), 0),
-    "cafe_table": ((0.913, 0.913, 0.775), 0),
-    "cardboard_box": ((0.5, 0.4, 0.3), 2),
-    "cinder_block": ((0.435, 0.203, 0.203), 5),
-    "coke_can": ((0.067, 0.067, 0.124), 0.39),
-    "construction_barrel": ((1.02, 1.02, 1.55), 500),
-    "construction_cone": ((0.503, 0.503, 1.089), 1),
-    "cube_20k": ((1, 1, 1), 1),
-    "dumpster": ((2.505, 1.535, 1.773), 1),
-    "fire_hydrant": ((0.424, 0.424, 0.929), 0),
-    "grey_wall": ((7.5, 0.2, 2.8), 0),
-    "jersey_barrier": ((4.065, 0.811, 1.143), 0),
-    "nist_maze_wall_120": ((1.2, 0.605, 1.2), 0),
-    "nist_maze_wall_240": ((1.2, 0.605, 2.4), 0),
-    "table": ((1.5, 0.8, 1.015), 0),
-    "wood_cube_10cm": ((0.1, 0.1, 0.1), 0.5167),
-    "wood_cube_2_5cm": ((0.025, 0.025, 0.025), 0.0073),
-    "wood_cube_5cm": ((0.05, 0.05, 0.05), 0.0565),
-    "wood_cube_7_5cm": ((0.075, 0.075, 0.075), 0.2249),
+    name: [float(number) for number in numbers]
+    for name, *numbers in map(str.split, TABLE.strip().splitlines())
 }
 INCLUDED = '<include><uri>model://{0}</uri><name>{0}</name><pose>{1} 0 0 0 0 0</pose></include>'
 
@@ -53,7 +57,7 @@ def row(tmp_path_factory):
 @pytest.mark.parametrize("name", MODELS)
 def test_a_model_has_its_size_and_mass_and_stands_still(row, name):
     simulation, places = row
-    model, (size, mass) = simulation.models[name], MODELS[name]
+    model, (*size, mass) = simulation.models[name], MODELS[name]
     least, greatest = bounds(model)
     assert [b - a for a, b in zip(least, greatest)] == pytest.approx(size, abs=6e-3)
     assert model.model.static == (mass == 0)

@@ -42,17 +42,14 @@ def extent(triangles):
     return np.array([triangles.vertices.min(axis=0), triangles.vertices.max(axis=0)])
 
 
-def test_the_beacon_stands_on_the_ground(package):
-    beacon = load_triangles(Mesh(package / "meshes" / "beacon.dae", ""))
-    assert extent(beacon) == pytest.approx(np.array([[-0.25, -0.25, 0], [0.25, 0.25, 2]]))
-
-
 def test_the_transform_and_the_scale_size_the_beacon(load, beacon_text):
-    changed = beacon_text.replace(MATRIX, "0.5 0 0 0 0 0.5 0 0 0 0 0.75 0.75 0 0 0 1")
-    assert extent(load("b.dae", changed)) == pytest.approx(
-        np.array([[-0.5, -0.5, 0], [0.5, 0.5, 1.5]])
+    assert extent(load("b.dae", beacon_text)) == pytest.approx(
+        np.array([[-0.25, -0.25, 0], [0.25, 0.25, 2]])
     )
-    assert extent(load("b.dae", changed, (2.0, 1.0, 1.0)))[1] == pytest.approx((1, 0.5, 1.5))
+    changed = beacon_text.replace(MATRIX, "0.5 0 0 0 0 0.5 0 0 0 0 0.75 0.75 0 0 0 1")
+    assert extent(load("b.dae", changed, (2.0, 1.0, 1.0))) == pytest.approx(
+        np.array([[-1.0, -0.5, 0], [1.0, 0.5, 1.5]])
+    )
     inches = changed.replace('meter="1"', 'meter="0.0254"')
     assert extent(load("b.dae", inches))[1] == pytest.approx((0.0127, 0.0127, 0.0381))
 
@@ -62,26 +59,6 @@ NODES = """<node name="group"><translate>5 0 0</translate><node name="small">
   <scale>0.1 0.1 0.1</scale><instance_geometry url="#beacon-mesh"/></node></node>
 <node id="again" name="other"><translate>0 3 0</translate>
   <instance_geometry url="#beacon-mesh"/></node></visual_scene>"""
-
-
-def test_a_part_of_a_collada_file_by_the_name_of_its_node(tmp_path, beacon_text, caplog):
-    path = tmp_path / "m.dae"
-    path.write_text(beacon_text.replace("</visual_scene>", NODES))
-
-    def bounds(submesh, centred=False):
-        return Mesh(path, "", (2.0, 1.0, 1.0), submesh, centred).bounds()
-
-    assert bounds("beacon") == pytest.approx(np.array([[-0.5, -0.25, 0], [0.5, 0.25, 2]]))
-    assert bounds("small") == pytest.approx(np.array([[9.8, -0.1, -0.1], [10.2, 0.1, 0.1]]))
-    assert bounds("small", True) == pytest.approx(np.array([[-0.2, -0.1, -0.1], [0.2, 0.1, 0.1]]))
-    (part,) = mesh_parts(Mesh(path, "", (2.0, 1.0, 1.0), "small", True))
-    assert part.corners.reshape(-1, 3).max(axis=0) == pytest.approx((0.2, 0.1, 0.1))
-    assert bounds("other")[0] == pytest.approx((-2, 2, -1))
-    assert caplog.messages == []
-    assert bounds("gone").tolist() == bounds("").tolist()
-    assert "m.dae: no submesh 'gone'; the whole mesh is used" in caplog.text
-
-
 # Two triangles in objects, of two materials the second, and one in a group with two names.
 PARTS = """mtllib gone.mtl
 o first one
@@ -102,31 +79,55 @@ f 1 2 6
 """
 
 
-def test_a_part_of_an_obj_file_by_the_name_of_its_object_or_group(tmp_path, caplog):
-    path = tmp_path / "m.obj"
-    path.write_text(PARTS)
+@pytest.fixture
+def bounds_of(tmp_path, beacon_text):
+    """Return the bounds of a submesh of a file, by its triangles and by what is seen of it."""
+    texts = {
+        "m.dae": beacon_text.replace("</visual_scene>", NODES),
+        "m.obj": PARTS,
+        "m.stl": STL.format("2"),
+    }
 
-    def bounds(submesh, centred=False):
+    def read(name, submesh, centred=False):
+        path = tmp_path / name
+        path.write_text(texts[name])
         mesh = Mesh(path, "", (2.0, 1.0, 1.0), submesh, centred)
         corners = np.concatenate([part.corners.reshape(-1, 3) for part in mesh_parts(mesh)])
         assert mesh.bounds() == pytest.approx(np.array((corners.min(axis=0), corners.max(axis=0))))
-        return mesh.bounds().tolist()
+        return mesh.bounds()
 
-    assert bounds("first one") == [[0, 0, 0], [2, 1, 0]]
-    assert bounds("second") == [[10, 5, 5], [12, 6, 5]]
-    assert bounds("second", True) == [[-1, -0.5, 0], [1, 0.5, 0]]
-    assert bounds("third") == [[0, 0, 0], [10, 6, 5]]
-    assert len(mesh_parts(Mesh(path, "", submesh="second"))) == 2
+    return read
+
+
+@pytest.mark.parametrize(
+    ("name", "submesh", "centred", "bounds"),
+    [
+        ("m.dae", "beacon", False, [[-0.5, -0.25, 0], [0.5, 0.25, 2]]),
+        ("m.dae", "small", False, [[9.8, -0.1, -0.1], [10.2, 0.1, 0.1]]),
+        ("m.dae", "small", True, [[-0.2, -0.1, -0.1], [0.2, 0.1, 0.1]]),
+        ("m.dae", "other", False, [[-2, 2, -1], [2, 4, 1]]),
+        ("m.obj", "first one", False, [[0, 0, 0], [2, 1, 0]]),
+        ("m.obj", "second", False, [[10, 5, 5], [12, 6, 5]]),
+        ("m.obj", "second", True, [[-1, -0.5, 0], [1, 0.5, 0]]),
+        ("m.obj", "third", False, [[0, 0, 0], [10, 6, 5]]),
+    ],
+)
+def test_a_part_of_a_file_by_the_name_of_its_node_object_or_group(
+    bounds_of, caplog, name, submesh, centred, bounds
+):
+    assert bounds_of(name, submesh, centred) == pytest.approx(np.array(bounds))
     assert caplog.messages == []
-    assert bounds("fourth") == bounds("")
-    assert "m.obj: no submesh 'fourth'; the whole mesh is used" in caplog.text
 
 
-def test_an_stl_file_has_no_parts(tmp_path, caplog):
-    path = tmp_path / "a.stl"
-    path.write_text(STL.format("2"))
-    assert Mesh(path, "", submesh="one").bounds().tolist() == [[0, 0, 0], [2, 1, 0]]
-    assert "a.stl: no submesh 'one'; the whole mesh is used" in caplog.text
+@pytest.mark.parametrize("name", ["m.dae", "m.obj", "m.stl"])
+def test_without_such_a_part_the_whole_mesh_is_used(bounds_of, caplog, name):
+    assert np.array_equal(bounds_of(name, "fourth"), bounds_of(name, ""))
+    assert f"{name}: no submesh 'fourth'; the whole mesh is used" in caplog.text
+
+
+def test_a_part_of_two_materials(tmp_path):
+    (tmp_path / "m.obj").write_text(PARTS)
+    assert len(mesh_parts(Mesh(tmp_path / "m.obj", "", submesh="second"))) == 2
 
 
 @pytest.mark.parametrize(

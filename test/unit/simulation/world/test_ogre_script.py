@@ -20,7 +20,8 @@ material Lab/Wall : Lab/Base, Lab::Other
   technique
   {
 
-    pass first { ambient 1 0 0 // red
+    pass first { ambient 0 0 1
+      ambient 1 0 0 // red, the last of two lines
       diffuse "0 1 0"
       texture_unit base { texture "a wall.png" 2d }
     }
@@ -76,11 +77,6 @@ def test_blocks_properties_comments_and_quotes():
     assert base.blocks[0].blocks[0].words("lighting") == ("off",)
 
 
-def test_the_last_of_two_lines_counts():
-    (block,) = blocks("pass p { ambient 1 0 0\n ambient 0 0 1\n }").values()
-    assert block.words("ambient") == ("0", "0", "1")
-
-
 VARIABLES = """
 set $shade 0.5
 abstract material Base
@@ -93,19 +89,23 @@ abstract material Base
 }
 material Plain : Base { }
 material Own : Base { set $file own.png }
-material Unset { technique { pass { diffuse $nothing } } }
+material Unset { technique { pass { diffuse $nothing
+    texture_unit { texture $file } } } }
 """
 
 
-@pytest.mark.parametrize(("name", "file"), [("Plain", "base.png"), ("Own", "own.png")])
-def test_variables_of_the_child_stand_for_those_of_its_parent(name, file):
+@pytest.mark.parametrize(
+    ("name", "colour", "file"),
+    [
+        ("Plain", ("0.25",) * 3, ("base.png",)),
+        ("Own", ("0.25",) * 3, ("own.png",)),
+        ("Unset", ("$nothing",), ("$file",)),
+    ],
+)
+def test_variables_of_the_child_stand_for_those_of_its_parent(name, colour, file):
     seen = whole(VARIABLES, name).blocks[0].blocks[0]
-    assert seen.words("diffuse") == ("0.25",) * 3
-    assert seen.blocks[0].words("texture") == (file,)
-
-
-def test_a_variable_that_nobody_sets_stays():
-    assert whole(VARIABLES, "Unset").blocks[0].blocks[0].words("diffuse") == ("$nothing",)
+    assert seen.words("diffuse") == colour
+    assert seen.blocks[0].words("texture") == file
 
 
 LAYERS = """
@@ -122,27 +122,27 @@ material Deep : ByName { technique { pass two { emissive 1 1 1 } } }
 """
 
 
-def passes(name):
-    return whole(LAYERS, name).blocks[0].all("pass")
-
-
-def test_children_go_over_the_blocks_of_their_parents():
-    one, two = passes("ByName")
-    assert one.words("diffuse") == ("1", "0", "0")
-    assert two.words("emissive") == ("0", "0", "1")
-    (unit,) = two.all("texture_unit")
-    assert (unit.words("texture"), unit.words("scale")) == (("b.png",), ("2", "2"))
-    one, two = passes("ByPlace")
-    assert (one.name, one.words("ambient"), one.words("diffuse")) == (
-        "one",
-        ("0", "1", "0"),
-        ("1", "0", "0"),
-    )
-    assert two.blocks[0].words("scale") == ("3", "3")
-    assert [p.words("emissive") for p in passes("ByPattern")] == [(), ("0", "1", "1")]
-    assert [p.name for p in passes("New")] == ["one", "two", "three"]
-    assert passes("Deep")[1].words("emissive") == ("1", "1", "1")
-    assert passes("Deep")[1].blocks[0].words("texture") == ("b.png",)
+@pytest.mark.parametrize(
+    ("name", "key", "words"),
+    [
+        ("ByName", "diffuse", ["1 0 0", ""]),
+        ("ByName", "emissive", ["", "0 0 1"]),
+        ("ByName", "texture", ["", "b.png"]),
+        ("ByName", "scale", ["", "2 2"]),
+        ("ByPlace", "ambient", ["0 1 0", ""]),
+        ("ByPlace", "diffuse", ["1 0 0", ""]),
+        ("ByPlace", "scale", ["", "3 3"]),
+        ("ByPattern", "emissive", ["", "0 1 1"]),
+        ("New", "diffuse", ["1 0 0", "", "0 0 0"]),
+        ("Deep", "emissive", ["", "1 1 1"]),
+        ("Deep", "texture", ["", "b.png"]),
+    ],
+)
+def test_children_go_over_the_blocks_of_their_parents(name, key, words):
+    passes = whole(LAYERS, name).blocks[0].all("pass")
+    assert [block.name for block in passes] == ["one", "two", "three"][: len(words)]
+    found = [(block, *block.all("texture_unit")) for block in passes]
+    assert ["".join(" ".join(part.words(key)) for part in parts) for parts in found] == words
 
 
 @pytest.mark.parametrize(

@@ -105,28 +105,26 @@ def test_the_user_may_name_any_file(files, monkeypatch):
         ResourceFinder(files / "pkg/urdf").find("/etc/passwd")
 
 
-def test_the_lab_finds_itself_and_gazebo_model_path_comes_first(package, tmp_path, monkeypatch):
+def test_the_lab_finds_itself(package):
     assert ros_package_folder("bullet_lab") == package
     assert ros_package_folder("no_such_package") is None
-    assert ResourceFinder().find("model://sun") == package / "models/sun"
-    (tmp_path / "sun").mkdir()
-    monkeypatch.setenv("GAZEBO_MODEL_PATH", f":{tmp_path}")
-    assert ResourceFinder().find("model://sun") == tmp_path / "sun"
-    assert ResourceFinder().find("model://beacon") == package / "models/beacon"
 
 
 def test_the_order_of_model_folders_is_gazebos(files, monkeypatch):
     monkeypatch.setenv("HOME", str(files))
-    monkeypatch.setenv("GAZEBO_MODEL_PATH", f"{files}/first:{files}/second")
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", f":{files}/first:{files}/second")
     own = files / ".gazebo" / "models"
+    finder, lab = ResourceFinder(), package_share() / "models"
     for name in ("car", "tree", "beacon"):
         (own / name).mkdir(parents=True)
-    assert ResourceFinder().find("model://car") == own / "car"
-    assert ResourceFinder().find("model://beacon") == own / "beacon"
+    for folder, name in ((own, "car"), (own, "beacon"), (lab, "sun")):
+        assert finder.find(f"model://{name}") == folder / name
     for name in ("car", "beacon"):
         (own / name).rmdir()
-    assert ResourceFinder().find("model://car") == files / "first/car"
-    assert ResourceFinder().find("model://beacon") == package_share() / "models/beacon"
+    for folder, name in ((files / "first", "car"), (lab, "beacon")):
+        assert finder.find(f"model://{name}") == folder / name
+    (files / "first" / "sun").mkdir()
+    assert finder.find("model://sun") == files / "first" / "sun"
 
 
 def test_relative_paths_are_looked_up_in_gazebo_resource_path(finder, files, monkeypatch):

@@ -3,6 +3,7 @@ from shared import PACKAGE, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
+from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Attenuation, Cone, Light, Mesh, Plane
 from bullet_lab.simulation.world.sdf import DEFAULT_COLOUR, read_spawned, read_world_file
 
@@ -36,33 +37,6 @@ def include(inside):
     return f"<include>{inside}</include>"
 
 
-@pytest.fixture
-def read_world(tmp_path, monkeypatch):
-    """Write a world with the given content, and read it with models/ as the model folder."""
-
-    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path / "models"))
-
-    def read(inside):
-        path = tmp_path / "test.world"
-        path.write_text(sdf(f'<world name="w">{inside}</world>'))
-        return read_world_file(path)
-
-    return read
-
-
-@pytest.fixture
-def save_model(tmp_path):
-    def save(name, text, config=None):
-        folder = tmp_path / "models" / name
-        folder.mkdir(parents=True)
-        (folder / "model.sdf").write_text(text)
-        if config is not None:
-            (folder / "model.config").write_text(config)
-        return folder
-
-    return save
-
-
 def test_the_empty_world_has_a_floor_and_a_sun(package):
     world = read_world_file(package / "worlds" / "empty.world")
     (floor,) = world.models
@@ -75,15 +49,14 @@ def test_the_empty_world_has_a_floor_and_a_sun(package):
 
 
 def test_the_beacons_stand_where_the_report_has_them(package):
-    world = read_world_file(package / "worlds" / "beacons.world")
-    beacons = {m.name: m for m in world.models if m.name.startswith("beacon")}
-    places = {name: beacon.pose.position for name, beacon in beacons.items()}
+    _, *beacons = read_world_file(package / "worlds" / "beacons.world").models
+    places = {beacon.name: beacon.pose.position for beacon in beacons}
     assert places == {"beacon_0": (1, 1, 0), "beacon_1": (5, 1, 0), "beacon_2": (-5, 1, 0)}
-    for beacon in beacons.values():
+    mesh = Mesh(package / "meshes/beacon.dae", BEACON)
+    for beacon in beacons:
         assert beacon.static
         (visual,), (collision,) = beacon.links[0].visuals, beacon.links[0].collisions
         assert visual.colour == (1, 1, 1, 1)
-        mesh = Mesh(package / "meshes/beacon.dae", BEACON)
         assert visual.geometry == collision.geometry == mesh
 
 
@@ -99,15 +72,6 @@ def test_shapes(text, geometry):
     parts = shape(text) + shape(text, tag="visual")
     (found,) = read_spawned(model(link(parts)), "s").links
     assert found.collisions[0].geometry == found.visuals[0].geometry == geometry
-
-
-def test_shapes_throw_shadows_unless_they_say_otherwise():
-    said = ("", "<cast_shadows>true</cast_shadows>", "<cast_shadows>0</cast_shadows>")
-    shapes = "".join(shape("<sphere><radius>1</radius></sphere>", s, "visual") for s in said)
-    (body,) = read_spawned(model(link(shapes)), "s").links
-    assert [visual.casts_shadows for visual in body.visuals] == [True, True, False]
-    with complains("cast_shadows"):
-        read_spawned(model(link(shapes.replace(">0<", ">some<"))), "s")
 
 
 def test_poses_colours_friction_and_static():
@@ -231,21 +195,10 @@ def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, po
     assert read_spawned(text, "here", tmp_path).pose.position == (0.0, 0.0, height)
 
 
-def test_an_include_may_rename_move_and_hold_a_model(read_world, save_model):
-    save_model("thing", model(link() + "<pose>9 9 9 0 0 0</pose>", "thing"))
-    plain, moved = read_world(
-        include("<uri>model://thing</uri>")
-        + include(
-            "<uri>model://thing</uri><name>other</name><pose>1 2 3 0 0 0</pose>"
-            "<static>true</static>"
-        )
-    ).models
-    assert (plain.name, plain.pose.position, plain.static) == ("thing", (9, 9, 9), False)
-    assert (moved.name, moved.pose.position, moved.static) == ("other", (1, 2, 3), True)
+def test_an_include_may_let_a_model_go(read_world, save_model):
     save_model("rock", model("<static>true</static>" + link(), "rock"))
     (free,) = read_world(include("<uri>model://rock</uri><static>false</static>")).models
-    for loose in (plain, free):
-        assert (loose.static, loose.links[0].inertia.mass) == (False, 1.0)
+    assert (free.static, free.links[0].inertia.mass) == (False, 1.0)
 
 
 def test_the_newest_file_of_a_model_config_is_read(read_world, save_model):
@@ -256,17 +209,6 @@ def test_the_newest_file_of_a_model_config_is_read(read_world, save_model):
     )
     (folder / "new.sdf").write_text(model(link(), "new"))
     assert [m.name for m in read_world(include("<uri>model://thing</uri>")).models] == ["new"]
-
-
-@pytest.mark.parametrize(
-    ("geometry", "warning"),
-    [("<heightmap/>", "geometry <heightmap> is not simulated"), ("<empty/>", None)],
-)
-def test_unsupported_shapes_are_named_and_skipped(geometry, warning, caplog):
-    (found,) = read_spawned(model(link(shape(geometry))), "s").links
-    assert found.collisions == ()
-    lines = [record.getMessage() for record in caplog.records]
-    assert lines == ([f"s: model 'm': link 'a': <collision>: {warning}"] if warning else [])
 
 
 MU = "<surface><friction><ode><mu>nan</mu></ode></friction></surface>"
@@ -283,12 +225,20 @@ BAD_MODELS = [
         "model 'm': frame 'x' is unknown; the model's frame is used",
     ),
     (model(link('<collision name="c"/>')), "link 'a': <collision> without a geometry"),
+    (
+        model(link(shape("<heightmap/>"))),
+        "model 'm': link 'a': <collision>: geometry <heightmap> is not simulated",
+    ),
     (model(link(shape("<box/>"))), "link 'a': <collision>: <size>: '' is not 3"),
     (
         model(link(shape("<cylinder><radius>1 2</radius></cylinder>"))),
         "<radius>: '1 2' is not a finite number",
     ),
     (model(link(shape(BALL.replace("1", "0")))), "<radius>: 0 is not positive"),
+    (
+        model(link(shape(BALL, "<cast_shadows>some</cast_shadows>", "visual"))),
+        "link 'a': <cast_shadows>: 'some' is not true or false",
+    ),
     (
         model(link(shape("<plane><normal>0 0 0</normal></plane>"))),
         "<normal>: a zero vector has no direction",
@@ -401,6 +351,99 @@ def test_no_world(tmp_path, text):
         read_world_file(tmp_path / "a.world")
 
 
-def test_a_missing_world(tmp_path):
-    with pytest.raises(LabError, match="nix.world: No such file or directory$"):
-        read_world_file(tmp_path / "nix.world")
+# What is not simulated
+
+WHOLE = """<model name="m">{model}<link name="l">{link}
+  <collision name="c"><geometry><sphere><radius>1</radius></sphere></geometry>{collision}
+  </collision><visual name="v"><geometry><sphere><radius>1</radius></sphere></geometry>{visual}
+  </visual></link></model>"""
+
+
+def model_text(**parts):
+    empty = dict.fromkeys(("model", "link", "collision", "visual"), "")
+    return f"<sdf>{WHOLE.format(**{**empty, **parts})}</sdf>"
+
+
+@pytest.mark.parametrize(
+    ("part", "xml", "said"),
+    [
+        ("model", "<enable_wind>true</enable_wind>", "<model>: <enable_wind>"),
+        ("link", "<kinematic>1</kinematic>", "<link>: <kinematic>"),
+        ("link", "<velocity_decay><linear>1</linear></velocity_decay>", "<link>: <velocity_decay>"),
+        (
+            "collision",
+            "<surface><bounce><restitution_coefficient>0.7</restitution_coefficient></bounce>"
+            "</surface>",
+            "<surface>: <bounce>",
+        ),
+    ],
+)
+def test_what_is_not_simulated_is_told_once(part, xml, said, caplog):
+    read_spawned(model_text(**{part: xml + xml}), "the text")
+    assert caplog.messages == [f"the text: {said} is not simulated"]
+
+
+@pytest.mark.parametrize(
+    ("part", "xml"),
+    [
+        ("model", "<allow_auto_disable>1</allow_auto_disable><enable_wind>0</enable_wind>"),
+        ("link", "<sensor name='s' type='ray'><visualize>true</visualize></sensor>"),
+        ("visual", "<cast_shadows>1</cast_shadows><transparency>0.5</transparency><meta/>"),
+        ("collision", "<max_contacts>10</max_contacts><laser_retro>0</laser_retro>"),
+        ("link", "<velocity_decay><linear>0.00</linear><angular>0</angular></velocity_decay>"),
+        (
+            "collision",
+            "<surface><bounce><restitution_coefficient>0.000</restitution_coefficient>"
+            "<threshold>1e5</threshold></bounce></surface>",
+        ),
+        ("link", "<collision name='e'><geometry><empty/></geometry></collision>"),
+        ("collision", "<surface><bounce/><friction><ode><mu>1</mu></ode></friction></surface>"),
+    ],
+)
+def test_what_changes_nothing_is_not_told(part, xml, caplog):
+    read_spawned(model_text(**{part: xml}), "the text")
+    assert caplog.messages == []
+
+
+def test_worlds(read_world, tmp_path, caplog):
+    inner = (
+        "<physics type='ode'><max_step_size>0.005</max_step_size><real_time_update_rate>100"
+        "</real_time_update_rate><real_time_factor>1"
+        "</real_time_factor><ode><solver><iters>50</iters></solver></ode></physics>"
+        "<gui><camera name='user'/></gui><wind/><atmosphere type='adiabatic'/>"
+        "<plugin name='wind' filename='libwind.so'/><road name='r'/>"
+    )
+    read_world(inner)
+    path = tmp_path / "test.world"
+    rates = "<max_step_size> is not simulated, <real_time_update_rate> is not simulated"
+    assert caplog.messages == [
+        f"{path}: <physics>: {rates}; the time step is 0.001 s",
+        f"{path}: <world>: plugin 'wind' (libwind.so) is not simulated",
+        f"{path}: <world>: <road> is not simulated",
+    ]
+
+
+def test_the_known_plugins_are_named_once(caplog):
+    plugins = "".join(f'<plugin name="{n}" filename="lib{n}.so"/>' for n in ("fly", "swim"))
+    model = read_spawned(model_text(model=plugins), "text")
+    with Simulation() as simulation:
+        simulation.add(model)
+        simulation.add(model, "another")
+    first, second = caplog.messages
+    what = "2 plugins are not simulated and skipped (libfly.so, libswim.so)"
+    assert first.startswith(f"model 'm': {what}; known are lib")
+    assert second == f"model 'another': {what}"
+
+
+def test_a_model_that_is_included_often_is_told_of_once(read_world, save_model, caplog):
+    save_model("m", model_text(link="<kinematic>1</kinematic>"))
+    text = "<uri>model://m</uri><name>{}</name>"
+    assert len(read_world("".join(include(text.format(name)) for name in "abc")).models) == 3
+    (message,) = caplog.messages
+    assert message.endswith("model.sdf: <link>: <kinematic> is not simulated")
+
+
+def test_our_own_worlds_say_nothing_unknown(package, caplog):
+    for path in sorted((package / "worlds").glob("*.world")):
+        read_world_file(path)
+    assert caplog.messages == []

@@ -37,7 +37,7 @@ MACHINE = """<sdf version="1.6"><model name="machine"><pose>1 2 3 0.1 0.2 0.3</p
         <range><min>0.1</min><max>3</max></range></ray>
       <plugin name="scan" filename="libgazebo_ros_laser.so"><topicName>scan</topicName>
         <frameName>arm</frameName></plugin></sensor></link>
-  <link name="slide"><pose>0.5 0 0 0.2 0.1 0</pose>
+  <link name="slide"><gravity>0</gravity><pose>0.5 0 0 0.2 0.1 0</pose>
     <inertial><mass>1</mass>
       <inertia><ixx>0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia></inertial></link>
   <joint name="turn" type="revolute"><parent>base</parent><child>arm</child>
@@ -55,6 +55,10 @@ def save(simulation, folder, name="saved.world"):
     path = folder / name
     path.write_text(text)
     return path, notes
+
+
+def saved_and_read(simulation, folder):
+    return read_world_file(save(simulation, folder)[0])
 
 
 def states(simulation):
@@ -125,9 +129,9 @@ def test_all_that_makes_up_a_model_is_saved(busy, tmp_path):
 def test_surroundings_are_saved(tmp_path, name):
     with Simulation.of(f"package://bullet_lab/worlds/{name}.world") as simulation:
         simulation.set_gravity((0.1, 0.0, -3.7))
-        path, _ = save(simulation, tmp_path)
-        world = replace(simulation.world, gravity=(0.1, 0.0, -3.7))
-    assert_alike(world, read_world_file(path), "models", "states")
+        world = simulation.world
+        assert world.gravity == (0.1, 0.0, -3.7)
+        assert_alike(world, saved_and_read(simulation, tmp_path), "models", "states")
 
 
 @pytest.mark.parametrize(
@@ -142,8 +146,7 @@ def test_surroundings_are_saved(tmp_path, name):
 def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag, given, saved):
     text = MACHINE.replace("<updateRate>", f"{tag}<updateRate>")
     world.add(read_spawned(text, "machine"), namespace=given)
-    path, _ = save(world, tmp_path)
-    plugins = read_world_file(path).models[-1].plugins
+    plugins = saved_and_read(world, tmp_path).models[-1].plugins
     assert {plugin.tags["robotNamespace"] for plugin in plugins} == saved
 
 
@@ -151,10 +154,9 @@ def test_spawned_moved_and_deleted_models_are_saved_as_they_are(tmp_path):
     with Simulation.of("package://bullet_lab/worlds/beacons.world") as simulation:
         simulation.remove("beacon_1")
         moved = Pose.from_rpy((7.0, 8.0, 0.5), (0.0, 0.0, 1.0))
-        simulation.models["beacon_2"].move(moved, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        simulation.models["beacon_2"].place(moved)
         simulation.add(simulation.models["beacon_0"].model, 'a "b" & <c>', Pose((3.0, 3.0, 0.0)))
-        path, _ = save(simulation, tmp_path)
-        with Simulation(read_world_file(path)) as again:
+        with Simulation(saved_and_read(simulation, tmp_path)) as again:
             assert_alike(states(simulation), states(again))
             assert again.models["beacon_2"].pose().position == pytest.approx((7.0, 8.0, 0.5))
 

@@ -5,7 +5,6 @@ import math
 import pytest
 
 from bullet_lab.simulation.physics.physics import SHAPES as BODIES
-from bullet_lab.simulation.world.meshes import MeshError
 from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plane, Sphere
 
@@ -18,17 +17,6 @@ WITH_EXAMPLES = (
     "simulation.world.xml",
 )
 SOLIDS = [Box((0.4, 1.0, 2.0)), Cylinder(0.3, 1.2), Sphere(0.7)]
-CUBE = """v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nv 0 0 2\nv 2 0 2\nv 2 2 2\nv 0 2 2
-f 1 4 3\nf 1 3 2\nf 5 6 7\nf 5 7 8\nf 1 2 6\nf 1 6 5\nf 3 4 8\nf 3 8 7\nf 2 3 7\nf 2 7 6
-f 4 1 5\nf 4 5 8
-"""
-
-
-@pytest.fixture
-def cube(tmp_path):
-    path = tmp_path / "cube.obj"
-    path.write_text(CUBE)
-    return Mesh(path, "cube.obj", (1.0, 0.5, 2.0))
 
 
 @pytest.mark.parametrize("name", WITH_EXAMPLES)
@@ -36,15 +24,6 @@ def test_the_examples_of_docstrings(name):
     tested = doctest.testmod(importlib.import_module(f"bullet_lab.{name}"))
     assert tested.attempted > 0
     assert tested.failed == 0
-
-
-def test_a_mesh_that_changes_has_other_bounds(cube):
-    assert cube.bounds()[1].tolist() == [2, 1, 4]
-    cube.path.write_text(CUBE.replace("2", "20"))
-    with pytest.raises(MeshError):
-        cube.bounds()
-    cube.path.write_text(CUBE.replace("v 2 2 2", "v 2 2 30"))
-    assert cube.bounds()[1].tolist() == [2, 1, 60]
 
 
 def test_a_plane_has_no_end():

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from alike import assert_alike
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
@@ -58,46 +59,41 @@ def test_what_is_no_tree_is_refused(names, ends, message):
 
 
 def test_joint_names_are_not_shared():
-    (joint,) = joints("ab")
     with pytest.raises(XmlError, match="joint 'j0' appears twice"):
-        check_tree(links("abc"), (joint, replace(joint, child="c")), "s")
+        check_tree(links("abc"), joints("ab") + joints("ac"), "s")
+
+
+# These do not commute.
+UP = Pose.from_rpy((0, 0, 1), (0.5, 0, 0))
+TURN = Pose.from_rpy((1, 0, 0), (0, 0, np.pi / 2))
 
 
 def test_links_are_placed_along_the_joints():
-    up, turn = Pose((0, 0, 1)), Pose.from_rpy((1, 0, 0), (0, 0, np.pi / 2))
-    chain = (Joint("j", "fixed", "a", "b", turn), Joint("k", "revolute", "b", "c", up * turn))
-    placed = {link.name: link.pose for link in place_links(links("cba"), chain)}
-    assert placed["a"] == Pose()
-    assert placed["b"].position == (1, 0, 0)
-    assert placed["c"].position == pytest.approx((1, 1, 1))
-    assert placed["c"].yaw == pytest.approx(np.pi)
+    chain = (Joint("j", "fixed", "a", "b", TURN), Joint("k", "revolute", "b", "c", UP * TURN))
+    placed = [link.pose for link in place_links(links("abc"), chain)]
+    assert_alike([Pose(), TURN, TURN * (UP * TURN)], placed, within=1e-9)
 
 
-def test_lumping_moves_shapes_masses_and_joints_to_the_link_that_stays():
-    half = Inertia(1.0, (0, 0, 0), np.eye(3))
-    shape = (Visual(Box((1, 1, 1)), Pose((0, 0, 0.1))),)
-    touch = (Collision(Box((1, 1, 1)), Pose((0, 0, 0.2)), 0.3),)
-    parts = (
-        Link("base"),
-        Link("plate", inertia=half),
-        Link("mast", inertia=half, visuals=shape, collisions=touch),
-        Link("wheel", inertia=half),
-    )
-    to_plate, to_mast = Pose((0, 0, 1)), Pose.from_rpy((1, 0, 0), (0, 0, np.pi / 2))
+def test_lumping_moves_shapes_frames_and_joints_to_the_link_that_stays():
+    """For masses see test_camera_robot."""
+    shape = Visual(Box((1, 1, 1)), Pose((0, 0, 0.1)))
+    touch = Collision(Box((1, 1, 1)), Pose((0, 0, 0.2)), 0.3)
+    mast = Link("mast", visuals=(shape,), collisions=(touch,), self_collide=True)
     hung = (
-        Joint("a", "fixed", "base", "plate", to_plate),
-        Joint("b", "fixed", "plate", "mast", to_mast),
+        Joint("a", "fixed", "base", "plate", UP),
+        Joint("b", "fixed", "plate", "mast", TURN),
         Joint("c", "revolute", "mast", "wheel", Pose((2, 0, 0)), axis=(0, 1, 0)),
     )
-    lumped = lump_fixed_joints(Model("m", parts, hung))
+    parts = (Link("base"), Link("plate"), mast, Link("wheel"))
+    lumped = lump_fixed_joints(Model("m", parts, hung, frames={"tip": ("mast", TURN)}))
     base, wheel = lumped.links
-    assert (base.name, wheel.name) == ("base", "wheel")
-    assert base.inertia.mass == 2.0
-    assert base.inertia.centre == pytest.approx((0.5, 0, 1))
-    there = to_plate * to_mast
-    assert lumped.frames == {"plate": ("base", to_plate), "mast": ("base", there)}
-    assert base.visuals == (replace(shape[0], pose=there * shape[0].pose),)
-    assert base.collisions == (replace(touch[0], pose=there * touch[0].pose),)
+    there = UP * TURN
+    assert lumped.frames == {
+        "plate": ("base", UP), "mast": ("base", there), "tip": ("base", there * TURN)
+    }  # fmt: skip
+    assert base.visuals == (replace(shape, pose=there * shape.pose),)
+    assert base.collisions == (replace(touch, pose=there * touch.pose),)
+    assert (base.name, base.self_collide, wheel) == ("base", True, parts[3])
     assert lumped.joints == (replace(hung[2], parent="base", pose=there * hung[2].pose),)
 
 
@@ -113,22 +109,17 @@ def box(mass, x, y, z, centre=(0.0, 0.0, 0.0)):
 
 def test_unequal_parts_of_a_turned_box():
     # A box of 0.6 x 0.2 x 0.1 m, cut at a third of its length, and turned as a whole; each
-    # part's centre of mass lies off the origin of its frame.
+    # part's centre of mass lies off the origin of its frame. What has no mass counts for nothing.
     turned = Pose.from_rpy((1.0, 2.0, 3.0), (0.3, -0.4, 0.5))
     short = box(1.0, 0.2, 0.2, 0.1, centre=(0.1, 0.0, 0.0))
     long = box(2.0, 0.4, 0.2, 0.1, centre=(0.2, 0.0, 0.0))
-    parts = [(short, turned), (long, turned * Pose((0.2, 0.0, 0.0)))]
+    nothing = Inertia(0.0, (9.0, 9.0, 9.0), np.zeros((3, 3)))
+    parts = [(short, turned), (long, turned * Pose((0.2, 0.0, 0.0))), (nothing, Pose())]
     whole = combine(parts)
     turn = turned.rotation_matrix()
+    assert whole.mass == 3.0
     assert whole.centre == pytest.approx((turned * Pose((0.3, 0.0, 0.0))).position)
     assert whole.matrix == pytest.approx(turn @ box(3.0, 0.6, 0.2, 0.1).matrix @ turn.T)
-
-
-def test_parts_without_mass_count_for_nothing():
-    nothing = Inertia(0.0, (9.0, 9.0, 9.0), np.zeros((3, 3)))
-    whole = combine([(box(2.0, 1, 1, 1), Pose()), (nothing, Pose())])
-    assert whole.mass == 2.0
-    assert whole.centre == (0.0, 0.0, 0.0)
 
 
 def test_principal_axes_of_a_turned_box():

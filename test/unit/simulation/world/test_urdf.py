@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from shared import complains
@@ -29,16 +27,12 @@ def with_inertia(mass="1", **moments):
 
 
 def test_the_beacon_is_a_solid_cylinder(package):
-    beacon = read_urdf_file(package / "urdf" / "beacon.urdf")
-    (link,) = beacon.links
-    radius, height, density = 0.25, 2.0, 100.0
-    mass = density * math.pi * radius**2 * height
-    across = mass * (3 * radius**2 + height**2) / 12
-    assert link.inertia.mass == pytest.approx(mass, rel=1e-4)
-    assert link.inertia.centre == (0.0, 0.0, height / 2)
-    assert link.inertia.matrix == pytest.approx(
-        np.diag([across, across, mass * radius**2 / 2]), rel=1e-4
-    )
+    """Of 0.25 m, 2 m and 100 kg/m³: π r² h ρ, m (3 r² + h²) / 12 and m r² / 2."""
+    (link,) = read_urdf_file(package / "urdf" / "beacon.urdf").links
+    assert link.inertia.mass == pytest.approx(39.2699, rel=1e-4)
+    assert link.inertia.centre == (0.0, 0.0, 1.0)
+    wanted = np.diag((13.7036, 13.7036, 1.22718))
+    assert link.inertia.matrix == pytest.approx(wanted, rel=1e-4)
     for shape in (link.visuals[0], link.collisions[0]):
         assert shape.geometry.path == package / "meshes" / "beacon.dae"
 
@@ -221,16 +215,15 @@ def test_bad_urdf_is_one_line_that_names_file_and_place(tmp_path, text, message)
         read_urdf_file(path)
 
 
-def test_meshes_beside_the_file_are_found_and_links_out_of_its_folder_are_not(tmp_path):
-    inner = tmp_path / "robot"
-    inner.mkdir()
+def test_meshes_beside_the_file_are_found_and_those_out_of_its_folder_are_not(tmp_path):
+    """What else is outside: see test_resources."""
+    path = tmp_path / "robot" / "r.urdf"
+    path.parent.mkdir()
     (tmp_path / "secret.stl").touch()
-    (inner / "mesh.stl").touch()
-    (inner / "link.stl").symlink_to(tmp_path / "secret.stl")
-    (inner / "r.urdf").write_text(with_shape('<mesh filename="mesh.stl"/>'))
-    geometry = read_urdf_file(inner / "r.urdf").links[0].collisions[0].geometry
-    assert geometry.path == inner / "mesh.stl"
-    for name in ("link.stl", "../secret.stl", str(tmp_path / "secret.stl")):
-        (inner / "r.urdf").write_text(with_shape(f'<mesh filename="{name}"/>'))
-        with complains("leaves its folder|outside the folders"):
-            read_urdf_file(inner / "r.urdf")
+    (path.parent / "mesh.stl").touch()
+    path.write_text(with_shape('<mesh filename="mesh.stl"/>'))
+    geometry = read_urdf_file(path).links[0].collisions[0].geometry
+    assert geometry.path == path.parent / "mesh.stl"
+    path.write_text(with_shape('<mesh filename="../secret.stl"/>'))
+    with complains("leaves its folder"):
+        read_urdf_file(path)

@@ -50,7 +50,6 @@ def test_document_types_and_entities_are_refused(prolog):
         "<a><!-- 1 -- 2 --><!-- <b> ---><b/></a>",
         "<a xmlns:c='d'><b/><e:f g='1'/></a>",
         "<a h:g='1'><b/></a>",
-        "<a c=1 d='e f=g'\nh = i/j><b k=l/></a>",
     ],
 )
 def test_what_gazebos_parser_passes_over_is_passed_over(text):
