@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from bullet_lab.core import se2
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import (
     circle,
     grid,
@@ -34,19 +35,12 @@ def test_compose_is_the_product_of_the_matrices():
         np.testing.assert_allclose(matrix(se2.compose(a, b)), matrix(a) @ matrix(b), atol=1e-12)
 
 
-def test_between_undoes_compose():
+def test_between_and_inverse_undo_compose():
     a, b = random_poses(2, 50)
     np.testing.assert_allclose(se2.between(a, se2.compose(a, b)), b, atol=1e-12)
-
-
-def test_inverse_leads_back_to_the_origin():
-    poses = random_poses(50)
-    np.testing.assert_allclose(se2.compose(poses, se2.inverse(poses)), 0.0, atol=1e-12)
-
-
-def test_yaw_is_wrapped():
-    assert se2.compose([0, 0, 3.0], [0, 0, 3.0])[2] == 6.0 - 2 * math.pi
-    assert se2.between([0, 0, -3.0], [0, 0, 3.0])[2] == 6.0 - 2 * math.pi
+    np.testing.assert_allclose(se2.compose(a, se2.inverse(a)), 0.0, atol=1e-12)
+    for turned in (se2.compose([0, 0, 3.0], [0, 0, 3.0]), se2.between([0, 0, -3.0], [0, 0, 3.0])):
+        assert turned[2] == 6.0 - 2 * math.pi
 
 
 def test_leading_axes_broadcast():
@@ -93,19 +87,13 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("angle", "expected"), CASES)
-def test_wrap_of_a_float(angle, expected):
-    wrapped = wrap(angle)
-    assert isinstance(wrapped, float)
-    assert wrapped == pytest.approx(expected, abs=1e-15)
-
-
-def test_wrap_of_an_array_is_that_of_its_floats():
+def test_wrap_of_floats_and_of_an_array():
     angles = np.random.default_rng(1).uniform(-50.0, 50.0, (40, 25))
     angles[0, : len(CASES)] = [angle for angle, _ in CASES]
     wrapped = wrap(angles)
-    assert wrapped.shape == angles.shape
-    np.testing.assert_array_equal(wrapped, [[wrap(float(a)) for a in row] for row in angles])
+    assert wrapped[0, : len(CASES)] == pytest.approx([to for _, to in CASES], abs=1e-15)
+    np.testing.assert_array_equal(wrapped, [[wrap(a) for a in row] for row in angles.tolist()])
+    assert isinstance(wrap(7.0), float)
     assert wrapped.min() >= -math.pi
     assert wrapped.max() < math.pi
     np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-13)
@@ -125,21 +113,12 @@ def test_yaw_survives_the_quaternion(yaw):
     assert yaw_from_quaternion(*quaternion) == pytest.approx(yaw, abs=1e-15)
     doubled = [2.0 * part for part in quaternion]
     assert yaw_from_quaternion(*doubled) == pytest.approx(yaw, abs=1e-15)
+    assert yaw_from_quaternion(0.0, 0.0, 0.0, 0.0) == 0.0
 
 
 def test_yaw_of_a_tilted_body_is_its_heading():
-    half_yaw, half_pitch = 0.5 * 0.7, 0.5 * 0.2
-    quaternion = (
-        -math.sin(half_yaw) * math.sin(half_pitch),
-        math.cos(half_yaw) * math.sin(half_pitch),
-        math.sin(half_yaw) * math.cos(half_pitch),
-        math.cos(half_yaw) * math.cos(half_pitch),
-    )
-    assert yaw_from_quaternion(*quaternion) == pytest.approx(0.7)
-
-
-def test_an_empty_quaternion_is_no_heading():
-    assert yaw_from_quaternion(0.0, 0.0, 0.0, 0.0) == 0.0
+    tilted = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.2, 0.7))
+    assert yaw_from_quaternion(*tilted.quaternion) == pytest.approx(0.7)
 
 
 COORDINATES = np.concatenate(
@@ -156,12 +135,9 @@ def test_it_is_the_inverse_of_the_matrix_exponential(coordinates):
     matrix = expm(np.array([[0.0, -yaw, x], [yaw, 0.0, y], [0.0, 0.0, 0.0]]))
     pose = (*matrix[:2, 2], math.atan2(matrix[1, 0], matrix[0, 0]))
     np.testing.assert_allclose(logarithm(pose), coordinates, atol=1e-10)
-
-
-def test_a_turn_more_is_the_same_pose():
-    np.testing.assert_allclose(
-        logarithm([1.0, 2.0, 1.0 + math.tau]), logarithm([1.0, 2.0, 1.0]), atol=1e-12
-    )
+    # A turn more is the same pose.
+    turned = (*pose[:2], pose[2] + math.tau)
+    np.testing.assert_allclose(logarithm(turned), coordinates, atol=1e-10)
 
 
 def test_where_the_series_ends_nothing_jumps():
@@ -169,11 +145,8 @@ def test_where_the_series_ends_nothing_jumps():
     assert abs(below - above) < 1e-10
 
 
-def test_a_line():
+def test_a_line_and_a_grid_which_fills_row_by_row():
     assert line(3, 0.5) == [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0)]
-
-
-def test_a_grid_fills_row_by_row():
     places = [(x, y) for x, y, _ in grid(5, 2.0)]
     assert places == [(0.0, 0.0), (2.0, 0.0), (4.0, 0.0), (0.0, 2.0), (2.0, 2.0)]
     assert grid(1, 2.0) == [(0.0, 0.0, 0.0)]

@@ -1,4 +1,4 @@
-"""None"""
+"""Paths of poses, their files and their errors."""
 
 import math
 
@@ -45,7 +45,7 @@ def test_arrays_are_copied_and_read_only():
 
 
 @pytest.mark.parametrize(
-    ("stamps", "poses", "message"),
+    "stamps, poses, message",
     [
         ([], [], "no poses"),
         ([0, 1], [[0, 0, 0]], "shape"),
@@ -64,6 +64,8 @@ def test_bad_trajectories_are_refused(stamps, poses, message):
 
 def test_tum_row_has_eight_columns():
     assert tum_row(1.5, 0.1, -2, 0.0) == "1.500000000 0.1 -2.0 0 0 0 0.0 1.0"
+    numbers = np.array([0.5, 0.25, 0.0])
+    assert tum_row(np.float64(1.0), *numbers) == "1.000000000 0.5 0.25 0 0 0 0.0 1.0"
     assert tum_row(0.1 + 0.2, 0, 0, math.pi).startswith("0.300000000 0.0 0.0 0 0 0 1.0 6.1")
 
 
@@ -75,13 +77,8 @@ def test_tum_round_trip(write):
     np.testing.assert_allclose(trajectory.poses[:, 2], np.array(POSES)[:, 2], atol=1e-15)
 
 
-def test_tum_from_numpy_numbers_is_text_all_the_same():
-    row = tum_row(np.float64(1.0), *np.array([0.5, 0.25, 0.0]))
-    assert row == "1.000000000 0.5 0.25 0 0 0 0.0 1.0"
-
-
 @pytest.mark.parametrize(
-    ("line", "message"),
+    "line, message",
     [
         ("1 2 3", "line 2: 8 values needed, not 3"),
         ("-1 0 0 0 0 0 0 1", "line 2: stamps must increase"),
@@ -99,8 +96,7 @@ def test_bad_tum_files_are_refused(write, line, message):
 
 
 def test_poses_with_the_same_stamp_are_left_out_and_counted(write):
-    stamps = (0, 0, 1, 1, 1)
-    found = read_tum(write("# a", *(f"{t} {x} 0 0 0 0 0 1" for x, t in enumerate(stamps))))
+    found = read_tum(write("# a", *(f"{t} {x} 0 0 0 0 0 1" for x, t in enumerate((0, 0, 1, 1, 1)))))
     np.testing.assert_array_equal(found.poses[:, 0], [0, 2])
     assert found.remark == "3 with the stamp of the one before left out, the first in line 3"
     assert read_tum(write("0 0 0 0", "1 2 3 0.5")).poses[1].tolist() == [2.0, 3.0, 0.5]
@@ -116,14 +112,15 @@ def test_velocities_are_held_until_the_next_stamp(write):
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(TrajectoryError, match="cannot read .*missing"):
-        read_tum(tmp_path / "missing")
-    with pytest.raises(TrajectoryError, match="cannot read"):
-        read_tum(tmp_path)
     binary = tmp_path / "binary"
     binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(TrajectoryError, match="not a text file"):
-        read_tum(binary)
+    for path, message in (
+        (tmp_path / "missing", "cannot read .*missing"),
+        (tmp_path, "cannot read"),
+        (binary, "not a text file"),
+    ):
+        with pytest.raises(TrajectoryError, match=message):
+            read_tum(path)
 
 
 REFERENCE = Trajectory([0, 1, 2, 3], [[0, 0, 0], [1, 0, 0], [2, 0, 3.1], [2, 2, -3.1]])
@@ -137,14 +134,10 @@ def test_errors_by_hand():
     np.testing.assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
     np.testing.assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
     np.testing.assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
-    expected = {
-        "ape_rmse_m": math.sqrt(5.25 / 4),
-        "ape_max_m": 2.0,
-        "heading_rmse_deg": math.degrees(math.sqrt(0.05 / 4)),
-        "final_error_m": 2.0,
-        "final_heading_error_deg": math.degrees(-0.2),
-    }
-    assert {name: getattr(error, name) for name in expected} == pytest.approx(expected)
+    assert error.ape_rmse_m == pytest.approx(math.sqrt(5.25 / 4))
+    assert error.ape_max_m == error.final_error_m == pytest.approx(2.0)
+    assert math.radians(error.heading_rmse_deg) == pytest.approx(math.sqrt(0.05 / 4))
+    assert math.radians(error.final_heading_error_deg) == pytest.approx(-0.2)
 
 
 def test_heading_errors_are_wrapped():

@@ -29,7 +29,7 @@ def assert_close(found, expected, relative):
     )
 
 
-@pytest.mark.parametrize(("k", "curvature"), [(0.01, 0.5), (0.3, 0.0), (1.0, -2.0)])
+@pytest.mark.parametrize("k, curvature", [(0.01, 0.5), (0.3, 0.0), (1.0, -2.0)])
 def test_exact_moments_of_many_steps_are_those_of_none(k, curvature):
     # The model's heading gains k² per metre and per radian.
     steps = noisy_steps(arc(4.0, curvature, 2000), RateInvariantRule(k))
@@ -38,7 +38,7 @@ def test_exact_moments_of_many_steps_are_those_of_none(k, curvature):
     assert_close((exact.mean[-1], exact.covariance[-1]), expected, 2e-5)
 
 
-@pytest.mark.parametrize(("length", "k"), [(4.0, 0.3), (40.0, 0.05)])
+@pytest.mark.parametrize("length, k", [(4.0, 0.3), (40.0, 0.05)])
 def test_exponential_moments_of_many_steps_are_those_of_none(length, k):
     steps = noisy_steps(arc(length, 0.0, 600), RateInvariantRule(k))
     found = exponential_moments(steps, [600])

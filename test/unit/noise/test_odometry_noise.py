@@ -31,7 +31,7 @@ def run(path, poses):
 
 
 @pytest.mark.parametrize(
-    ("step", "expected"),
+    "step, expected",
     [
         ((0.3, 0.0, 0.0), (0.0, 0.3, 0.0)),
         ((-0.3, 0.0, 0.0), (0.0, -0.3, 0.0)),

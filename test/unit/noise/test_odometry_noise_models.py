@@ -1,7 +1,6 @@
 """A noise model is one class: everything else goes through those that are registered."""
 
-from dataclasses import dataclass, fields
-from types import SimpleNamespace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 import pytest
@@ -21,7 +20,8 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
-from bullet_lab.studies import squares
+from bullet_lab.noise.presets import NONE, PRESETS, with_preset
+from bullet_lab.studies.squares import SquaresSettings
 
 
 @dataclass(frozen=True)
@@ -92,33 +92,13 @@ def test_a_parameter_of_several_models_is_declared_once(slip):
     assert set(declarations(ReportRule)) == {"std"}
 
 
-@pytest.fixture
-def noisy_odom(monkeypatch):
-    """The node's module, without a connection to a master."""
-    pytest.importorskip("rospy")
-    from bullet_lab.ros.nodes import noisy_odom
-
-    for name in ("publisher", "Publisher", "subscriber"):
-        monkeypatch.setattr(noisy_odom, name, lambda *args, **more: None)
-    monkeypatch.setattr(noisy_odom.rospy, "Service", lambda *args: None)
-    return noisy_odom
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_is_valid_and_complete(name):
+    found = with_preset(SquaresSettings(noise=name))
+    check_parameters(found)
+    assert asdict(found).items() >= PRESETS[name].items()
 
 
-def test_settings_made_in_python_are_checked(tmp_path):
-    with pytest.raises(ParameterError, match="std"):
-        squares.run_squares(tmp_path, squares.SquaresSettings(std=-1.0))
-
-
-def test_a_request_to_the_node_is_checked(noisy_odom):
-    node = noisy_odom.NoisyOdometry(noisy_odom.NoisyOdomParameters(seed=1))
-    for model, std, alphas, said in (
-        ("report", -1.0, [], "std is -1.0: it must be"),
-        ("probabilistic", 0.1, [0, 0, -1, 0], "alpha3 is -1: it must be"),
-        ("nix", 0.1, [], "unknown noise model 'nix'"),
-    ):
-        refused = node.set_noise(SimpleNamespace(model=model, std=std, alphas=alphas))
-        assert not refused.success
-        assert said in refused.status_message
-    assert node.std == noisy_odom.NoisyOdomParameters.std
-    assert node.set_noise(SimpleNamespace(model="report", std=0.3, alphas=[])).success
-    assert node.std == 0.3
+def test_without_a_preset_nothing_changes():
+    given = SquaresSettings(std=0.3)
+    assert with_preset(given) == given == replace(given, noise=NONE)

@@ -74,12 +74,17 @@ def test_settings_made_in_python_are_checked(tmp_path):
 @pytest.mark.parametrize("model", MODELS)
 def test_a_request_to_the_node_is_checked(noisy_odom, model):
     node = noisy_odom.NoisyOdometry(noisy_odom.NoisyOdomParameters(seed=1))
-    refused = node.set_noise(SimpleNamespace(model=model, std=-1.0, alphas=[]))
-    assert (refused.success, "std is -1.0: it must be" in refused.status_message) == (False, True)
-    refused = node.set_noise(SimpleNamespace(model="probabilistic", std=0.1, alphas=[0, 0, -1, 0]))
-    assert "alpha3 is -1: it must be" in refused.status_message
-    refused = node.set_noise(SimpleNamespace(model="nix", std=0.1, alphas=[]))
-    assert "unknown noise model 'nix'" in refused.status_message
+
+    def ask(*given):
+        return node.set_noise(SimpleNamespace(**dict(zip(("model", "std", "alphas"), given))))
+
+    for given, said in (
+        ((model, -1.0, []), "std is -1.0: it must be"),
+        (("probabilistic", 0.1, [0, 0, -1, 0]), "alpha3 is -1: it must be"),
+        (("nix", 0.1, []), "unknown noise model 'nix'"),
+    ):
+        refused = ask(*given)
+        assert not refused.success and said in refused.status_message
     assert node.std == noisy_odom.NoisyOdomParameters.std
-    assert node.set_noise(SimpleNamespace(model=model, std=0.3, alphas=[])).success
+    assert ask(model, 0.3, []).success
     assert node.std == 0.3

@@ -65,7 +65,7 @@ def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
 
 
 @pytest.mark.parametrize(
-    ("end", "touched", "line"),
+    "end, touched, line",
     [
         ((3.44, 0.0031, 0.0), {}, "not within the dock's tolerance: docked after"),
         (DOCKED, {"wall": 1}, "not without a contact: docked after"),

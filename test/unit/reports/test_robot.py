@@ -61,7 +61,7 @@ def test_whole_turns_are_counted():
 
 
 @pytest.mark.parametrize(
-    ("one", "error"),
+    "one, error",
     [
         (leg({"ahead_m": 0.98}, {"ahead_m": 1.0}), 2.0),
         # A robot that comes off its line is off, too.
@@ -149,7 +149,7 @@ def test_rates_of_plugins_that_share_a_topic_add_up(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("reported", "true", "late", "touched", "line"),
+    "reported, true, late, touched, line",
     [
         (0.71, 0.71, True, ("wall",), "metre: 0.71 of 1 m: touches wall, out of time"),
         (1.0, 0.61, False, ("r1::base",), "metre: 0.61 of 1 m: touches r1::base"),
@@ -174,7 +174,7 @@ def test_a_turn_the_other_way():
 
 
 @pytest.mark.parametrize(
-    ("turned", "touched", "line"),
+    "turned, touched, line",
     [
         (240.0, (), ": 240.00 of 360 °: wheels slip; its odometry says 361.000 °"),
         (100.0, (), ""),
@@ -241,7 +241,7 @@ def test_the_truth_decides_while_odometry_pauses():
     assert part.is_done(odometry_pauses=True)
 
 
-@pytest.mark.parametrize(("turned", "done"), [(-80.0, False), (-91.0, True), (300.0, False)])
+@pytest.mark.parametrize("turned, done", [(-80.0, False), (-91.0, True), (300.0, False)])
 def test_a_turn_the_other_way_ends_early(turned, done):
     part = Leg("turn", "turned_deg", 360.0, truth=moved(turned_deg=turned))
     assert part.is_done(odometry_pauses=False) == done

@@ -112,7 +112,7 @@ def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
     assert figure._suptitle.get_text().endswith("\nstd = 0.1, seed = 2")
 
 
-@pytest.mark.parametrize(("as_published", "shown"), [(False, 1), (True, 0)])
+@pytest.mark.parametrize("as_published, shown", [(False, 1), (True, 0)])
 def test_ellipses_are_those_of_the_noise(tmp_path, as_published, shown):
     report = SquaresReport(tmp_path)
     for index in range(5):

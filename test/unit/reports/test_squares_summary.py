@@ -26,7 +26,7 @@ def path(*legs, start=(0.0, 0.0, 0.0)):
 
 
 @pytest.mark.parametrize(
-    ("lap", "side", "turn"),
+    "lap, side, turn",
     [
         ([SIDE, TURN], (1.9, 1e-9), (90.0, 1e-9)),
         ([SIDE[:90], REST, SIDE[90:], REST, TURN[:30], REST, TURN[30:]], (1.9, 1e-9), (90.0, 1e-9)),
