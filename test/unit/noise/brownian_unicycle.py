@@ -30,14 +30,18 @@ def moments(length, curvature, q, k):
     perfect = grown(1j * curvature, length) if curvature else length
     c, g = size - abs(mean) ** 2, pseudo - mean**2
     bias = mean - perfect
-    covariance = np.array(
+    return np.array([bias.real, bias.imag, 0.0]), matrix(c, g, cross, q * length)
+
+
+def matrix(c, g, cross, turned):
+    """Return the covariance (3, 3) by E |P|², E P², E P h and E h² about the means."""
+    return np.array(
         [
             [0.5 * (c + g.real), 0.5 * g.imag, cross.real],
             [0.5 * g.imag, 0.5 * (c - g.real), cross.imag],
-            [cross.real, cross.imag, q * length],
+            [cross.real, cross.imag, turned],
         ]
     )
-    return np.array([bias.real, bias.imag, 0.0]), covariance
 
 
 def grown(z, length):
@@ -83,9 +87,4 @@ def exponential_moments(length, q, k, nodes=60):
     c = np.sum(wh * np.abs(straight) ** 2 * size).real - abs(v) ** 2
     g = np.sum(wh * straight**2 * pseudo) - v * v
     cross = np.sum(wh * h * straight * first)
-    covariance = [
-        [0.5 * (c + g.real), 0.5 * g.imag, cross.real],
-        [0.5 * g.imag, 0.5 * (c - g.real), cross.imag],
-        [cross.real, cross.imag, np.sum(wh * h * h)],
-    ]
-    return np.array([v.real, v.imag, 0.0]), np.array(covariance)
+    return np.array([v.real, v.imag, 0.0]), matrix(c, g, cross, np.sum(wh * h * h))

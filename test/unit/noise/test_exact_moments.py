@@ -31,7 +31,11 @@ from bullet_lab.studies.noise_study.study import StudySettings
 LEVELS = StudySettings().levels
 PATHS = 10_000
 FAMILY = 0.001
-MOMENTS_QUANTILE = stats.norm.isf(0.5 * FAMILY / (9 * len(MODELS) * (len(LEVELS) - 1) * 2))
+
+
+def quantile(comparisons):
+    """Return the limit of each comparison of a family, in standard deviations."""
+    return stats.norm.isf(0.5 * FAMILY / comparisons)
 
 
 PATHS_BY_NAME = {"square": square(), "line": line(4.0, 40)}
@@ -53,7 +57,8 @@ def test_sample_moments_are_the_exact_ones(name, model, std):
     steps = noisy_steps(PATHS_BY_NAME[name], level_rule(model, std))
     exact = exact_moments(steps)
     errors = drawn_errors(steps, study_generator(50, model, std, 1.0))
-    assert_moments(errors, exact.mean[-1], exact.covariance[-1], MOMENTS_QUANTILE)
+    limit = quantile(9 * len(MODELS) * (len(LEVELS) - 1) * len(PATHS_BY_NAME))
+    assert_moments(errors, exact.mean[-1], exact.covariance[-1], limit)
 
 
 def direct_moments(steps):
@@ -88,19 +93,17 @@ def test_running_sums_are_the_double_sums(model, std):
 def test_the_quadratic_part_is_that_of_drawn_noise(model):
     steps = noisy_steps(square(), level_rule(model, 0.2))
     draws = np.random.default_rng(53).standard_normal((PATHS, len(steps), 3))
-    names = ("variance1", "variance_trans", "variance2")
-    noise1, noise_trans, noise2 = (
-        draws[..., i] * np.sqrt(getattr(steps, name)) for i, name in enumerate(names)
-    )
+    variances = np.stack((steps.variance1, steps.variance_trans, steps.variance2), axis=-1)
+    noise1, noise_trans, noise2 = np.moveaxis(draws * np.sqrt(variances), -1, 0)
     heading = np.cumsum(noise1 + noise2, axis=1) - noise2
     terms = steps.direction * (1j * noise_trans * heading - 0.5 * steps.trans * heading**2)
     expected = quadratic_covariances(steps)
     # Four entries, two poses, each model.
-    quantile = stats.norm.isf(0.5 * FAMILY / (8 * len(MODELS)))
+    limit = quantile(8 * len(MODELS))
     for pose in (20, len(steps)):
         part = terms[:, :pose].sum(axis=1)
         sample = np.column_stack([part.real, part.imag])
-        assert_moments(sample, sample.mean(axis=0), expected[pose][:2, :2], quantile)
+        assert_moments(sample, sample.mean(axis=0), expected[pose][:2, :2], limit)
     assert not expected[:, 2].any()
 
 
@@ -114,7 +117,7 @@ def test_the_quadratic_share_is_that_of_the_worst_direction():
     assert quadratic_shares(quadratic, np.diag([4.0, 4.0, 0.0])) == pytest.approx(0.5)
 
 
-def case_of(name, model, std, paths=PATHS):
+def case_of(name, std, model="rate_invariant", paths=2000):
     poses = PATHS_BY_NAME[name]
     trajectory = Trajectory(0.2 * np.arange(len(poses)), poses)
     generator = study_generator(52, model, std, 5.0)
@@ -122,37 +125,37 @@ def case_of(name, model, std, paths=PATHS):
 
 
 def test_no_noise_is_no_error():
-    case = case_of("square", "report", 0.0, 10)
+    steps = noisy_steps(wandering(60), model_named("report").at_level(0.0))
+    found = exponential_moments(steps, [60])
+    assert not found.mean.any() and not found.covariance.any()
+    case = case_of("square", 0.0, "report", 10)
     assert case.rms_distance.max() < 1e-12
     assert case.metrics["ape_rmse_m"]["p95"] < 1e-12
-    assert {name: set(found) for name, found in case.regions.found.items()} == {
-        name: {None} for name in METHODS
-    }
+    assert all(set(found) == {None} for found in case.regions.found.values())
+    assert case.regions.found.keys() == set(METHODS)
     assert set(case.coverage.values()) == {None}
     assert case.theory.gaussian_enough()
 
 
 @pytest.mark.parametrize("name", PATHS_BY_NAME)
 def test_the_study_says_where_the_error_is_not_gaussian(name):
-    case = case_of(name, "rate_invariant", 0.3, 2000)
+    case = case_of(name, 0.3)
     assert not case.theory.gaussian_enough()
     assert case.coverage["first_order"] < 0.935
     assert case.theory.shift() > 0.3
-
-
-def test_nees_tells_that_noise_is_too_large_for_first_order():
-    found = case_of("square", "rate_invariant", 0.3, 2000).regions.found
-    assert found["first_order"][-1].nees > 3.8
-    # A mean of e' M^-1 e is 3 whatever the noise, if M is the mean of e e'.
-    low, high = found["published"][-1].nees_band
-    assert low - 0.1 < 3.0 < high + 0.1
+    if name == "square":
+        # NEES tells it, too.
+        assert case.regions.found["first_order"][-1].nees > 3.8
+        # A mean of e' M^-1 e is 3 whatever the noise, if M is the mean of e e'.
+        low, high = case.regions.found["published"][-1].nees_band
+        assert low - 0.1 < 3.0 < high + 0.1
 
 
 def test_a_mean_of_blocks_is_the_mean_of_all():
-    case = case_of("square", "rate_invariant", 0.2)
+    case = case_of("square", 0.2, paths=PATHS)
     steps = noisy_steps(PATHS_BY_NAME["square"], level_rule("rate_invariant", 0.2))
     errors = drawn_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
-    distances = np.hypot(errors[:, 0], errors[:, 1])
+    distances = np.hypot(*errors[:, :2].T)
     metric = case.metrics["final_error_m"]
     expected = [distances.mean(), np.median(distances), np.quantile(distances, 0.95)]
     assert [metric[name] for name in ("mean", "p50", "p95")] == pytest.approx(expected)
@@ -181,13 +184,6 @@ def test_sample_moments_are_the_exponential_ones(model, std):
     exact = exponential_moments(steps, at)
     coordinates = se2.logarithm(drawn_errors(steps, np.random.default_rng(71), at))
     # Mean 3, covariance 6 entries, at two poses, for each model and level.
-    quantile = stats.norm.isf(0.5 * FAMILY / (9 * 2 * len(MODELS) * len(STDS)))
+    limit = quantile(9 * 2 * len(MODELS) * len(STDS))
     for k, found in enumerate(np.moveaxis(coordinates, 1, 0)):
-        assert_moments(found, exact.mean[k], exact.covariance[k], quantile)
-
-
-def test_no_noise_is_no_error_in_exponential_coordinates():
-    steps = noisy_steps(wandering(60), model_named("report").at_level(0.0))
-    found = exponential_moments(steps, [60])
-    assert not found.mean.any()
-    assert not found.covariance.any()
+        assert_moments(found, exact.mean[k], exact.covariance[k], limit)

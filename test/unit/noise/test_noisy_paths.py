@@ -19,7 +19,6 @@ from bullet_lab.noise.odometry_noise import (
     RateInvariantRule,
     ReportRule,
 )
-from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.paths import find_corners, resample
 
 RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
@@ -36,30 +35,20 @@ def drawn(poses, rule, seed, count, **options):
     return np.concatenate([poses_of(block, np.asarray(poses)) for block in blocks])
 
 
-def assert_same_poses(actual, expected):
-    difference = actual - expected
-    difference[..., 2] = wrap(difference[..., 2])
-    assert np.abs(difference).max() < 1e-12
-
-
 @pytest.mark.parametrize("rule", RULES)
-def test_the_same_draws_give_the_paths_of_the_loop(rule):
+def test_the_loop_gives_the_paths_of_the_same_draws_and_their_exact_moments(rule):
     poses, path = wandering(), NoisyPath(rule, 41)
-    expected = []
+    expected = exact_moments(noisy_steps(poses, rule)).about_perfect()
+    looped = []
     for _ in range(3):
         path.restart()
-        expected.append([path.update(*pose).pose for pose in poses.tolist()])
-    assert_same_poses(drawn(poses, rule, 41, 3), np.array(expected))
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_the_covariance_of_the_loop_is_that_of_the_exact_moments(rule):
-    poses, path = wandering(), NoisyPath(rule, 42)
-    expected = exact_moments(noisy_steps(poses, rule)).about_perfect()
-    for _ in range(2):
-        path.restart()
-        actual = np.array([path.update(*pose).covariance for pose in poses.tolist()])
-        np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-12 * expected.max())
+        steps = [path.update(*pose) for pose in poses.tolist()]
+        looped.append([step.pose for step in steps])
+        covariance = [step.covariance for step in steps]
+        np.testing.assert_allclose(covariance, expected, rtol=0.0, atol=1e-12 * expected.max())
+    difference = drawn(poses, rule, 41, 3) - looped
+    difference[..., 2] = wrap(difference[..., 2])
+    assert np.abs(difference).max() < 1e-12
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -91,20 +80,8 @@ def test_each_case_has_draws_of_its_own():
     assert draws[-1] == draws[0]
 
 
-def test_the_levels_of_the_probabilistic_model_start_from_the_defaults_of_noisy_odom():
-    rule = level_rule("probabilistic", 0.1)
-    actual = (rule.alpha1, rule.alpha2, rule.alpha3, rule.alpha4)
-    assert actual == pytest.approx((0.01, 0.001, 0.01, 0.001))
-
-
-def test_a_path_at_its_own_rate_is_itself():
-    trajectory = square_drive()
-    np.testing.assert_array_equal(resample(trajectory, 20.0).stamps, trajectory.stamps)
-    np.testing.assert_allclose(resample(trajectory, 20.0).poses, trajectory.poses, atol=1e-14)
-
-
-@pytest.mark.parametrize("rate", [0.9, 50.0])
-def test_another_rate_keeps_start_end_and_way(rate):
+@pytest.mark.parametrize("rate", [0.9, 20.0, 50.0])
+def test_a_rate_keeps_start_end_and_way(rate):
     trajectory = square_drive()
     other = resample(trajectory, rate)
     np.testing.assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
