@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
 from bullet_lab.core import se2
@@ -32,13 +33,13 @@ def matrix(pose):
 
 def test_compose_is_the_product_of_the_matrices():
     for a, b in random_poses(20, 2):
-        np.testing.assert_allclose(matrix(se2.compose(a, b)), matrix(a) @ matrix(b), atol=1e-12)
+        assert_allclose(matrix(se2.compose(a, b)), matrix(a) @ matrix(b), atol=1e-12)
 
 
 def test_between_and_inverse_undo_compose():
     a, b = random_poses(2, 50)
-    np.testing.assert_allclose(se2.between(a, se2.compose(a, b)), b, atol=1e-12)
-    np.testing.assert_allclose(se2.compose(a, se2.inverse(a)), 0.0, atol=1e-12)
+    assert_allclose(se2.between(a, se2.compose(a, b)), b, atol=1e-12)
+    assert_allclose(se2.compose(a, se2.inverse(a)), 0.0, atol=1e-12)
     for turned in (se2.compose([0, 0, 3.0], [0, 0, 3.0]), se2.between([0, 0, -3.0], [0, 0, 3.0])):
         assert turned[2] == 6.0 - 2 * math.pi
 
@@ -47,7 +48,7 @@ def test_leading_axes_broadcast():
     paths = random_poses(4, 7)
     moved = se2.compose([1.0, 2.0, 0.5], paths)
     assert moved.shape == (4, 7, 3)
-    np.testing.assert_allclose(moved[2, 3], se2.compose([1.0, 2.0, 0.5], paths[2, 3]))
+    assert_allclose(moved[2, 3], se2.compose([1.0, 2.0, 0.5], paths[2, 3]))
     assert se2.compose(paths, [1.0, 0.0, 0.0]).shape == (4, 7, 3)
 
 
@@ -71,7 +72,7 @@ def test_steps_lead_along_the_path():
     paths = random_poses(4, 7)
     moves = se2.steps(paths)
     assert moves.shape == (4, 6, 3)
-    np.testing.assert_allclose(se2.compose(paths[:, :-1], moves), paths[:, 1:], atol=1e-12)
+    assert_allclose(se2.compose(paths[:, :-1], moves), paths[:, 1:], atol=1e-12)
 
 
 BELOW_PI = float(np.nextafter(math.pi, 0.0))
@@ -92,16 +93,16 @@ def test_wrap_of_floats_and_of_an_array():
     angles[0, : len(CASES)] = [angle for angle, _ in CASES]
     wrapped = wrap(angles)
     assert wrapped[0, : len(CASES)] == pytest.approx([to for _, to in CASES], abs=1e-15)
-    np.testing.assert_array_equal(wrapped, [[wrap(a) for a in row] for row in angles.tolist()])
+    assert_array_equal(wrapped, [[wrap(a) for a in row] for row in angles.tolist()])
     assert isinstance(wrap(7.0), float)
     assert wrapped.min() >= -math.pi
     assert wrapped.max() < math.pi
-    np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-13)
+    assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-13)
 
 
 def test_wrap_leaves_angles_inside_bit_for_bit():
     angles = np.random.default_rng(2).uniform(-math.pi, math.pi, 1000)
-    np.testing.assert_array_equal(wrap(angles), angles)
+    assert_array_equal(wrap(angles), angles)
     assert math.isnan(wrap(math.nan))
     assert [wrap(angle) for angle in angles.tolist()] == angles.tolist()
 
@@ -134,10 +135,10 @@ def test_it_is_the_inverse_of_the_matrix_exponential(coordinates):
     x, y, yaw = coordinates
     matrix = expm(np.array([[0.0, -yaw, x], [yaw, 0.0, y], [0.0, 0.0, 0.0]]))
     pose = (*matrix[:2, 2], math.atan2(matrix[1, 0], matrix[0, 0]))
-    np.testing.assert_allclose(logarithm(pose), coordinates, atol=1e-10)
+    assert_allclose(logarithm(pose), coordinates, atol=1e-10)
     # A turn more is the same pose.
     turned = (*pose[:2], pose[2] + math.tau)
-    np.testing.assert_allclose(logarithm(turned), coordinates, atol=1e-10)
+    assert_allclose(logarithm(turned), coordinates, atol=1e-10)
 
 
 def test_where_the_series_ends_nothing_jumps():

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bullet_lab.core.trajectory import (
     Trajectory,
@@ -29,7 +30,7 @@ def write(tmp_path):
 
 def test_length_is_that_of_the_way():
     trajectory = Trajectory([0, 1, 2, 3], [[0, 0, 0], [3, 4, 1], [3, 4, 2], [3, 3, 2]])
-    np.testing.assert_allclose(trajectory.travelled(), [0.0, 5.0, 5.0, 6.0])
+    assert_allclose(trajectory.travelled(), [0.0, 5.0, 5.0, 6.0])
     assert trajectory.length() == 6.0
     assert len(trajectory) == 4
     assert Trajectory([1.0], [[1.0, 2.0, 3.0]]).length() == 0.0
@@ -72,9 +73,9 @@ def test_tum_row_has_eight_columns():
 def test_tum_round_trip(write):
     lines = [tum_row(stamp, *pose) for stamp, pose in zip(STAMPS, POSES)]
     trajectory = read_tum(write("# timestamp tx ty", "", *lines))
-    np.testing.assert_array_equal(trajectory.stamps, STAMPS)
-    np.testing.assert_array_equal(trajectory.poses[:, :2], np.array(POSES)[:, :2])
-    np.testing.assert_allclose(trajectory.poses[:, 2], np.array(POSES)[:, 2], atol=1e-15)
+    assert_array_equal(trajectory.stamps, STAMPS)
+    assert_array_equal(trajectory.poses[:, :2], np.array(POSES)[:, :2])
+    assert_allclose(trajectory.poses[:, 2], np.array(POSES)[:, 2], atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ def test_bad_tum_files_are_refused(write, line, message):
 
 def test_poses_with_the_same_stamp_are_left_out_and_counted(write):
     found = read_tum(write("# a", *(f"{t} {x} 0 0 0 0 0 1" for x, t in enumerate((0, 0, 1, 1, 1)))))
-    np.testing.assert_array_equal(found.poses[:, 0], [0, 2])
+    assert_array_equal(found.poses[:, 0], [0, 2])
     assert found.remark == "3 with the stamp of the one before left out, the first in line 3"
     assert read_tum(write("0 0 0 0", "1 2 3 0.5")).poses[1].tolist() == [2.0, 3.0, 0.5]
 
@@ -106,7 +107,7 @@ def test_velocities_are_held_until_the_next_stamp(write):
     found = read_tum(write(f"0 1 {math.pi / 2}", "1 2 0", "3 0 0"))
     quarter = 2.0 / math.pi
     expected = [[0, 0, 0], [quarter, quarter, math.pi / 2], [quarter, quarter + 4, math.pi / 2]]
-    np.testing.assert_allclose(found.poses, expected, atol=1e-12)
+    assert_allclose(found.poses, expected, atol=1e-12)
     with pytest.raises(TrajectoryError, match="line 1: 8 or 4 or 3 values needed, not 5"):
         read_tum(write("0 0 0 0 0"))
 
@@ -131,9 +132,9 @@ def test_errors_by_hand():
         REFERENCE.stamps, REFERENCE.poses + [[0, 0, 0], [0.3, 0.4, 0], [0, -1, 0.1], [2, 0, -0.2]]
     )
     error = path_error(REFERENCE, estimate)
-    np.testing.assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
-    np.testing.assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
-    np.testing.assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
+    assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
+    assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
+    assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
     assert error.ape_rmse_m == pytest.approx(math.sqrt(5.25 / 4))
     assert error.ape_max_m == error.final_error_m == pytest.approx(2.0)
     assert math.radians(error.heading_rmse_deg) == pytest.approx(math.sqrt(0.05 / 4))

@@ -7,6 +7,7 @@ import house_drive
 import numpy as np
 import pytest
 from map_values import value_at
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import STANDSTILL
@@ -188,5 +189,5 @@ def test_it_drives_through_the_house_around_what_the_map_does_not_show():
 def test_the_map_beside_the_house_is_that_of_the_house():
     folder = Path(__file__).parents[3] / "worlds"
     found, made = read_map(folder / "house.yaml"), map_world(MapSettings())
-    np.testing.assert_array_equal(found.cells, made.cells)
-    np.testing.assert_allclose(found.origin, made.origin)
+    assert_array_equal(found.cells, made.cells)
+    assert_allclose(found.origin, made.origin)

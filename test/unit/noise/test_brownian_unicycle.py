@@ -3,6 +3,7 @@
 import brownian_unicycle
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bullet_lab.noise.exact_moments import exact_moments, exponential_moments, first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_steps
@@ -21,8 +22,8 @@ def arc(length, curvature, count):
 def assert_close(found, at, expected, relative):
     scale = np.sqrt(np.diag(expected[1]))
     whitened = found.mean[at] / scale, found.covariance[at] / np.outer(scale, scale)
-    np.testing.assert_allclose(whitened[0], expected[0] / scale, atol=relative)
-    np.testing.assert_allclose(whitened[1], expected[1] / np.outer(scale, scale), atol=relative)
+    assert_allclose(whitened[0], expected[0] / scale, atol=relative)
+    assert_allclose(whitened[1], expected[1] / np.outer(scale, scale), atol=relative)
 
 
 @pytest.mark.parametrize("k, curvature", [(0.01, 0.5), (0.3, 0.0), (1.0, -2.0)])
@@ -43,4 +44,4 @@ def test_exponential_moments_of_many_steps_are_those_of_none(length, k):
 def test_the_least_noise_has_the_same_covariance_in_exponential_coordinates():
     steps = noisy_steps(arc(4.0, 0.5, 60), RateInvariantRule(1e-7))
     found, first = exponential_moments(steps, [60]).covariance[0], first_order_moments(steps)
-    np.testing.assert_array_equal(found, first.covariance[-1])
+    assert_array_equal(found, first.covariance[-1])

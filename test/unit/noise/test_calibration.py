@@ -3,16 +3,14 @@
 
 import numpy as np
 import pytest
+from noise_paths import RULES
+from numpy.testing import assert_allclose
 from scipy import optimize, stats
 
 from bullet_lab.noise.calibration import Problem, fit, intervals, profile
 from bullet_lab.noise.goodness import drawn_pairs, goodness
 from bullet_lab.noise.likelihood import StepPairs
-from bullet_lab.noise.odometry_noise import (
-    ProbabilisticRule,
-    RateInvariantRule,
-    ReportRule,
-)
+from bullet_lab.noise.odometry_noise import ProbabilisticRule, RateInvariantRule, ReportRule
 from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors
 
 STRAIGHT = np.tile([0.1, 0.0, 0.0], (50, 1))
@@ -37,7 +35,7 @@ def test_one_standard_deviation_has_its_closed_form():
     found = fit(problem)
     squares = (np.hypot(*np.moveaxis(pairs.odometry[..., :2], -1, 0)) - 0.1) ** 2 / 0.01
     best = squares.mean(axis=1)
-    np.testing.assert_allclose(found.estimates[:, 0], np.sqrt(best), rtol=1e-3)
+    assert_allclose(found.estimates[:, 0], np.sqrt(best), rtol=1e-3)
 
     def fall(std, variance):
         return 50.0 * (variance / std**2 - 1.0 - np.log(variance / std**2)) - 3.8415
@@ -50,11 +48,11 @@ def test_one_standard_deviation_has_its_closed_form():
 
 
 def test_the_profile_ends_the_interval():
-    problem = Problem(drawn(ProbabilisticRule(0.02, 0.01, 0.03, 0.004), 1), "probabilistic")
+    problem = Problem(drawn(RULES[2], 1), "probabilistic")
     found = fit(problem)
     ends = intervals(problem, found)[0]
     for name, pair in zip(found.names, ends):
-        np.testing.assert_allclose(profile(problem, found, name, pair), 3.84, atol=0.05)
+        assert_allclose(profile(problem, found, name, pair), 3.84, atol=0.05)
 
 
 def test_nothing_is_an_estimate_that_an_interval_begins_at():
@@ -73,7 +71,7 @@ def test_nothing_is_an_estimate_that_an_interval_begins_at():
 
 
 def test_what_the_steps_say_nothing_of_has_no_ends():
-    pairs = drawn(ProbabilisticRule(0.02, 0.01, 0.03, 0.004), 1, steps=STRAIGHT)
+    pairs = drawn(RULES[2], 1, steps=STRAIGHT)
     problem = Problem(pairs, "probabilistic", ("base_error",))
     found = fit(problem)
     ends = dict(zip(found.names, intervals(problem, found)[0].tolist()))
@@ -82,7 +80,6 @@ def test_what_the_steps_say_nothing_of_has_no_ends():
     assert 0.015 < ends["alpha3"][0] < ends["alpha3"][1] < 0.06
 
 
-RANDOM = (ReportRule(0.1), RateInvariantRule(0.05), ProbabilisticRule(0.02, 0.01, 0.03, 0.004))
 WRONG = SystematicErrors(0.02, -0.03, 0.005, 0.01)
 
 
@@ -102,7 +99,7 @@ def held(rule, count, seed, errors=None):
 
 @pytest.mark.parametrize(
     "rule, count, seed, errors",
-    [*((rule, 150, 3, None) for rule in RANDOM), (RANDOM[2], 20, 4, WRONG)],
+    [*((rule, 150, 3, None) for rule in RULES), (RULES[2], 20, 4, WRONG)],
 )
 def test_intervals_hold_the_truth(rule, count, seed, errors):
     # Two-sided at 99.9 % of what 95 % give.
@@ -112,7 +109,7 @@ def test_intervals_hold_the_truth(rule, count, seed, errors):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("rule", RANDOM)
+@pytest.mark.parametrize("rule", RULES)
 def test_intervals_hold_the_truth_in_95_of_100(rule):
     for counts in (held(rule, 1000, 5), held(rule, 1000, 6, WRONG)):
         assert (counts >= 930).all() and (counts <= 970).all()
@@ -133,7 +130,7 @@ def goodness_of(problem):
     return goodness(problem, fit(problem), np.ones(len(drive()), dtype=bool), 1)
 
 
-@pytest.mark.parametrize("rule", RANDOM)
+@pytest.mark.parametrize("rule", RULES)
 def test_the_right_model_fits(rule):
     found = judged(rule, rule.name)
     assert found.fits and found.words() == []
@@ -143,8 +140,8 @@ def test_the_right_model_fits(rule):
 @pytest.mark.parametrize(
     "rule, model, errors, why",
     [
-        (RANDOM[0], "rate_invariant", None, "the errors are not Gaussian"),
-        (RANDOM[1], "report", None, "the errors are not Gaussian"),
+        (RULES[0], "rate_invariant", None, "the errors are not Gaussian"),
+        (RULES[1], "report", None, "the errors are not Gaussian"),
         # Nobody asked for them.
         (
             RateInvariantRule(0.005), "rate_invariant", SystematicErrors(0.0, 0.1),
@@ -168,6 +165,6 @@ def test_noise_of_the_truth_that_nobody_says_is_seen_in_neighbours():
 
 @pytest.mark.long
 def test_right_models_are_refused_in_one_of_20():
-    refused = sum(not judged(RANDOM[2], "probabilistic", seed=seed).fits for seed in range(100))
+    refused = sum(not judged(RULES[2], "probabilistic", seed=seed).fits for seed in range(100))
     # Three tests with Bonferroni's limits: at most 5 %; 99.9 % of that.
     assert refused <= stats.binom.ppf(0.999, 100, 0.05)

@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 from noise_paths import assert_moments, line, square, wandering
+from numpy.testing import assert_allclose
 from scipy import stats
 
 from bullet_lab.core import se2
@@ -85,8 +86,8 @@ def test_running_sums_are_the_double_sums(model, std):
     mean, covariance = direct_moments(steps)
     bias = mean - steps.position[-1]
     limit = 1e-12 * (np.abs(covariance).max() + 1.0)
-    np.testing.assert_allclose(exact.mean[-1, :2], [bias.real, bias.imag], atol=limit)
-    np.testing.assert_allclose(exact.covariance[-1, :2, :2], covariance, rtol=0.0, atol=limit)
+    assert_allclose(exact.mean[-1, :2], [bias.real, bias.imag], atol=limit)
+    assert_allclose(exact.covariance[-1, :2, :2], covariance, rtol=0.0, atol=limit)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -164,14 +165,14 @@ def test_a_mean_of_blocks_is_the_mean_of_all():
 
 def test_bounds_are_quantiles_of_chi_square():
     assert pytest.approx(stats.chi2.ppf(0.95, 2)) == SQUARE_RADIUS
-    np.testing.assert_allclose(BOUNDS, stats.chi2.ppf([0.5, 0.95, 0.99], 3))
+    assert_allclose(BOUNDS, stats.chi2.ppf([0.5, 0.95, 0.99], 3))
 
 
 def test_an_ellipse_holds_95_percent_of_a_gaussian():
     covariance = np.array([[2.0, 0.7, 0.0], [0.7, 0.5, 0.0], [0.0, 0.0, 1.0]])
     points = ellipse_points(covariance)
     lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance[:2, :2]), points)
-    np.testing.assert_allclose(lengths, stats.chi2.ppf(0.95, 2))
+    assert_allclose(lengths, stats.chi2.ppf(0.95, 2))
 
 
 STDS = (0.05, 1.0)

@@ -5,7 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from noise_paths import square, wandering
+from noise_paths import RULES, played, reported, square, wandering
+from numpy.testing import assert_allclose, assert_array_equal
 from recorded_paths import poses_of
 
 from bullet_lab.core.se2 import wrap
@@ -13,15 +14,8 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
-from bullet_lab.noise.odometry_noise import (
-    NoisyPath,
-    ProbabilisticRule,
-    RateInvariantRule,
-    ReportRule,
-)
+from bullet_lab.noise.odometry_noise import NoisyPath
 from bullet_lab.studies.paths import find_corners, resample
-
-RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 
 
 def square_drive(count=20):
@@ -42,10 +36,10 @@ def test_the_loop_gives_the_paths_of_the_same_draws_and_their_exact_moments(rule
     looped = []
     for _ in range(3):
         path.restart()
-        steps = [path.update(*pose) for pose in poses.tolist()]
-        looped.append([step.pose for step in steps])
+        steps = played(path, poses)
+        looped.append(reported(steps))
         covariance = [step.covariance for step in steps]
-        np.testing.assert_allclose(covariance, expected, rtol=0.0, atol=1e-12 * expected.max())
+        assert_allclose(covariance, expected, rtol=0.0, atol=1e-12 * expected.max())
     difference = drawn(poses, rule, 41, 3) - looped
     difference[..., 2] = wrap(difference[..., 2])
     assert np.abs(difference).max() < 1e-12
@@ -62,7 +56,7 @@ def test_first_order_is_the_recursion_of_textbooks(rule):
         g = np.array([[-d * sin, cos, 0], [d * cos, sin, 0], [1, 0, 1]])
         noise = np.diag([variance1, steps.variance_trans[k], steps.variance2[k]])
         covariance = f @ covariance @ f.T + g @ noise @ g.T
-        np.testing.assert_allclose(moments.covariance[k + 1], covariance, rtol=0.0, atol=1e-12)
+        assert_allclose(moments.covariance[k + 1], covariance, rtol=0.0, atol=1e-12)
     assert not moments.mean.any()
 
 
@@ -70,7 +64,7 @@ def test_first_order_is_the_recursion_of_textbooks(rule):
 def test_the_size_of_the_blocks_does_not_matter(size):
     poses = wandering()
     expected = drawn(poses, RULES[0], 43, 7)
-    np.testing.assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
+    assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
 
 
 def test_each_case_has_draws_of_its_own():
@@ -84,11 +78,11 @@ def test_each_case_has_draws_of_its_own():
 def test_a_rate_keeps_start_end_and_way(rate):
     trajectory = square_drive()
     other = resample(trajectory, rate)
-    np.testing.assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
+    assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
     assert np.diff(other.stamps)[:-1] == pytest.approx(1.0 / rate)
     for axis in (0, 1):
         on_path = np.interp(other.stamps, trajectory.stamps, trajectory.poses[:, axis])
-        np.testing.assert_allclose(other.poses[:, axis], on_path, atol=1e-12)
+        assert_allclose(other.poses[:, axis], on_path, atol=1e-12)
 
 
 def test_a_heading_is_interpolated_the_short_way_round():
@@ -105,4 +99,4 @@ def test_a_rate_that_is_too_high():
 def test_the_corners_of_a_square():
     trajectory = square_drive(20)
     corners = trajectory.poses[find_corners(trajectory), :2]
-    np.testing.assert_allclose(corners, [[2, 0], [2, 2], [0, 2], [0, 0]], atol=1e-12)
+    assert_allclose(corners, [[2, 0], [2, 2], [0, 2], [0, 0]], atol=1e-12)

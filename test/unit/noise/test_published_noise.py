@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from noise_paths import drive, square
+from noise_paths import drive, played, reported, square
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import atan2, hypot
@@ -50,13 +51,11 @@ def noisy(poses, *defects, std=STD, seeds=SEEDS, **functions):
 
 
 def published(poses, seed):
-    noise = PublishedNoise(STD, seed)
-    return np.array([noise.update(*pose) for pose in poses.tolist()])
+    return np.array(played(PublishedNoise(STD, seed), poses))
 
 
 def mended(poses, seed):
-    path = NoisyPath(ReportRule(STD), seed)
-    return np.array([path.update(*pose).pose for pose in poses.tolist()])
+    return reported(played(NoisyPath(ReportRule(STD), seed), poses))
 
 
 @pytest.mark.parametrize(
@@ -70,20 +69,20 @@ def mended(poses, seed):
 def test_with_all_defects_it_is_the_published_algorithm_bit_for_bit(poses):
     replay = noisy(poses, *DEFECTS, functions=PYTHON)
     for number, seed in enumerate(SEEDS):
-        np.testing.assert_array_equal(replay[:, number], published(poses, seed))
+        assert_array_equal(replay[:, number], published(poses, seed))
 
 
 def test_without_defects_it_is_the_mended_algorithm():
     poses = se2.compose((1.0, -2.0, 0.4), LAP)
     expected = np.stack([mended(poses, seed) for seed in SEEDS], axis=1)
-    np.testing.assert_allclose(se2.between(expected, noisy(poses)), 0.0, atol=1e-12)
+    assert_allclose(se2.between(expected, noisy(poses)), 0.0, atol=1e-12)
 
 
 def test_without_defects_going_backwards_still_counts_as_two_half_turns():
     poses = drive(START, (1, (-1.0, 0.0, 0.0)))
     error = noisy(poses)[1] - poses[1]
     draw1 = draws(poses)[0, :, 1]
-    np.testing.assert_allclose(np.sin(STD * math.pi * draw1) * -1.0, error[:, 1], rtol=0.5)
+    assert_allclose(np.sin(STD * math.pi * draw1) * -1.0, error[:, 1], rtol=0.5)
     assert np.abs(mended(poses, 1)[1, 1]) < 1e-12 < np.abs(error[:, 1]).min()
 
 
@@ -116,10 +115,10 @@ def test_unwrapped_makes_noise_where_the_heading_passes_half_a_turn(defects):
 def test_noise_at_rest_turns_a_robot_that_stands_still():
     poses = drive((1.0, 2.0, 1.5), REST)
     still = noisy(poses)
-    np.testing.assert_allclose(still, np.broadcast_to(still[0], still.shape), rtol=0, atol=1e-12)
+    assert_allclose(still, np.broadcast_to(still[0], still.shape), rtol=0, atol=1e-12)
     turned = noisy(poses, "noise_at_rest")
     assert np.std(turned[-1, :, 2]) > 0.3
-    np.testing.assert_array_equal(turned[..., :2], np.broadcast_to(poses[0, :2], (6, 20, 2)))
+    assert_array_equal(turned[..., :2], np.broadcast_to(poses[0, :2], (6, 20, 2)))
 
 
 @pytest.mark.parametrize("defects, bends", [((), 1.0), (("unbent",), 0.0)])
@@ -127,11 +126,11 @@ def test_unbent_keeps_the_direction_whatever_the_heading(defects, bends):
     replay = noisy(drive(START, (10, (0.0, 0.0, 0.15)), (20, (0.1, 0.0, 0.0))), *defects)
     way = replay[-1] - replay[10]
     direction = np.arctan2(way[:, 1], way[:, 0]) - 1.5
-    np.testing.assert_allclose(direction, bends * (replay[10, :, 2] - 1.5), atol=1e-9)
+    assert_allclose(direction, bends * (replay[10, :, 2] - 1.5), atol=1e-9)
 
 
 def test_unbent_is_of_no_matter_with_aliasing():
-    np.testing.assert_array_equal(noisy(LAP, "aliasing"), noisy(LAP, "aliasing", "unbent"))
+    assert_array_equal(noisy(LAP, "aliasing"), noisy(LAP, "aliasing", "unbent"))
 
 
 @pytest.mark.parametrize("defects", combinations())
@@ -143,7 +142,7 @@ def test_without_noise_every_combination_gives_the_perfect_path(defects):
 def test_many_paths_are_each_what_they_are_alone():
     other = LAP + [1.0, 0.0, 0.2]
     together = noisy_paths(np.stack([LAP, other], axis=1), draws(LAP, [1, 2]), STD, ALL)
-    np.testing.assert_allclose(together[:, 1:], noisy(other, *DEFECTS, seeds=[2]), atol=1e-9)
+    assert_allclose(together[:, 1:], noisy(other, *DEFECTS, seeds=[2]), atol=1e-9)
 
 
 def test_published_algorithm_step_by_step():
@@ -169,7 +168,7 @@ def test_published_algorithm_step_by_step():
 
 def test_published_noise_reads_yaw_as_a_quaternion_has_it():
     more_turns = published(BEND + [0.0, 0.0, 4 * math.pi], 1)
-    np.testing.assert_allclose(more_turns, published(BEND, 1), atol=1e-9)
+    assert_allclose(more_turns, published(BEND, 1), atol=1e-9)
 
 
 def due(sampler, stamps):
@@ -220,10 +219,10 @@ def test_sampler_takes_the_first_message_after_each_tick(rate, stamps, taken):
 def test_sampled_looks_when_the_live_node_does():
     stamps = 5.0 + np.arange(300) / 20
     live = np.isin(stamps, due(Sampler(0.9), stamps))
-    np.testing.assert_array_equal(sampled(stamps, 0.9, [1.0 / 0.9])[:, 0], np.flatnonzero(live))
+    assert_array_equal(sampled(stamps, 0.9, [1.0 / 0.9])[:, 0], np.flatnonzero(live))
 
 
 def test_sampled_with_phases():
     stamps = np.arange(41) / 20
     indices = sampled(stamps, 2.0, [0.0, 0.12, 0.49])
-    np.testing.assert_array_equal(indices, [[0, 3, 10], [10, 13, 20], [20, 23, 30], [30, 33, 40]])
+    assert_array_equal(indices, [[0, 3, 10], [10, 13, 20], [20, 23, 30], [30, 33, 40]])

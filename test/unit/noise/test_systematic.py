@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from noise_paths import drive, line, wandering
+from noise_paths import drive, line, played, reported, wandering
+from numpy.testing import assert_allclose
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import ParameterError, check_parameters
@@ -68,20 +69,20 @@ def test_whole_paths_and_pose_by_pose_agree():
     first, steps = [], []
     for every in (first, steps):
         path.restart()
-        every += [path.update(*pose) for pose in poses.tolist()]
+        every += played(path, poses)
     assert steps == first
-    assert np.array_equal(ALL.path(poses), [step.pose for step in steps])
-    true, reported = se2.steps(poses), ALL.steps(se2.steps(poses))
+    assert np.array_equal(ALL.path(poses), reported(steps))
+    true, made = se2.steps(poses), ALL.steps(se2.steps(poses))
     errors = [step.motion_error for step in steps[1:]]
-    np.testing.assert_allclose(reported - true, errors, rtol=0.0, atol=1e-14)
-    composed = se2.compose(poses[0], end_of(reported))
-    np.testing.assert_allclose(composed[:2], steps[-1].pose[:2], rtol=0.0, atol=1e-12)
+    assert_allclose(made - true, errors, rtol=0.0, atol=1e-14)
+    composed = se2.compose(poses[0], end_of(made))
+    assert_allclose(composed[:2], steps[-1].pose[:2], rtol=0.0, atol=1e-12)
 
 
 def test_arcs_lead_where_steps_do():
     steps = se2.steps(wandering())
-    np.testing.assert_allclose(chords(arcs(steps)), steps, rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(arcs([0.0, 0.2, np.pi]), (0.1 * np.pi, 0.0, np.pi), atol=1e-15)
+    assert_allclose(chords(arcs(steps)), steps, rtol=0.0, atol=1e-15)
+    assert_allclose(arcs([0.0, 0.2, np.pi]), (0.1 * np.pi, 0.0, np.pi), atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["scale_error", "base_error", "diameter_error", "wheel_base"])
@@ -93,12 +94,12 @@ def test_what_makes_no_sense_is_refused(name):
 
 SPREAD = SystematicSpread(0.01, 0.02, 0.004, 0.01, 0.02)
 # A quarter of a circle.
-BEND = drive((0.0, 0.0, 0.0), (10, chords((0.3, 0.0, 0.15)))).tolist()
+BEND = drive((0.0, 0.0, 0.0), (10, chords((0.3, 0.0, 0.15))))
 
 
 def end(path):
     path.restart()
-    return [path.update(*pose) for pose in BEND][-1].pose
+    return played(path, BEND)[-1].pose
 
 
 def test_the_covariance_is_that_of_many_paths():
@@ -107,8 +108,8 @@ def test_the_covariance_is_that_of_many_paths():
     scale = np.sqrt(np.diagonal(path.covariance))
     # 1500 paths determine a variance to 3.7 %.
     size = np.outer(scale, scale)
-    np.testing.assert_allclose(np.cov(ends.T) / size, path.covariance / size, atol=0.15)
-    np.testing.assert_allclose(ends.mean(axis=0), end(SystematicPath(ALL)), atol=0.15)
+    assert_allclose(np.cov(ends.T) / size, path.covariance / size, atol=0.15)
+    assert_allclose(ends.mean(axis=0), end(SystematicPath(ALL)), atol=0.15)
 
 
 def test_without_spread_it_is_the_systematic_path_bit_for_bit():

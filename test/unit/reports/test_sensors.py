@@ -1,8 +1,8 @@
 import json
 import math
 
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from bullet_lab.core.files import LabError
 from bullet_lab.reports import Reading
@@ -27,7 +27,7 @@ def recording(tmp_path):
 def test_scans_are_placed_by_the_pose_of_their_moment(recording):
     points = recording.scan_points()
     # The robot is at (0.2, 0) and looks along y: the first ray goes along x, the third along -x.
-    np.testing.assert_allclose(points, [(1.2, 0.0), (-1.8, 0.0)], atol=1e-12)
+    assert_allclose(points, [(1.2, 0.0), (-1.8, 0.0)], atol=1e-12)
 
 
 def test_a_scan_before_all_odometry_is_left_out(tmp_path):
@@ -118,6 +118,6 @@ def test_figure_has_a_curve_over_the_truth_for_each_beacon(tmp_path):
     measure(recording, 200, (1.0, 0.0, 0.5), 4.0, 2.0)
     below = recording.figures({})["distances.png"].axes[1]
     drawn = [line.get_ydata() for line in below.lines if len(line.get_ydata())]
-    np.testing.assert_allclose(drawn[0], [5.0, math.hypot(2.0, 4.0)])
-    np.testing.assert_allclose(drawn[1], [5.25, 4.0])
+    assert_allclose(drawn[0], [5.0, math.hypot(2.0, 4.0)])
+    assert_allclose(drawn[1], [5.25, 4.0])
     assert len(drawn) == 4
