@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 import pytest
-from noise_paths import assert_moments, line, square, wandering
+from noise_paths import assert_moments, composed, line, square, wandering
+from numpy.polynomial.hermite_e import hermegauss
 from numpy.testing import assert_allclose
 from scipy import stats
 
@@ -123,6 +124,37 @@ def case_of(name, std, model="rate_invariant", paths=2000):
     trajectory = Trajectory(0.2 * np.arange(len(poses)), poses)
     generator = study_generator(52, model, std, 5.0)
     return study_case(trajectory, (model, std, 5.0), generator, paths, 1.0)
+
+
+def by_quadrature(steps):
+    """Return mean and covariance of the error of three steps in exponential coordinates.
+
+    Gauss's rule goes over all of the noise: the four turns between and beside the translations,
+    and the translations, in which the errors are linear.
+    """
+    turns = np.append(steps.variance1, 0.0) + np.insert(steps.variance2, 0, 0.0)
+    rules = [hermegauss(12)] * len(turns) + [hermegauss(2)] * len(steps)
+    x, w = (np.stack(np.meshgrid(*every, indexing="ij")).reshape(7, -1).T for every in zip(*rules))
+    weights = w.prod(axis=1) / w.prod(axis=1).sum()
+    heading = np.cumsum(x[:, :4] * np.sqrt(turns), axis=1)
+    trans = steps.trans + x[:, 4:] * np.sqrt(steps.variance_trans)
+    off = (trans * np.exp(1j * (steps.angle + heading[:, :3]))).sum(axis=1) - steps.position[-1]
+    errors = se2.logarithm(np.column_stack((off.real, off.imag, heading[:, 3])))
+    mean = weights @ errors
+    return mean, (errors - mean).T * weights @ (errors - mean)
+
+
+# Short steps with much noise, and a way on which bending outweighs the noise along it.
+@pytest.mark.parametrize("std, length", [(0.2, 0.3), (0.05, 10.0), (1e-7, 1.0)])
+@pytest.mark.parametrize("model", MODELS)
+def test_exponential_moments_are_those_by_quadrature(model, std, length):
+    moves = [(length, 0.0, 0.4), (length, 0.2 * length, -0.3), (-length, 0.0, 0.2)]
+    steps = noisy_steps(composed((1.0, 2.0, 0.5), moves), level_rule(model, std))
+    found, (mean, covariance) = exponential_moments(steps, [3]), by_quadrature(steps)
+    scale = np.sqrt(np.diag(covariance))
+    assert_allclose(found.mean[0] / scale, mean / scale, atol=1e-6)
+    size = np.outer(scale, scale)
+    assert_allclose(found.covariance[0] / size, covariance / size, atol=1e-6)
 
 
 def test_no_noise_is_no_error():

@@ -34,17 +34,14 @@ def reported(seed):
 
 def halves_of(pairs):
     every = np.ones(len(pairs.true), dtype=bool)
-    for own in (slice(None, len(every) // 2), slice(len(every) // 2, None)):
-        other = np.setdiff1d(np.arange(len(every)), np.arange(len(every))[own])
-        mine = StepPairs(pairs.true[own], pairs.odometry[:, own])
-        problem = Problem(mine, "random_walk", NAMES)
+    number = np.arange(len(every))
+    for own in (number < len(every) // 2, number >= len(every) // 2):
+        problem = Problem(StepPairs(pairs.true[own], pairs.odometry[:, own]), "random_walk", NAMES)
         found = fit(problem)
-        yours = StepPairs(pairs.true[other], pairs.odometry[:, other])
+        others = StepPairs(pairs.true[~own], pairs.odometry[:, ~own])
         for length in (1.0, 5.0):
-            yield (
-                predicted(problem, found, yours, every[other], length),
-                parameter_variances(problem, found),
-            )
+            ends = predicted(problem, found, others, every[~own], length)
+            yield ends, parameter_variances(problem, found)
 
 
 def test_the_right_model_predicts_the_other_half():

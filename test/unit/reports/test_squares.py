@@ -5,7 +5,7 @@ import pytest
 from recorded_paths import read_paths_csv
 
 from bullet_lab.core import se2
-from bullet_lab.core.figures import save
+from bullet_lab.core.figures import new_figure, save
 from bullet_lab.core.files import FileError
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, read_tum
 from bullet_lab.reports import Reading
@@ -172,11 +172,13 @@ def test_the_figure_has_both_paths_their_ends_and_their_error(count):
 
 def test_the_same_figure_is_the_same_file(tmp_path):
     for name in ("a.png", "b.png"):
-        save(noise_figure(None, None), tmp_path / name)
+        figure = new_figure(2.0, 1.0)
+        figure.subplots().plot([1.0, 3.0], label="a")
+        save(figure, tmp_path / name)
     first, second = (path.read_bytes() for path in tmp_path.iterdir())
     assert first == second and first.startswith(b"\x89PNG")
     with pytest.raises(FileError, match="^cannot write "):
-        save(noise_figure(None, None), tmp_path / "nix" / "a.png")
+        save(figure, tmp_path / "nix" / "a.png")
 
 
 SIDE = [(0.0095, 0.0, 0.0)] * 200
