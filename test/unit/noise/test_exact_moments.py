@@ -63,34 +63,6 @@ def test_sample_moments_are_the_exact_ones(name, model, std):
     assert_moments(errors, exact.mean[-1], exact.covariance[-1], limit)
 
 
-def direct_moments(steps):
-    """Mean and covariance of the last position, by the double sums written out."""
-    n, d, psi = len(steps), steps.trans, steps.angle
-    turned = steps.variance1 + steps.variance2
-    v = np.array([turned[:k].sum() + steps.variance1[k] for k in range(n)])
-    mean = np.sum(d * np.exp(1j * psi - v / 2))
-    size = np.sum(d**2 + steps.variance_trans)
-    pseudo = np.sum((d**2 + steps.variance_trans) * np.exp(2j * psi - 2 * v))
-    for k in range(n):
-        for j in range(k):
-            size += 2 * d[j] * d[k] * np.cos(psi[k] - psi[j]) * np.exp(-(v[k] - v[j]) / 2)
-            pseudo += 2 * d[j] * d[k] * np.exp(1j * (psi[j] + psi[k]) - (v[k] + 3 * v[j]) / 2)
-    c, g = size - abs(mean) ** 2, pseudo - mean**2
-    return mean, np.array([[c + g.real, g.imag], [g.imag, c - g.real]]) / 2
-
-
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("std", [0.05, 0.5, 10.0])
-def test_running_sums_are_the_double_sums(model, std):
-    steps = noisy_steps(square(), level_rule(model, std))
-    exact = exact_moments(steps)
-    mean, covariance = direct_moments(steps)
-    bias = mean - steps.position[-1]
-    limit = 1e-12 * (np.abs(covariance).max() + 1.0)
-    assert_allclose(exact.mean[-1, :2], [bias.real, bias.imag], atol=limit)
-    assert_allclose(exact.covariance[-1, :2, :2], covariance, rtol=0.0, atol=limit)
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_the_quadratic_part_is_that_of_drawn_noise(model):
     steps = noisy_steps(square(), level_rule(model, 0.2))
@@ -127,7 +99,7 @@ def case_of(name, std, model="rate_invariant", paths=2000):
 
 
 def by_quadrature(steps):
-    """Return mean and covariance of the error of three steps in exponential coordinates.
+    """Return errors of x, y and heading after three steps, (n, 3), and their weights in moments.
 
     Gauss's rule goes over all of the noise: the four turns between and beside the translations,
     and the translations, in which the errors are linear.
@@ -135,26 +107,32 @@ def by_quadrature(steps):
     turns = np.append(steps.variance1, 0.0) + np.insert(steps.variance2, 0, 0.0)
     rules = [hermegauss(12)] * len(turns) + [hermegauss(2)] * len(steps)
     x, w = (np.stack(np.meshgrid(*every, indexing="ij")).reshape(7, -1).T for every in zip(*rules))
-    weights = w.prod(axis=1) / w.prod(axis=1).sum()
+    weights = w.prod(axis=1)
     heading = np.cumsum(x[:, :4] * np.sqrt(turns), axis=1)
     trans = steps.trans + x[:, 4:] * np.sqrt(steps.variance_trans)
     off = (trans * np.exp(1j * (steps.angle + heading[:, :3]))).sum(axis=1) - steps.position[-1]
-    errors = se2.logarithm(np.column_stack((off.real, off.imag, heading[:, 3])))
+    return np.column_stack((off.real, off.imag, heading[:, 3])), weights / weights.sum()
+
+
+def assert_weighted(found, errors, weights):
+    """Compare the last moments with those of weighted errors."""
     mean = weights @ errors
-    return mean, (errors - mean).T * weights @ (errors - mean)
+    covariance = (errors - mean).T * weights @ (errors - mean)
+    scale = np.sqrt(np.diag(covariance))
+    assert_allclose(found.mean[-1] / scale, mean / scale, atol=1e-6)
+    size = np.outer(scale, scale)
+    assert_allclose(found.covariance[-1] / size, covariance / size, atol=1e-6)
 
 
 # Short steps with much noise, and a way on which bending outweighs the noise along it.
 @pytest.mark.parametrize("std, length", [(0.2, 0.3), (0.05, 10.0), (1e-7, 1.0)])
 @pytest.mark.parametrize("model", MODELS)
-def test_exponential_moments_are_those_by_quadrature(model, std, length):
+def test_moments_are_those_by_quadrature(model, std, length):
     moves = [(length, 0.0, 0.4), (length, 0.2 * length, -0.3), (-length, 0.0, 0.2)]
     steps = noisy_steps(composed((1.0, 2.0, 0.5), moves), level_rule(model, std))
-    found, (mean, covariance) = exponential_moments(steps, [3]), by_quadrature(steps)
-    scale = np.sqrt(np.diag(covariance))
-    assert_allclose(found.mean[0] / scale, mean / scale, atol=1e-6)
-    size = np.outer(scale, scale)
-    assert_allclose(found.covariance[0] / size, covariance / size, atol=1e-6)
+    errors, weights = by_quadrature(steps)
+    assert_weighted(exact_moments(steps), errors, weights)
+    assert_weighted(exponential_moments(steps, [3]), se2.logarithm(errors), weights)
 
 
 def test_no_noise_is_no_error():

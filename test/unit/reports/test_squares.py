@@ -103,27 +103,20 @@ def test_time_set_back_begins_a_new_run(recording):
     assert recording.newest() == 3 * TICK
 
 
-def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
+@pytest.mark.parametrize(
+    "about, back, shown", [({}, False, 1), ({"as_published": True}, False, 0), ({}, True, 0)]
+)
+def test_ellipses_are_those_of_the_noise_of_this_run(tmp_path, about, back, shown):
     report = SquaresReport(tmp_path)
-    for stamp in (2 * TICK, TICK):
+    covariance = ((0.01, 0.0), (0.0, 0.01))
+    readings = [Reading((k + 1) * TICK, POSES[k], covariance) for k in range(5)]
+    for reading in [*readings, Reading(TICK, POSES[0])] if back else readings:
         for topic in ("odom", "noisy_odom"):
-            assert report.take(topic, Reading(stamp, POSES[0], ((0.01, 0.0), (0.0, 0.01))))
-    assert list(report._covariances) == [TICK]
-    report.about = {"std": 0.1, "seed": 2}
+            assert report.take(topic, reading)
+    report.about = {"std": 0.1, **about}
     figure = report.figures({})["paths.png"]
-    assert figure._suptitle.get_text().endswith("\nstd = 0.1, seed = 2")
-
-
-@pytest.mark.parametrize("as_published, shown", [(False, 1), (True, 0)])
-def test_ellipses_are_those_of_the_noise(tmp_path, as_published, shown):
-    report = SquaresReport(tmp_path)
-    for index in range(5):
-        for topic in ("odom", "noisy_odom"):
-            covariance = ((0.01, 0.0), (0.0, 0.01))
-            report.take(topic, Reading((index + 1) * TICK, POSES[index], covariance))
-    report.about = {"as_published": as_published}
-    axes = report.figures({})["paths.png"].axes[0]
-    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "\nstd = 0.1" in figure._suptitle.get_text()
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert sum("ellipses" in label for label in labels) == shown
 
 
