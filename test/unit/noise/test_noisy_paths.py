@@ -12,7 +12,7 @@ from recorded_paths import poses_of
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
-from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
+from bullet_lab.noise.exact_moments import exact_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import NoisyPath
 from bullet_lab.studies.paths import find_corners, resample
@@ -43,21 +43,6 @@ def test_the_loop_gives_the_paths_of_the_same_draws_and_their_exact_moments(rule
     difference = drawn(poses, rule, 41, 3) - looped
     difference[..., 2] = wrap(difference[..., 2])
     assert np.abs(difference).max() < 1e-12
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_first_order_is_the_recursion_of_textbooks(rule):
-    steps = noisy_steps(wandering(), rule)
-    moments, covariance = first_order_moments(steps), np.zeros((3, 3))
-    rows = zip(*(getattr(steps, name) for name in ("angle", "trans", "variance1")))
-    for k, (psi, d, variance1) in enumerate(rows):
-        sin, cos = math.sin(psi), math.cos(psi)
-        f = np.array([[1, 0, -d * sin], [0, 1, d * cos], [0, 0, 1]])
-        g = np.array([[-d * sin, cos, 0], [d * cos, sin, 0], [1, 0, 1]])
-        noise = np.diag([variance1, steps.variance_trans[k], steps.variance2[k]])
-        covariance = f @ covariance @ f.T + g @ noise @ g.T
-        assert_allclose(moments.covariance[k + 1], covariance, rtol=0.0, atol=1e-12)
-    assert not moments.mean.any()
 
 
 @pytest.mark.parametrize("size", [1, 250])
