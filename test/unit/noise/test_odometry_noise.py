@@ -100,15 +100,19 @@ def test_no_noise_gives_the_perfect_path():
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_motion_error_is_the_difference_of_the_steps(rule):
+def test_each_step_has_its_error_and_its_covariance(rule):
     poses = wandering()
     steps = played(NoisyPath(rule, 3), poses)
-    noisy = reported(steps)
+    noisy, moves = reported(steps), se2.steps(poses)
     errors = np.array([step.motion_error for step in steps[1:]])
-    expected = se2.steps(noisy) - se2.steps(poses)
-    expected[:, 2] = (expected[:, 2] + math.pi) % (2 * math.pi) - math.pi
-    assert_allclose(errors, expected, atol=1e-12)
+    difference = se2.steps(noisy) - moves
+    assert_allclose(errors, np.c_[difference[:, :2], se2.wrap(difference[:, 2])], atol=1e-12)
     assert_array_equal(noisy[:, 2], se2.wrap(noisy[:, 2]))
+    for move, step in zip(moves, steps[1:]):
+        # That of a path of one step.
+        _, own = played(NoisyPath(rule, 0), [(0.0, 0.0, 0.0), move])
+        assert_allclose(step.motion_covariance, own.covariance, atol=1e-15)
+    assert np.linalg.eigvalsh(steps[-1].covariance).min() > 0.0
 
 
 def test_restart_begins_anew_but_draws_on():
@@ -125,16 +129,6 @@ def test_restart_begins_anew_but_draws_on():
     assert np.abs(np.subtract(last.pose, before[-1].pose)).max() > 1e-4
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_the_covariance_of_a_step_is_that_of_a_path_of_one_step(rule):
-    poses = wandering(50)
-    steps = played(NoisyPath(rule, 13), poses)
-    for before, after, step in zip(poses, poses[1:], steps[1:]):
-        _, own = played(NoisyPath(rule, 0), [(0.0, 0.0, 0.0), se2.between(before, after)])
-        assert_allclose(step.motion_covariance, own.covariance, atol=1e-15)
-    assert np.linalg.eigvalsh(steps[-1].covariance).min() > 0.0
-
-
 def test_derived_seeds_differ_from_each_other():
     seeds = {derived_seed(seed, index) for seed in range(20) for index in range(50)}
     assert len(seeds) == 1000
@@ -143,17 +137,15 @@ def test_derived_seeds_differ_from_each_other():
     assert max(seeds) < 2**31
 
 
-def corner(count, side=2.0, turn=math.pi / 2):
-    """Ahead, turn on the spot, ahead; `count` messages for each."""
-    ahead = (count, (side / count, 0.0, 0.0))
-    return drive((0.0, 0.0, 0.0), ahead, (count, (0.0, 0.0, turn / count)), ahead)
-
-
 def test_rate_invariant_covariance_does_not_depend_on_the_subdivision():
     k = 1e-6  # so small that the noisy path is the perfect one
     coarse, fine = (
-        played(NoisyPath(RateInvariantRule(k), 30), corner(n))[-1].covariance for n in (20, 400)
+        played(
+            NoisyPath(RateInvariantRule(k), 30),
+            drive((0.0, 0.0, 0.0), *[(n, (2.0 / n, 0.0, 0.0)), (n, (0.0, 0.0, 1.0 / n))] * 2),
+        )[-1].covariance
+        for n in (20, 400)
     )
-    assert coarse[2, 2] == pytest.approx(fine[2, 2], rel=1e-9)
-    assert fine[2, 2] == pytest.approx(k**2 * (2.0 + math.pi / 2 + 2.0), rel=1e-9)
+    assert coarse[2, 2] == pytest.approx(k**2 * (2.0 + 1.0 + 2.0 + 1.0), rel=1e-9)
+    assert fine[2, 2] == pytest.approx(coarse[2, 2], rel=1e-9)
     assert_allclose(coarse, fine, rtol=2e-3)

@@ -140,8 +140,7 @@ def test_the_path_has_a_colour_for_each_state():
     along = np.arange(0.05, 2.01, 0.05)
     truth = Trajectory(along, np.column_stack([2.0 * along, 0.2 * along, 0.0 * along]))
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
-    walls = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))]
-    plan = [(0.0, 0.0), (3.0, 0.0)]
+    walls, plan = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))], [(0.0, 0.0), (3.0, 0.0)]
     (axes,) = docking_figure(truth, states, plan, walls, (DOCK, DOCK), "title").axes
     drawn = {line.get_label(): line for line in axes.lines}
     assert {"plan", "searching", "staging", "approaching", "marker"} <= set(drawn)
