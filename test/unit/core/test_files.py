@@ -97,10 +97,10 @@ def test_poses_are_in_the_file_at_once_and_those_after_the_end_are_left_out(tmp_
     series = PathSeries(path)
     for number in (1, 2, 3):
         series.add(STEP * number, (0.1 * number, 0.01 * number, 0.5))
-    found = read_tum(path)
+    found, held = read_tum(path), series.path()
     assert found.stamps.tolist() == [0.05, 0.1, 0.15]
     assert found.poses[2, 1] == 0.01 * 3
-    assert series.path().poses[:, :2].tolist() == found.poses[:, :2].tolist()
+    assert held.poses[:, :2].tolist() == found.poses[:, :2].tolist()
     assert series.last == 3 * STEP
     series.finish(2 * STEP)
     assert len(read_tum(path)) == len(series) == len(series.path()) == 2
@@ -164,12 +164,10 @@ def test_a_full_disk_is_one_line(tmp_path):
 
 def test_rows_are_joined_by_the_nanosecond_whatever_comes_first():
     whole = []
-    join = Join(("a", "b"), lambda stamp, values: whole.append((stamp, values)))
-    join.add("a", STEP, [1.0])
-    join.add("b", STEP + 1, [2.0])
-    join.add("b", STEP, [3.0])
-    join.add("a", STEP + 1, [4.0])
-    assert whole == [(STEP, {"a": [1.0], "b": [3.0]}), (STEP + 1, {"a": [4.0], "b": [2.0]})]
+    join = Join(("a", "b"), lambda *both: whole.append(both))
+    for source, stamp, value in (("a", 1, 1.0), ("b", 2, 2.0), ("b", 1, 3.0), ("a", 2, 4.0)):
+        join.add(source, STEP + stamp, [value])
+    assert whole == [(STEP + 1, {"a": [1.0], "b": [3.0]}), (STEP + 2, {"a": [4.0], "b": [2.0]})]
 
 
 @pytest.fixture

@@ -58,8 +58,11 @@ def test_angles_and_lengths_are_those_of_math(scale):
             assert se2.hypot(x, y) == pytest.approx(math.hypot(x, y), rel=4.5e-16, abs=0.0)
 
 
-@pytest.mark.parametrize("y", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
-@pytest.mark.parametrize("x", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
+SPECIAL = (-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan)
+
+
+@pytest.mark.parametrize("y", SPECIAL)
+@pytest.mark.parametrize("x", SPECIAL)
 def test_the_angles_of_the_axes_are_exact(y, x):
     assert se2.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=0.0, abs=0.0, nan_ok=True)
 
@@ -150,9 +153,8 @@ def test_a_line_and_a_grid_which_fills_row_by_row():
 
 
 def test_a_circle_is_even_and_faces_outwards():
-    places = circle(8, 3.0)
-    assert places[0] == (3.0, 0.0, 0.0)
-    for x, y, yaw in places:
-        assert (3.0 * math.cos(yaw), 3.0 * math.sin(yaw)) == pytest.approx((x, y))
-    gaps = [math.dist(a[:2], b[:2]) for a, b in zip(places, places[1:] + places[:1])]
-    assert gaps == pytest.approx(8 * [gaps[0]])
+    places = np.array(circle(8, 3.0))
+    assert places[0].tolist() == [3.0, 0.0, 0.0]
+    x, y, yaw = places.T
+    assert_allclose((3.0 * np.cos(yaw), 3.0 * np.sin(yaw)), (x, y), atol=1e-12)
+    assert_allclose(np.abs(np.diff(x + 1j * y, append=3.0)), 6.0 * math.sin(math.pi / 8))

@@ -40,8 +40,12 @@ def seen_from(face, distance):
     return cv2.warpAffine(seen, np.array(middle), (640, 480), borderValue=60)
 
 
-def side(corners):
-    return float(np.linalg.norm(corners[0] - corners[1]))
+def assert_seen(face, distance, identifier, size, tolerance):
+    """Check which marker is found from a distance (m), and its size (m)."""
+    ids, corners = detections(seen_from(face, distance))
+    assert ids == [identifier]
+    side = np.linalg.norm(corners[0, 0] - corners[0, 1])
+    assert side == pytest.approx(size * 502.3 / distance, rel=tolerance)
 
 
 @pytest.mark.parametrize("name", DICTIONARY_NAMES)
@@ -123,16 +127,12 @@ def test_the_marker_around_another_one_is_itself_valid():
     middle = face.image[590:690, 590:690]
     assert np.array_equal(middle[2:-2, 2:-2], wanted.image(12)[12:-12, 12:-12])
     face.image[590:690, 590:690] = 255
-    ids, corners = detections(seen_from(face, 2.0))
-    assert ids == [7]
-    assert side(corners[0]) == pytest.approx(0.8 * 502.3 / 2.0, rel=0.01)
+    assert_seen(face, 2.0, 7, 0.8, 0.01)
 
 
 @pytest.mark.parametrize("distance, size", [(0.4, 0.075), (1.0, 0.075), (3.0, 0.8), (6.0, 0.8)])
 def test_nearby_the_wanted_marker_is_found_and_from_afar_the_one_around_it(distance, size):
-    ids, corners = detections(seen_from(nested_face(Print(size=0.075), Print(size=0.8)), distance))
-    assert ids == [0]
-    assert side(corners[0]) == pytest.approx(size * 502.3 / distance, rel=0.03)
+    assert_seen(nested_face(Print(size=0.075), Print(size=0.8)), distance, 0, size, 0.03)
 
 
 def test_a_plate_is_a_closed_box_with_the_picture_upright_on_the_side_along_minus_x(tmp_path):
