@@ -54,8 +54,8 @@ def test_they_are_what_encoder_odometry_makes_of_wrong_wheels(scale, base, diame
 def test_a_gyro_drifts_on_either_way():
     there = line(4.0, 80)
     poses = np.concatenate((there, there[-2::-1]))
-    reported = SystematicErrors(gyro_bias_per_metre=0.01).path(poses)
-    assert reported[-1, 2] == pytest.approx(0.08)
+    made = SystematicErrors(gyro_bias_per_metre=0.01).path(poses)
+    assert made[-1, 2] == pytest.approx(0.08)
 
 
 def test_without_errors_a_path_comes_back_to_the_bit():
