@@ -7,6 +7,7 @@ along x.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Sequence, Tuple
@@ -52,15 +53,17 @@ POST_WIDTH = 0.04
 
 Rectangle = Tuple[float, float, float, float]
 
-# Corners of the front as one sees it, from the lower left one against the clock: depth as 0 or
-# 1, y (to the left) and z as -1 or 1. Then the other sides, normal and corners.
-_CORNERS = ((0, 1, -1), (0, -1, -1), (0, -1, 1), (0, 1, 1))
+# Corners of a box: depth as 0 or 1, y (to the left) and z as -1 or 1.
+_CORNERS = np.array(list(itertools.product((0, 1), (-1, 1), (-1, 1))))
+# The normals of its sides, and their corners against the clock as one sees them, from the lower
+# left one. The front is the first.
 _SIDES = (
-    ((1, 0, 0), ((1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1))),
-    ((0, 1, 0), ((1, 1, -1), (0, 1, -1), (0, 1, 1), (1, 1, 1))),
-    ((0, -1, 0), ((0, -1, -1), (1, -1, -1), (1, -1, 1), (0, -1, 1))),
-    ((0, 0, 1), ((0, 1, 1), (0, -1, 1), (1, -1, 1), (1, 1, 1))),
-    ((0, 0, -1), ((1, 1, -1), (1, -1, -1), (0, -1, -1), (0, 1, -1))),
+    ((-1, 0, 0), (2, 0, 1, 3)),
+    ((1, 0, 0), (4, 6, 7, 5)),
+    ((0, 1, 0), (6, 2, 3, 7)),
+    ((0, -1, 0), (0, 4, 5, 1)),
+    ((0, 0, 1), (3, 1, 5, 7)),
+    ((0, 0, -1), (6, 4, 0, 2)),
 )
 
 _SDF = """<?xml version="1.0"?>
@@ -359,17 +362,14 @@ def write_plate(face: Face, thickness: float, folder: Path, name: str) -> tuple[
 
 def _obj(face: Face, thickness: float, name: str) -> str:
     lines = [f"mtllib {name}.mtl", f"o {name}", "usemtl face"]
-    scale, sides = np.array([thickness, 0.5 * face.size, 0.5 * face.size]), [c for _, c in _SIDES]
-    for corners in (_CORNERS, *sides):
-        lines += [f"v {_numbers(scale * corner)}" for corner in corners]
+    places = _CORNERS * [thickness, 0.5 * face.size, 0.5 * face.size]
+    lines += [f"v {_numbers(places[corner])}" for _, corners in _SIDES for corner in corners]
     # The picture's corners, and the middle of its corner pixel for all other sides.
     lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
     lines.append(f"vt {0.5 / len(face.image):.9g} {0.5 / len(face.image):.9g}")
-    lines.append("vn -1 0 0")
     lines += ["vn {} {} {}".format(*normal) for normal, _ in _SIDES]
-    lines += _quad(1, (1, 2, 3, 4), 1)
     for index in range(len(_SIDES)):
-        lines += _quad(5 + 4 * index, (5, 5, 5, 5), 2 + index)
+        lines += _quad(1 + 4 * index, (5, 5, 5, 5) if index else (1, 2, 3, 4), 1 + index)
     return "\n".join(lines) + "\n"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Sequence
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -106,26 +106,26 @@ class RobotCostmap:
         self._distance = np.minimum(self._static, _distances(seen) * self._cell)
         return True
 
-    def _cells(self, points: np.ndarray) -> np.ndarray:
+    def _cells(self, points: Sequence[Any]) -> np.ndarray:
         return np.round((np.asarray(points)[..., :2] - self._low) / self._cell).astype(int)
 
-    def _inside(self, points: np.ndarray) -> np.ndarray:
+    def _inside(self, points: Sequence[Any]) -> np.ndarray:
         """Return the indices of the cells of points, without those off the map."""
         cells, shape = self._cells(points), self._standing.shape
         cells = cells[np.all((cells >= 0) & (cells < shape), axis=-1)]
         return cells[:, 0] * shape[1] + cells[:, 1]
 
-    def clearance(self, points: np.ndarray) -> np.ndarray:
-        """Return the distances (n,) in m of points (n, 2) from the nearest occupied cell."""
+    def clearance(self, points: Sequence[Any]) -> np.ndarray:
+        """Return the distances (…) in m of points (…, 2) from the nearest occupied cell."""
         cells = self._cells(points).clip(0, np.array(self._standing.shape) - 1)
-        return self._distance[tuple(cells.T)]
+        return self._distance[tuple(np.moveaxis(cells, -1, 0))]
 
     def is_free(self, way: Sequence[Point], robot: Sequence[float]) -> bool:
         """Return whether a robot can drive to the next points of a way, as far as is known."""
         way = [(robot[0], robot[1]), *way]
         points = np.concatenate([along(*ends, self._cell) for ends in zip(way, way[1:])])
         gone = np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
-        here = float(self.clearance(np.reshape(robot[:2], (1, 2)))[0])
+        here = float(self.clearance(robot))
         least = min(self._radius, here - NEARER)
         return bool(np.all(self.clearance(points[gone <= AHEAD]) >= least))
 
@@ -140,7 +140,7 @@ class RobotCostmap:
         # A robot that is too near to something may drive away from it.
         spots = np.indices(self._standing.shape).transpose(1, 2, 0) * self._cell + self._low
         around = np.hypot(*(spots - np.asarray(robot[:2])).transpose(2, 0, 1))
-        here = float(self.clearance(np.reshape(robot[:2], (1, 2)))[0])
+        here = float(self.clearance(robot))
         way_out = (around < self._radius + 2.0 * self._cell) & (self._distance >= here - NEARER)
         rates[way_out & (beyond < 0.0)] = ESCAPE_COST
         rates[around < self._cell] = np.minimum(rates[around < self._cell], ESCAPE_COST)
@@ -153,10 +153,9 @@ class RobotCostmap:
     def why_not(self, goal: Sequence[float]) -> str:
         """Return why there is no way to a goal, in words."""
         x, y = goal[:2]
-        cell, shape = self._cells(np.array([x, y])), self._standing.shape
-        if not np.all((cell >= 0) & (cell < shape)):
+        if not self._inside([goal]).size:
             return f"the goal ({x:.2f}, {y:.2f}) m is off the map"
-        room = float(self.clearance(np.array([[x, y]]))[0])
+        room = float(self.clearance(goal))
         if room < self._least:
             return (
                 f"the goal ({x:.2f}, {y:.2f}) m is {room:.2f} m from something; "

@@ -144,7 +144,8 @@ def register(model: Type[NoiseRule]) -> Type[NoiseRule]:
     return model
 
 
-def _parameter(default: float, doc: str) -> Any:
+def strength(default: float, doc: str) -> Any:
+    """Declare a parameter of a noise model, >= 0: 0 for no noise."""
     return number(default, doc, minimum=0.0, maximum=LARGEST_PARAMETER)
 
 
@@ -164,7 +165,7 @@ class ReportRule(NoiseRule):
 
     name, title, stream = "report", "The report's", 0
 
-    std: float = _parameter(
+    std: float = strength(
         0.1, "standard deviation per metre and per radian (rate_invariant: per root)"
     )
 
@@ -209,7 +210,7 @@ class RateInvariantRule(WalkRule):
 
     name, title, stream = "rate_invariant", "Rate-invariant", 1
 
-    std: float = _parameter(0.1, "standard deviation per root of a metre and of a radian")
+    std: float = strength(0.1, "standard deviation per root of a metre and of a radian")
 
     def walked(self, distance, angle):  # noqa: D102 - inherited
         variance = self.std * self.std
@@ -235,10 +236,10 @@ class ProbabilisticRule(NoiseRule):
 
     name, title, stream = "probabilistic", "Probabilistic", 2
 
-    alpha1: float = _parameter(0.01, "probabilistic: rotation from rotation")
-    alpha2: float = _parameter(0.001, "probabilistic: rotation from distance")
-    alpha3: float = _parameter(0.01, "probabilistic: distance from distance")
-    alpha4: float = _parameter(0.001, "probabilistic: distance from rotation")
+    alpha1: float = strength(0.01, "probabilistic: rotation from rotation")
+    alpha2: float = strength(0.001, "probabilistic: rotation from distance")
+    alpha3: float = strength(0.01, "probabilistic: distance from distance")
+    alpha4: float = strength(0.001, "probabilistic: distance from rotation")
 
     @classmethod
     def at_level(cls, std: float) -> NoiseRule:
@@ -483,12 +484,8 @@ class NoisyPath:
 
     def _draw(self, variances) -> tuple[float, float, float]:
         draw_trans, draw1, draw2 = self._generator.standard_normal(3).tolist()
-        variance1, variance_trans, variance2 = variances
-        return (
-            math.sqrt(variance1) * draw1,
-            math.sqrt(variance_trans) * draw_trans,
-            math.sqrt(variance2) * draw2,
-        )
+        root1, root_trans, root2 = map(math.sqrt, variances)
+        return root1 * draw1, root_trans * draw_trans, root2 * draw2
 
 
 def body_step(before, after) -> tuple[float, float, float]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bullet_lab.core.parameters import number
-from bullet_lab.noise.odometry_noise import LARGEST_PARAMETER, NoiseRule, WalkRule, register
+from bullet_lab.noise.odometry_noise import NoiseRule, WalkRule, register, strength
 
 
 @register
@@ -24,15 +23,9 @@ class RandomWalkRule(WalkRule):
 
     name, title, stream = "random_walk", "Random walk", 3
 
-    way_std: float = number(
-        0.03, "random_walk: distance, per root of a metre", 0.0, maximum=LARGEST_PARAMETER
-    )
-    heading_std: float = number(
-        0.03, "random_walk: heading, per root of a metre", 0.0, maximum=LARGEST_PARAMETER
-    )
-    turn_std: float = number(
-        0.08, "random_walk: heading, per root of a radian", 0.0, maximum=LARGEST_PARAMETER
-    )
+    way_std: float = strength(0.03, "random_walk: distance, per root of a metre")
+    heading_std: float = strength(0.03, "random_walk: heading, per root of a metre")
+    turn_std: float = strength(0.08, "random_walk: heading, per root of a radian")
 
     @classmethod
     def at_level(cls, std: float) -> NoiseRule:

@@ -21,11 +21,9 @@ def test_the_mean_rate_is_exact_and_the_jitter_below_a_step(rate):
         assert 0 <= step - count * 1000 / rate < 1 + 1e-9
 
 
-def test_a_rate_of_0_means_every_step():
-    assert steps(0.0, 5) == [1, 2, 3, 4, 5]
-
-
 def test_periods_count_from_the_start_and_after_a_restart():
+    # A rate of 0 means every step.
+    assert steps(0.0, 5) == [1, 2, 3, 4, 5]
     assert steps(100.0, 130, start=105) == [115, 125]
     schedule = Schedule(100.0)
     schedule.advance()
@@ -41,7 +39,7 @@ def test_other_rates_are_refused(rate):
 
 # As the comparisons in Gazebo's sources have it, for `elapsed >= 1 / rate` and for `>`.
 @pytest.mark.parametrize(
-    ("rate", "beyond", "gap"),
+    "rate, beyond, gap",
     [
         (20.0, False, 50),
         (30.0, False, 34),

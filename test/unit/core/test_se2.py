@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
 from bullet_lab.core import se2
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import (
     circle,
     grid,
@@ -30,31 +32,20 @@ def matrix(pose):
 
 
 def test_compose_is_the_product_of_the_matrices():
-    for a, b in random_poses(20, 2):
-        np.testing.assert_allclose(matrix(se2.compose(a, b)), matrix(a) @ matrix(b), atol=1e-12)
+    pose, paths = random_poses(), random_poses(4, 7)
+    moved = se2.compose(pose, paths)
+    for place in np.ndindex(4, 7):
+        expected = matrix(pose) @ matrix(paths[place])
+        assert_allclose(matrix(moved[place]), expected, atol=1e-12)
+    assert se2.compose(paths, pose).shape == moved.shape == (4, 7, 3)
 
 
-def test_between_undoes_compose():
+def test_between_and_inverse_undo_compose():
     a, b = random_poses(2, 50)
-    np.testing.assert_allclose(se2.between(a, se2.compose(a, b)), b, atol=1e-12)
-
-
-def test_inverse_leads_back_to_the_origin():
-    poses = random_poses(50)
-    np.testing.assert_allclose(se2.compose(poses, se2.inverse(poses)), 0.0, atol=1e-12)
-
-
-def test_yaw_is_wrapped():
-    assert se2.compose([0, 0, 3.0], [0, 0, 3.0])[2] == 6.0 - 2 * math.pi
-    assert se2.between([0, 0, -3.0], [0, 0, 3.0])[2] == 6.0 - 2 * math.pi
-
-
-def test_leading_axes_broadcast():
-    paths = random_poses(4, 7)
-    moved = se2.compose([1.0, 2.0, 0.5], paths)
-    assert moved.shape == (4, 7, 3)
-    np.testing.assert_allclose(moved[2, 3], se2.compose([1.0, 2.0, 0.5], paths[2, 3]))
-    assert se2.compose(paths, [1.0, 0.0, 0.0]).shape == (4, 7, 3)
+    assert_allclose(se2.between(a, se2.compose(a, b)), b, atol=1e-12)
+    assert_allclose(se2.compose(a, se2.inverse(a)), 0.0, atol=1e-12)
+    for turned in (se2.compose([0, 0, 3.0], [0, 0, 3.0]), se2.between([0, 0, -3.0], [0, 0, 3.0])):
+        assert turned[2] == 6.0 - 2 * math.pi
 
 
 @pytest.mark.parametrize("scale", [1e-200, 1e-9, 1.0, 1e100])
@@ -67,8 +58,11 @@ def test_angles_and_lengths_are_those_of_math(scale):
             assert se2.hypot(x, y) == pytest.approx(math.hypot(x, y), rel=4.5e-16, abs=0.0)
 
 
-@pytest.mark.parametrize("y", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
-@pytest.mark.parametrize("x", [-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan])
+SPECIAL = (-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan)
+
+
+@pytest.mark.parametrize("y", SPECIAL)
+@pytest.mark.parametrize("x", SPECIAL)
 def test_the_angles_of_the_axes_are_exact(y, x):
     assert se2.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=0.0, abs=0.0, nan_ok=True)
 
@@ -77,7 +71,7 @@ def test_steps_lead_along_the_path():
     paths = random_poses(4, 7)
     moves = se2.steps(paths)
     assert moves.shape == (4, 6, 3)
-    np.testing.assert_allclose(se2.compose(paths[:, :-1], moves), paths[:, 1:], atol=1e-12)
+    assert_allclose(se2.compose(paths[:, :-1], moves), paths[:, 1:], atol=1e-12)
 
 
 BELOW_PI = float(np.nextafter(math.pi, 0.0))
@@ -93,27 +87,21 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("angle", "expected"), CASES)
-def test_wrap_of_a_float(angle, expected):
-    wrapped = wrap(angle)
-    assert isinstance(wrapped, float)
-    assert wrapped == pytest.approx(expected, abs=1e-15)
-
-
-def test_wrap_of_an_array_is_that_of_its_floats():
+def test_wrap_of_floats_and_of_an_array():
     angles = np.random.default_rng(1).uniform(-50.0, 50.0, (40, 25))
     angles[0, : len(CASES)] = [angle for angle, _ in CASES]
     wrapped = wrap(angles)
-    assert wrapped.shape == angles.shape
-    np.testing.assert_array_equal(wrapped, [[wrap(float(a)) for a in row] for row in angles])
+    assert wrapped[0, : len(CASES)] == pytest.approx([to for _, to in CASES], abs=1e-15)
+    assert_array_equal(wrapped, [[wrap(a) for a in row] for row in angles.tolist()])
+    assert isinstance(wrap(7.0), float)
     assert wrapped.min() >= -math.pi
     assert wrapped.max() < math.pi
-    np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-13)
+    assert_allclose(np.exp(1j * wrapped), np.exp(1j * angles), atol=1e-13)
 
 
 def test_wrap_leaves_angles_inside_bit_for_bit():
     angles = np.random.default_rng(2).uniform(-math.pi, math.pi, 1000)
-    np.testing.assert_array_equal(wrap(angles), angles)
+    assert_array_equal(wrap(angles), angles)
     assert math.isnan(wrap(math.nan))
     assert [wrap(angle) for angle in angles.tolist()] == angles.tolist()
 
@@ -125,21 +113,12 @@ def test_yaw_survives_the_quaternion(yaw):
     assert yaw_from_quaternion(*quaternion) == pytest.approx(yaw, abs=1e-15)
     doubled = [2.0 * part for part in quaternion]
     assert yaw_from_quaternion(*doubled) == pytest.approx(yaw, abs=1e-15)
+    assert yaw_from_quaternion(0.0, 0.0, 0.0, 0.0) == 0.0
 
 
 def test_yaw_of_a_tilted_body_is_its_heading():
-    half_yaw, half_pitch = 0.5 * 0.7, 0.5 * 0.2
-    quaternion = (
-        -math.sin(half_yaw) * math.sin(half_pitch),
-        math.cos(half_yaw) * math.sin(half_pitch),
-        math.sin(half_yaw) * math.cos(half_pitch),
-        math.cos(half_yaw) * math.cos(half_pitch),
-    )
-    assert yaw_from_quaternion(*quaternion) == pytest.approx(0.7)
-
-
-def test_an_empty_quaternion_is_no_heading():
-    assert yaw_from_quaternion(0.0, 0.0, 0.0, 0.0) == 0.0
+    tilted = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.2, 0.7))
+    assert yaw_from_quaternion(*tilted.quaternion) == pytest.approx(0.7)
 
 
 COORDINATES = np.concatenate(
@@ -155,13 +134,10 @@ def test_it_is_the_inverse_of_the_matrix_exponential(coordinates):
     x, y, yaw = coordinates
     matrix = expm(np.array([[0.0, -yaw, x], [yaw, 0.0, y], [0.0, 0.0, 0.0]]))
     pose = (*matrix[:2, 2], math.atan2(matrix[1, 0], matrix[0, 0]))
-    np.testing.assert_allclose(logarithm(pose), coordinates, atol=1e-10)
-
-
-def test_a_turn_more_is_the_same_pose():
-    np.testing.assert_allclose(
-        logarithm([1.0, 2.0, 1.0 + math.tau]), logarithm([1.0, 2.0, 1.0]), atol=1e-12
-    )
+    assert_allclose(logarithm(pose), coordinates, atol=1e-10)
+    # A turn more is the same pose.
+    turned = (*pose[:2], pose[2] + math.tau)
+    assert_allclose(logarithm(turned), coordinates, atol=1e-10)
 
 
 def test_where_the_series_ends_nothing_jumps():
@@ -169,20 +145,16 @@ def test_where_the_series_ends_nothing_jumps():
     assert abs(below - above) < 1e-10
 
 
-def test_a_line():
+def test_a_line_and_a_grid_which_fills_row_by_row():
     assert line(3, 0.5) == [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0)]
-
-
-def test_a_grid_fills_row_by_row():
     places = [(x, y) for x, y, _ in grid(5, 2.0)]
     assert places == [(0.0, 0.0), (2.0, 0.0), (4.0, 0.0), (0.0, 2.0), (2.0, 2.0)]
     assert grid(1, 2.0) == [(0.0, 0.0, 0.0)]
 
 
 def test_a_circle_is_even_and_faces_outwards():
-    places = circle(8, 3.0)
-    assert places[0] == (3.0, 0.0, 0.0)
-    for x, y, yaw in places:
-        assert (3.0 * math.cos(yaw), 3.0 * math.sin(yaw)) == pytest.approx((x, y))
-    gaps = [math.dist(a[:2], b[:2]) for a, b in zip(places, places[1:] + places[:1])]
-    assert gaps == pytest.approx(8 * [gaps[0]])
+    places = np.array(circle(8, 3.0))
+    assert places[0].tolist() == [3.0, 0.0, 0.0]
+    x, y, yaw = places.T
+    assert_allclose((3.0 * np.cos(yaw), 3.0 * np.sin(yaw)), (x, y), atol=1e-12)
+    assert_allclose(np.abs(np.diff(x + 1j * y, append=3.0)), 6.0 * math.sin(math.pi / 8))

@@ -1,9 +1,10 @@
-"""None"""
+"""Paths of poses, their files and their errors."""
 
 import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bullet_lab.core.trajectory import (
     Trajectory,
@@ -29,7 +30,7 @@ def write(tmp_path):
 
 def test_length_is_that_of_the_way():
     trajectory = Trajectory([0, 1, 2, 3], [[0, 0, 0], [3, 4, 1], [3, 4, 2], [3, 3, 2]])
-    np.testing.assert_allclose(trajectory.travelled(), [0.0, 5.0, 5.0, 6.0])
+    assert_allclose(trajectory.travelled(), [0.0, 5.0, 5.0, 6.0])
     assert trajectory.length() == 6.0
     assert len(trajectory) == 4
     assert Trajectory([1.0], [[1.0, 2.0, 3.0]]).length() == 0.0
@@ -45,14 +46,14 @@ def test_arrays_are_copied_and_read_only():
 
 
 @pytest.mark.parametrize(
-    ("stamps", "poses", "message"),
+    "stamps, poses, message",
     [
         ([], [], "no poses"),
         ([0, 1], [[0, 0, 0]], "shape"),
-        ([[0], [1]], [[0, 0, 0]] * 2, "shape"),
-        ([0, math.nan], [[0, 0, 0]] * 2, "not finite"),
-        ([0, 1], [[0, 0, 0], [0, math.inf, 0]], "not finite"),
-        ([0, 1, 1], [[0, 0, 0]] * 3, "1.000000000 follows 1.000000000"),
+        ([[0], [1]], np.zeros((2, 3)), "shape"),
+        ([0, math.nan], np.zeros((2, 3)), "not finite"),
+        ([0, 1], np.full((2, 3), math.inf), "not finite"),
+        ([0, 1, 1], np.zeros((3, 3)), "1.000000000 follows 1.000000000"),
         ([0, 1], [[0, 0, 0], [0, 0]], "numbers"),
         (["zero"], [[0, 0, 0]], "numbers"),
     ],
@@ -64,24 +65,21 @@ def test_bad_trajectories_are_refused(stamps, poses, message):
 
 def test_tum_row_has_eight_columns():
     assert tum_row(1.5, 0.1, -2, 0.0) == "1.500000000 0.1 -2.0 0 0 0 0.0 1.0"
+    numbers = np.array([0.5, 0.25, 0.0])
+    assert tum_row(np.float64(1.0), *numbers) == "1.000000000 0.5 0.25 0 0 0 0.0 1.0"
     assert tum_row(0.1 + 0.2, 0, 0, math.pi).startswith("0.300000000 0.0 0.0 0 0 0 1.0 6.1")
 
 
 def test_tum_round_trip(write):
     lines = [tum_row(stamp, *pose) for stamp, pose in zip(STAMPS, POSES)]
     trajectory = read_tum(write("# timestamp tx ty", "", *lines))
-    np.testing.assert_array_equal(trajectory.stamps, STAMPS)
-    np.testing.assert_array_equal(trajectory.poses[:, :2], np.array(POSES)[:, :2])
-    np.testing.assert_allclose(trajectory.poses[:, 2], np.array(POSES)[:, 2], atol=1e-15)
-
-
-def test_tum_from_numpy_numbers_is_text_all_the_same():
-    row = tum_row(np.float64(1.0), *np.array([0.5, 0.25, 0.0]))
-    assert row == "1.000000000 0.5 0.25 0 0 0 0.0 1.0"
+    assert_array_equal(trajectory.stamps, STAMPS)
+    assert_array_equal(trajectory.poses[:, :2], np.array(POSES)[:, :2])
+    assert_allclose(trajectory.poses[:, 2], np.array(POSES)[:, 2], atol=1e-15)
 
 
 @pytest.mark.parametrize(
-    ("line", "message"),
+    "line, message",
     [
         ("1 2 3", "line 2: 8 values needed, not 3"),
         ("-1 0 0 0 0 0 0 1", "line 2: stamps must increase"),
@@ -99,9 +97,8 @@ def test_bad_tum_files_are_refused(write, line, message):
 
 
 def test_poses_with_the_same_stamp_are_left_out_and_counted(write):
-    stamps = (0, 0, 1, 1, 1)
-    found = read_tum(write("# a", *(f"{t} {x} 0 0 0 0 0 1" for x, t in enumerate(stamps))))
-    np.testing.assert_array_equal(found.poses[:, 0], [0, 2])
+    found = read_tum(write("# a", *(f"{t} {x} 0 0 0 0 0 1" for x, t in enumerate((0, 0, 1, 1, 1)))))
+    assert_array_equal(found.poses[:, 0], [0, 2])
     assert found.remark == "3 with the stamp of the one before left out, the first in line 3"
     assert read_tum(write("0 0 0 0", "1 2 3 0.5")).poses[1].tolist() == [2.0, 3.0, 0.5]
 
@@ -110,20 +107,21 @@ def test_velocities_are_held_until_the_next_stamp(write):
     found = read_tum(write(f"0 1 {math.pi / 2}", "1 2 0", "3 0 0"))
     quarter = 2.0 / math.pi
     expected = [[0, 0, 0], [quarter, quarter, math.pi / 2], [quarter, quarter + 4, math.pi / 2]]
-    np.testing.assert_allclose(found.poses, expected, atol=1e-12)
+    assert_allclose(found.poses, expected, atol=1e-12)
     with pytest.raises(TrajectoryError, match="line 1: 8 or 4 or 3 values needed, not 5"):
         read_tum(write("0 0 0 0 0"))
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(TrajectoryError, match="cannot read .*missing"):
-        read_tum(tmp_path / "missing")
-    with pytest.raises(TrajectoryError, match="cannot read"):
-        read_tum(tmp_path)
     binary = tmp_path / "binary"
     binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(TrajectoryError, match="not a text file"):
-        read_tum(binary)
+    for path, message in (
+        (tmp_path / "missing", "cannot read .*missing"),
+        (tmp_path, "cannot read"),
+        (binary, "not a text file"),
+    ):
+        with pytest.raises(TrajectoryError, match=message):
+            read_tum(path)
 
 
 REFERENCE = Trajectory([0, 1, 2, 3], [[0, 0, 0], [1, 0, 0], [2, 0, 3.1], [2, 2, -3.1]])
@@ -134,17 +132,13 @@ def test_errors_by_hand():
         REFERENCE.stamps, REFERENCE.poses + [[0, 0, 0], [0.3, 0.4, 0], [0, -1, 0.1], [2, 0, -0.2]]
     )
     error = path_error(REFERENCE, estimate)
-    np.testing.assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
-    np.testing.assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
-    np.testing.assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
-    expected = {
-        "ape_rmse_m": math.sqrt(5.25 / 4),
-        "ape_max_m": 2.0,
-        "heading_rmse_deg": math.degrees(math.sqrt(0.05 / 4)),
-        "final_error_m": 2.0,
-        "final_heading_error_deg": math.degrees(-0.2),
-    }
-    assert {name: getattr(error, name) for name in expected} == pytest.approx(expected)
+    assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
+    assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
+    assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
+    assert error.ape_rmse_m == pytest.approx(math.sqrt(5.25 / 4))
+    assert error.ape_max_m == error.final_error_m == pytest.approx(2.0)
+    assert math.radians(error.heading_rmse_deg) == pytest.approx(math.sqrt(0.05 / 4))
+    assert math.radians(error.final_heading_error_deg) == pytest.approx(-0.2)
 
 
 def test_heading_errors_are_wrapped():

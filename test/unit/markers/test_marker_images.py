@@ -36,26 +36,23 @@ def seen_from(face, distance):
     """Return the picture of the robot's camera, straight before a face that fills its wall."""
     scale = 502.3 / distance * face.size / len(face.image)
     seen = cv2.resize(face.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    canvas = np.full((480, 640), 60, dtype=np.uint8)
-    height, width = (min(a, b) for a, b in zip(seen.shape, canvas.shape))
-    top, left = (240 - height // 2, 320 - width // 2)
-    crop = [(have - kept) // 2 for have, kept in zip(seen.shape, (height, width))]
-    canvas[top : top + height, left : left + width] = seen[
-        crop[0] : crop[0] + height, crop[1] : crop[1] + width
-    ]
-    return canvas
+    middle = [[1.0, 0.0, 320 - seen.shape[1] // 2], [0.0, 1.0, 240 - seen.shape[0] // 2]]
+    return cv2.warpAffine(seen, np.array(middle), (640, 480), borderValue=60)
 
 
-def side(corners):
-    return float(np.linalg.norm(corners[0] - corners[1]))
+def assert_seen(face, distance, identifier, size, tolerance):
+    """Check which marker is found from a distance (m), and its size (m)."""
+    ids, corners = detections(seen_from(face, distance))
+    assert ids == [identifier]
+    side = np.linalg.norm(corners[0, 0] - corners[0, 1])
+    assert side == pytest.approx(size * 502.3 / distance, rel=tolerance)
 
 
 @pytest.mark.parametrize("name", DICTIONARY_NAMES)
 def test_every_dictionary_has_markers_that_are_found_again(name):
     last = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) - 1
     for identifier in (0, last):
-        ids, _ = detections(Print(name, identifier).image(12), name)
-        assert ids == [identifier]
+        assert detections(Print(name, identifier).image(12), name)[0] == [identifier]
 
 
 @pytest.mark.parametrize(
@@ -81,19 +78,17 @@ def test_what_cannot_be_printed_is_refused(make, said):
 
 @pytest.mark.parametrize("name, size", [("apriltag_36h10", 0.2), ("5x5_100", 0.175)])
 def test_a_wall_has_the_marker_exactly_in_its_middle_and_as_large_as_it_is_said_to_be(name, size):
-    face = wall_face(Print(name, 3, size))
-    assert face.image.shape == (WALL_PIXELS, WALL_PIXELS)
-    rows, columns = np.nonzero(face.image == 0)
+    image = wall_face(Print(name, 3, size)).image
+    assert image.shape == (WALL_PIXELS, WALL_PIXELS)
     wanted = [0.5 * (1.0 - size) * WALL_PIXELS, 0.5 * (1.0 + size) * WALL_PIXELS - 1.0]
-    for found in (rows, columns):
+    for found in np.nonzero(image == 0):
         assert [found.min(), found.max()] == pytest.approx(wanted)
-    assert face.image[0, 0] == face.image[-1, -1] == WALL_GREY
+    assert image[0, 0] == image[-1, -1] == WALL_GREY
 
 
 def test_dots_are_as_many_as_in_figure_8_and_keep_apart():
-    rng = np.random.default_rng(5)
     keep_out = (0.3, 0.4, 0.7, 0.8)
-    dots = scatter_dots(1.0, 1.0, keep_out, rng)
+    dots = scatter_dots(1.0, 1.0, keep_out, np.random.default_rng(5))
     assert len(dots) == round(DOTS_PER_SQUARE_METRE * (1.0 - 0.4 * 0.4))
     apart = np.linalg.norm(dots[:, None] - dots[None], axis=2) + np.eye(len(dots))
     assert apart.min() >= CLOSEST
@@ -105,11 +100,10 @@ def test_dots_are_as_many_as_in_figure_8_and_keep_apart():
 def test_the_ink_of_a_dot_is_that_of_its_disc():
     canvas = np.full((100, 100), 255, dtype=np.uint8)
     draw_dots(canvas, np.array([[0.05, 0.0503]]), 0.001)
-    ink = (255.0 - canvas).sum() / 255.0
-    assert ink == pytest.approx(np.pi * (DOT_RADIUS / 0.001) ** 2, rel=0.02)
-    rows, columns = np.nonzero(canvas < 255)
-    assert np.mean(columns) == pytest.approx(49.5, abs=0.1)
-    assert np.mean(rows) == pytest.approx(49.8, abs=0.2)
+    ink = (255.0 - canvas) / 255.0
+    assert ink.sum() == pytest.approx(np.pi * (DOT_RADIUS / 0.001) ** 2, rel=0.02)
+    rows, columns = np.nonzero(ink)
+    assert (np.mean(columns), np.mean(rows)) == pytest.approx((49.5, 49.8), abs=0.1)
 
 
 def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
@@ -133,19 +127,15 @@ def test_the_marker_around_another_one_is_itself_valid():
     middle = face.image[590:690, 590:690]
     assert np.array_equal(middle[2:-2, 2:-2], wanted.image(12)[12:-12, 12:-12])
     face.image[590:690, 590:690] = 255
-    ids, corners = detections(seen_from(face, 2.0))
-    assert ids == [7]
-    assert side(corners[0]) == pytest.approx(0.8 * 502.3 / 2.0, rel=0.01)
+    assert_seen(face, 2.0, 7, 0.8, 0.01)
 
 
 @pytest.mark.parametrize("distance, size", [(0.4, 0.075), (1.0, 0.075), (3.0, 0.8), (6.0, 0.8)])
 def test_nearby_the_wanted_marker_is_found_and_from_afar_the_one_around_it(distance, size):
-    ids, corners = detections(seen_from(nested_face(Print(size=0.075), Print(size=0.8)), distance))
-    assert ids == [0]
-    assert side(corners[0]) == pytest.approx(size * 502.3 / distance, rel=0.03)
+    assert_seen(nested_face(Print(size=0.075), Print(size=0.8)), distance, 0, size, 0.03)
 
 
-def test_a_plate_shows_the_picture_upright_on_the_side_that_looks_along_minus_x(tmp_path):
+def test_a_plate_is_a_closed_box_with_the_picture_upright_on_the_side_along_minus_x(tmp_path):
     face = plate_face(Print(size=0.2))
     assert face.size == pytest.approx(0.25)
     assert (face.image[:32] == 255).all() and (face.image[32:64, 32:-32] == 0).all()
@@ -153,34 +143,22 @@ def test_a_plate_shows_the_picture_upright_on_the_side_that_looks_along_minus_x(
     assert np.array_equal(np.asarray(Image.open(png)), face.image)
     assert "map_Kd plate.png" in mtl.read_text() and "mtllib plate.mtl" in obj.read_text()
     corners, texture, faces = read_obj(obj)
+    triangles = corners[faces[..., 0]]
     # As one stands before it: up is up, the picture's right is at the right hand (-y).
-    for (x, y, z), (u, v) in front_corners(corners, texture, faces):
-        assert x == 0.0
-        assert y == pytest.approx(0.25 * (0.5 - u)) and z == pytest.approx(0.25 * (v - 0.5))
-
-
-def test_a_plate_is_a_closed_box_that_faces_outwards(tmp_path):
-    obj, _, _ = write_plate(plate_face(Print(size=0.2)), 0.02, tmp_path, "plate")
-    corners, _, faces = read_obj(obj)
-    triangles = np.array([[corners[v] for v, _ in triangle] for triangle in faces])
-    volumes = np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2]))
-    # The divergence theorem: right only if all triangles are there and turn the same way.
-    assert volumes.sum() / 6.0 == pytest.approx(0.25 * 0.25 * 0.02)
-    assert triangles[:, :, 0].min() == 0.0 and triangles[:, :, 0].max() == 0.02
+    x, y, z = np.moveaxis(triangles[:2], -1, 0)
+    u, v = np.moveaxis(texture[faces[:2, :, 1]], -1, 0)
+    assert not x.any()
+    np.testing.assert_allclose((y, z), (0.25 * (0.5 - u), 0.25 * (v - 0.5)), atol=1e-12)
+    # The divergence theorem: right only if all triangles are there and turn outwards.
+    assert np.linalg.det(triangles).sum() / 6.0 == pytest.approx(0.25 * 0.25 * 0.02)
+    assert (triangles[..., 0].min(), triangles[..., 0].max()) == (0.0, 0.02)
 
 
 def read_obj(path):
     """Return the corners, the texture's coordinates, and (corner, texture) of each triangle."""
-    lines = [line.split() for line in path.read_text().splitlines()]
-    corners = [tuple(map(float, line[1:])) for line in lines if line[0] == "v"]
-    texture = [tuple(map(float, line[1:])) for line in lines if line[0] == "vt"]
-    faces = [
-        [tuple(int(i) - 1 for i in word.split("/")[:2]) for word in line[1:]]
-        for line in lines
-        if line[0] == "f"
-    ]
-    return corners, texture, faces
-
-
-def front_corners(corners, texture, faces):
-    return [(corners[v], texture[t]) for triangle in faces[:2] for v, t in triangle]
+    rows = {"v": [], "vt": [], "f": []}
+    for kind, *words in map(str.split, path.read_text().splitlines()):
+        if kind == "f":
+            words = [[int(i) - 1 for i in word.split("/")[:2]] for word in words]
+        rows.get(kind, []).append(words)
+    return np.array(rows["v"], float), np.array(rows["vt"], float), np.array(rows["f"])

@@ -1,7 +1,5 @@
 """A robot in a simulated world that drives on a map by MapDriver, without ROS."""
 
-import math
-
 import numpy as np
 
 from bullet_lab.core.pose import Pose
@@ -46,7 +44,3 @@ def drive(simulation, robot, goal, costmap, wait=15.0, patience=300.0):
             simulation.run_for(0.1 * TICK)
             touched |= simulation.contacts(robot.name) - {"ground_plane"}
     return driver, np.array(path), touched
-
-
-def length(path):
-    return float(sum(math.dist(a[:2], b[:2]) for a, b in zip(path, path[1:])))

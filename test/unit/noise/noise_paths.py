@@ -1,4 +1,4 @@
-"""Perfect paths that noise is put on, and a check of the errors that it makes.
+"""Noise rules, perfect paths that they act on, and a check of the errors that they make.
 
 Poses are x (m), y (m) and yaw (rad), shape (n+1, 3).
 """
@@ -8,6 +8,9 @@ import math
 import numpy as np
 
 from bullet_lab.core import se2
+from bullet_lab.noise.odometry_noise import ProbabilisticRule, RateInvariantRule, ReportRule
+
+RULES = (ReportRule(0.1), RateInvariantRule(0.05), ProbabilisticRule(0.02, 0.01, 0.03, 0.004))
 
 
 def drive(start, *legs):
@@ -26,6 +29,16 @@ def square(count=12, side=2.0, turn=math.pi / 2, start=(0.3, -0.2, 0.4)):
     """Each side takes `count` steps, each turn half as many."""
     ahead, corner = (side / count, 0.0, 0.0), (0.0, 0.0, turn / (count // 2))
     return drive(start, *[(count, ahead), (count // 2, corner)] * 4)
+
+
+def played(path, poses):
+    """Return what a noisy or systematic path makes of perfect poses, one after the other."""
+    return [path.update(*pose) for pose in np.asarray(poses, dtype=float).tolist()]
+
+
+def reported(steps):
+    """Return the poses of steps that `played` returns, shape (n, 3)."""
+    return np.array([step.pose for step in steps])
 
 
 def line(length, count):

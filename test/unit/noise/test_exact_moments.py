@@ -1,8 +1,8 @@
-"""Sample against exact moments.
+"""Exact moments against samples, and against a quadrature over the noise of three steps.
 
 Confidence: 99.9 % for each family of comparisons as a whole, shared out evenly (Bonferroni). The
-family of means and covariances has 3 + 6 entries for 3 models, 9 levels with noise and 2 paths,
-486 in all, so each is two-sided at 0.001 / 486, 4.9 standard deviations. The sampling error of a
+family of means and covariances has 3 + 6 entries for 4 models, 10 levels with noise and 2 paths,
+720 in all, so each is two-sided at 0.001 / 720, 4.8 standard deviations. The sampling error of a
 covariance is taken from the fourth moments, as the errors are not Gaussian at high levels.
 """
 
@@ -10,7 +10,9 @@ import math
 
 import numpy as np
 import pytest
-from noise_paths import assert_moments, line, square, wandering
+from noise_paths import assert_moments, composed, line, square, wandering
+from numpy.polynomial.hermite_e import hermegauss
+from numpy.testing import assert_allclose
 from scipy import stats
 
 from bullet_lab.core import se2
@@ -19,19 +21,25 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import (
     exact_moments,
     exponential_moments,
+    first_order_moments,
     quadratic_covariances,
     quadratic_shares,
 )
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
-from bullet_lab.noise.odometry_noise import MODELS, model_named
+from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.regions import BOUNDS, METHODS, level_rule
 from bullet_lab.studies.noise_study.statistics import study_case
 from bullet_lab.studies.noise_study.study import StudySettings
 
-LEVELS = StudySettings().levels
+# Those of the study, and noise in which nothing of the path is left.
+LEVELS = (*StudySettings().levels, 10.0)
 PATHS = 10_000
 FAMILY = 0.001
-MOMENTS_QUANTILE = stats.norm.isf(0.5 * FAMILY / (9 * len(MODELS) * (len(LEVELS) - 1) * 2))
+
+
+def quantile(comparisons):
+    """Return the limit of each comparison of a family, in standard deviations."""
+    return stats.norm.isf(0.5 * FAMILY / comparisons)
 
 
 PATHS_BY_NAME = {"square": square(), "line": line(4.0, 40)}
@@ -53,55 +61,8 @@ def test_sample_moments_are_the_exact_ones(name, model, std):
     steps = noisy_steps(PATHS_BY_NAME[name], level_rule(model, std))
     exact = exact_moments(steps)
     errors = drawn_errors(steps, study_generator(50, model, std, 1.0))
-    assert_moments(errors, exact.mean[-1], exact.covariance[-1], MOMENTS_QUANTILE)
-
-
-def direct_moments(steps):
-    """Mean and covariance of the last position, by the double sums written out."""
-    n, d, psi = len(steps), steps.trans, steps.angle
-    turned = steps.variance1 + steps.variance2
-    v = np.array([turned[:k].sum() + steps.variance1[k] for k in range(n)])
-    mean = np.sum(d * np.exp(1j * psi - v / 2))
-    size = np.sum(d**2 + steps.variance_trans)
-    pseudo = np.sum((d**2 + steps.variance_trans) * np.exp(2j * psi - 2 * v))
-    for k in range(n):
-        for j in range(k):
-            size += 2 * d[j] * d[k] * np.cos(psi[k] - psi[j]) * np.exp(-(v[k] - v[j]) / 2)
-            pseudo += 2 * d[j] * d[k] * np.exp(1j * (psi[j] + psi[k]) - (v[k] + 3 * v[j]) / 2)
-    c, g = size - abs(mean) ** 2, pseudo - mean**2
-    return mean, np.array([[c + g.real, g.imag], [g.imag, c - g.real]]) / 2
-
-
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("std", [0.05, 0.5, 10.0])
-def test_running_sums_are_the_double_sums(model, std):
-    steps = noisy_steps(square(), level_rule(model, std))
-    exact = exact_moments(steps)
-    mean, covariance = direct_moments(steps)
-    bias = mean - steps.position[-1]
-    limit = 1e-12 * (np.abs(covariance).max() + 1.0)
-    np.testing.assert_allclose(exact.mean[-1, :2], [bias.real, bias.imag], atol=limit)
-    np.testing.assert_allclose(exact.covariance[-1, :2, :2], covariance, rtol=0.0, atol=limit)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_the_quadratic_part_is_that_of_drawn_noise(model):
-    steps = noisy_steps(square(), level_rule(model, 0.2))
-    draws = np.random.default_rng(53).standard_normal((PATHS, len(steps), 3))
-    names = ("variance1", "variance_trans", "variance2")
-    noise1, noise_trans, noise2 = (
-        draws[..., i] * np.sqrt(getattr(steps, name)) for i, name in enumerate(names)
-    )
-    heading = np.cumsum(noise1 + noise2, axis=1) - noise2
-    terms = steps.direction * (1j * noise_trans * heading - 0.5 * steps.trans * heading**2)
-    expected = quadratic_covariances(steps)
-    # Four entries, two poses, each model.
-    quantile = stats.norm.isf(0.5 * FAMILY / (8 * len(MODELS)))
-    for pose in (20, len(steps)):
-        part = terms[:, :pose].sum(axis=1)
-        sample = np.column_stack([part.real, part.imag])
-        assert_moments(sample, sample.mean(axis=0), expected[pose][:2, :2], quantile)
-    assert not expected[:, 2].any()
+    limit = quantile(9 * len(MODELS) * (len(LEVELS) - 1) * len(PATHS_BY_NAME))
+    assert_moments(errors, exact.mean[-1], exact.covariance[-1], limit)
 
 
 def test_the_quadratic_share_is_that_of_the_worst_direction():
@@ -114,45 +75,96 @@ def test_the_quadratic_share_is_that_of_the_worst_direction():
     assert quadratic_shares(quadratic, np.diag([4.0, 4.0, 0.0])) == pytest.approx(0.5)
 
 
-def case_of(name, model, std, paths=PATHS):
+def case_of(name, std, model="rate_invariant", paths=2000):
     poses = PATHS_BY_NAME[name]
     trajectory = Trajectory(0.2 * np.arange(len(poses)), poses)
     generator = study_generator(52, model, std, 5.0)
     return study_case(trajectory, (model, std, 5.0), generator, paths, 1.0)
 
 
+def quadrature(steps):
+    """Return noise of three steps, and the weights in moments, (n,), by Gauss's rule.
+
+    The noise is that of the heading of each translation and at the end, (n, 4), and that of the
+    translations, in which all errors are linear, (n, 3).
+    """
+    turns = np.append(steps.variance1, 0.0) + np.insert(steps.variance2, 0, 0.0)
+    rules = [hermegauss(12)] * len(turns) + [hermegauss(2)] * len(steps)
+    x, w = (np.stack(np.meshgrid(*every, indexing="ij")).reshape(7, -1).T for every in zip(*rules))
+    weights = w.prod(axis=1)
+    heading = np.cumsum(x[:, :4] * np.sqrt(turns), axis=1)
+    return heading, x[:, 4:] * np.sqrt(steps.variance_trans), weights / weights.sum()
+
+
+def weighted(errors, weights):
+    mean = weights @ errors
+    return mean, (errors - mean).T * weights @ (errors - mean)
+
+
+def assert_weighted(found, errors, weights):
+    """Compare the last moments with those of weighted errors."""
+    mean, covariance = weighted(errors, weights)
+    scale = np.sqrt(np.diag(covariance))
+    assert_allclose(found.mean[-1] / scale, mean / scale, atol=1e-6)
+    size = np.outer(scale, scale)
+    assert_allclose(found.covariance[-1] / size, covariance / size, atol=1e-6)
+
+
+# Short steps with much noise, and a way on which bending outweighs the noise along it.
+@pytest.mark.parametrize("std, length", [(0.2, 0.3), (0.05, 10.0), (1e-7, 1.0)])
+@pytest.mark.parametrize("model", MODELS)
+def test_moments_are_those_by_quadrature(model, std, length):
+    moves = [(length, 0.0, 0.4), (length, 0.2 * length, -0.3), (-length, 0.0, 0.2)]
+    steps = noisy_steps(composed((1.0, 2.0, 0.5), moves), level_rule(model, std))
+    heading, added, weights = quadrature(steps)
+    moves = (steps.trans + added) * np.exp(1j * (steps.angle + heading[:, :3]))
+    off = moves.sum(axis=1) - steps.position[-1]
+    errors = np.column_stack((off.real, off.imag, heading[:, 3]))
+    assert_weighted(exact_moments(steps), errors, weights)
+    assert_weighted(exponential_moments(steps, [3]), se2.logarithm(errors), weights)
+    if std < 1e-6:
+        assert_weighted(first_order_moments(steps), errors, weights)
+    # What is quadratic in the noise.
+    terms = steps.direction * (1j * added - 0.5 * steps.trans * heading[:, :3]) * heading[:, :3]
+    quadratic = quadratic_covariances(steps)
+    for pose, found in enumerate(quadratic):
+        part = terms[:, :pose].sum(axis=1)
+        _, covariance = weighted(np.column_stack((part.real, part.imag, 0.0 * off.real)), weights)
+        assert_allclose(found, covariance, rtol=1e-9, atol=1e-12 * quadratic.max())
+
+
 def test_no_noise_is_no_error():
-    case = case_of("square", "report", 0.0, 10)
+    steps = noisy_steps(wandering(60), level_rule("report", 0.0))
+    found = exponential_moments(steps, [60])
+    assert not found.mean.any() and not found.covariance.any()
+    case = case_of("square", 0.0, "report", 10)
     assert case.rms_distance.max() < 1e-12
     assert case.metrics["ape_rmse_m"]["p95"] < 1e-12
-    assert {name: set(found) for name, found in case.regions.found.items()} == {
-        name: {None} for name in METHODS
-    }
+    assert all(set(found) == {None} for found in case.regions.found.values())
+    assert case.regions.found.keys() == set(METHODS)
     assert set(case.coverage.values()) == {None}
     assert case.theory.gaussian_enough()
 
 
 @pytest.mark.parametrize("name", PATHS_BY_NAME)
 def test_the_study_says_where_the_error_is_not_gaussian(name):
-    case = case_of(name, "rate_invariant", 0.3, 2000)
+    case = case_of(name, 0.3)
     assert not case.theory.gaussian_enough()
     assert case.coverage["first_order"] < 0.935
     assert case.theory.shift() > 0.3
-
-
-def test_nees_tells_that_noise_is_too_large_for_first_order():
-    found = case_of("square", "rate_invariant", 0.3, 2000).regions.found
-    assert found["first_order"][-1].nees > 3.8
-    # A mean of e' M^-1 e is 3 whatever the noise, if M is the mean of e e'.
-    low, high = found["published"][-1].nees_band
-    assert low - 0.1 < 3.0 < high + 0.1
+    if name == "square":
+        # NEES tells it, too.
+        assert case.regions.found["first_order"][-1].nees > 3.8
+        # A mean of e' M^-1 e is 3 whatever the noise, if M is the mean of e e'.
+        low, high = case.regions.found["published"][-1].nees_band
+        assert low - 0.1 < 3.0 < high + 0.1
 
 
 def test_a_mean_of_blocks_is_the_mean_of_all():
-    case = case_of("square", "rate_invariant", 0.2)
+    case = case_of("square", 0.2, paths=PATHS)
     steps = noisy_steps(PATHS_BY_NAME["square"], level_rule("rate_invariant", 0.2))
     errors = drawn_errors(steps, study_generator(52, "rate_invariant", 0.2, 5.0))
-    distances = np.hypot(errors[:, 0], errors[:, 1])
+    distances = np.hypot(*errors[:, :2].T)
     metric = case.metrics["final_error_m"]
     expected = [distances.mean(), np.median(distances), np.quantile(distances, 0.95)]
     assert [metric[name] for name in ("mean", "p50", "p95")] == pytest.approx(expected)
@@ -161,33 +173,22 @@ def test_a_mean_of_blocks_is_the_mean_of_all():
 
 def test_bounds_are_quantiles_of_chi_square():
     assert pytest.approx(stats.chi2.ppf(0.95, 2)) == SQUARE_RADIUS
-    np.testing.assert_allclose(BOUNDS, stats.chi2.ppf([0.5, 0.95, 0.99], 3))
+    assert_allclose(BOUNDS, stats.chi2.ppf([0.5, 0.95, 0.99], 3))
 
 
 def test_an_ellipse_holds_95_percent_of_a_gaussian():
     covariance = np.array([[2.0, 0.7, 0.0], [0.7, 0.5, 0.0], [0.0, 0.0, 1.0]])
     points = ellipse_points(covariance)
     lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance[:2, :2]), points)
-    np.testing.assert_allclose(lengths, stats.chi2.ppf(0.95, 2))
-
-
-STDS = (0.05, 1.0)
+    assert_allclose(lengths, stats.chi2.ppf(0.95, 2))
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("std", STDS)
-def test_sample_moments_are_the_exponential_ones(model, std):
-    steps, at = noisy_steps(wandering(60), model_named(model).at_level(std)), [25, 60]
+def test_sample_moments_are_the_exponential_ones_beyond_half_a_turn(model):
+    steps, at = noisy_steps(wandering(60), level_rule(model, 1.0)), [25, 60]
     exact = exponential_moments(steps, at)
     coordinates = se2.logarithm(drawn_errors(steps, np.random.default_rng(71), at))
-    # Mean 3, covariance 6 entries, at two poses, for each model and level.
-    quantile = stats.norm.isf(0.5 * FAMILY / (9 * 2 * len(MODELS) * len(STDS)))
+    # Mean 3, covariance 6 entries, at two poses, for each model.
+    limit = quantile(9 * 2 * len(MODELS))
     for k, found in enumerate(np.moveaxis(coordinates, 1, 0)):
-        assert_moments(found, exact.mean[k], exact.covariance[k], quantile)
-
-
-def test_no_noise_is_no_error_in_exponential_coordinates():
-    steps = noisy_steps(wandering(60), model_named("report").at_level(0.0))
-    found = exponential_moments(steps, [60])
-    assert not found.mean.any()
-    assert not found.covariance.any()
+        assert_moments(found, exact.mean[k], exact.covariance[k], limit)

@@ -4,29 +4,21 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
-from noise_paths import wandering
+from noise_paths import RULES, played, reported, wandering
 from scipy import stats
 
 from bullet_lab.core import se2
 from bullet_lab.noise.goodness import whitened
 from bullet_lab.noise.likelihood import Problem, StepPairs, part_errors
-from bullet_lab.noise.odometry_noise import (
-    NoisyPath,
-    ProbabilisticRule,
-    RateInvariantRule,
-    ReportRule,
-)
+from bullet_lab.noise.odometry_noise import NoisyPath, ProbabilisticRule, RateInvariantRule
 from bullet_lab.noise.systematic import SystematicErrors
-
-RULES = [ReportRule(0.1), RateInvariantRule(0.03), ProbabilisticRule(0.01, 0.02, 0.03, 0.004)]
 
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("errors", [SystematicErrors(), SystematicErrors(0.02, -0.03, 0.01, 0.02)])
 def test_the_draws_of_a_noisy_path_are_found_again(rule, errors):
     true = wandering()
-    noise = NoisyPath(rule, 7)
-    noisy = np.array([noise.update(*pose).pose for pose in errors.path(true).tolist()])
+    noisy = reported(played(NoisyPath(rule, 7), errors.path(true)))
     steps = se2.steps(true)
     pairs = StepPairs(steps, se2.steps(noisy)[np.newaxis])
     found = whitened(pairs, rule, errors.steps(steps))[0]

@@ -5,24 +5,17 @@ import math
 
 import numpy as np
 import pytest
-from noise_paths import square, wandering
+from noise_paths import RULES, played, reported, square, wandering
+from numpy.testing import assert_allclose, assert_array_equal
 from recorded_paths import poses_of
 
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
-from bullet_lab.noise.exact_moments import exact_moments, first_order_moments
+from bullet_lab.noise.exact_moments import exact_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
-from bullet_lab.noise.odometry_noise import (
-    NoisyPath,
-    ProbabilisticRule,
-    RateInvariantRule,
-    ReportRule,
-)
-from bullet_lab.studies.noise_study.regions import level_rule
+from bullet_lab.noise.odometry_noise import NoisyPath
 from bullet_lab.studies.paths import find_corners, resample
-
-RULES = [ReportRule(0.3), RateInvariantRule(0.2), ProbabilisticRule(0.1, 0.02, 0.1, 0.03)]
 
 
 def square_drive(count=20):
@@ -36,52 +29,27 @@ def drawn(poses, rule, seed, count, **options):
     return np.concatenate([poses_of(block, np.asarray(poses)) for block in blocks])
 
 
-def assert_same_poses(actual, expected):
-    difference = actual - expected
-    difference[..., 2] = wrap(difference[..., 2])
-    assert np.abs(difference).max() < 1e-12
-
-
 @pytest.mark.parametrize("rule", RULES)
-def test_the_same_draws_give_the_paths_of_the_loop(rule):
+def test_the_loop_gives_the_paths_of_the_same_draws_and_their_exact_moments(rule):
     poses, path = wandering(), NoisyPath(rule, 41)
-    expected = []
+    expected = exact_moments(noisy_steps(poses, rule)).about_perfect()
+    looped = []
     for _ in range(3):
         path.restart()
-        expected.append([path.update(*pose).pose for pose in poses.tolist()])
-    assert_same_poses(drawn(poses, rule, 41, 3), np.array(expected))
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_the_covariance_of_the_loop_is_that_of_the_exact_moments(rule):
-    poses, path = wandering(), NoisyPath(rule, 42)
-    expected = exact_moments(noisy_steps(poses, rule)).about_perfect()
-    for _ in range(2):
-        path.restart()
-        actual = np.array([path.update(*pose).covariance for pose in poses.tolist()])
-        np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-12 * expected.max())
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_first_order_is_the_recursion_of_textbooks(rule):
-    steps = noisy_steps(wandering(), rule)
-    moments, covariance = first_order_moments(steps), np.zeros((3, 3))
-    rows = zip(*(getattr(steps, name) for name in ("angle", "trans", "variance1")))
-    for k, (psi, d, variance1) in enumerate(rows):
-        sin, cos = math.sin(psi), math.cos(psi)
-        f = np.array([[1, 0, -d * sin], [0, 1, d * cos], [0, 0, 1]])
-        g = np.array([[-d * sin, cos, 0], [d * cos, sin, 0], [1, 0, 1]])
-        noise = np.diag([variance1, steps.variance_trans[k], steps.variance2[k]])
-        covariance = f @ covariance @ f.T + g @ noise @ g.T
-        np.testing.assert_allclose(moments.covariance[k + 1], covariance, rtol=0.0, atol=1e-12)
-    assert not moments.mean.any()
+        steps = played(path, poses)
+        looped.append(reported(steps))
+        covariance = [step.covariance for step in steps]
+        assert_allclose(covariance, expected, rtol=0.0, atol=1e-12 * expected.max())
+    difference = drawn(poses, rule, 41, 3) - looped
+    difference[..., 2] = wrap(difference[..., 2])
+    assert np.abs(difference).max() < 1e-12
 
 
 @pytest.mark.parametrize("size", [1, 250])
 def test_the_size_of_the_blocks_does_not_matter(size):
     poses = wandering()
     expected = drawn(poses, RULES[0], 43, 7)
-    np.testing.assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
+    assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
 
 
 def test_each_case_has_draws_of_its_own():
@@ -91,27 +59,15 @@ def test_each_case_has_draws_of_its_own():
     assert draws[-1] == draws[0]
 
 
-def test_the_levels_of_the_probabilistic_model_start_from_the_defaults_of_noisy_odom():
-    rule = level_rule("probabilistic", 0.1)
-    actual = (rule.alpha1, rule.alpha2, rule.alpha3, rule.alpha4)
-    assert actual == pytest.approx((0.01, 0.001, 0.01, 0.001))
-
-
-def test_a_path_at_its_own_rate_is_itself():
-    trajectory = square_drive()
-    np.testing.assert_array_equal(resample(trajectory, 20.0).stamps, trajectory.stamps)
-    np.testing.assert_allclose(resample(trajectory, 20.0).poses, trajectory.poses, atol=1e-14)
-
-
-@pytest.mark.parametrize("rate", [0.9, 50.0])
-def test_another_rate_keeps_start_end_and_way(rate):
+@pytest.mark.parametrize("rate", [0.9, 20.0, 50.0])
+def test_a_rate_keeps_start_end_and_way(rate):
     trajectory = square_drive()
     other = resample(trajectory, rate)
-    np.testing.assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
+    assert_array_equal(other.poses[[0, -1]], trajectory.poses[[0, -1]])
     assert np.diff(other.stamps)[:-1] == pytest.approx(1.0 / rate)
     for axis in (0, 1):
         on_path = np.interp(other.stamps, trajectory.stamps, trajectory.poses[:, axis])
-        np.testing.assert_allclose(other.poses[:, axis], on_path, atol=1e-12)
+        assert_allclose(other.poses[:, axis], on_path, atol=1e-12)
 
 
 def test_a_heading_is_interpolated_the_short_way_round():
@@ -128,4 +84,4 @@ def test_a_rate_that_is_too_high():
 def test_the_corners_of_a_square():
     trajectory = square_drive(20)
     corners = trajectory.poses[find_corners(trajectory), :2]
-    np.testing.assert_allclose(corners, [[2, 0], [2, 2], [0, 2], [0, 0]], atol=1e-12)
+    assert_allclose(corners, [[2, 0], [2, 2], [0, 2], [0, 0]], atol=1e-12)

@@ -1,12 +1,13 @@
-"""None"""
+"""Noise rules, and the noisy path that they make, pose by pose."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
-from noise_paths import drive, wandering
-from recorded_paths import make_rule, recover_noise
-from scipy import stats
+from noise_paths import RULES, drive, played, reported, wandering
+from numpy.testing import assert_allclose, assert_array_equal
+from recorded_paths import make_rule
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import ParameterError, check_parameters
@@ -22,16 +23,9 @@ from bullet_lab.noise.odometry_noise import (
     derived_seed,
 )
 
-RULES = [ReportRule(0.1), RateInvariantRule(0.1), ProbabilisticRule(0.02, 0.01, 0.03, 0.005)]
-
-
-def run(path, poses):
-    steps = [path.update(*pose) for pose in poses.tolist()]
-    return steps, np.array([step.pose for step in steps])
-
 
 @pytest.mark.parametrize(
-    ("step", "expected"),
+    "step, expected",
     [
         ((0.3, 0.0, 0.0), (0.0, 0.3, 0.0)),
         ((-0.3, 0.0, 0.0), (0.0, -0.3, 0.0)),
@@ -46,7 +40,7 @@ def run(path, poses):
 )
 def test_decompose(step, expected):
     assert decompose(*step) == pytest.approx(expected, abs=1e-15)
-    np.testing.assert_allclose(decompose_steps(step), expected, atol=1e-15)
+    assert_allclose(decompose_steps(step), expected, atol=1e-15)
 
 
 def test_decompose_puts_together_again():
@@ -55,180 +49,103 @@ def test_decompose_puts_together_again():
     assert np.abs(parts[..., 0]).max() <= math.pi / 2
     turn, way = np.zeros_like(steps), np.zeros_like(steps)
     turn[..., 2], way[..., 0], way[..., 2] = parts[..., 0], parts[..., 1], parts[..., 2]
-    np.testing.assert_allclose(se2.compose(turn, way), steps, atol=1e-12)
-    for step, part in zip(steps.reshape(-1, 3).tolist(), parts.reshape(-1, 3)):
-        np.testing.assert_allclose(decompose(*step), part, rtol=1e-15, atol=1e-15)
+    assert_allclose(se2.compose(turn, way), steps, atol=1e-12)
 
 
-def test_report_rule_is_proportional_to_each_part():
-    assert ReportRule(0.1).variances(0.2, -0.3, -0.4) == pytest.approx((4e-4, 9e-4, 16e-4))
-
-
-def test_rate_invariant_rule_counts_metres_and_radians():
-    assert RateInvariantRule(0.1).variances(0.0, -0.3, 0.0) == pytest.approx(
-        (0.0015, 0.003, 0.0015)
-    )
-    assert RateInvariantRule(0.1).variances(0.0, 0.0, -0.4) == pytest.approx((0.002, 0.0, 0.002))
-
-
-def test_rate_invariant_rule_takes_strafing_for_no_turn():
-    sideways = RateInvariantRule(0.1).variances(*decompose(0.0, 0.3, 0.0))
-    assert sideways == pytest.approx(RateInvariantRule(0.1).variances(0.0, 0.3, 0.0))
-
-
-def test_probabilistic_rule_is_table_5_6():
-    variances = ProbabilisticRule(1.0, 2.0, 3.0, 4.0).variances(0.1, -0.2, 0.3)
-    assert variances == pytest.approx((0.01 + 0.08, 0.12 + 0.4, 0.09 + 0.08))
+@pytest.mark.parametrize(
+    "rule, step, variances",
+    [
+        # In proportion to each part.
+        (ReportRule(0.1), (0.2, -0.3, -0.4), (4e-4, 9e-4, 16e-4)),
+        # By metres and radians; strafing is no turn.
+        (RateInvariantRule(0.1), (0.0, -0.3, 0.0), (0.0015, 0.003, 0.0015)),
+        (RateInvariantRule(0.1), (0.0, 0.0, -0.4), (0.002, 0.0, 0.002)),
+        (RateInvariantRule(0.1), decompose(0.0, 0.3, 0.0), (0.0015, 0.003, 0.0015)),
+        # Table 5.6.
+        (ProbabilisticRule(1, 2, 3, 4), (0.1, -0.2, 0.3), (0.01 + 0.08, 0.12 + 0.4, 0.09 + 0.08)),
+    ],
+)
+def test_variances(rule, step, variances):
+    assert rule.variances(*step) == pytest.approx(variances)
 
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, 1e300])
 def test_bad_parameters_are_refused(bad):
-    for model in ("report", "rate_invariant"):
-        with pytest.raises(ParameterError, match="std is"):
-            check_parameters(make_rule(model, bad))
-    with pytest.raises(ParameterError, match="alpha3 is"):
-        check_parameters(ProbabilisticRule(0.1, 0.1, bad, 0.1))
+    for name, rule in (
+        ("std", ReportRule(bad)),
+        ("std", RateInvariantRule(bad)),
+        ("alpha3", ProbabilisticRule(0.1, 0.1, bad, 0.1)),
+    ):
+        with pytest.raises(ParameterError, match=f"{name} is"):
+            check_parameters(rule)
 
 
 def test_rules_are_made_by_name():
     assert make_rule("probabilistic", 0.0, [1, 2, 3, 4]) == ProbabilisticRule(1, 2, 3, 4)
+    usual = dataclasses.astuple(ProbabilisticRule())
+    assert dataclasses.astuple(ProbabilisticRule.at_level(0.1)) == pytest.approx(usual)
     with pytest.raises(NoiseError, match="'gauss'.*report, rate_invariant, probabilistic"):
         make_rule("gauss", 0.1)
     with pytest.raises(NoiseError, match="4 alphas, not 3"):
         make_rule("probabilistic", 0.1, [0.1] * 3)
 
 
-def test_first_pose_is_unchanged():
-    step = NoisyPath(ReportRule(0.1), 1).update(1.0, 2.0, 3.0)
-    assert (step.pose, step.motion_error) == ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
-    assert not step.covariance.any()
-    assert not step.motion_covariance.any()
-    assert not step.covariance.flags.writeable
-
-
 def test_no_noise_gives_the_perfect_path():
     poses = wandering()
     crawl = se2.compose(poses[-1], [[0.0, 5e-5 * k, 0.01 * k] for k in range(200)])
     poses = np.concatenate([poses, crawl])
-    steps, noisy = run(NoisyPath(ReportRule(0.0), 1), poses)
-    np.testing.assert_allclose(se2.between(poses, noisy), 0.0, atol=1e-12)
+    steps = played(NoisyPath(ReportRule(0.0), 1), poses)
+    assert_allclose(se2.between(poses, reported(steps)), 0.0, atol=1e-12)
     assert not steps[-1].covariance.any()
 
 
-def test_yaw_stays_wrapped():
-    poses = [(0.0, 0.0, 0.3 * k) for k in range(100)]
-    _, noisy = run(NoisyPath(ReportRule(0.1), 2), np.array(poses))
-    assert noisy[:, 2].min() >= -math.pi
-    assert noisy[:, 2].max() < math.pi
-
-
 @pytest.mark.parametrize("rule", RULES)
-def test_motion_error_is_the_difference_of_the_steps(rule):
+def test_each_step_has_its_error_and_its_covariance(rule):
     poses = wandering()
-    steps, noisy = run(NoisyPath(rule, 3), poses)
+    steps = played(NoisyPath(rule, 3), poses)
+    noisy, moves = reported(steps), se2.steps(poses)
     errors = np.array([step.motion_error for step in steps[1:]])
-    expected = se2.steps(noisy) - se2.steps(poses)
-    expected[:, 2] = (expected[:, 2] + math.pi) % (2 * math.pi) - math.pi
-    np.testing.assert_allclose(errors, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_noise_is_recovered_draw_by_draw(rule):
-    poses = wandering()
-    _, noisy = run(NoisyPath(rule, 7), poses)
-    recovered = recover_noise(poses, noisy)
-    draws = np.random.default_rng(7).standard_normal((len(poses) - 1, 3))[:, [1, 0, 2]]
-    noise = draws * np.sqrt(np.stack(rule.variances(*recovered.components.T), axis=-1))
-    undirected = np.abs(recovered.components[:, 1]) < MIN_TRANSLATION
-    assert 50 < undirected.sum() < 200
-    noise[undirected, 2] += noise[undirected, 0]
-    noise[undirected, 0] = np.nan
-    np.testing.assert_allclose(recovered.noise, noise, atol=1e-10)
-    np.testing.assert_allclose(recovered.components, decompose_steps(se2.steps(poses)))
+    difference = se2.steps(noisy) - moves
+    assert_allclose(errors, np.c_[difference[:, :2], se2.wrap(difference[:, 2])], atol=1e-12)
+    assert_array_equal(noisy[:, 2], se2.wrap(noisy[:, 2]))
+    for move, step in zip(moves, steps[1:]):
+        # That of a path of one step.
+        _, own = played(NoisyPath(rule, 0), [(0.0, 0.0, 0.0), move])
+        assert_allclose(step.motion_covariance, own.covariance, atol=1e-15)
+    assert np.linalg.eigvalsh(steps[-1].covariance).min() > 0.0
 
 
 def test_restart_begins_anew_but_draws_on():
     poses = wandering(10)
     path = NoisyPath(ReportRule(0.1), 11)
-    run(path, poses)
+    before = played(path, poses)
     path.restart()
-    steps, noisy = run(path, poses)
-    assert steps[0].pose == pytest.approx(poses[0])
-    assert not steps[0].covariance.any()
-    assert steps[1].covariance[2, 2] == steps[1].motion_covariance[2, 2]
-    _, first = run(NoisyPath(ReportRule(0.1), 11), poses)
-    assert np.abs(noisy[-1] - first[-1]).max() > 1e-4
+    first, second, *_, last = played(path, poses)
+    # The first pose is unchanged.
+    assert (first.pose, first.motion_error) == (tuple(poses[0]), (0.0, 0.0, 0.0))
+    assert not first.covariance.any() and not first.motion_covariance.any()
+    assert not first.covariance.flags.writeable
+    assert second.covariance[2, 2] == second.motion_covariance[2, 2]
+    assert np.abs(np.subtract(last.pose, before[-1].pose)).max() > 1e-4
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_the_covariance_of_a_step_is_that_of_a_path_of_one_step(rule):
-    poses = wandering(50)
-    steps, _ = run(NoisyPath(rule, 13), poses)
-    for before, after, step in zip(poses, poses[1:], steps[1:]):
-        alone = NoisyPath(rule, 0)
-        alone.update(0.0, 0.0, 0.0)
-        own = alone.update(*se2.between(before, after).tolist())
-        np.testing.assert_allclose(step.motion_covariance, own.covariance, atol=1e-15)
-    assert np.linalg.eigvalsh(steps[-1].covariance).min() > 0.0
-
-
-def test_derived_seeds_are_the_same_each_time_and_differ_from_each_other():
-    seeds = [derived_seed(seed, index) for seed in range(20) for index in range(50)]
-    assert len(set(seeds)) == len(seeds)
-    assert seeds == [derived_seed(seed, index) for seed in range(20) for index in range(50)]
+def test_derived_seeds_differ_from_each_other():
+    seeds = {derived_seed(seed, index) for seed in range(20) for index in range(50)}
+    assert len(seeds) == 1000
     # As far as a parameter of type int goes.
     assert min(seeds) >= 0
     assert max(seeds) < 2**31
 
 
-TAIL = 0.0005
-QUANTILE = stats.norm.isf(TAIL)
-
-
-def corner(count, side=2.0, turn=math.pi / 2):
-    """Ahead, turn on the spot, ahead; `count` messages for each."""
-    ahead = (count, (side / count, 0.0, 0.0))
-    return drive((0.0, 0.0, 0.0), ahead, (count, (0.0, 0.0, turn / count)), ahead).tolist()
-
-
-def last_step(rule, seed, poses):
-    path = NoisyPath(rule, seed)
-    for pose in poses:
-        step = path.update(*pose)
-    return step
-
-
-def test_spread_of_the_report_rule_is_std_times_distance():
-    # Written out, without the helper: one step of 2 m has a standard deviation of 0.2 m.
-    poses = [(0, 0, 0.5), (2 * math.cos(0.5), 2 * math.sin(0.5), 0.5)]
-    errors = [last_step(ReportRule(0.1), seed, poses).motion_error[0] for seed in range(500)]
-    assert stats.kstest(np.array(errors) / 0.2, "norm").pvalue > 2 * TAIL
-
-
 def test_rate_invariant_covariance_does_not_depend_on_the_subdivision():
     k = 1e-6  # so small that the noisy path is the perfect one
-    coarse, fine = (last_step(RateInvariantRule(k), 30, corner(n)).covariance for n in (20, 400))
-    assert coarse[2, 2] == pytest.approx(fine[2, 2], rel=1e-9)
-    assert fine[2, 2] == pytest.approx(k**2 * (2.0 + math.pi / 2 + 2.0), rel=1e-9)
-    np.testing.assert_allclose(coarse, fine, rtol=2e-3)
-
-
-@pytest.mark.parametrize(
-    "rule",
-    [
-        ReportRule(0.03),
-        RateInvariantRule(0.01),
-        ProbabilisticRule(0.001, 0.0005, 0.001, 0.0005),
-    ],
-)
-def test_reported_covariance_is_that_of_many_paths(rule):
-    poses, count = corner(15), 600
-    steps = [last_step(rule, seed, poses) for seed in range(count)]
-    errors = np.array([step.pose for step in steps]) - poses[-1]
-    reported = np.mean([step.covariance for step in steps], axis=0)
-    sample = errors.T @ errors / count
-    variances = np.diag(reported)
-    sampling_std = np.sqrt((np.outer(variances, variances) + reported**2) / count)
-    assert (np.abs(sample - reported) < QUANTILE * sampling_std).all()
-    nees = [e @ np.linalg.solve(step.covariance, e) for e, step in zip(errors, steps)]
-    assert stats.chi2.ppf(TAIL, 3 * count) < np.sum(nees) < stats.chi2.isf(TAIL, 3 * count)
+    coarse, fine = (
+        played(
+            NoisyPath(RateInvariantRule(k), 30),
+            drive((0.0, 0.0, 0.0), *[(n, (2.0 / n, 0.0, 0.0)), (n, (0.0, 0.0, 1.0 / n))] * 2),
+        )[-1].covariance
+        for n in (20, 400)
+    )
+    assert coarse[2, 2] == pytest.approx(k**2 * (2.0 + 1.0 + 2.0 + 1.0), rel=1e-9)
+    assert fine[2, 2] == pytest.approx(coarse[2, 2], rel=1e-9)
+    assert_allclose(coarse, fine, rtol=2e-3)

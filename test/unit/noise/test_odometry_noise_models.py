@@ -1,13 +1,24 @@
-"""A noise model is one class: everything else goes through those that are registered."""
+"""A noise model is one class: everything else goes through those that are registered.
 
-from dataclasses import dataclass, fields
+The parameter std is checked where it comes in, and nowhere else on its way to a draw.
+"""
+
+import sys
+from dataclasses import asdict, dataclass, fields, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from recorded_paths import make_rule
 
-from bullet_lab.core.parameters import ParameterError, check_parameters, declarations, number
+from bullet_lab.core import parameters
+from bullet_lab.core.parameters import (
+    ParameterError,
+    check_parameters,
+    declarations,
+    number,
+    read_parameters,
+)
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.goodness import drawn_pairs
 from bullet_lab.noise.likelihood import StepPairs
@@ -21,7 +32,10 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
+from bullet_lab.noise.presets import NONE, PRESETS, with_preset
 from bullet_lab.studies import squares
+from bullet_lab.studies.squares import SquaresSettings
+from bullet_lab.studies.study import UnfinishedError
 
 
 @dataclass(frozen=True)
@@ -92,6 +106,37 @@ def test_a_parameter_of_several_models_is_declared_once(slip):
     assert set(declarations(ReportRule)) == {"std"}
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_is_valid_and_complete(name):
+    found = with_preset(SquaresSettings(noise=name))
+    check_parameters(found)
+    assert asdict(found).items() >= PRESETS[name].items()
+
+
+def test_without_a_preset_nothing_changes():
+    given = SquaresSettings(std=0.3)
+    assert with_preset(given) == given == replace(given, noise=NONE)
+
+
+# No default, and no other parameter's value.
+STD = 0.2731
+
+
+@pytest.fixture
+def checks():
+    """The checks of a number that is `STD`."""
+    found = []
+
+    def count(frame, event, _):
+        is_check = event == "call" and frame.f_code is parameters._float.__code__
+        if is_check and str(frame.f_locals["value"]) == str(STD):
+            found.append(frame.f_locals["value"])
+
+    sys.setprofile(count)
+    yield found
+    sys.setprofile(None)
+
+
 @pytest.fixture
 def noisy_odom(monkeypatch):
     """The node's module, without a connection to a master."""
@@ -104,21 +149,49 @@ def noisy_odom(monkeypatch):
     return noisy_odom
 
 
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("as_published", ["true", "false"])
+def test_in_a_start_of_noisy_odom(noisy_odom, checks, model, as_published):
+    given = {"~std": STD, "~model": model, "~as_published": as_published, "~robots": 2}
+    read = read_parameters(noisy_odom.NoisyOdomParameters, given.get)
+    every = noisy_odom.robots_of(read).items()
+    robots = [noisy_odom.NoisyOdometry(own, name) for name, own in every]
+    assert [robot.std for robot in robots] == [STD, STD]
+    assert len(checks) == 1
+
+
+@pytest.mark.parametrize("as_published", ["true", "false"])
+def test_in_the_squares_in_one_process(monkeypatch, capfd, tmp_path, checks, as_published):
+    def drive(*args):
+        raise UnfinishedError("the noise is there")
+
+    monkeypatch.setattr(squares, "drive_square", drive)
+    words = ["--std", str(STD), "--as-published", as_published]
+    with pytest.raises(SystemExit):
+        squares.main([str(tmp_path / "out"), *words])
+    assert "the noise is there" in capfd.readouterr().err
+    assert checks == [str(STD)]
+
+
 def test_settings_made_in_python_are_checked(tmp_path):
     with pytest.raises(ParameterError, match="std"):
-        squares.run_squares(tmp_path, squares.SquaresSettings(std=-1.0))
+        squares.run_squares(tmp_path, SquaresSettings(std=-1.0))
 
 
-def test_a_request_to_the_node_is_checked(noisy_odom):
+@pytest.mark.parametrize("model", MODELS)
+def test_a_request_to_the_node_is_checked(noisy_odom, model):
     node = noisy_odom.NoisyOdometry(noisy_odom.NoisyOdomParameters(seed=1))
-    for model, std, alphas, said in (
-        ("report", -1.0, [], "std is -1.0: it must be"),
-        ("probabilistic", 0.1, [0, 0, -1, 0], "alpha3 is -1: it must be"),
-        ("nix", 0.1, [], "unknown noise model 'nix'"),
+
+    def ask(*given):
+        return node.set_noise(SimpleNamespace(**dict(zip(("model", "std", "alphas"), given))))
+
+    for given, said in (
+        ((model, -1.0, []), "std is -1.0: it must be"),
+        (("probabilistic", 0.1, [0, 0, -1, 0]), "alpha3 is -1: it must be"),
+        (("nix", 0.1, []), "unknown noise model 'nix'"),
     ):
-        refused = node.set_noise(SimpleNamespace(model=model, std=std, alphas=alphas))
-        assert not refused.success
-        assert said in refused.status_message
+        refused = ask(*given)
+        assert not refused.success and said in refused.status_message
     assert node.std == noisy_odom.NoisyOdomParameters.std
-    assert node.set_noise(SimpleNamespace(model="report", std=0.3, alphas=[])).success
+    assert ask(model, 0.3, []).success
     assert node.std == 0.3

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from bullet_lab.noise.calibration import Problem, fit
 from bullet_lab.noise.goodness import drawn_pairs
@@ -33,17 +34,14 @@ def reported(seed):
 
 def halves_of(pairs):
     every = np.ones(len(pairs.true), dtype=bool)
-    for own in (slice(None, len(every) // 2), slice(len(every) // 2, None)):
-        other = np.setdiff1d(np.arange(len(every)), np.arange(len(every))[own])
-        mine = StepPairs(pairs.true[own], pairs.odometry[:, own])
-        problem = Problem(mine, "random_walk", NAMES)
+    number = np.arange(len(every))
+    for own in (number < len(every) // 2, number >= len(every) // 2):
+        problem = Problem(StepPairs(pairs.true[own], pairs.odometry[:, own]), "random_walk", NAMES)
         found = fit(problem)
-        yours = StepPairs(pairs.true[other], pairs.odometry[:, other])
+        others = StepPairs(pairs.true[~own], pairs.odometry[:, ~own])
         for length in (1.0, 5.0):
-            yield (
-                predicted(problem, found, yours, every[other], length),
-                parameter_variances(problem, found),
-            )
+            ends = predicted(problem, found, others, every[~own], length)
+            yield ends, parameter_variances(problem, found)
 
 
 def test_the_right_model_predicts_the_other_half():
@@ -75,7 +73,7 @@ def test_windows_go_over_no_gap_and_have_their_length():
     begins, ends = windows(steps, follows, 2.0)
     way = path_of(steps)[:, 0]
     assert len(begins) > 5
-    np.testing.assert_allclose(way[ends] - way[begins], 2.0, atol=0.1 + 1e-9)
+    assert_allclose(way[ends] - way[begins], 2.0, atol=0.1 + 1e-9)
     assert not ((begins < 40) & (ends > 40)).any()
 
 
@@ -90,7 +88,7 @@ def test_shares_of_a_long_step_are_the_moments_of_many_paths():
     scale = np.sqrt(np.diagonal(seen))
     # 20000 paths determine a variance to 1 %, and the moments are of first order.
     size = np.outer(scale, scale)
-    np.testing.assert_allclose(said / size, seen / size, atol=0.04)
+    assert_allclose(said / size, seen / size, atol=0.04)
 
 
 def test_long_steps_give_the_parameters_that_short_ones_have():

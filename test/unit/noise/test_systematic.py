@@ -1,17 +1,20 @@
-"""Systematic errors: those of wheels that are not what the odometry believes, in closed form."""
+"""Systematic errors: those of wheels that are not what the odometry believes, and their spread."""
 
 import math
 
 import numpy as np
 import pytest
-from noise_paths import line, wandering
+from noise_paths import drive, line, played, reported, wandering
+from numpy.testing import assert_allclose
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import ParameterError, check_parameters
 from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.systematic import (
+    SpreadPath,
     SystematicErrors,
     SystematicPath,
+    SystematicSpread,
     arcs,
     chords,
     end_of,
@@ -51,8 +54,8 @@ def test_they_are_what_encoder_odometry_makes_of_wrong_wheels(scale, base, diame
 def test_a_gyro_drifts_on_either_way():
     there = line(4.0, 80)
     poses = np.concatenate((there, there[-2::-1]))
-    reported = SystematicErrors(gyro_bias_per_metre=0.01).path(poses)
-    assert reported[-1, 2] == pytest.approx(0.08)
+    made = SystematicErrors(gyro_bias_per_metre=0.01).path(poses)
+    assert made[-1, 2] == pytest.approx(0.08)
 
 
 def test_without_errors_a_path_comes_back_to_the_bit():
@@ -63,26 +66,23 @@ def test_without_errors_a_path_comes_back_to_the_bit():
 
 def test_whole_paths_and_pose_by_pose_agree():
     poses, path = wandering(), SystematicPath(ALL)
-    steps = [path.update(*pose) for pose in poses.tolist()]
-    assert np.array_equal(ALL.path(poses), [step.pose for step in steps])
-    true, reported = se2.steps(poses), ALL.steps(se2.steps(poses))
+    first, steps = [], []
+    for every in (first, steps):
+        path.restart()
+        every += played(path, poses)
+    assert steps == first
+    assert np.array_equal(ALL.path(poses), reported(steps))
+    true, made = se2.steps(poses), ALL.steps(se2.steps(poses))
     errors = [step.motion_error for step in steps[1:]]
-    np.testing.assert_allclose(reported - true, errors, rtol=0.0, atol=1e-14)
-    composed = se2.compose(poses[0], end_of(reported))
-    np.testing.assert_allclose(composed[:2], steps[-1].pose[:2], rtol=0.0, atol=1e-12)
+    assert_allclose(made - true, errors, rtol=0.0, atol=1e-14)
+    composed = se2.compose(poses[0], end_of(made))
+    assert_allclose(composed[:2], steps[-1].pose[:2], rtol=0.0, atol=1e-12)
 
 
 def test_arcs_lead_where_steps_do():
     steps = se2.steps(wandering())
-    np.testing.assert_allclose(chords(arcs(steps)), steps, rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(arcs([0.0, 0.2, np.pi]), (0.1 * np.pi, 0.0, np.pi), atol=1e-15)
-
-
-def test_a_path_starts_anew():
-    path = SystematicPath(ALL)
-    first = [path.update(*pose) for pose in wandering().tolist()]
-    path.restart()
-    assert [path.update(*pose) for pose in wandering().tolist()] == first
+    assert_allclose(chords(arcs(steps)), steps, rtol=0.0, atol=1e-15)
+    assert_allclose(arcs([0.0, 0.2, np.pi]), (0.1 * np.pi, 0.0, np.pi), atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["scale_error", "base_error", "diameter_error", "wheel_base"])
@@ -90,3 +90,34 @@ def test_what_makes_no_sense_is_refused(name):
     for value in (math.nan, -0.6, math.inf):
         with pytest.raises(ParameterError, match=name):
             check_parameters(SystematicErrors(**{name: value}))
+
+
+SPREAD = SystematicSpread(0.01, 0.02, 0.004, 0.01, 0.02)
+# A quarter of a circle.
+BEND = drive((0.0, 0.0, 0.0), (10, chords((0.3, 0.0, 0.15))))
+
+
+def end(path):
+    path.restart()
+    return played(path, BEND)[-1].pose
+
+
+def test_the_covariance_is_that_of_many_paths():
+    path = SpreadPath(ALL, SPREAD, seed=3)
+    ends = np.array([end(path) for _ in range(1500)])
+    scale = np.sqrt(np.diagonal(path.covariance))
+    # 1500 paths determine a variance to 3.7 %.
+    size = np.outer(scale, scale)
+    assert_allclose(np.cov(ends.T) / size, path.covariance / size, atol=0.15)
+    assert_allclose(ends.mean(axis=0), end(SystematicPath(ALL)), atol=0.15)
+
+
+def test_without_spread_it_is_the_systematic_path_bit_for_bit():
+    path = SpreadPath(ALL, SystematicSpread(), seed=3)
+    assert end(path) == end(SystematicPath(ALL))
+    assert not path.covariance.any()
+
+
+def test_the_seed_decides_the_errors():
+    first, same, other = (end(SpreadPath(ALL, SPREAD, seed)) for seed in (4, 4, 5))
+    assert first == same != other

@@ -4,10 +4,15 @@ import numpy as np
 import pytest
 from recorded_paths import read_paths_csv
 
-from bullet_lab.core.trajectory import CSV_HEADER, read_tum
+from bullet_lab.core import se2
+from bullet_lab.core.figures import new_figure, save
+from bullet_lab.core.files import FileError
+from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, read_tum
 from bullet_lab.reports import Reading
 from bullet_lab.reports.squares import (
     SquaresReport,
+    analyse,
+    noise_figure,
     settings_line,
     squares_summary,
 )
@@ -40,25 +45,21 @@ def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
         recording.finish()
     assert read_tum(recording.folder / "odom.tum").poses == pytest.approx(np.array(POSES[:20]))
     assert len(read_tum(recording.folder / "noisy_odom.tum")) == 15
-    first, second = read_paths_csv(recording.folder / "paths.csv")
-    assert first.poses.tolist() == [list(pose) for pose in POSES[:15]]
-    assert second.poses.tolist() == [list(POSES[-index - 1]) for index in range(15)]
-    in_memory = recording.pairs()
-    assert in_memory[1].poses.tolist() == second.poses.tolist()
-    assert in_memory[0].stamps.tolist() == first.stamps.tolist()
+    paths = read_paths_csv(recording.folder / "paths.csv")
+    for path, held, poses in zip(paths, recording.pairs(), (POSES, POSES[::-1])):
+        assert path.poses.tolist() == held.poses.tolist() == [list(pose) for pose in poses[:15]]
+        assert path.stamps.tolist() == held.stamps.tolist()
 
 
 def test_finish_leaves_out_what_came_later(recording):
     fill(recording)
     assert recording.series["odom"].last == 20 * TICK
     recording.finish(until=12 * TICK)
-    assert len(read_tum(recording.folder / "odom.tum")) == 12
-    assert len(read_tum(recording.folder / "noisy_odom.tum")) == 12
+    files = ("noisy_odom.tum", "odom.tum")
+    assert [len(read_tum(recording.folder / name)) for name in files] == [12, 12]
     assert len(read_paths_csv(recording.folder / "paths.csv")[0]) == 12
     assert len(recording.perfect()) == len(recording.pairs()[0]) == 12
-    assert sorted(path.name for path in recording.folder.iterdir()) == [
-        "noisy_odom.tum", "odom.tum", "paths.csv",
-    ]  # fmt: skip
+    assert {path.name for path in recording.folder.iterdir()} == {*files, "paths.csv"}
 
 
 def test_an_empty_recording(recording):
@@ -78,10 +79,14 @@ def test_the_summary_has_the_sides_and_the_errors(recording):
         recording.add("noisy_odom", number * TICK, tuple(np.add(pose, (0.3, 0.4, 0.1))))
     summary = squares_summary(recording.perfect(), recording.pairs())
     assert summary["side_lengths_m"] == pytest.approx([0.9875])
-    assert summary["path_length_m"] == pytest.approx(0.9875)
-    assert summary["final_error_m"] == summary["ape_rmse_m"] == pytest.approx(0.5)
-    assert summary["final_heading_error_deg"] == pytest.approx(math.degrees(0.1))
-    assert summary["pairs"] == 80
+    expected = {
+        "path_length_m": 0.9875,
+        "final_error_m": 0.5,
+        "ape_rmse_m": 0.5,
+        "final_heading_error_deg": math.degrees(0.1),
+        "pairs": 80,
+    }
+    assert {name: summary[name] for name in expected} == pytest.approx(expected)
 
 
 def test_time_set_back_begins_a_new_run(recording):
@@ -98,30 +103,20 @@ def test_time_set_back_begins_a_new_run(recording):
     assert recording.newest() == 3 * TICK
 
 
-def test_the_report_forgets_the_covariances_of_the_old_run(tmp_path):
+@pytest.mark.parametrize(
+    "about, back, shown", [({}, False, 1), ({"as_published": True}, False, 0), ({}, True, 0)]
+)
+def test_ellipses_are_those_of_the_noise_of_this_run(tmp_path, about, back, shown):
     report = SquaresReport(tmp_path)
-    resets = []
-    report.on_reset = resets.append
-    for stamp in (2 * TICK, TICK):
+    covariance = ((0.01, 0.0), (0.0, 0.01))
+    readings = [Reading((k + 1) * TICK, POSES[k], covariance) for k in range(5)]
+    for reading in [*readings, Reading(TICK, POSES[0])] if back else readings:
         for topic in ("odom", "noisy_odom"):
-            assert report.take(topic, Reading(stamp, POSES[0], ((0.01, 0.0), (0.0, 0.01))))
-    assert resets == [tmp_path / "run_1"]
-    assert list(report._covariances) == [TICK]
-    report.about = {"std": 0.1, "seed": 2}
+            assert report.take(topic, reading)
+    report.about = {"std": 0.1, **about}
     figure = report.figures({})["paths.png"]
-    assert figure._suptitle.get_text().endswith("\nstd = 0.1, seed = 2")
-
-
-@pytest.mark.parametrize(("as_published", "shown"), [(False, 1), (True, 0)])
-def test_ellipses_are_those_of_the_noise(tmp_path, as_published, shown):
-    report = SquaresReport(tmp_path)
-    for index in range(5):
-        for topic in ("odom", "noisy_odom"):
-            covariance = ((0.01, 0.0), (0.0, 0.01))
-            report.take(topic, Reading((index + 1) * TICK, POSES[index], covariance))
-    report.about = {"as_published": as_published}
-    axes = report.figures({})["paths.png"].axes[0]
-    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "\nstd = 0.1" in figure._suptitle.get_text()
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert sum("ellipses" in label for label in labels) == shown
 
 
@@ -145,3 +140,101 @@ def test_ellipses_are_those_of_the_noise(tmp_path, as_published, shown):
 )
 def test_the_title_has_the_settings_that_act(about, line):
     assert settings_line(about) == line
+
+
+def trajectory(count, shift=0.0):
+    stamps = np.arange(1, count + 1) / 20
+    poses = np.column_stack([stamps + shift, np.sin(stamps), se2.wrap(3.0 + 0.1 * stamps)])
+    return Trajectory(stamps, poses)
+
+
+@pytest.mark.parametrize("count", [1, 400])
+def test_the_figure_has_both_paths_their_ends_and_their_error(count):
+    figure = noise_figure(trajectory(count + 5), (trajectory(count), trajectory(count, shift=0.3)))
+    paths, *coordinates, error = (
+        [len(line.get_xdata()) for line in axes.lines if len(line.get_xdata())]
+        for axes in figure.axes
+    )
+    assert sorted(paths) == sorted([count + 5, count, 1, 1, 1])
+    assert (coordinates, error) == ([[count, count + 5]] * 3, [count])
+    assert figure.axes[0].get_aspect() == 1.0
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert labels == ["Noisy odom", "Perfect odom", "start", "ends"]
+    assert figure.axes[-1].lines[0].get_ydata() == pytest.approx([0.3] * count)
+
+
+def test_the_same_figure_is_the_same_file(tmp_path):
+    for name in ("a.png", "b.png"):
+        figure = new_figure(2.0, 1.0)
+        figure.subplots().plot([1.0, 3.0], label="a")
+        save(figure, tmp_path / name)
+    first, second = (path.read_bytes() for path in tmp_path.iterdir())
+    assert first == second and first.startswith(b"\x89PNG")
+    with pytest.raises(FileError, match="^cannot write "):
+        save(figure, tmp_path / "nix" / "a.png")
+
+
+SIDE = [(0.0095, 0.0, 0.0)] * 200
+TURN = [(0.0, 0.0, -math.radians(1.5))] * 60
+REST = [(0.0, 0.0, 0.0)] * 15
+SLOW_DRIVE = [(0.0005, 0.0, 0.0)] * 20
+SLOW_TURN = [(0.0, 0.0, -math.radians(0.1))] * 20
+MIXED = [(0.004, 0.0, -math.radians(0.7))]
+TREMBLE = np.random.default_rng(1).normal(0.0, 1e-6, (60, 3)).tolist()
+WOBBLE = [(0.0095, 0.0, sway) for sway in [0.12, -0.12, 0.0, 0.0] * 50]
+STRAY = [TURN[0], SIDE[0]]
+CURVE = [(0.01, 0.0, 0.01)] * 600
+
+
+def path(*legs, start=(0.0, 0.0, 0.0)):
+    poses = [np.array(start)]
+    for step in (step for leg in legs for step in leg):
+        poses.append(se2.compose(poses[-1], step))
+    return Trajectory(np.arange(len(poses)) / 20, poses)
+
+
+@pytest.mark.parametrize(
+    "lap, side, turn",
+    [
+        ([SIDE, TURN], (1.9, 1e-9), (90.0, 1e-9)),
+        ([SIDE[:90], REST, SIDE[90:], REST, TURN[:30], REST, TURN[30:]], (1.9, 1e-9), (90.0, 1e-9)),
+        ([TREMBLE, SIDE, TREMBLE, TURN], (1.9, 1e-4), (90.0, 1e-2)),
+        # A slow end belongs to its segment.
+        ([SIDE, SLOW_DRIVE, TURN, SLOW_TURN], (1.91, 1e-6), (92.0, 1e-4)),
+        # Stray messages at a corner do not split.
+        ([SIDE, STRAY, TURN, STRAY[::-1]], (1.9, 0.02), (93.0, 1.6)),
+        # A message with both gives its share to both.
+        ([SIDE, MIXED, TURN], (1.904, 1e-4), (90.7, 1e-4)),
+        ([WOBBLE, TURN], (1.9, 0.2), (90.0, 7.0)),
+    ],
+)
+def test_a_square(lap, side, turn):
+    square = analyse(path(*lap * 4, start=(3.0, -2.0, 2.9)))
+    assert square.side_lengths_m == pytest.approx([side[0]] * 4, abs=side[1])
+    assert square.turns_deg == pytest.approx([turn[0]] * 4, abs=turn[1])
+    # The turning direction does not matter.
+    left = [[(dx, dy, -dyaw) for dx, dy, dyaw in leg] for leg in lap]
+    other = analyse(path(*left * 4))
+    assert other.turns_deg == pytest.approx(square.turns_deg)
+    assert other.closure_error_m == pytest.approx(square.closure_error_m, abs=1e-12)
+
+
+def test_a_turning_message_with_some_drive_gives_its_share_to_the_side():
+    turning = [(0.002, 0.0, -math.radians(1.5))]
+    square = analyse(path(*[turning, SIDE, turning, TURN] * 4))
+    assert square.side_lengths_m == pytest.approx([1.904] * 4, abs=1e-5)
+    assert square.turns_deg == pytest.approx([93.0] * 3 + [91.5])
+
+
+def test_a_path_that_stops_half_way_has_what_it_has():
+    square = analyse(path(SIDE, TURN, SIDE[:100]))
+    assert square.side_lengths_m == pytest.approx([1.9, 0.95])
+    assert square.turns_deg == pytest.approx([90.0])
+    assert square.closure_error_m == pytest.approx(math.hypot(1.9, 0.95))
+    assert analyse(path(TURN, SIDE)).turns_deg == []
+
+
+@pytest.mark.parametrize("legs", [[], [REST], [TURN], [SIDE[:3], TURN[:2]], [SIDE[:1]], [CURVE]])
+def test_no_side_gives_empty_lists(legs):
+    square = analyse(path(*legs))
+    assert (square.side_lengths_m, square.turns_deg) == ([], [])
