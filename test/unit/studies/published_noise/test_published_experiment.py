@@ -1,14 +1,11 @@
 """The answer to the report's open question, with fewer seeds than the job."""
 
-import contextlib
-import csv
-import io
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from study_runs import csv_rows, names_in, run_main, summary_of
 
 from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects, PublishedNoise
 from bullet_lab.studies.published_noise.study import (
@@ -41,16 +38,10 @@ def drive():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Folder, summary and lines of a study from the command line."""
-    folder, said = tmp_path_factory.mktemp("published"), io.StringIO()
-    with pytest.raises(SystemExit) as end, contextlib.redirect_stdout(said):
-        main([str(folder), "--seeds", str(SEEDS)])
-    assert end.value.code == 0
-    return folder, json.loads((folder / "summary.json").read_text()), said.getvalue()
-
-
-def read(path):
-    with path.open() as file:
-        return list(csv.DictReader(file))
+    folder = tmp_path_factory.mktemp("published")
+    status, said, _ = run_main(main, folder, "--seeds", SEEDS)
+    assert status == 0
+    return folder, summary_of(folder), said
 
 
 def by_name(summary):
@@ -162,8 +153,8 @@ def test_each_of_three_defects_has_its_own_mark_on_the_third_side(run):
 
 def test_tables(run):
     folder, summary, _ = run
-    assert {path.name for path in folder.iterdir()} == FILES
-    rows, lengths = (read(folder / name) for name in ("combinations.csv", "lengths.csv"))
+    assert names_in(folder) == FILES
+    rows, lengths = (csv_rows(folder / name) for name in ("combinations.csv", "lengths.csv"))
     assert len(rows) == 32
     for row, about in zip(rows, summary["combinations"]):
         assert {name: float(value) for name, value in row.items()} == about
@@ -179,7 +170,6 @@ def test_blocks_do_not_show(drive):
 
 
 @pytest.mark.long
-def test_noise_that_is_not_there_explains_nothing(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        main([str(tmp_path), "--seeds", "400", "--std", "0"])
-    assert "no combination explains figure 1b" in capsys.readouterr().out
+def test_noise_that_is_not_there_explains_nothing(tmp_path):
+    _, said, _ = run_main(main, tmp_path, "--seeds", "400", "--std", "0")
+    assert "no combination explains figure 1b" in said
