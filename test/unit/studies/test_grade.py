@@ -55,12 +55,10 @@ def test_each_exercise_can_be_read_and_has_ten_points(path):
     [
         ({"rtf": "fast"}, "rtf is 'fast': it must be a number > 0 and <= 100"),
         ({"runs": 0}, "runs is 0: it must be a whole number from 1 to 100"),
-        ({"start": "1 2"}, "start is '1 2': it must be 3 finite numbers"),
         ({"wurld": "a"}, "there is no key 'wurld'; allowed are title, world"),
         ({"world": "package://bullet_lab/none.world"}, "world is 'package://bullet_lab/none"),
         ({"robot": "none.urdf"}, "robot is 'none.urdf': "),
         ({"criteria": []}, r"criteria is \[\]: it must be a list of criteria"),
-        ({"criteria": 5}, "criteria is 5: it must be a list of criteria"),
         ({"criteria": ["x"]}, "criterion 1: measure is : it must be one of end_error"),
     ],
 )
@@ -74,7 +72,6 @@ def test_a_bad_exercise_gives_a_line_with_key_value_and_what_is_allowed(tmp_path
         ({"measure": "speed"}, "measure is speed: it must be one of end_error, path_error"),
         ({"measure": ["rate"]}, r"measure is \['rate'\]: it must be one of"),
         ({"measure": "contacts"}, "at_least or at_most is missing"),
-        ({"measure": "rate", "at_least": "a few"}, "at_least is 'a few': it must be a number"),
         (
             {"measure": "rate", "at_least": 1, "places": [[0, 0]]},
             "there is no key 'places'; allowed are measure, name, points, .*, topic, type",

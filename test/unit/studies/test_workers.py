@@ -23,7 +23,6 @@ from bullet_lab.studies.workers import (
     ClusterSettings,
     TaskLostError,
     run_tasks,
-    this_process,
     workers,
 )
 
@@ -109,8 +108,7 @@ def in_process_cluster(workers, **options):
         )
 
 
-def test_in_this_process_every_number_gets_its_result():
-    assert list(this_process(square, range(3))) == [(0, 0), (1, 1), (2, 4)]
+def test_without_numbers_there_are_no_results():
     assert list(workers(2)(square, [])) == []
 
 

@@ -34,14 +34,6 @@ def test_a_scenario_depends_on_seed_and_index_alone(drawn):
     assert len({scenario.start for scenario in drawn}) == COUNT
 
 
-def test_numbers_are_plain_ones_that_json_and_every_process_know(drawn):
-    for scenario in drawn[:20]:
-        numbers = (*scenario.start, *scenario.dock_error, scenario.image_noise)
-        assert all(type(value) is float for value in numbers)
-        assert type(scenario.image_seed) is int
-        assert type(scenario.world) is str
-
-
 def test_starts_are_where_the_issue_wants_them(drawn):
     x, y, yaw = np.array([scenario.start for scenario in drawn]).T
     distance = MARKER_POSE[0] - x
