@@ -11,6 +11,7 @@ from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error
 from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
+from bullet_lab.noise.prediction import path_of
 from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.noise_study.statistics import (
     PathMetrics,
@@ -29,9 +30,7 @@ def square(laps=1, rest=10):
     drive[:, 0] = 0.01
     turn[:, 2] = -math.pi / 2 / 60
     moves = np.concatenate([np.zeros((rest, 3)), *[drive, turn] * 4 * laps])
-    poses = [np.array([1.0, 2.0, 0.5])]
-    for move in moves:
-        poses.append(se2.compose(poses[-1], move))
+    poses = se2.compose((1.0, 2.0, 0.5), path_of(moves))
     return Trajectory(7.0 + 0.05 * np.arange(len(poses)), poses)
 
 

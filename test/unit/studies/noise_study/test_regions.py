@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bullet_lab.core import se2
 from bullet_lab.core.se2 import logarithm, wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import exponential_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath
+from bullet_lab.noise.prediction import path_of
 from bullet_lab.studies.noise_study.regions import (
     BOUNDS,
     LEVELS,
@@ -33,10 +33,8 @@ HEADING_LOST = math.radians(70.0)
 
 
 def trajectory_of(moves):
-    poses = [np.zeros(3)]
-    for move in moves:
-        poses.append(se2.compose(poses[-1], move))
-    return Trajectory(0.1 * np.arange(len(poses)), np.array(poses))
+    poses = path_of(np.array(moves))
+    return Trajectory(0.1 * np.arange(len(poses)), poses)
 
 
 def line(length=4.0, count=40):
