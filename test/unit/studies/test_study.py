@@ -45,6 +45,10 @@ REFUSED = [
     ("detection_range", "--frames 0", "it must be a whole number from 1 to 100000"),
     ("detection_range", "--dots -1", "it must be a whole number from 0 to 100000"),
     ("detection_range", "--workers -1", "--workers is '-1'"),
+    (
+        *("detection_range", "--worlds docking --lights default --distances 1 --bearings 30"),
+        "no cell of the grid has room for the camera",
+    ),
     ("dock_campaign", "--dockings 0", "it must be a whole number from 1 to 1000000"),
     ("dock_campaign", "--worlds kitchen", "--worlds is 'kitchen'"),
     ("dock_campaign", "--lights candle", "--lights is 'candle'"),

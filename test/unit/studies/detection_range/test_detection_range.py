@@ -1,6 +1,7 @@
 """How the finds of the marker are judged, and what comes of it."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -243,6 +244,13 @@ def test_the_job_leaves_table_maps_picture_and_summary(results):
     assert len(rows) == 8
     (hidden,) = [row for row in rows if row["visible"] == "false"]
     assert (hidden["distance_m"], hidden["bearing_deg"], hidden["found"]) == ("4", "30", "0")
+
+
+def test_a_world_without_room_has_no_heat_map(tmp_path):
+    settings = replace(SMALL, worlds=("docking", "marker_panel"), distances=(1.0,), dots=0)
+    run_detection_range(tmp_path, replace(settings, bearings=(30.0,), frames=1))
+    assert "heat_map_marker_panel.png" in names_in(tmp_path)
+    assert "heat_map_docking.png" not in names_in(tmp_path)
 
 
 def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
