@@ -61,8 +61,18 @@ def test_the_drive_is_the_square_of_figure_1a(drive):
     assert np.flatnonzero(moving)[0] >= 44 and not moving[-44:].any()
 
 
+def replay_of(drive, seeds=20, **settings):
+    return Replay(drive, PublishedNoiseSettings(seeds=seeds, **settings))
+
+
+def lengths_of(drive, seeds, defects, **settings):
+    """The distance of the start, and of the corners, in each of some replays (m)."""
+    return replay_of(drive, seeds, **settings).lengths(defects, range(seeds))[:, 4:].T
+
+
 def test_a_replay_is_what_the_live_algorithm_does(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=20, seed=5))
+    replay = replay_of(drive, seed=5)
+    np.testing.assert_allclose(replay.corners, drive.corners, atol=1e-3)
     messages = replay.messages(ALL, [3])[:, 0]
     live = PublishedNoise(0.1, 5 + 3)
     expected = np.array([live.update(*pose) for pose in drive.poses[messages].tolist()])
@@ -73,15 +83,10 @@ def test_a_replay_is_what_the_live_algorithm_does(drive):
     assert phases.max() <= 1.2 and np.ptp(phases) > 0.5
 
 
-def test_the_corners_of_the_perfect_path_are_found_in_what_is_drawn(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=20))
-    np.testing.assert_allclose(replay.corners, drive.corners, atol=1e-3)
-
-
 def test_without_aliasing_the_first_corner_is_off_as_the_closed_form_has_it(drive):
     """Independent errors of the steps add up by their squares, and nothing takes them back."""
     seeds = 200
-    replay = Replay(drive, PublishedNoiseSettings(seeds=seeds, reading=0.0))
+    replay = replay_of(drive, seeds, reading=0.0)
     defects = Defects(sampled=True, unbent=True)
     messages = replay.messages(defects, range(seeds))
     at_corner = np.argmax(drive.sides[messages] == 1, axis=0) - 1
@@ -99,37 +104,32 @@ def test_without_aliasing_the_first_corner_is_off_as_the_closed_form_has_it(driv
 
 
 def test_with_aliasing_the_corners_are_the_perfect_ones(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=100))
-    kept = replay.lengths(Defects(aliasing=True, sampled=True), range(100))
-    assert np.median(kept[:, 5]) < 1e-3
-    lost = replay.lengths(Defects(sampled=True, unwrapped=True, unbent=True), range(100))
-    assert lost[:, 5].min() > 5e-3
+    _, kept = lengths_of(drive, 100, Defects(aliasing=True, sampled=True))
+    assert np.median(kept) < 1e-3
+    _, lost = lengths_of(drive, 100, Defects(sampled=True, unwrapped=True, unbent=True))
+    assert lost.min() > 5e-3
 
 
 def test_noise_at_rest_shows_at_the_start(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=100))
-    still = Defects(aliasing=True, unwrapped=True, sampled=True)
-    assert replay.lengths(still, range(100))[:, 4].max() < 1e-3
-    assert np.median(replay.lengths(ALL, range(100))[:, 4]) > 5e-4
+    still, _ = lengths_of(drive, 100, Defects(aliasing=True, unwrapped=True, sampled=True))
+    assert still.max() < 1e-3
+    assert np.median(lengths_of(drive, 100, ALL)[0]) > 5e-4
 
 
 def test_points_are_read_with_the_error_that_is_set(drive):
-    seeds = 100
-    found = Replay(drive, PublishedNoiseSettings(seeds=seeds, std=0.0, reading=0.002)).lengths(
-        Defects(aliasing=True), range(seeds)
-    )
+    _, found = lengths_of(drive, 100, Defects(aliasing=True), std=0.0, reading=0.002)
     # The largest of three distances with a Rayleigh distribution, sigma = 2 mm for either point.
     quarters = 0.002 * np.sqrt(-4.0 * np.log(1.0 - np.array([0.25, 0.75]) ** (1 / 3)))
-    np.testing.assert_allclose(np.quantile(found[:, 5], (0.25, 0.75)), quarters, rtol=0.15)
+    np.testing.assert_allclose(np.quantile(found, (0.25, 0.75)), quarters, rtol=0.15)
 
 
 def test_the_report_explains_its_figure(run):
-    summary = run[1]
-    assert by_name(summary)[str(ALL)]["p_all"] > 0.2
+    _, summary, said = run
+    rows = by_name(summary)
+    assert rows[str(ALL)]["p_all"] > 0.2
     assert summary["figure_1b"]["sampling_rate_hz"] == pytest.approx(0.9, abs=0.01)
-    without = by_name(summary)[str(replace(ALL, unbent=False))]
-    assert without["p_all"] == by_name(summary)[str(ALL)]["p_all"]
-    assert "figure 1b strays" in run[2] and "too few seeds" in run[2]
+    assert rows[str(replace(ALL, unbent=False))]["p_all"] == rows[str(ALL)]["p_all"]
+    assert "figure 1b strays" in said and "too few seeds" in said
 
 
 @pytest.mark.long
@@ -164,7 +164,7 @@ def test_tables(run):
 
 
 def test_blocks_do_not_show(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=20))
+    replay = replay_of(drive)
     whole, part = replay.lengths(ALL, range(9)), replay.lengths(ALL, range(4, 7))
     np.testing.assert_allclose(part, whole[4:7], atol=1e-9)
 
