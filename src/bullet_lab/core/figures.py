@@ -1,15 +1,17 @@
-"""Helpers of all figures: colours, canvas, saving, and floor plans."""
+"""Helpers of all figures: colours, canvas, saving, panels, legends, and floor plans."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Iterable, Sequence, Tuple
+from typing import Any, Iterable, Sequence, Tuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
 from bullet_lab.core.files import replace_file
@@ -42,6 +44,70 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, whole or not at all."""
     # Without the software's version, equal figures are equal files.
     replace_file(path, lambda part: figure.savefig(part, format="png", metadata={"Software": ""}))
+
+
+def panels(
+    shape: tuple[int, int],
+    size: tuple[float, float],
+    title: str = "",
+    labels: tuple[str, str] = ("", ""),
+    grid: bool = True,
+    **more: Any,
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure and its axes, an array of a shape.
+
+    Args:
+        shape: numbers of rows and columns.
+        size: width and height in inches.
+        title: of the figure.
+        labels: of x below the last row, and of y beside the first column.
+        grid: whether to draw grids.
+        more: as in `Figure.subplots`.
+    """
+    figure = new_figure(*size)
+    if title:
+        figure.suptitle(title)
+    every = figure.subplots(*shape, squeeze=False, **more)
+    for axes in every.flat if grid else ():
+        axes.grid(alpha=0.3)
+    for axes in every[-1]:
+        axes.set_xlabel(labels[0])
+    for axes in every[:, 0]:
+        axes.set_ylabel(labels[1])
+    return figure, every
+
+
+def legend_below(
+    figure: Figure, handles: Sequence[Artist], columns: int = 0, bottom: float = 0.0, **more: Any
+) -> None:
+    """Add a legend below the panels of a figure.
+
+    Args:
+        figure: to draw on.
+        handles: with labels.
+        columns: of the legend; 0 for a single row.
+        bottom: share of the height for the legend; the panels are laid out above it. 0 keeps them.
+        more: as in `Figure.legend`.
+    """
+    more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
+    if handles:
+        figure.legend(handles=handles, **more)
+    if bottom:
+        figure.tight_layout(rect=(0.0, bottom, 1.0, 1.0))
+
+
+def legend_entry(label: str, **style: Any) -> Line2D:
+    """Return an entry for a legend: a line or marker in a style, with a label."""
+    return Line2D([], [], label=label, **style)
+
+
+def labelled(*every: Axes) -> list[Artist]:
+    """Return the artists of some axes that have a label, one for each label."""
+    handles: dict[str, Artist] = {}
+    for axes in every:
+        for handle, label in zip(*axes.get_legend_handles_labels()):
+            handles.setdefault(label, handle)
+    return list(handles.values())
 
 
 def plan_axes(axes: Axes, **more: str) -> None:

@@ -18,6 +18,9 @@ CONVERGED = 1e-12
 # A slope with a larger error is not found.
 FOUND = 1e-6
 
+OPTICAL_AXES = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
+"""Columns: the axes of an optical frame (right, down, ahead) in one with x ahead and z up."""
+
 
 class PinholeError(LabError):
     """The parameters of a camera are invalid."""

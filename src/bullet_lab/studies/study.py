@@ -1,4 +1,4 @@
-"""The program around a study: command line, exit status, progress, complete results, figures.
+"""The program around a study: command line, exit status, progress, complete results.
 
 A study consists of settings (frozen dataclasses, with parameters declared by `core.parameters`)
 and a function that takes them. `run_from` makes a program of the two. `studies.workers` runs the
@@ -17,15 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, Mapping, NoReturn, Sequence, TypeVar
 
-import numpy as np
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from scipy.special import betaincinv
 from tqdm import tqdm
 
-from bullet_lab.core.figures import new_figure, save
 from bullet_lab.core.files import PART, file_errors, make_folder, write_json
 from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
@@ -194,7 +188,7 @@ def write_results(
     folder: Path,
     summary: dict[str, Any],
     tables: Mapping[str, Iterable[Record]],
-    figures: Mapping[str, Figure],
+    figures: Mapping[str, Any],
     texts: Mapping[str, str],
     name: str = SUMMARY,
 ) -> dict[str, Any]:
@@ -204,13 +198,16 @@ def write_results(
         folder: for the files.
         summary: content of a JSON file.
         tables: records of CSV files, by the names of the files.
-        figures: by the names of PNG files.
+        figures: of matplotlib, by the names of PNG files.
         texts: content of other files by their names, which may begin with a folder.
         name: of the file with the summary.
 
     Raises:
         FileError: a file cannot be written.
     """
+    # Each worker process imports this module, and none of them draws.
+    from bullet_lab.core.figures import save
+
     with whole_results(folder) as part:
         for file, records in tables.items():
             write_table(part / file, records)
@@ -243,67 +240,3 @@ def text_table(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return lines with the words of each row in columns."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-
-
-def panels(
-    shape: tuple[int, int],
-    size: tuple[float, float],
-    title: str = "",
-    labels: tuple[str, str] = ("", ""),
-    grid: bool = True,
-    **more: Any,
-) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its axes, an array of a shape.
-
-    Args:
-        shape: numbers of rows and columns.
-        size: width and height in inches.
-        title: of the figure.
-        labels: of x below the last row, and of y beside the first column.
-        grid: whether to draw grids.
-        more: as in `Figure.subplots`.
-    """
-    figure = new_figure(*size)
-    if title:
-        figure.suptitle(title)
-    every = figure.subplots(*shape, squeeze=False, **more)
-    for axes in every.flat if grid else ():
-        axes.grid(alpha=0.3)
-    for axes in every[-1]:
-        axes.set_xlabel(labels[0])
-    for axes in every[:, 0]:
-        axes.set_ylabel(labels[1])
-    return figure, every
-
-
-def legend_below(
-    figure: Figure, handles: Sequence[Artist], columns: int = 0, bottom: float = 0.0, **more: Any
-) -> None:
-    """Add a legend below the panels of a figure.
-
-    Args:
-        figure: to draw on.
-        handles: with labels.
-        columns: of the legend; 0 for a single row.
-        bottom: share of the height for the legend; the panels are laid out above it. 0 keeps them.
-        more: as in `Figure.legend`.
-    """
-    more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
-    if handles:
-        figure.legend(handles=handles, **more)
-    if bottom:
-        figure.tight_layout(rect=(0.0, bottom, 1.0, 1.0))
-
-
-def legend_entry(label: str, **style: Any) -> Line2D:
-    """Return an entry for a legend: a line or marker in a style, with a label."""
-    return Line2D([], [], label=label, **style)
-
-
-def labelled(*every: Axes) -> list[Artist]:
-    """Return the artists of some axes that have a label, one for each label."""
-    handles: dict[str, Artist] = {}
-    for axes in every:
-        for handle, label in zip(*axes.get_legend_handles_labels()):
-            handles.setdefault(label, handle)
-    return list(handles.values())

@@ -1,11 +1,12 @@
 """Tests of the map of a world: walls, legs and meshes are where they are."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 from map_values import value_at
+from scipy.ndimage import binary_dilation
+from study_runs import run_main, summary_of
 
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, read_map
 from bullet_lab.studies.map import MapSettings, main, map_world
@@ -47,13 +48,10 @@ def mapped(tmp_path):
 
 def middles(found):
     rows, columns = np.indices(found.cells.shape)
-    x, y = (found.origin[axis] + (index + 0.5) * found.resolution for axis, index in
-            ((0, columns), (1, rows)))
-    return x, y
+    return [low + (i + 0.5) * found.resolution for low, i in zip(found.origin, (columns, rows))]
 
 
-@pytest.mark.parametrize("resolution", [0.05, 0.1, 0.03])
-@pytest.mark.parametrize("turn", [0.0, 0.4])
+@pytest.mark.parametrize(("resolution", "turn"), [(0.05, 0.0), (0.1, 0.4), (0.03, 0.4)])
 def test_a_room_is_mapped_within_a_cell(mapped, resolution, turn):
     turned = f'<model name="room"><static>1</static><pose>0 0 0 0 0 {turn}</pose>{ROOM}</model>'
     found = mapped(turned + COLUMN, resolution=resolution)
@@ -70,11 +68,7 @@ def test_a_room_is_mapped_within_a_cell(mapped, resolution, turn):
     assert (found.cells[(away < -near) | (inside < -0.1 - near)] == UNKNOWN).all()
     # There is no gap: around the free floor, all is occupied.
     free = found.cells == FREE
-    beside = np.zeros_like(free)
-    beside[1:] |= free[:-1]
-    beside[:-1] |= free[1:]
-    beside[:, 1:] |= free[:, :-1]
-    beside[:, :-1] |= free[:, 1:]
+    beside = binary_dilation(free)
     assert (found.cells[beside & ~free] == OCCUPIED).all()
 
 
@@ -133,14 +127,11 @@ def test_what_cannot_be_mapped_is_refused(mapped, settings, line):
 
 
 def test_the_job_writes_what_map_server_reads(tmp_path):
-    world = tmp_path / "test.world"
+    world, out = tmp_path / "test.world", tmp_path / "out"
     world.write_text(WORLD.format(ROOM))
-    with pytest.raises(SystemExit) as end:
-        main([str(tmp_path / "out"), "--world", str(world), "--resolution", "0.1"])
-    assert end.value.code == 0
-    summary = json.loads((tmp_path / "out/summary.json").read_text())
-    found = read_map(tmp_path / "out/map.yaml")
+    assert run_main(main, out, "--world", world, "--resolution", "0.1")[0] == 0
+    summary, found = summary_of(out), read_map(out / "map.yaml")
     assert summary["is_closed"] and summary["free_m2"] == pytest.approx(12.0, rel=0.05)
     assert found.cells.shape == (summary["rows"], summary["columns"])
     assert (found.cells == FREE).sum() * 0.01 == pytest.approx(summary["free_m2"])
-    assert (tmp_path / "out/map.png").stat().st_size > 1000
+    assert (out / "map.png").stat().st_size > 1000

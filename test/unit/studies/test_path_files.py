@@ -1,6 +1,6 @@
 """Paths are read from files of every format, and what is wrong with a file is said."""
 
-import builtins
+import sys
 
 import numpy as np
 import pytest
@@ -54,19 +54,18 @@ def test_a_bag_with_a_repeated_stamp(tmp_path, odometry):
     [
         ({"_type": "my_msgs/Path"}, "is of my_msgs/Path, not nav_msgs/Odometry"),
         ({"_md5sum": 32 * "0"}, "is of another nav_msgs/Odometry"),
+        # What a bag says of its messages is not believed.
+        ({"_full_text": "int32 x"}, None),
     ],
 )
 def test_a_bag_with_other_messages(tmp_path, odometry, written, said):
     foreign = type("Foreign", (odometry,), written)
     write_bag(tmp_path / "a.bag", ("/odom", foreign, PATH.stamps, PATH.poses))
-    with pytest.raises(match=said):
-        read_path(tmp_path / "a.bag")
-
-
-def test_what_a_bag_says_of_its_messages_is_not_believed(tmp_path, odometry):
-    foreign = type("Foreign", (odometry,), {"_full_text": "int32 x"})
-    write_bag(tmp_path / "a.bag", ("/odom", foreign, PATH.stamps, PATH.poses))
-    assert_same(read_path(tmp_path / "a.bag"))
+    if said is None:
+        assert_same(read_path(tmp_path / "a.bag"))
+    else:
+        with pytest.raises(match=said):
+            read_path(tmp_path / "a.bag")
 
 
 @pytest.mark.parametrize("content", [b"", b"#ROSBAG V2.0\n\x01\x02"])
@@ -78,14 +77,7 @@ def test_an_unreadable_bag(tmp_path, content):
 
 
 def test_a_bag_without_rosbag(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def fail(name, *args, **kwds):
-        if name == "rosbag":
-            raise ImportError("No module named 'rosbag'")
-        return real(name, *args, **kwds)
-
-    monkeypatch.setattr(builtins, "__import__", fail)
+    monkeypatch.setitem(sys.modules, "rosbag", None)
     with pytest.raises(match="without ROS's rosbag"):
         read_path(tmp_path / "a.bag")
 
@@ -104,15 +96,12 @@ def test_a_bag_without_rosbag(tmp_path, monkeypatch):
         ("back.csv", "stamp,v,omega\n0,0,0\n-1,1,0\n", "line 3: stamps must increase"),
         ("head.csv", "t,x,y\n0,0,0\n", "has to name the columns stamp, x, y, yaw"),
         ("bytes.csv", "\udcff", "is not a table"),
+        ("nix.csv", None, "cannot read .*nix.csv: No such file"),
     ],
 )
 def test_a_bad_file(tmp_path, name, content, said):
-    (tmp_path / name).write_text(content, errors="surrogateescape")
+    if content is not None:
+        (tmp_path / name).write_text(content, errors="surrogateescape")
     with pytest.raises(LabError, match=said) as caught:
         read_path(tmp_path / name)
     assert str(tmp_path / name) in str(caught.value)
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(match="cannot read .*nix.csv: No such file"):
-        read_path(tmp_path / "nix.csv")

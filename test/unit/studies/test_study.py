@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Tuple
 
 import pytest
+from study_runs import names_in, run_main
 
 from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, boolean, integer, numbers, text
@@ -44,6 +45,10 @@ REFUSED = [
     ("detection_range", "--frames 0", "it must be a whole number from 1 to 100000"),
     ("detection_range", "--dots -1", "it must be a whole number from 0 to 100000"),
     ("detection_range", "--workers -1", "--workers is '-1'"),
+    (
+        *("detection_range", "--worlds docking --lights default --distances 1 --bearings 30"),
+        "no cell of the grid has room for the camera",
+    ),
     ("dock_campaign", "--dockings 0", "it must be a whole number from 1 to 1000000"),
     ("dock_campaign", "--worlds kitchen", "--worlds is 'kitchen'"),
     ("dock_campaign", "--lights candle", "--lights is 'candle'"),
@@ -90,24 +95,28 @@ class Place:
     world: str = text("", "where")
 
 
-def ended(words, run=lambda *_: None):
-    """The status that a study ends with, and what it was run with."""
+def ended(words, error=None):
+    """What a study ends with: its status, what it was run with, and what it printed."""
     found = []
 
     def body(*given):
         found.extend(given)
-        run(*given)
+        given[-1]("so far")
+        if error:
+            raise error
 
-    with pytest.raises(SystemExit) as end:
+    def main(words):
         run_from("a_study", "Studies.\nMore.", (Noise, Place), body, words)
-    return end.value.code, found
+
+    status, *printed = run_main(main, *words)
+    return status, found, printed
 
 
 def assert_one_line(name, said, printed):
-    assert printed.out == ""
-    assert printed.err.startswith(f"{name}: ")
-    assert said in printed.err
-    assert printed.err.count("\n") == 1
+    out, error = printed
+    assert out == ""
+    assert error.startswith(f"{name}: ") and said in error
+    assert error.count("\n") == 1
 
 
 @pytest.fixture(autouse=True)
@@ -133,15 +142,23 @@ def test_the_second_signal_does_not_interrupt_what_the_first_one_has_begun(first
         os.kill(os.getpid(), number)
 
 
-def test_settings_make_the_command_line(capsys):
-    words = ["out", "--levels", "0", "0.5", "--all-of-it", "--world", "moon", "--paths", "7"]
-    status, found = ended([*words, "__name:=a", "__log:=/a b.log"])
-    folder, settings, place, tell = found
-    assert status == 0
-    assert (folder, settings) == (Path("out"), Noise((0.0, 0.5), 7, True))
-    assert place == Place("moon")
-    tell("so far")
-    assert capsys.readouterr().out == "a_study: so far\n"
+@pytest.mark.parametrize(
+    ("words", "noise", "place"),
+    [
+        (
+            ["--levels", "0", "0.5", "--all-of-it", "--world", "moon", "--paths", "7"],
+            Noise((0.0, 0.5), 7, True),
+            Place("moon"),
+        ),
+        (["__name:=a", "__log:=/a b.log"], Noise(), Place()),
+        # Without values, as from launch files.
+        (["--levels", "--paths", "", "--world", ""], Noise(), Place()),
+    ],
+)
+def test_settings_make_the_command_line(words, noise, place):
+    status, (folder, *found, _), printed = ended(["out", *words])
+    assert (status, printed) == (0, ["a_study: so far\n", ""])
+    assert (folder, *found) == (Path("out"), noise, place)
 
 
 def test_settings_are_checked_in_python_as_well():
@@ -149,44 +166,39 @@ def test_settings_are_checked_in_python_as_well():
         Noise(paths=0)
 
 
-@pytest.mark.parametrize("words", [[], ["--levels", "--paths", "", "--world", ""]])
-def test_without_values_as_from_launch_files_there_are_the_defaults(words):
-    _, (_, settings, place, _) = ended(["out", *words])
-    assert (settings, place) == (Noise(), Place())
-
-
-def test_help_names_every_setting(capsys):
-    assert ended(["--help"])[0] == 0
-    said = capsys.readouterr().out
+def test_help_names_every_setting():
+    status, _, (said, _) = ended(["--help"])
+    assert status == 0
     assert all(word in said for word in ("Studies.", "--levels", "--all-of-it", "of noise", "0.1"))
 
 
 @pytest.mark.parametrize(
-    ("words", "error", "status", "said"),
+    ("words", "status", "said"),
     [
-        ([], None, 2, "the following arguments are required: out"),
-        (["out", "--paths", "0"], None, 2, "--paths is '0': it must be a whole number from 1"),
-        (["out", "--nix"], None, 2, "unrecognized arguments: --nix"),
-        (["/proc/nowhere"], None, 2, "cannot make the folder"),
-        (["out"], FileError("cannot write"), 2, "cannot write"),
-        (["out"], UnfinishedError("nobody\nworks"), 1, "nobody works"),
-        (["out"], TaskLostError("lost"), 1, "lost"),
+        ([], 2, "the following arguments are required: out"),
+        (["out", "--paths", "0"], 2, "--paths is '0': it must be a whole number from 1"),
+        (["out", "--nix"], 2, "unrecognized arguments: --nix"),
+        (["/proc/nowhere"], 2, "cannot make the folder"),
     ],
 )
-def test_how_it_fails(words, error, status, said, capsys):
-    def run(*_):
-        raise error
-
-    assert ended(words, run)[0] == status
-    assert_one_line("a_study", said, capsys.readouterr())
+def test_bad_words(words, status, said):
+    found, _, printed = ended(words)
+    assert found == status
+    assert_one_line("a_study", said, printed)
 
 
-def test_an_interrupt_ends_it_without_a_word(capsys):
-    def run(*_):
-        raise KeyboardInterrupt
-
-    assert ended(["out"], run)[0] == 130
-    assert capsys.readouterr() == ("", "")
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (FileError("cannot write"), 2, "a_study: cannot write\n"),
+        (UnfinishedError("nobody\nworks"), 1, "a_study: nobody works\n"),
+        (TaskLostError("lost"), 1, "a_study: lost\n"),
+        (KeyboardInterrupt(), 130, ""),
+    ],
+)
+def test_how_it_fails(error, status, said):
+    found, _, (_, errors) = ended(["out"], error)
+    assert (found, errors) == (status, said)
 
 
 def test_ctrl_c_while_python_ends_changes_no_status():
@@ -195,22 +207,21 @@ def test_ctrl_c_while_python_ends_changes_no_status():
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_each_study_is_a_program(name, monkeypatch, capsys):
-    program = PACKAGE / "scripts" / f"{name}.py"
-    monkeypatch.setattr("sys.argv", [str(program), "out", "--seed", "-1"])
+    program = str(PACKAGE / "scripts" / f"{name}.py")
+    monkeypatch.setattr("sys.argv", [program, "out", "--seed", "-1"])
     with pytest.raises(SystemExit) as end:
-        runpy.run_path(str(program), run_name="__main__")
+        runpy.run_path(program, run_name="__main__")
     assert end.value.code == 2
     said = "--seed is '-1': it must be a whole number from 0 to 9223372036854775807"
     assert_one_line(name, said, capsys.readouterr())
 
 
 @pytest.mark.parametrize(("name", "words", "said"), REFUSED)
-def test_bad_words_end_a_study_with_one_line_and_nothing_written(name, words, said, capsys):
+def test_bad_words_end_a_study_with_one_line_and_nothing_written(name, words, said):
     study = importlib.import_module(f"bullet_lab.studies.{name}.study")
-    with pytest.raises(SystemExit) as end:
-        study.main(["out", *words.split()])
-    assert end.value.code == 2
-    assert_one_line(name, said, capsys.readouterr())
+    status, *printed = run_main(study.main, "out", *words.split())
+    assert status == 2
+    assert_one_line(name, said, printed)
     assert not list(Path().glob("out/*"))
 
 
@@ -228,7 +239,7 @@ def test_a_table_leaves_empty_what_is_not_known():
     assert Path("a.csv").read_text() == 'a,"b,c"\n,0.30000000000000004\ntrue,1\n'
 
 
-def test_results_are_put_in_place_when_whole(tmp_path):
+def test_results_are_put_in_place_when_whole_with_the_summary_last(tmp_path):
     (tmp_path / "a").write_text("old")
     with whole_results(tmp_path) as part:
         (part / "a").write_text("new")
@@ -237,7 +248,12 @@ def test_results_are_put_in_place_when_whole(tmp_path):
         assert (tmp_path / "a").read_text() == "old"
     assert (tmp_path / "a").read_text() == "new"
     assert (tmp_path / "below" / "b").exists()
-    assert {path.name for path in tmp_path.iterdir()} == {"a", "below"}
+    assert names_in(tmp_path) == {"a", "below"}
+    (tmp_path / "z" / "in the way").mkdir(parents=True)
+    with pytest.raises(FileError), whole_results(tmp_path) as part:
+        (part / "summary.json").write_text("{}")
+        (part / "z").write_text("z")
+    assert not (tmp_path / "summary.json").exists()
 
 
 def test_results_that_cannot_be_written_leave_the_old_ones(tmp_path):
@@ -246,12 +262,4 @@ def test_results_that_cannot_be_written_leave_the_old_ones(tmp_path):
         (part / "a").write_text("new")
         (part / "nix" / "b").write_text("b")
     assert (tmp_path / "a").read_text() == "old"
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
-
-
-def test_the_summary_comes_last(tmp_path):
-    (tmp_path / "z" / "in the way").mkdir(parents=True)
-    with pytest.raises(FileError), whole_results(tmp_path) as part:
-        (part / "summary.json").write_text("{}")
-        (part / "z").write_text("z")
-    assert not (tmp_path / "summary.json").exists()
+    assert names_in(tmp_path) == {"a"}

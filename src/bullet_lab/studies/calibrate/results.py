@@ -14,7 +14,18 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from bullet_lab.core import se2
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILION,
+    labelled,
+    legend_below,
+    panels,
+    plan_axes,
+)
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Fit, Problem, fit, intervals, on_limit, profile
@@ -32,7 +43,7 @@ from bullet_lab.noise.prediction import (
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
 from bullet_lab.studies.paths import Recording
-from bullet_lab.studies.study import Record, labelled, legend_below, panels
+from bullet_lab.studies.study import Record
 
 MOST_PATHS = 4  # in a figure
 _PART_TITLES = ("turn before the way", "way", "turn after the way")

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle, Wedge
 from numpy import ndarray
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure, panels
 from bullet_lab.studies.detection_range.trial import MarkerImage
-from bullet_lab.studies.study import Record, panels
+from bullet_lab.studies.study import Record
 from bullet_lab.studies.worlds import DEFAULT_LIGHT
 
 Ends = Tuple[Optional[float], Optional[float]]

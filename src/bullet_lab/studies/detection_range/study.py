@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Callable, Iterator, Mapping, Sequence
 
 from bullet_lab.core.parameters import choices, integer, numbers
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.graphics import driver_name
 from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.trial import (
@@ -181,9 +182,12 @@ def run_detection_range(
     The same settings give the same files, with any workers.
 
     Raises:
-        LabError: nothing can be rendered, the folder cannot be written to, or a task was lost.
+        LabError: no cell has room for the camera, nothing can be rendered, the folder cannot be
+            written to, or a task was lost.
     """
     of_cells, of_dots = tasks(settings)
+    if not of_cells:
+        raise LabError("no cell of the grid has room for the camera: other distances are needed")
     todo = [*of_cells, *of_dots]
     results = run_tasks(functools.partial(_do, todo), len(todo), run, tell, "cells")
     cells, dots = results[: len(of_cells)], results[len(of_cells) :]
@@ -204,7 +208,8 @@ def run_detection_range(
     pictures = {(row["world"], row["distance_m"]): image for row, image in cells if image}
     figures = {
         f"heat_map_{world}.png": heat_map(world, [row for row in rows if row["world"] == world])
-        for world in settings.worlds
+        # Not of a world without room.
+        for world in dict.fromkeys(row["world"] for row in rows)
     }
     figures["detection_range.png"] = range_figure(rows, summary["ranges"], pictures)
     # Enough digits to read.

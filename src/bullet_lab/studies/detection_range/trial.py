@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import OPTICAL_AXES, PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.camera import Camera
@@ -50,8 +50,6 @@ LARGEST_OFFSET = 0.15
 
 CELLS_PER_SIDE = 8
 HIDDEN_SHARE = 0.2
-# Columns: the axes of the optical frame (right, down, ahead) in that of the camera's link.
-OPTICAL_AXES = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -219,7 +217,7 @@ class FreeCamera:
 def in_optical_frame(pose: Pose, points: ndarray) -> ndarray:
     """Return (n, 3) points of the world in the optical frame of a camera: right, down, ahead."""
     inside = (np.asarray(points, dtype=float) - pose.position) @ pose.rotation_matrix()
-    return inside @ np.array(OPTICAL_AXES)
+    return inside @ OPTICAL_AXES
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION
+from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, panels
 from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, read_log, reported_docked
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
-from bullet_lab.studies.study import Record, clopper_pearson, panels, text_table, write_results
+from bullet_lab.studies.study import Record, clopper_pearson, text_table, write_results
 
 CONFIDENCE = 0.95
 ENDS = ("value", "low", "high")

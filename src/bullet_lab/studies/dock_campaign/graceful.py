@@ -22,7 +22,7 @@ from typing import Callable
 import numpy as np
 
 from bullet_lab.core import se2
-from bullet_lab.core.pinhole import PinholeCamera
+from bullet_lab.core.pinhole import OPTICAL_AXES, PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
@@ -44,8 +44,6 @@ from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_pose import estimate_pose
 from bullet_lab.vision.pose_fit import MarkerPose
 
-# Of the camera's axes, x ahead and z up, along those of its optical frame.
-_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _NEAREST = 1e-3
 
 
@@ -275,7 +273,7 @@ def marker_poses(
 
 
 def _planar(pose: MarkerPose, mount: CameraMount) -> np.ndarray:
-    turn = mount.rotation @ _OPTICAL
+    turn = mount.rotation @ OPTICAL_AXES
     place = turn @ pose.translation + (mount.x, mount.y, mount.z)
     # A docked robot looks into the face, against the marker's z axis.
     ahead = -turn @ pose.rotation[:, 2]

@@ -17,7 +17,19 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILION,
+    labelled,
+    legend_below,
+    legend_entry,
+    new_figure,
+    panels,
+)
 from bullet_lab.core.se2 import LEVEL, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import Moments
@@ -39,7 +51,6 @@ from bullet_lab.studies.noise_study.regions import (
 )
 from bullet_lab.studies.noise_study.statistics import Case, by_model_of, shown_levels, spread
 from bullet_lab.studies.paths import find_corners, resample
-from bullet_lab.studies.study import labelled, legend_below, legend_entry, panels
 
 COLUMNS = 5
 CURVES = 5

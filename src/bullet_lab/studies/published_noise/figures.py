@@ -11,7 +11,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    VERMILION,
+    legend_below,
+    legend_entry,
+    new_figure,
+    panels,
+)
 from bullet_lab.core.se2 import wrap
 from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.results import (
@@ -22,7 +32,6 @@ from bullet_lab.studies.published_noise.results import (
     Result,
     groups_of_same,
 )
-from bullet_lab.studies.study import legend_below, legend_entry, panels
 
 PLAIN_NAMES = {
     "aliasing": "aliasing",

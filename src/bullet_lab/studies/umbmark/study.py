@@ -19,20 +19,22 @@ import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, plan_axes
-from bullet_lab.core.parameters import boolean, integer, number, text
-from bullet_lab.core.se2 import ellipse_points
-from bullet_lab.noise import systematic
-from bullet_lab.studies.study import (
-    Record,
-    Settings,
-    Tell,
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILION,
     labelled,
     legend_below,
     panels,
-    run_from,
-    write_results,
+    plan_axes,
 )
+from bullet_lab.core.parameters import boolean, integer, number, text
+from bullet_lab.core.se2 import ellipse_points
+from bullet_lab.noise import systematic
+from bullet_lab.studies.study import Record, Settings, Tell, run_from, write_results
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,

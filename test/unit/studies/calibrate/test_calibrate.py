@@ -5,10 +5,11 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from study_runs import names_in, run_main, summary_of
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import part_of, read_parameters
-from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
+from bullet_lab.core.trajectory import CSV_HEADER
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.noise.prediction import path_of
@@ -16,51 +17,41 @@ from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors, Systematic
 from bullet_lab.studies.calibrate import study
 from bullet_lab.studies.calibrate.recordings import (
     DriveSettings,
-    Recording,
     calibration_drive,
     coverage,
     made_up,
 )
 from bullet_lab.studies.calibrate.steps import StepSettings, take_steps
-from bullet_lab.studies.calibrate.study import (
-    CalibrateSettings,
-    main,
-    run_calibration,
-    run_coverage,
-)
 
-FILES = {
-    "noise.yaml",
-    "noise_probabilistic.yaml",
-    "noise_rate_invariant.yaml",
-    "paths.png",
-    "profiles.png",
-    "residuals.png",
-    "summary.json",
-}
-SETTINGS, LAP = CalibrateSettings(("rate_invariant", "probabilistic")), DriveSettings(laps=1)
+SETTINGS = study.CalibrateSettings(("rate_invariant", "probabilistic"))
+LAP = DriveSettings(laps=1)
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     folder, said = tmp_path_factory.mktemp("calibrate"), []
-    summary = run_calibration(folder, SETTINGS, StepSettings(), LAP, (), said.append)
+    summary = study.run_calibration(folder, SETTINGS, StepSettings(), LAP, (), said.append)
     return folder, summary, "\n".join(said)
 
 
 def test_it_leaves_its_files_and_says_what_they_say(done):
     folder, summary, said = done
-    assert {path.name for path in folder.iterdir()} == FILES
-    assert json.loads((folder / "summary.json").read_text()) == json.loads(json.dumps(summary))
-    assert summary["best"] == "probabilistic"
-    assert "alpha1 (α1)" in said and "rotation from rotation" in said
-    assert "rate_invariant: predicts worse" in said and "it does NOT fit" in said
-    assert "windows of 1 m" in said
+    assert names_in(folder) == {
+        *("noise.yaml", "noise_probabilistic.yaml", "noise_rate_invariant.yaml"),
+        *("paths.png", "profiles.png", "residuals.png", "summary.json"),
+    }
+    assert summary_of(folder) == json.loads(json.dumps(summary))
+    for words in (
+        *("alpha1 (α1)", "rotation from rotation", "windows of 1 m"),
+        *("rate_invariant: predicts worse", "it does NOT fit"),
+    ):
+        assert words in said
 
 
 def test_the_made_up_drive_is_recovered(done):
-    _, summary, _ = done
+    summary = done[1]
     best, other = summary["models"]
+    assert summary["best"] == best["model"] == "probabilistic"
     assert best["goodness"]["fits"] and not other["goodness"]["fits"]
     assert best["prediction"]["density"] > other["prediction"]["density"]
     assert best["step_length"] == (0.0, 0.0) and other["step_length"] != (0.0, 0.0)
@@ -74,6 +65,7 @@ def test_the_made_up_drive_is_recovered(done):
         outside += not low <= known[name] <= high
     # Of 8 intervals at 95 %; more than 2 outside have a probability of 0.6 %.
     assert outside <= 2
+    assert rule_of("probabilistic", settings.noise()) == ProbabilisticRule()
 
 
 def test_noisy_odom_loads_the_noise(done):
@@ -87,48 +79,55 @@ def test_noisy_odom_loads_the_noise(done):
         ((given, _),) = rosparam.load_file(str(folder / f"noise_{entry['model']}.yaml"))
         values = {f"~{name}": value for name, value in given.items()}
         found = read_parameters(NoisyOdomParameters, values.get, given)
-        rule, errors = rule_of(found.model, asdict(found)), part_of(SystematicErrors, found)
+        rule = rule_of(found.model, asdict(found))
         assert rule.name == entry["model"]
-        spread = part_of(SystematicSpread, found)
-        said = {**asdict(rule), **asdict(errors), **asdict(spread)}
+        parts = (rule, *(part_of(kind, found) for kind in (SystematicErrors, SystematicSpread)))
+        said = {name: value for part in parts for name, value in asdict(part).items()}
         assert set(entry["published"]) < set(said)
         published = {"wheel_base": 0.38, "ticks_per_metre": 0.0, **entry["published"]}
         assert said == pytest.approx(published, rel=1e-8)
 
 
-def write_paths(path, recording, rows=None):
-    table = np.column_stack(
-        (recording.truth.stamps, recording.truth.poses, recording.odometry.poses)
-    )[:rows]
-    np.savetxt(path, table, delimiter=",", header=CSV_HEADER, comments="")
+@pytest.fixture
+def calibrated(tmp_path):
+    """Runs the job on a table with a lap; the odometry's steps are scaled."""
+
+    def run(*words, rows=None, scale=(1.0, 1.0, 1.0)):
+        recording = made_up(LAP, 3)
+        odometry = path_of(se2.steps(recording.odometry.poses) * scale)
+        truth = recording.truth
+        table = np.column_stack((truth.stamps, truth.poses, odometry))[:rows]
+        np.savetxt(
+            tmp_path / "paths.csv", table, delimiter=",", header=CSV_HEADER, comments=""
+        )
+        words = (tmp_path / "out", "--base", tmp_path, "--data", "paths.csv", *words)
+        return (*run_main(study.main, *words), tmp_path / "out")
+
+    return run
 
 
-def run(capsys, *words):
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])
-    out, err = capsys.readouterr()
-    return ended.value.code, out, err
-
-
-def test_it_runs_from_the_command_line_on_files(tmp_path, capsys):
-    write_paths(tmp_path / "paths.csv", made_up(LAP, 3))
-    status, out, err = run(
-        capsys, tmp_path / "out", "--base", tmp_path, "--data", "paths.csv",
-        "--models", "probabilistic", "--systematic", "none",
-    )  # fmt: skip
+def test_it_runs_from_the_command_line_on_files(calibrated):
+    status, _, err, out = calibrated("--models", "probabilistic", "--systematic", "none")
     assert (status, err) == (0, "")
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert list(summary["models"][0]["parameters"]) == ["alpha1", "alpha2", "alpha3", "alpha4"]
-    assert "paths.csv" in (tmp_path / "out" / "noise.yaml").read_text()
+    (model,) = summary_of(out)["models"]
+    assert list(model["parameters"]) == ["alpha1", "alpha2", "alpha3", "alpha4"]
+    assert "paths.csv" in (out / "noise.yaml").read_text()
 
 
-def test_a_path_one_way_cannot_tell_the_gyro_from_the_wheels(tmp_path, capsys):
-    write_paths(tmp_path / "paths.csv", made_up(LAP, 3), rows=90)
-    _, out, _ = run(
-        capsys, tmp_path, "--data", tmp_path / "paths.csv", "--models", "probabilistic"
-    )
-    assert "gyro_bias_per_metre is not fitted" in out
-    assert "gyro_bias_per_metre " not in out.split("not fitted", 1)[1]
+def test_a_path_one_way_cannot_tell_the_gyro_from_the_wheels(calibrated):
+    errors = ("diameter_error", "gyro_bias_per_metre")
+    _, said, _, _ = calibrated("--models", "report", "--systematic", *errors, rows=90)
+    assert "gyro_bias_per_metre is not fitted" in said
+    assert "gyro_bias_per_metre " not in said.split("not fitted", 1)[1]
+
+
+def test_an_estimate_on_its_limit_is_no_result(calibrated):
+    # Turns of a gyro whose unit is nearly twice what it should be.
+    words = ("--models", "report", "--systematic", "base_error")
+    status, _, err, out = calibrated(*words, scale=(1.0, 1.0, 1.9))
+    assert status == 2
+    assert "base_error of report on the limit" in err
+    assert not (out / "noise.yaml").exists()
 
 
 def test_the_drive_goes_both_ways_and_turns_both_ways():
@@ -141,14 +140,9 @@ def test_the_drive_goes_both_ways_and_turns_both_ways():
 def test_coverage_is_counted_and_written(tmp_path, monkeypatch):
     # With fewer parameters it is done in a moment.
     monkeypatch.setattr(study, "SYSTEMATIC", ("scale_error",))
-    settings = CalibrateSettings(models=("rate_invariant",), coverage=12)
-    said = []
-    summary = run_coverage(tmp_path, settings, DriveSettings(rate=2.0), said.append)
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "coverage.csv",
-        "coverage.png",
-        "summary.json",
-    }
+    settings = study.CalibrateSettings(models=("rate_invariant",), coverage=12)
+    summary = study.run_coverage(tmp_path, settings, DriveSettings(rate=2.0))
+    assert names_in(tmp_path) == {"coverage.csv", "coverage.png", "summary.json"}
     assert [one["parameter"] for one in summary["coverage"]] == ["std", "scale_error"]
     # Fewer than 8 of 12 at 95 % have a probability of 1 in 5000.
     assert all(8 <= one["held"] <= one["paths"] == 12 for one in summary["coverage"])
@@ -160,44 +154,19 @@ def test_paths_of_coverage_have_the_noise_that_is_said():
     assert found["mean_estimate"] == pytest.approx(0.02, rel=3.3 / np.sqrt(2 * 400 * 200) + 1e-3)
 
 
-def test_an_estimate_on_its_limit_is_no_result(tmp_path, capsys):
-    recording = made_up(LAP, 3)
-    # Turns of a gyro whose unit is nearly twice what it should be.
-    steps = se2.steps(recording.odometry.poses) * [1.0, 1.0, 1.9]
-    poses = path_of(steps)
-    wrong = Recording("x", recording.truth, Trajectory(recording.truth.stamps, poses))
-    write_paths(tmp_path / "paths.csv", wrong)
-    status, _, err = run(
-        capsys, tmp_path / "out", "--data", tmp_path / "paths.csv",
-        "--models", "report", "--systematic", "base_error",
-    )  # fmt: skip
-    assert status == 2
-    assert "base_error of report on the limit" in err
-    assert not (tmp_path / "out" / "noise.yaml").exists()
-
-
-def test_the_true_noise_of_a_drive_is_that_of_the_node():
-    assert rule_of("probabilistic", DriveSettings().noise()) == ProbabilisticRule()
-
-
 @pytest.mark.parametrize(
-    ("scale", "line"),
+    ("path", "scale", "line"),
     [
-        ((-1.0, -1.0, 1.0), "has the opposite sign"),
-        ((1.0, -1.0, -1.0), "has the opposite sign"),
-        ((1000.0, 1000.0, 1.0), "are both in m"),
-        ((1.0, 1.0, 57.3), "are both in rad"),
-        ((0.0, 0.0, 0.0), "are both in m"),
+        ("odometry", (-1.0, -1.0, 1.0), "has the opposite sign"),
+        ("odometry", (1.0, -1.0, -1.0), "has the opposite sign"),
+        ("odometry", (1000.0, 1000.0, 1.0), "are both in m"),
+        ("odometry", (1.0, 1.0, 57.3), "are both in rad"),
+        ("odometry", (0.0, 0.0, 0.0), "are both in m"),
+        ("true", (1.0, 1.0, 1.0), "equals the truth"),
     ],
 )
-def test_odometry_that_cannot_be_is_refused_with_its_likely_cause(scale, line):
+def test_odometry_that_cannot_be_is_refused_with_its_likely_cause(path, scale, line):
     taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
     taken.check()
     with pytest.raises(LabError, match=line):
-        replace(taken, odometry=taken.odometry * scale).check()
-
-
-def test_odometry_that_equals_the_truth_is_refused():
-    taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
-    with pytest.raises(LabError, match="equals the truth"):
-        replace(taken, odometry=taken.true).check()
+        replace(taken, odometry=getattr(taken, path) * scale).check()

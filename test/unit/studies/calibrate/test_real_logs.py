@@ -13,7 +13,6 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.noise.calibration import Problem, covariance, fit
-from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.prediction import INSIDE, LENGTHS, OWN, judged, path_of, predicted
 from bullet_lab.noise.systematic import arcs
 from bullet_lab.studies.calibrate.alignment import robust_fit
@@ -84,18 +83,6 @@ def ends(one, other):
     return [found.squares(variances, one.prediction.dispersion) for found in windows]
 
 
-def ends_before(own, other):
-    """The same by rate_invariant at 0.5 m and 1 rad, as before windows were predicted."""
-    pairs, _ = long_pairs(own, (0.5, 1.0))
-    chords = StepPairs(pairs.true, pairs.odometry, pairs.truth_std_m, pairs.truth_std_rad)
-    problem = Problem(chords, "rate_invariant", ERRORS[:3])
-    found = fit(problem)
-    windows = (
-        predicted(problem, found, pairs_of(other), other.follows, length) for length in LENGTHS
-    )
-    return [one.squares(np.zeros(3)) for one in windows]
-
-
 def figures(found):
     """The share of ends that are held and the mean density, of all windows of all halves."""
     squares, densities = (np.concatenate(columns) for columns in zip(*found))
@@ -103,37 +90,26 @@ def figures(found):
 
 
 def test_what_is_found_of_real_robots_and_how_it_predicts():
-    now, before, apart = [], [], []
+    found, apart = [], []
     for recording in find_recordings([Path(FOLDER)], ("", "")):
         if not Path(recording.name).name.startswith("mrclam"):
             continue
         steps = short_steps(take_steps(recording, StepSettings()))
-        whole, robust = winner(steps), robust_gain(steps)
-        gain, error = turn_gain(whole)
-        halves = [winner(part_of(steps, number)) for number in (0, 1)]
-        (one, one_error), (two, two_error) = map(turn_gain, halves)
-        apart.append((gain - robust, error, one - two, np.hypot(one_error, two_error)))
+        parts = [part_of(steps, number) for number in (0, 1)]
+        whole, *halves = map(winner, (steps, *parts))
+        (gain, error), (one, one_error), (two, two_error) = map(turn_gain, (whole, *halves))
+        apart.append((gain - robust_gain(steps), error, one - two, np.hypot(one_error, two_error)))
         print(
             f"\n{Path(recording.name).name}: {whole.model}, turn gain {gain:.3f} ± "
-            f"{1.96 * error:.3f}, robust {robust:.3f}; halves {one:.3f}, {two:.3f}; "
+            f"{1.96 * error:.3f}; halves {one:.3f}, {two:.3f}; "
             f"dispersions {[round(half.prediction.dispersion, 2) for half in halves]}"
         )
-        for number in (0, 1):
-            other = part_of(steps, 1 - number)
-            now.append(ends(halves[number], other))
-            before.append(ends_before(part_of(steps, number), other))
-    for place, length in enumerate(LENGTHS):
-        (held, density), (held_before, density_before) = (
-            figures([half[place] for half in found]) for found in (now, before)
-        )
-        print(
-            f"{length:g} m: {100 * held:.1f} % held, density {density:.2f}; "
-            f"before {100 * held_before:.1f} %, {density_before:.2f}"
-        )
+        found += [ends(half, other) for half, other in zip(halves, reversed(parts))]
+    for length, *windows in zip(LENGTHS, *found):
+        held, density = figures(windows)
+        print(f"{length:g} m: {100 * held:.1f} % held, density {density:.2f}")
         low, high = SHARES[length]
         assert low <= held <= high
-        # A handful of windows of 20 m tells nothing.
-        assert density > density_before or length == 20.0
     off, error, between, both = np.array(apart).T
     assert (np.abs(off) < 1.96 * error).all()
     assert (np.abs(between) < 1.96 * both).all()

@@ -1,13 +1,13 @@
 """How the finds of the marker are judged, and what comes of it."""
 
-import csv
-import json
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from study_runs import csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
 from bullet_lab.simulation.rendering.graphics import driver_name
@@ -34,6 +34,8 @@ from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
 
 WANTED = WORLDS["docking"][0]
+# Places of other markers.
+LEFT, RIGHT = (3.3, 0.9, 0.5), (3.3, -0.9, 0.5)
 
 
 def seen(printed, pose, identifier=0, shift=0.0):
@@ -44,12 +46,16 @@ def seen(printed, pose, identifier=0, shift=0.0):
     return ObservedMarker(identifier, corners, 0, 1.0, np.eye(8), printed.size, estimate)
 
 
+def judged(pose, *markers, others=()):
+    return judge(list(markers), pose, WANTED, others, CAMERA)
+
+
 # ---- Judging ----
 
 
 def test_a_perfect_find_has_no_errors():
     pose = camera_pose(1.0, math.radians(20.0), 0.03)
-    frame = judge([seen(WANTED, pose)], pose, WANTED, (), CAMERA)
+    frame = judged(pose, seen(WANTED, pose))
     assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 0, 0, 0)
     assert abs(frame.distance_error) < 1e-4 and frame.lateral_error < 1e-4
     assert frame.rotation_error < 1e-3 and not frame.flipped
@@ -57,32 +63,29 @@ def test_a_perfect_find_has_no_errors():
 
 def test_errors_are_measured_against_the_truth():
     pose = camera_pose(1.0, 0.3)
-    near = camera_pose(0.99, 0.3)
-    markers = [seen(WANTED, near)]
-    frame = judge(markers, pose, WANTED, (), CAMERA)
-    assert frame.distance_error == pytest.approx(-0.01, abs=2e-4)
-    turned = judge([seen(WANTED, camera_pose(1.0, 0.3, 0.01))], pose, WANTED, (), CAMERA)
+    nearer = judged(pose, seen(WANTED, camera_pose(0.99, 0.3)))
+    assert nearer.distance_error == pytest.approx(-0.01, abs=2e-4)
+    turned = judged(pose, seen(WANTED, camera_pose(1.0, 0.3, 0.01)))
     assert turned.lateral_error == pytest.approx(0.01, rel=0.03)
     assert turned.rotation_error == pytest.approx(0.01, rel=0.05)
 
 
 def test_detections_are_assigned_by_their_position():
     pose = camera_pose(3.0, 0.0)
-    other = PrintedMarker(0.35, (3.3, 0.9, 0.5))
-    elsewhere = PrintedMarker(0.2, (3.3, -0.9, 0.5))
-    found = [seen(m, pose) for m in (other, WANTED, WANTED, elsewhere)]
-    frame = judge(found, pose, WANTED, (other,), CAMERA)
+    other, elsewhere = (PrintedMarker(*one) for one in ((0.35, LEFT), (0.2, RIGHT)))
+    found = [seen(marker, pose) for marker in (other, WANTED, WANTED, elsewhere)]
+    frame = judged(pose, *found, others=(other,))
     assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 1, 1, 1)
-    frame = judge([seen(other, pose)], pose, WANTED, (other,), CAMERA)
+    frame = judged(pose, found[0], others=(other,))
     assert (frame.found, frame.others, frame.false) == (False, 1, 0)
     assert math.isnan(frame.distance_error)
 
 
-def test_another_id_or_corners_that_are_off_are_false():
+@pytest.mark.parametrize("off", [{"identifier": 3}, {"shift": 20.0}])
+def test_another_id_or_corners_that_are_off_are_false(off):
     pose = camera_pose(1.0, 0.0)
-    for marker in (seen(WANTED, pose, identifier=3), seen(WANTED, pose, shift=20.0)):
-        frame = judge([marker], pose, WANTED, (), CAMERA)
-        assert (frame.found, frame.false) == (False, 1)
+    frame = judged(pose, seen(WANTED, pose, **off))
+    assert (frame.found, frame.false) == (False, 1)
 
 
 def test_a_cell_comes_down_to_rates_and_spreads():
@@ -92,13 +95,21 @@ def test_a_cell_comes_down_to_rates_and_spreads():
         Frame(False, 0, 0, 2),
     )
     row = cell_row(cell(2.0, 30.0), True, frames, 6.25)
-    assert (row["frames"], row["found"], row["rate"]) == (3, 2, pytest.approx(2.0 / 3.0))
-    counts = [row[f"{name}_detections"] for name in ("other", "double", "false")]
-    assert counts == [1, 1, 2] and row["flipped"] == 1
-    assert row["distance_error_m_median"] == pytest.approx(0.02)
-    assert row["distance_error_m_max"] == pytest.approx(0.03)
-    assert row["rotation_error_deg_max"] == pytest.approx(4.0)
-    assert (row["distance_m"], row["bearing_deg"]) == (2.0, 30.0)
+    expected = {
+        "frames": 3,
+        "found": 2,
+        "rate": 2.0 / 3.0,
+        "distance_m": 2.0,
+        "bearing_deg": 30.0,
+        "other_detections": 1,
+        "double_detections": 1,
+        "false_detections": 2,
+        "flipped": 1,
+        "distance_error_m_median": 0.02,
+        "distance_error_m_max": 0.03,
+        "rotation_error_deg_max": 4.0,
+    }
+    assert {name: row[name] for name in expected} == pytest.approx(expected)
     empty = cell_row(cell(2.0), True, frames[2:], 6.25)
     assert empty["rate"] == 0.0 and empty["lateral_error_m_median"] is None
 
@@ -123,12 +134,20 @@ def rows_of(rates, bearing=0.0, world="marker_panel", light="default", frames=20
     ]
 
 
-def test_the_range_is_the_longest_without_a_gap():
-    rates = {0.3: 1.0, 0.4: 0.9, 0.5: 0.95, 2.0: 1.0, 4.0: 1.0, 5.0: 0.94, 6.0: 1.0, 7.0: 1.0}
-    assert found_range(rows_of(rates), 0.0) == (0.5, 4.0)
-    assert found_range(rows_of({0.3: 0.1, 0.4: 1.0, 0.5: 0.0}), 0.0) == (0.4, 0.4)
-    assert found_range(rows_of({0.3: 0.1}), 0.0) == (None, None)
-    assert found_range(rows_of(rates), 30.0) == (None, None)
+GAPS = {0.3: 1.0, 0.4: 0.9, 0.5: 0.95, 2.0: 1.0, 4.0: 1.0, 5.0: 0.94, 6.0: 1.0, 7.0: 1.0}
+
+
+@pytest.mark.parametrize(
+    ("rates", "bearing", "found"),
+    [
+        (GAPS, 0.0, (0.5, 4.0)),
+        ({0.3: 0.1, 0.4: 1.0, 0.5: 0.0}, 0.0, (0.4, 0.4)),
+        ({0.3: 0.1}, 0.0, (None, None)),
+        (GAPS, 30.0, (None, None)),
+    ],
+)
+def test_the_range_is_the_longest_without_a_gap(rates, bearing, found):
+    assert found_range(rows_of(rates), bearing) == found
 
 
 def test_the_summary_has_the_ranges_of_each_world_and_light():
@@ -137,15 +156,19 @@ def test_the_summary_has_the_ranges_of_each_world_and_light():
     rows += rows_of({1.0: 1.0}, light="dark")
     rows += rows_of({1.0: 0.0}, world="docking")
     ranges = ranges_of(rows)
-    panel, dark, docking = ranges
-    assert (panel["closest_m"], panel["farthest_frontal_m"]) == (0.34, 5.0)
-    assert panel["farthest_30deg_m"] == 4.0
-    assert dark["closest_m"] == 1.0
-    assert docking["closest_m"] is None
-    lines = "\n".join(describe({"ranges": ranges, "dots": {"frames": 8, "false_detections": 2}}))
-    assert "marker_panel, default light: found from 0.34 m to 5 m frontal, to 4 m" in lines
-    assert "docking, default light: found from nowhere" in lines
-    assert "false detections in 8 frames of the dots: 2" in lines
+    ends = ("closest_m", "farthest_frontal_m", "farthest_30deg_m")
+    assert [[one[end] for end in ends] for one in ranges] == [
+        [0.34, 5.0, 4.0],
+        [1.0, 1.0, None],
+        [None, None, None],
+    ]
+    lines = describe({"ranges": ranges, "dots": {"frames": 8, "false_detections": 2}})
+    for said in (
+        "marker_panel, default light: found from 0.34 m to 5 m frontal, to 4 m",
+        "docking, default light: found from nowhere",
+        "false detections in 8 frames of the dots: 2",
+    ):
+        assert any(said in line for line in lines)
 
 
 # ---- Figures ----
@@ -207,22 +230,27 @@ def results(tmp_path_factory):
 
 def test_the_job_leaves_table_maps_picture_and_summary(results):
     folder, summary = results
-    assert {path.name for path in folder.iterdir()} == {
+    assert names_in(folder) == {
         *("summary.json", "cells.csv", "detection_range.png"),
         *("heat_map_marker_panel.png", "heat_map_docking.png"),
     }
-    assert json.loads((folder / "summary.json").read_text()) == summary
+    assert summary_of(folder) == summary
     panel, docking = summary["ranges"]
-    assert panel["farthest_frontal_m"] == 4.0
-    assert docking["farthest_30deg_m"] == 0.5
+    assert (panel["farthest_frontal_m"], docking["farthest_30deg_m"]) == (4.0, 0.5)
     assert (summary["seed"], summary["frames_per_cell"]) == (5, 2)
     assert summary["renderer"] == driver_name()
-    assert summary["dots"]["frames"] == 3 and summary["dots"]["false_detections"] == 0
-    with (folder / "cells.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    assert (summary["dots"]["frames"], summary["dots"]["false_detections"]) == (3, 0)
+    rows = csv_rows(folder / "cells.csv")
     assert len(rows) == 8
     (hidden,) = [row for row in rows if row["visible"] == "false"]
     assert (hidden["distance_m"], hidden["bearing_deg"], hidden["found"]) == ("4", "30", "0")
+
+
+def test_a_world_without_room_has_no_heat_map(tmp_path):
+    settings = replace(SMALL, worlds=("docking", "marker_panel"), distances=(1.0,), dots=0)
+    run_detection_range(tmp_path, replace(settings, bearings=(30.0,), frames=1))
+    assert "heat_map_marker_panel.png" in names_in(tmp_path)
+    assert "heat_map_docking.png" not in names_in(tmp_path)
 
 
 def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
@@ -230,7 +258,6 @@ def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
         return [(number, task(number)) for number in reversed(numbers)]
 
     run_detection_range(tmp_path, SMALL, backwards)
-    names = sorted(path.name for path in results[0].iterdir())
-    assert names == sorted(path.name for path in tmp_path.iterdir())
-    for name in names:
+    assert names_in(results[0]) == names_in(tmp_path)
+    for name in names_in(tmp_path):
         assert (tmp_path / name).read_bytes() == (results[0] / name).read_bytes(), name

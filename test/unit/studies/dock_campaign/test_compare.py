@@ -1,11 +1,11 @@
 """Tests of two campaigns side by side."""
 
-import csv
 import json
 from dataclasses import replace
 
 import pytest
 from scipy import stats
+from study_runs import csv_rows
 from test_dock_campaign import fake_trial
 from test_dock_summary import record
 
@@ -86,26 +86,26 @@ def test_table_picture_and_numbers_are_left(tmp_path):
     lines = compare(tmp_path / "other", tmp_path / "ours" / LOG, 12)
     assert "ours" in lines[0]
     assert "graceful" in lines[0]
-    with (tmp_path / "other" / "comparison.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    (first, *_) = csv_rows(tmp_path / "other" / "comparison.csv")
     numbers = json.loads((tmp_path / "other" / "comparison.json").read_text())
-    figure = numbers["controllers"]["ours"][rows[0]["figure"]]
-    assert float(rows[0]["ours value"]) == figure["value"]
+    figure = numbers["controllers"]["ours"][first["figure"]]
+    assert float(first["ours value"]) == figure["value"]
     assert numbers["seed"] == 1
-    picture = (tmp_path / "other" / "comparison.png").read_bytes()
-    assert picture.startswith(b"\x89PNG")
+    assert (tmp_path / "other" / "comparison.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_other_dockings_are_refused(tmp_path):
     logged(tmp_path / "one", 3)
     logged(tmp_path / "two", 3, seed=2)
-    with pytest.raises(LabError, match="other dockings"):
-        compare(tmp_path / "two", tmp_path / "one" / LOG, 3)
     logged(tmp_path / "more", 5)
-    with pytest.raises(LabError, match="lacks 2 of 5"):
-        compare(tmp_path / "more", tmp_path / "one" / LOG, 5)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / LOG).write_text("{}\n")
+    for folder, beside, dockings, said in (
+        ("two", "one", 3, "other dockings"),
+        ("more", "one", 5, "lacks 2 of 5"),
+        ("more", "broken", 5, "not the log"),
+    ):
+        with pytest.raises(LabError, match=said):
+            compare(tmp_path / folder, tmp_path / beside / LOG, dockings)
     with pytest.raises(FileError, match="cannot read"):
         compare(tmp_path / "more", tmp_path / "nowhere", 5)
-    (tmp_path / "one" / LOG).write_text("{}\n")
-    with pytest.raises(LabError, match="not the log"):
-        compare(tmp_path / "more", tmp_path / "one" / LOG, 5)

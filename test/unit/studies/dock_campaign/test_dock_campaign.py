@@ -1,7 +1,5 @@
 """A campaign of dockings: its files, whatever happens on the way to them."""
 
-import csv
-import json
 import os
 import random
 import shutil
@@ -10,6 +8,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
+from study_runs import csv_rows, summary_of
 
 from bullet_lab.docking.database import ERRORS
 from bullet_lab.docking.types import DockingError, DockingResult
@@ -24,7 +23,7 @@ from bullet_lab.studies.dock_campaign.trial import (
     draw_scenario,
     run_trial,
 )
-from bullet_lab.studies.workers import TaskLostError, workers
+from bullet_lab.studies.workers import TaskLostError
 
 FILES = ("dockings.jsonl", "campaign.csv", "campaign.png")
 
@@ -93,16 +92,11 @@ def campaign(folder, run=in_order, dockings=30, trial=fake_trial, **draw):
     return run_campaign(folder, settings, run, trial)
 
 
-def summary_without_run(folder):
-    values = json.loads((folder / "summary.json").read_text())
-    del values["run"]
-    return values
-
-
 def assert_same_results(one, other):
     for name in FILES:
         assert (one / name).read_bytes() == (other / name).read_bytes(), name
-    assert summary_without_run(one) == summary_without_run(other)
+    summaries = [{**summary_of(folder), "run": None} for folder in (one, other)]
+    assert summaries[0] == summaries[1]
 
 
 @pytest.fixture(scope="module")
@@ -113,28 +107,25 @@ def reference(tmp_path_factory):
 
 
 def test_files_say_what_happened(reference):
-    summary = json.loads((reference / "summary.json").read_text())
-    with (reference / "campaign.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    summary, rows = summary_of(reference), csv_rows(reference / "campaign.csv")
     assert [int(row["index"]) for row in rows] == list(range(30))
     docked = [row for row in rows if row["result"] == "docked"]
     assert summary["docked"] == len(docked) < 30
     assert all(abs(float(row["lateral_error_m"])) <= 0.004 for row in docked)
-    assert summary["seed"] == 1
-    assert summary["run"]["dockings"] == 30
+    assert (summary["seed"], summary["run"]["dockings"]) == (1, 30)
     assert summary["run"]["sim_time_s"] == pytest.approx(summary["sim_time_s"])
     assert (reference / "campaign.png").read_bytes().startswith(b"\x89PNG")
     scenario = draw_scenario(DrawSettings(), 7)
     assert tuple(float(rows[7][f"start_{axis}_m"]) for axis in "xy") == scenario.start[:2]
 
 
-def test_order_does_not_matter(reference, tmp_path):
-    campaign(tmp_path, shuffled)
-    assert_same_results(tmp_path, reference)
-
-
-def test_a_stopped_campaign_goes_on_where_it_was(reference, tmp_path):
-    for count in (4, 9, 0):
+def test_a_stopped_campaign_goes_on_where_it_was_and_the_order_does_not_matter(
+    reference, tmp_path
+):
+    # A finished one can be enlarged.
+    campaign(tmp_path, dockings=4)
+    (tmp_path / "summary.json").unlink()
+    for count in (9, 0):
         with pytest.raises(KeyboardInterrupt):
             campaign(tmp_path, stopping_after(count, interrupt))
         assert not (tmp_path / "summary.json").exists()
@@ -142,16 +133,10 @@ def test_a_stopped_campaign_goes_on_where_it_was(reference, tmp_path):
 
     def remember(trial, indices):
         done.extend(indices)
-        return in_order(trial, indices)
+        return shuffled(trial, indices)
 
     campaign(tmp_path, remember)
     assert len(done) == 30 - 13
-    assert_same_results(tmp_path, reference)
-
-
-def test_a_finished_campaign_can_be_enlarged(reference, tmp_path):
-    campaign(tmp_path, dockings=10)
-    campaign(tmp_path, dockings=30)
     assert_same_results(tmp_path, reference)
 
 
@@ -173,8 +158,7 @@ def test_what_has_crashed_is_reported_and_the_rest_goes_on(tmp_path):
     summary = campaign(tmp_path, run, dockings=5)
     assert summary["failures"]["crashed"] == 1
     assert 2 in summary["failed_indices"]
-    with (tmp_path / "campaign.csv").open() as file:
-        row = list(csv.DictReader(file))[2]
+    row = csv_rows(tmp_path / "campaign.csv")[2]
     assert (row["result"], row["message"], row["end_x_m"]) == ("crashed", "killed it", "")
 
 
@@ -204,12 +188,6 @@ def test_a_docking_counts_only_if_it_is_true(values, result):
         return outcome_of(scenario, **{**right, "distance_error_m": 0.0, **values})
 
     assert run_trial(DrawSettings(), 0, dock)["result"] == result
-
-
-@pytest.mark.long
-def test_on_workers_it_is_the_same(reference, tmp_path):
-    campaign(tmp_path, workers(2))
-    assert_same_results(tmp_path, reference)
 
 
 def trials_in_turn(indices):

@@ -66,8 +66,7 @@ def test_failures_are_counted_by_reason_and_their_errors_are_not():
 
 
 def test_errors_are_of_all_that_say_they_have_docked():
-    records = [record(0), record(1, "inaccurate", lateral_error_m=0.0031)]
-    found = campaign_summary(records)
+    found = campaign_summary([record(0), record(1, "inaccurate", lateral_error_m=0.0031)])
     assert (found["docked"], found["lateral_error_m"]["max"]) == (1, 0.0031)
     most = {"distance_error_m": 0.005, "lateral_error_m": 0.003, "yaw_error_deg": 0.4}
     assert found["tolerances"] == {"docking": most}
@@ -83,9 +82,4 @@ def test_nothing_succeeded():
 
 def test_error_figures_are_of_magnitudes():
     found = error_figures([-3.0, 1.0, 2.0, 0.0])
-    assert found == {
-        "median": 1.5,
-        "p95": pytest.approx(2.85),
-        "p99": pytest.approx(2.97),
-        "max": 3.0,
-    }
+    assert found == pytest.approx({"median": 1.5, "p95": 2.85, "p99": 2.97, "max": 3.0})

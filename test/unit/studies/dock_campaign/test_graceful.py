@@ -95,26 +95,27 @@ def docking(start, seen=lambda seconds: True, settings=NAV2):
     return feed
 
 
-def assert_docked(feed):
+@pytest.mark.parametrize(
+    ("start", "seen", "retries"),
+    [
+        ((0.8, 0.1, 0.1), lambda seconds: True, 0),
+        # Lost on the way, it goes back and tries again.
+        ((1.0, 0.0, 0.0), lambda seconds: not 5.0 < seconds < 9.0, 1),
+    ],
+)
+def test_it_stops_within_its_threshold(start, seen, retries):
+    feed = docking(start, seen)
+    result = feed.task.result
     ahead, beside, _ = se2.between(feed.stand.dock, feed.pose)
-    assert feed.task.result.success
+    assert result.success
     assert math.hypot(-ahead - 0.56, beside) < 0.06
-    assert feed.task.result.lateral == pytest.approx(beside, abs=0.005)
-
-
-def test_it_stops_within_its_threshold():
-    assert_docked(docking((0.8, 0.1, 0.1)))
+    assert result.lateral == pytest.approx(beside, abs=0.005)
+    assert result.retries >= retries
 
 
 def test_it_waits_for_the_marker_and_then_says_that_it_is_not_there():
     feed = docking((0.8, 0.1, 0.1), seen=lambda seconds: False)
     assert feed.task.result.error == DockingError.NOT_DETECTED
-
-
-def test_lost_on_the_way_it_goes_back_and_tries_again():
-    feed = docking((1.0, 0.0, 0.0), seen=lambda seconds: not 5.0 < seconds < 9.0)
-    assert_docked(feed)
-    assert feed.task.result.retries >= 1
 
 
 def test_without_retries_it_says_why():

@@ -1,11 +1,11 @@
 """Tests of what is drawn under stress, and of what it does to a scenario."""
 
-import json
 import math
 from collections import Counter
 
 import numpy as np
 import pytest
+from study_runs import summary_of
 from test_dock_campaign import assert_same_results, fake_trial, in_order, outcome_of, shuffled
 
 from bullet_lab.core import se2
@@ -44,8 +44,7 @@ def scenario_of(index, *stress):
 
 
 def test_without_a_name_nothing_is_otherwise():
-    assert scenario_of(3).stress == Stress()
-    assert draw_stress(("none",), 5, 3) == Stress()
+    assert scenario_of(3).stress == draw_stress(("none",), 5, 3) == Stress()
 
 
 @pytest.mark.parametrize("name", STRESSES)
@@ -122,27 +121,24 @@ def test_docking_is_told_what_is_not_so():
     assert stress.costs(0.4) == pytest.approx((0.4 * (1.0 - 0.97 * 1.02), 0.0, 0.0))
 
 
-def test_what_the_stress_costs_is_added_to_the_tolerance():
-    record = run_trial(DrawSettings(seed=5, stress=("mount",)), 0, lambda s: _outcome(s, 0.0029))
-    beside = abs(record["mount_y_m"])
-    assert record["lateral_cost_m"] == beside > 0.001
-    assert record["result"] == "docked"
+LEARNED = CalibrationErrors(*(Learned(math.radians(1.0), 0.001) for _ in range(7)))
+
+
+@pytest.mark.parametrize(("over", "result"), [(0.0029, "docked"), (0.0045, "inaccurate")])
+def test_what_the_stress_costs_is_added_to_the_tolerance(over, result):
+    def outcome(scenario):
+        beside = abs(scenario.stress.mount_y_m) + over
+        said = {"error_name": "NONE", "distance_error_m": 0.0, "yaw_error_deg": 0.0}
+        return outcome_of(scenario, **said, lateral_error_m=beside, calibration=LEARNED)
+
+    record = run_trial(DrawSettings(seed=5, stress=("mount",)), 0, outcome)
+    assert record["lateral_cost_m"] == abs(record["mount_y_m"]) > 0.001
+    assert record["result"] == result
     assert record["found_pitch_deg"] == pytest.approx(1.0)
-    more = run_trial(DrawSettings(seed=5, stress=("mount",)), 0, lambda s: _outcome(s, 0.0045))
-    assert more["result"] == "inaccurate"
-
-
-def _outcome(scenario, over):
-    learned = CalibrationErrors(*(Learned(math.radians(1.0), 0.001) for _ in range(7)))
-    beside = abs(scenario.stress.mount_y_m) + over
-    said = {"error_name": "NONE", "distance_error_m": 0.0, "yaw_error_deg": 0.0}
-    return outcome_of(scenario, **said, lateral_error_m=beside, calibration=learned)
 
 
 def test_nothing_found_leaves_the_same_columns():
-    learned = CalibrationErrors(*(Learned(0.0, 1.0) for _ in range(7)))
-    assert list(found_columns(None)) == list(found_columns(learned))
-    assert set(found_columns(None).values()) == {None}
+    assert found_columns(None) == dict.fromkeys(found_columns(LEARNED))
 
 
 def test_odometry_without_stress_is_told_as_it_is():
@@ -173,7 +169,7 @@ def test_each_stress_has_its_campaign_and_a_row_of_one_table(tmp_path, monkeypat
         assert_same_results(tmp_path / "a" / name, tmp_path / "b" / name)
     table = (tmp_path / "a" / "stresses.csv").read_bytes()
     assert table == (tmp_path / "b" / "stresses.csv").read_bytes()
-    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    summary = summary_of(tmp_path / "a")
     assert list(summary["by_stress"]) == ["none", "mount", "all"]
     # What is there is not run again.
     run_each(tmp_path / "a", settings, lambda *_: pytest.fail("run again"), fake_trial)

@@ -1,12 +1,8 @@
 """What the study leaves behind."""
 
-import contextlib
-import csv
-import io
-import json
-
 import numpy as np
 import pytest
+from study_runs import csv_rows, run_main, summary_of
 
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.studies.noise_study.figures import (
@@ -21,6 +17,7 @@ from bullet_lab.studies.noise_study.study import (
     main,
     simulated_square,
     study,
+    where_right_records,
 )
 from bullet_lab.studies.paths import tum_text
 
@@ -56,24 +53,16 @@ def bend():
     return Trajectory(0.1 * np.arange(len(way)), poses)
 
 
-def rows_of(path):
-    with path.open() as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     """Folder, summary and lines of a study from the command line."""
     folder, base = (tmp_path_factory.mktemp(name) for name in ("study", "in"))
-    said = io.StringIO()
     (base / "bend.tum").write_text(tum_text(bend()))
-    words = [str(folder), "--base", str(base), *WORDS.split(), "--seed", "3"]
-    with pytest.raises(SystemExit) as end, contextlib.redirect_stdout(said):
-        main(words)
-    assert end.value.code == 0
-    summary = json.loads((folder / "summary.json").read_text())
+    status, said, _ = run_main(main, folder, "--base", base, *WORDS.split(), "--seed", "3")
+    assert status == 0
+    summary = summary_of(folder)
     assert summary["path"]["source"] == str(base / "bend.tum")
-    return folder, summary, said.getvalue().splitlines()
+    return folder, summary, said.splitlines()
 
 
 def test_all_files_are_there_and_nothing_else(results):
@@ -89,7 +78,7 @@ def test_all_files_are_there_and_nothing_else(results):
 def test_summary_and_metrics_hold_each_level_model_and_rate(results):
     folder, summary, _ = results
     assert (summary["seed"], summary["paths"]) == (3, 20)
-    cases, rows = summary["cases"], rows_of(folder / "metrics.csv")
+    cases, rows = summary["cases"], csv_rows(folder / "metrics.csv")
     assert len({(case["model"], case["rate_hz"], case["std"]) for case in cases}) == 8
     assert len(cases) == len(rows) == 8
     for row, case in zip(rows, cases):
@@ -115,7 +104,7 @@ def test_metrics_of_a_lap_that_a_low_rate_does_not_see():
 
 
 def test_error_by_distance_ends_with_the_path(results):
-    rows = [row for row in rows_of(results[0] / "error_by_distance.csv") if row["std"] == "0.1"]
+    rows = [row for row in csv_rows(results[0] / "error_by_distance.csv") if row["std"] == "0.1"]
     ends = [row for row in rows if float(row["travelled_m"]) == pytest.approx(8.0, abs=0.05)]
     assert len({(row["model"], row["rate_hz"]) for row in ends}) == 4
     for row in ends:
@@ -150,6 +139,15 @@ def test_where_regions_have_no_volume_there_are_figures_too(alone):
     for draw in (coverage_figure, regions_figure, distances_figure):
         assert draw([alone]).axes
     assert banana_figure([alone], 3).axes
+
+
+def test_the_table_says_how_far_each_method_is_right():
+    ahead = 0.1 * np.arange(41.0)
+    line = Trajectory(ahead, np.column_stack([ahead, 0.0 * ahead, 0.0 * ahead]))
+    settings = StudySettings(levels=(0.5,), models=("rate_invariant",), rates=(10.0,), paths=4000)
+    (values,) = where_right_records(study(line, settings))
+    assert values["first_order_right_until_m"] == 0.0
+    assert values["length_m"] == pytest.approx(4.0)
 
 
 def test_the_simulated_square():

@@ -1,14 +1,11 @@
 """The answer to the report's open question, with fewer seeds than the job."""
 
-import contextlib
-import csv
-import io
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from study_runs import csv_rows, names_in, run_main, summary_of
 
 from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects, PublishedNoise
 from bullet_lab.studies.published_noise.study import (
@@ -41,16 +38,10 @@ def drive():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Folder, summary and lines of a study from the command line."""
-    folder, said = tmp_path_factory.mktemp("published"), io.StringIO()
-    with pytest.raises(SystemExit) as end, contextlib.redirect_stdout(said):
-        main([str(folder), "--seeds", str(SEEDS)])
-    assert end.value.code == 0
-    return folder, json.loads((folder / "summary.json").read_text()), said.getvalue()
-
-
-def read(path):
-    with path.open() as file:
-        return list(csv.DictReader(file))
+    folder = tmp_path_factory.mktemp("published")
+    status, said, _ = run_main(main, folder, "--seeds", SEEDS)
+    assert status == 0
+    return folder, summary_of(folder), said
 
 
 def by_name(summary):
@@ -70,8 +61,18 @@ def test_the_drive_is_the_square_of_figure_1a(drive):
     assert np.flatnonzero(moving)[0] >= 44 and not moving[-44:].any()
 
 
+def replay_of(drive, seeds=20, **settings):
+    return Replay(drive, PublishedNoiseSettings(seeds=seeds, **settings))
+
+
+def lengths_of(drive, seeds, defects, **settings):
+    """The distance of the start, and of the corners, in each of some replays (m)."""
+    return replay_of(drive, seeds, **settings).lengths(defects, range(seeds))[:, 4:].T
+
+
 def test_a_replay_is_what_the_live_algorithm_does(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=20, seed=5))
+    replay = replay_of(drive, seed=5)
+    np.testing.assert_allclose(replay.corners, drive.corners, atol=1e-3)
     messages = replay.messages(ALL, [3])[:, 0]
     live = PublishedNoise(0.1, 5 + 3)
     expected = np.array([live.update(*pose) for pose in drive.poses[messages].tolist()])
@@ -82,15 +83,10 @@ def test_a_replay_is_what_the_live_algorithm_does(drive):
     assert phases.max() <= 1.2 and np.ptp(phases) > 0.5
 
 
-def test_the_corners_of_the_perfect_path_are_found_in_what_is_drawn(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=20))
-    np.testing.assert_allclose(replay.corners, drive.corners, atol=1e-3)
-
-
 def test_without_aliasing_the_first_corner_is_off_as_the_closed_form_has_it(drive):
     """Independent errors of the steps add up by their squares, and nothing takes them back."""
     seeds = 200
-    replay = Replay(drive, PublishedNoiseSettings(seeds=seeds, reading=0.0))
+    replay = replay_of(drive, seeds, reading=0.0)
     defects = Defects(sampled=True, unbent=True)
     messages = replay.messages(defects, range(seeds))
     at_corner = np.argmax(drive.sides[messages] == 1, axis=0) - 1
@@ -108,37 +104,32 @@ def test_without_aliasing_the_first_corner_is_off_as_the_closed_form_has_it(driv
 
 
 def test_with_aliasing_the_corners_are_the_perfect_ones(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=100))
-    kept = replay.lengths(Defects(aliasing=True, sampled=True), range(100))
-    assert np.median(kept[:, 5]) < 1e-3
-    lost = replay.lengths(Defects(sampled=True, unwrapped=True, unbent=True), range(100))
-    assert lost[:, 5].min() > 5e-3
+    _, kept = lengths_of(drive, 100, Defects(aliasing=True, sampled=True))
+    assert np.median(kept) < 1e-3
+    _, lost = lengths_of(drive, 100, Defects(sampled=True, unwrapped=True, unbent=True))
+    assert lost.min() > 5e-3
 
 
 def test_noise_at_rest_shows_at_the_start(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=100))
-    still = Defects(aliasing=True, unwrapped=True, sampled=True)
-    assert replay.lengths(still, range(100))[:, 4].max() < 1e-3
-    assert np.median(replay.lengths(ALL, range(100))[:, 4]) > 5e-4
+    still, _ = lengths_of(drive, 100, Defects(aliasing=True, unwrapped=True, sampled=True))
+    assert still.max() < 1e-3
+    assert np.median(lengths_of(drive, 100, ALL)[0]) > 5e-4
 
 
 def test_points_are_read_with_the_error_that_is_set(drive):
-    seeds = 100
-    found = Replay(drive, PublishedNoiseSettings(seeds=seeds, std=0.0, reading=0.002)).lengths(
-        Defects(aliasing=True), range(seeds)
-    )
+    _, found = lengths_of(drive, 100, Defects(aliasing=True), std=0.0, reading=0.002)
     # The largest of three distances with a Rayleigh distribution, sigma = 2 mm for either point.
     quarters = 0.002 * np.sqrt(-4.0 * np.log(1.0 - np.array([0.25, 0.75]) ** (1 / 3)))
-    np.testing.assert_allclose(np.quantile(found[:, 5], (0.25, 0.75)), quarters, rtol=0.15)
+    np.testing.assert_allclose(np.quantile(found, (0.25, 0.75)), quarters, rtol=0.15)
 
 
 def test_the_report_explains_its_figure(run):
-    summary = run[1]
-    assert by_name(summary)[str(ALL)]["p_all"] > 0.2
+    _, summary, said = run
+    rows = by_name(summary)
+    assert rows[str(ALL)]["p_all"] > 0.2
     assert summary["figure_1b"]["sampling_rate_hz"] == pytest.approx(0.9, abs=0.01)
-    without = by_name(summary)[str(replace(ALL, unbent=False))]
-    assert without["p_all"] == by_name(summary)[str(ALL)]["p_all"]
-    assert "figure 1b strays" in run[2] and "too few seeds" in run[2]
+    assert rows[str(replace(ALL, unbent=False))]["p_all"] == rows[str(ALL)]["p_all"]
+    assert "figure 1b strays" in said and "too few seeds" in said
 
 
 @pytest.mark.long
@@ -162,8 +153,8 @@ def test_each_of_three_defects_has_its_own_mark_on_the_third_side(run):
 
 def test_tables(run):
     folder, summary, _ = run
-    assert {path.name for path in folder.iterdir()} == FILES
-    rows, lengths = (read(folder / name) for name in ("combinations.csv", "lengths.csv"))
+    assert names_in(folder) == FILES
+    rows, lengths = (csv_rows(folder / name) for name in ("combinations.csv", "lengths.csv"))
     assert len(rows) == 32
     for row, about in zip(rows, summary["combinations"]):
         assert {name: float(value) for name, value in row.items()} == about
@@ -173,13 +164,12 @@ def test_tables(run):
 
 
 def test_blocks_do_not_show(drive):
-    replay = Replay(drive, PublishedNoiseSettings(seeds=20))
+    replay = replay_of(drive)
     whole, part = replay.lengths(ALL, range(9)), replay.lengths(ALL, range(4, 7))
     np.testing.assert_allclose(part, whole[4:7], atol=1e-9)
 
 
 @pytest.mark.long
-def test_noise_that_is_not_there_explains_nothing(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        main([str(tmp_path), "--seeds", "400", "--std", "0"])
-    assert "no combination explains figure 1b" in capsys.readouterr().out
+def test_noise_that_is_not_there_explains_nothing(tmp_path):
+    _, said, _ = run_main(main, tmp_path, "--seeds", "400", "--std", "0")
+    assert "no combination explains figure 1b" in said

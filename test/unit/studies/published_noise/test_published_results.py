@@ -24,18 +24,23 @@ from bullet_lab.studies.published_noise.results import (
     verdict,
 )
 
-
-def test_p_value_of_one_length_is_twice_its_rank():
-    runs = 0.1 * np.arange(1, 100)[:, np.newaxis]
-    assert p_value([0.31], runs).value == pytest.approx(2 * 4 / 100)
-    assert p_value([9.65], runs).value == pytest.approx(2 * 4 / 100)
-    assert p_value([5.0], runs).value == pytest.approx(1.0)
-    assert p_value([100.0], runs).value == pytest.approx(2 / 100)
+ONE = 0.1 * np.arange(1, 100)[:, np.newaxis]
+MANY = np.tile(np.arange(1, 1000)[:, np.newaxis], 2)
 
 
-def test_of_several_lengths_the_most_unusual_one_counts():
-    runs = np.column_stack([np.arange(1, 1000), np.arange(1, 1000)])
-    assert p_value([500, 9.5], runs).value == pytest.approx(2 * 2 * 10 / 1000)
+@pytest.mark.parametrize(
+    ("measured", "runs", "value"),
+    [
+        # Of one length it is twice its rank; of several the most unusual one counts.
+        ([0.31], ONE, 2 * 4 / 100),
+        ([9.65], ONE, 2 * 4 / 100),
+        ([5.0], ONE, 1.0),
+        ([100.0], ONE, 2 / 100),
+        ([500, 9.5], MANY, 2 * 2 * 10 / 1000),
+    ],
+)
+def test_p_values(measured, runs, value):
+    assert p_value(measured, runs).value == pytest.approx(value)
 
 
 def test_the_bound_is_clopper_and_pearsons_for_all_tails_at_once():
@@ -137,15 +142,13 @@ def test_a_zigzag_moves_no_corner():
 def test_a_path_of_many_vertices_has_corners_too():
     sides = [np.linspace(a, b, 150, endpoint=False) for a, b in zip(CORNERS, CORNERS[1:])]
     path = np.concatenate([*sides, CORNERS[-1:]])
-    beside = path[find_corners(path)] - CORNERS
-    assert np.hypot(*beside.T).max() < 0.1
+    assert np.hypot(*(path[find_corners(path)] - CORNERS).T).max() < 0.1
 
 
-def test_four_vertices_are_no_square():
+@pytest.mark.parametrize("vertices", [CORNERS[:4], np.zeros((8, 2))])
+def test_four_vertices_are_no_square(vertices):
     with pytest.raises(LabError, match="four sides"):
-        find_corners(CORNERS[:4])
-    with pytest.raises(LabError, match="four sides"):
-        find_corners(np.zeros((8, 2)))
+        find_corners(vertices)
 
 
 def test_lengths():

@@ -1,16 +1,16 @@
 """Robots on the floor assume the wheels that errors and correction give them."""
 
-from pathlib import Path
+from dataclasses import astuple
 
 import numpy as np
 import pytest
+from shared import PACKAGE
 
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
 from bullet_lab.studies.umbmark.robots import FloorRobot
 
-PACKAGE = Path(__file__).resolve().parents[4]
 TUTORIALS = PACKAGE / "test" / "tutorials"
 CART = str(TUTORIALS / "urdf" / "cart.urdf")
 CONTROL = str(TUTORIALS / "config" / "cart.yaml")
@@ -45,50 +45,51 @@ def roll(robot):
     return measured() - before
 
 
-def test_a_plugin_assumes_other_wheels(built):
-    robot = built(CAMERA, "", WRONG, NONE)
+@pytest.mark.parametrize(
+    ("files", "diameter", "base"), [((CAMERA, ""), 0.28, 0.38), ((CART, CONTROL), 0.16, 0.4)]
+)
+def test_robots_assume_other_wheels_until_they_are_corrected(built, files, diameter, base):
     left, right = WRONG.diameters
-    assert robot.assumed.base == pytest.approx(0.38 / 0.98)
-    assert robot.assumed.left == pytest.approx(0.28 / left)
-    assert robot.assumed.right == pytest.approx(0.28 / right)
+    wrong = built(*files, WRONG, NONE)
+    assumed = (diameter / left, diameter / right, base / 0.98)
+    assert astuple(wrong.assumed) == pytest.approx(assumed)
+    corrected = built(*files, WRONG, WRONG)
+    assert astuple(corrected.assumed) == pytest.approx((diameter, diameter, base))
+    wrong.drive(0.2, 0.0, 0.2)
+    assert wrong.odometry[-1][0] > 0.02
+
+
+def test_a_plugin_drives_by_the_wheels_that_it_assumes(built):
     # The larger wheel is thought to be the smaller one: it gets more speed, and the robot turns.
-    left, right, turned = roll(robot)
+    left, right, turned = roll(built(CAMERA, "", WRONG, NONE))
     assert right / left == pytest.approx(1.01, rel=1e-3)
     assert turned == pytest.approx(0.14 * (right - left) / 0.38, rel=0.02)
+    assert roll(built(CAMERA, "", WRONG, WRONG))[2] == pytest.approx(0.0, abs=1e-4)
 
 
-def test_the_plugin_assumes_the_corrected_wheels(built):
-    robot = built(CAMERA, "", WRONG, WRONG)
-    assert robot.assumed.base == pytest.approx(0.38)
-    assert robot.assumed.left == pytest.approx(0.28)
-    assert robot.assumed.right == pytest.approx(0.28)
-    assert roll(robot)[2] == pytest.approx(0.0, abs=1e-4)
+@pytest.fixture
+def changed(tmp_path):
+    """Writes the robot with the camera, changed."""
+
+    def write(*changes):
+        text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
+        for change in changes:
+            text = text.replace(*change)
+        (tmp_path / "changed.urdf").write_text(text)
+        return str(tmp_path / "changed.urdf")
+
+    return write
 
 
-def test_the_pose_is_that_of_the_middle_between_the_wheels(built, tmp_path):
-    text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
-    for y in ("0.19", "-0.19"):
-        text = text.replace(f'xyz="0 {y} -0.06"', f'xyz="0.03 {y} -0.06"')
-    moved = tmp_path / "moved.urdf"
-    moved.write_text(text)
-    robot = built(str(moved), "", NONE, NONE)
+def test_the_pose_is_that_of_the_middle_between_the_wheels(built, changed):
+    moved = changed(*((f'xyz="0 {y} -0.06"', f'xyz="0.03 {y} -0.06"') for y in ("0.19", "-0.19")))
+    robot = built(moved, "", NONE, NONE)
     x, y, _ = robot.pose()
     assert (x, y) == pytest.approx((0.03, 0.0), abs=2e-3)
     robot.drive(0.0, 1.0, 1.5)
     # It turns about that.
     assert robot.pose()[2] > 1.0
     assert robot.pose()[:2] == pytest.approx((x, y), abs=2e-3)
-
-
-def test_a_controller_gets_its_errors_as_multipliers(built):
-    left, right = WRONG.diameters
-    robot = built(CART, CONTROL, WRONG, NONE)
-    assert robot.assumed.left == pytest.approx(0.16 / left)
-    assert robot.assumed.right == pytest.approx(0.16 / right)
-    assert robot.assumed.base == pytest.approx(0.4 / 0.98)
-    assert built(CART, CONTROL, WRONG, WRONG).assumed.base == pytest.approx(0.4)
-    robot.drive(0.2, 0.0, 0.2)
-    assert robot.odometry[-1][0] > 0.02
 
 
 @pytest.mark.parametrize(
@@ -104,11 +105,9 @@ def test_robots_without_wheels_to_calibrate_are_refused(robot, controller, said)
         FloorRobot(robot, controller, NONE, NONE)
 
 
-def test_the_log_says_once_why_a_plugin_does_not_work(tmp_path, caplog):
-    text = (PACKAGE / "urdf" / "camera_robot.urdf").read_text()
-    robot = tmp_path / "robot.urdf"
-    robot.write_text(text.replace("<leftJoint>", "<leftJoint>no_", 1))
+def test_the_log_says_once_why_a_plugin_does_not_work(changed, caplog):
+    robot = changed(("<leftJoint>", "<leftJoint>no_", 1))
     with pytest.raises(LabError, match="there is no plugin libgazebo_ros_diff_drive.so that works"):
-        FloorRobot(str(robot), "", NONE, NONE)
+        FloorRobot(robot, "", NONE, NONE)
     (record,) = caplog.records
     assert "no movable joint 'no_" in record.message
