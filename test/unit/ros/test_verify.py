@@ -38,8 +38,8 @@ def of(tmp_path, name, text, **more):
 def test_a_table_is_its_columns(tmp_path):
     rows = "stamp,x,word\n0.0,1.0,go\n1.0,3.0,\n2.0,inf,go\n"
     found = of(tmp_path, "a.csv", rows)
-    assert [found.numbers[f"x {what}"] for what in ("count", "mean", "std")] == [2, 2, 1]
-    assert found.numbers["stamp std"] == pytest.approx(np.sqrt(2 / 3))
+    numbers = {"x count": 2, "x mean": 2, "x std": 1, "stamp std": pytest.approx(np.sqrt(2 / 3))}
+    assert numbers.items() <= found.numbers.items()
     assert not [name for name in found.numbers if "word" in name]
     assert found == of(tmp_path, "b.csv", rows)
     assert found.hash != of(tmp_path, "c.csv", rows.replace("3.0,", "3.0,x")).hash

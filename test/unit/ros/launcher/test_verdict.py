@@ -1,51 +1,43 @@
 import signal
 
 import pytest
+import yaml
 
 from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
 
 NAMES = {"bridge-1": "bridge", "drive-2": "drive", "plot-3": "plot"}
+# Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
+# exit status of the run with its reason. The bridge and the plot are required.
+VERDICTS = """
+- [{drive-2: 0, plot-3: 0}, true, null, 0, ""]
+- [{plot-3: 0}, false, null, 1, plot ended before there was a summary]
+# The first failure gives the status.
+- [{drive-2: 1, bridge-1: 5, plot-3: 0}, true, null, 1, drive ended with status 1]
+- [{drive-2: 77, bridge-1: 5, plot-3: 0}, true, null, 77, drive ended with status 77]
+# After the end of the job, it does not count.
+- [{plot-3: 0, drive-2: 1}, true, null, 0, ""]
+- [{bridge-1: -11}, true, null, 139, bridge was killed by signal 11]
+- [{}, true, SIGINT, 130, stopped by SIGINT]
+- [{}, true, SIGTERM, 143, stopped by SIGTERM]
+# It counts more than the signal that followed.
+- [{drive-2: 3}, true, SIGINT, 3, drive ended with status 3]
+"""
 
 
-def judged(*deaths, has_summary=True, stopped_by=None):
-    deaths = [Death(process, status) for process, status in deaths]
+def judged(deaths, has_summary=True, stopped_by=None):
+    deaths = [Death(*death) for death in deaths.items()]
     return judge(deaths, NAMES, {"bridge", "plot"}, has_summary, stopped_by)
 
 
+@pytest.mark.parametrize("deaths, summary, signal_name, status, reason", yaml.safe_load(VERDICTS))
+def test_how_a_run_ends(deaths, summary, signal_name, status, reason):
+    stopped_by = signal_name and signal.Signals[signal_name]
+    assert judged(deaths, summary, stopped_by) == Verdict(status, reason)
+
+
 def test_run_goes_on_until_a_required_node_ends():
-    assert judged() is None
-    assert judged(("drive-2", 0)) is None
-
-
-def test_required_node_ends_the_run_successfully_only_with_a_summary():
-    assert judged(("drive-2", 0), ("plot-3", 0)) == Verdict(0)
-    assert judged(("plot-3", 0), has_summary=False) == Verdict(
-        1, "plot ended before there was a summary"
-    )
-
-
-@pytest.mark.parametrize("status", [1, 2, 77])
-def test_first_failure_gives_the_status(status):
-    verdict = judged(("drive-2", status), ("bridge-1", 5), ("plot-3", 0))
-    assert verdict == Verdict(status, f"drive ended with status {status}")
-
-
-def test_failure_after_the_end_of_the_job_does_not_count():
-    assert judged(("plot-3", 0), ("drive-2", 1)) == Verdict(0)
-
-
-def test_killed_node_is_a_failure():
-    assert judged(("bridge-1", -11)) == Verdict(139, "bridge was killed by signal 11")
-
-
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signal_gives_its_conventional_status(number, status):
-    verdict = judged(stopped_by=number)
-    assert (verdict.status, verdict.reason) == (status, f"stopped by {number.name}")
-
-
-def test_failure_counts_more_than_the_signal_that_followed():
-    assert judged(("drive-2", 3), stopped_by=signal.SIGINT).status == 3
+    assert judged({}) is None
+    assert judged({"drive-2": 0}) is None
 
 
 def test_all_nodes_ended_without_a_required_one():

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
+import yaml
 from nav_msgs.msg import Odometry
 
 from bullet_lab.ros.node import odometry
@@ -19,7 +20,6 @@ class Queue:
         self.queue = MessageQueue("odom", Odometry, lambda m: m.header.stamp.to_sec(), rate)
         monkeypatch.setattr(odometry, "time", self.clock)
         monkeypatch.setattr(self.queue._new, "wait", self.pass_time)
-        monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
         monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
 
     def pass_time(self, seconds):
@@ -59,22 +59,23 @@ def test_a_queue_refuses_what_goes_back_and_says_why(monkeypatch):
     assert (queue.queue.trouble, queue.take(1.0)) == ("", [0.05])
 
 
-@pytest.mark.parametrize(
-    ("rate", "stamps", "now", "due"),
-    [
-        (20.0, (), 0.0, False),
-        (20.0, (), 0.05, True),
-        (20.0, (0.05,), 0.05, False),
-        (20.0, (0.05,), 0.1, True),
-        # At 30 Hz the bridge's steps are 34, 67 and 100 ms.
-        (30.0, (), 0.033, False),
-        (30.0, (0.034,), 0.066, False),
-        (30.0, (0.034,), 0.067, True),
-        (30.0, (0.067,), 0.099, False),
-        (30.0, (0.067,), 0.1, True),
-        (5.0, (0.2,), 0.35, False),
-    ],
-)
+# The rate (Hz), the stamps that came (s), what time it is (s), and whether it waits.
+DUE = """
+- [20.0, [], 0.0, false]
+- [20.0, [], 0.05, true]
+- [20.0, [0.05], 0.05, false]
+- [20.0, [0.05], 0.1, true]
+# At 30 Hz the bridge's steps are 34, 67 and 100 ms.
+- [30.0, [], 0.033, false]
+- [30.0, [0.034], 0.066, false]
+- [30.0, [0.034], 0.067, true]
+- [30.0, [0.067], 0.099, false]
+- [30.0, [0.067], 0.1, true]
+- [5.0, [0.2], 0.35, false]
+"""
+
+
+@pytest.mark.parametrize("rate, stamps, now, due", yaml.safe_load(DUE))
 def test_a_queue_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
     queue = Queue(monkeypatch, rate)
     queue.receive(*stamps)
