@@ -109,19 +109,14 @@ def assert_stands(run, step=None):
         assert run.stepper.do(lambda: run.step) == step
 
 
-def test_paused_from_the_start_until_told(running):
+def test_paused_from_the_start_it_advances_by_exactly_so_many_steps_until_told(running):
     run = running(paused=True)
-    assert_stands(run, 0)
+    assert [run.stepper.advance_by(n) for n in (0, 7, 0, 1, 993)] == [0, 7, 7, 8, 1001]
+    assert_stands(run, 1001)
     run.stepper.set_paused(False)
     run.goes_on()
     run.stepper.set_paused(True)
     assert_stands(run)
-
-
-def test_advances_by_exactly_so_many_steps_while_paused(running):
-    run = running(paused=True)
-    assert [run.stepper.advance_by(n) for n in (7, 0, 1, 993)] == [7, 7, 8, 1001]
-    assert_stands(run, 1001)
 
 
 def test_who_advances_far_stops_nobody_else(running):
@@ -157,14 +152,6 @@ def test_time_goes_on_however_fast_others_ask(running):
 
     run.stepper.do(ask_again)
     wait_for(lambda: asked[-1] > asked[0] + 1000)
-
-
-def test_waits_for_missing_members(running):
-    run = running(expected=["/a", "/b"])
-    for member in ("/a", "/b"):
-        assert_stands(run, 0)
-        run.grant(member, FOR_EVER)
-    run.goes_on()
 
 
 @pytest.mark.parametrize("rtf", [0.0, 50.0])
