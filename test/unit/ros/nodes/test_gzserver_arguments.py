@@ -1,7 +1,7 @@
-import os
 from pathlib import Path
 
 import pytest
+import yaml
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader
 
@@ -12,27 +12,26 @@ from bullet_lab.simulation.world.resources import package_share
 
 def parse(line):
     found = parse_server_arguments(line.split(" "))
-    return found.world, found.paused, found.seed, found.plugins
+    return [found.world, found.paused, found.seed, found.plugins]
 
 
-def test_the_arguments_of_empty_world_launch():
-    paused = ("worlds/empty.world", True, 0, [])
-    assert parse("-u    --verbose -e ode  worlds/empty.world") == paused
-    assert parse("   -e ode  /a/b.world") == ("/a/b.world", False, 0, [])
+# Lines, and their world, whether it is paused, the seed and the plugins that are not known.
+LINES = """
+# Those of empty_world.launch.
+"-u    --verbose -e ode  worlds/empty.world": [worlds/empty.world, true, 0, []]
+"   -e ode  /a/b.world": [/a/b.world, false, 0, []]
+"": [worlds/empty.world, false, 0, []]
+# What has no meaning here is ignored.
+-r --record_path /tmp/x -q --minimal_comms --lockstep -e bullet -o default my.world:
+  [my.world, false, 0, []]
+--seed 7 -s libgazebo_ros_api_plugin.so -s /lib/libgazebo_ros_paths_plugin.so -s w.so a:
+  [a, false, 7, [w.so]]
+"""
 
 
-def test_no_arguments():
-    assert parse("") == ("worlds/empty.world", False, 0, [])
-
-
-def test_what_has_no_meaning_here_is_passed_over():
-    line = "-r --record_path /tmp/x -q --minimal_comms --lockstep -e bullet -o default my.world"
-    assert parse(line) == ("my.world", False, 0, [])
-
-
-def test_seed_and_plugins():
-    line = "--seed 7 -s libgazebo_ros_api_plugin.so -s /lib/libgazebo_ros_paths_plugin.so -s w.so a"
-    assert parse(line) == ("a", False, 7, ["w.so"])
+@pytest.mark.parametrize("line, found", yaml.safe_load(LINES).items())
+def test_arguments(line, found):
+    assert parse(line) == found
 
 
 @pytest.mark.parametrize(
@@ -52,16 +51,16 @@ def test_refusals(line, reason):
 
 
 def test_worlds_are_looked_up_as_in_gazebo(tmp_path, monkeypatch):
-    here, first, second = (tmp_path / name for name in ("here", "first", "second"))
-    for folder in (here, first, second):
-        (folder / "worlds").mkdir(parents=True)
-    monkeypatch.setenv("GAZEBO_RESOURCE_PATH", os.pathsep.join(map(str, (first, "", second))))
-    own = package_share() / "worlds" / "empty.world"
-    monkeypatch.chdir(here)
-    assert find_world("worlds/empty.world") == str(own)
-    for folder in (second, first, here):
-        (folder / "worlds" / "empty.world").write_text("<sdf/>")
-        assert find_world("worlds/empty.world") == str(folder / "worlds" / "empty.world")
+    name, path = "worlds/empty.world", f"{tmp_path}/first::{tmp_path}/second"
+    monkeypatch.setenv("GAZEBO_RESOURCE_PATH", path)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert find_world(name) == str(package_share() / name)
+    for folder in ("second", "first", "here"):
+        world = tmp_path / folder / name
+        world.parent.mkdir(parents=True)
+        world.write_text("<sdf/>")
+        assert find_world(name) == str(world)
     with pytest.raises(ArgumentsError, match="'nix.world' is in none of .*first.*second"):
         find_world("nix.world")
 
@@ -79,6 +78,5 @@ def test_use_sim_time_has_the_type_of_its_value(text, value):
     launch = Path(__file__).parents[4] / "stand_ins/gazebo_ros/launch/empty_world.launch"
     config, arguments = ROSLaunchConfig(), [f"use_sim_time:={text}", "use_clock_frequency:=1"]
     XmlLoader().load(str(launch), config, argv=arguments, verbose=False)
-    assert config.params["/use_sim_time"].value == value
-    assert type(config.params["/use_sim_time"].value) is type(value)
+    assert repr(config.params["/use_sim_time"].value) == repr(value)
     assert config.params["/gazebo/pub_clock_frequency"].value == 100
