@@ -37,8 +37,8 @@ def test_poses_that_are_none(poses):
 
 def test_descriptions_are_files_or_references(package, tmp_path):
     path = package / "urdf" / "beacon.urdf"
-    assert description_of(str(path)) == path.read_text()
-    assert description_of("package://bullet_lab/urdf/beacon.urdf") == path.read_text()
+    for name in (str(path), "package://bullet_lab/urdf/beacon.urdf"):
+        assert description_of(name) == path.read_text()
     folder = read_spawned(description_of(str(package / "models" / "beacon")), "folder")
     assert folder.name == "beacon"
     assert "model://a&amp;b" in description_of("model://a&b")
