@@ -111,7 +111,7 @@ KNOWN = Deviation(("chapter/row",), "it is better so", {"rate": 1})
 
 
 @pytest.mark.parametrize(
-    ("complaint", "known", "instead", "status"),
+    "complaint, known, instead, status",
     [
         ("", None, "", PASSED),
         ("2 Hz", None, "", FAILED),

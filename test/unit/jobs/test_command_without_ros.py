@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from bullet_lab.jobs import command
 from bullet_lab.jobs.declaration import find_jobs, read_job
@@ -36,18 +37,18 @@ def test_jobs_without_ros_are_listed(monkeypatch, capsys):
     assert "  dock " not in listed
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["dock"], "bullet_lab: dock needs ROS: clone bullet_lab, run scripts/run.sh dock"),
-        (["square"], "bullet_lab: there is no job 'square' (did you mean 'squares'?)"),
-        (["squares", "rtf:=1"], "bullet_lab: squares has no argument 'rtf'"),
-        (["squares", "std:=-1"], "bullet_lab: std is '-1': it must be a number >= 0"),
-        (["squares", "mode:=fast"], "bullet_lab: mode is 'fast': it must be one of open_loop"),
-    ],
-)
+WRONG = """
+dock: "bullet_lab: dock needs ROS: clone bullet_lab, run scripts/run.sh dock"
+square: "bullet_lab: there is no job 'square' (did you mean 'squares'?)"
+"squares rtf:=1": "bullet_lab: squares has no argument 'rtf'"
+"squares std:=-1": "bullet_lab: std is '-1': it must be a number >= 0"
+"squares mode:=fast": "bullet_lab: mode is 'fast': it must be one of open_loop"
+"""
+
+
+@pytest.mark.parametrize("words, said", yaml.safe_load(WRONG).items())
 def test_a_wrong_command_line_is_one_line(words, said, monkeypatch, capsys):
-    assert run(monkeypatch, *words) == command.STATUS_BAD_VALUE
+    assert run(monkeypatch, *words.split()) == command.STATUS_BAD_VALUE
     printed = capsys.readouterr()
     assert printed.err.startswith(said)
     assert printed.err.count("\n") == 1

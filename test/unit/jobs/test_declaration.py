@@ -79,7 +79,7 @@ def test_argument_without_default_is_required(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("doc", "good", "bad"),
+    "doc, good, bad",
     yaml.safe_load(
         f"""
         - ["Seed [integer]", ["0", "42"], ["1.0", "1e3", "٣"]]

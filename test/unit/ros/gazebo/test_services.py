@@ -10,7 +10,7 @@ def raising(error):
 
 
 @pytest.mark.parametrize(
-    ("error", "message", "logged"),
+    "error, message, logged",
     [
         (LabError("no such model"), "DeleteModel: no such model", False),
         (RuntimeError("unexpected"), "unexpected", True),

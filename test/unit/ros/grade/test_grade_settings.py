@@ -3,22 +3,23 @@
 import json
 
 import pytest
+import yaml
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.grade.grade import Grader, GradeSettings, _run
 
+# Settings, and the line that refuses them.
+REFUSED = """
+- [{}, "^submission or class is needed, one of the two: the folder to grade$"]
+- [{submission: a, class_folder: a}, ^submission or class is needed]
+- [{submission: none}, none]
+- [{submission: file}, "^there are no submissions in 'file'$"]
+- [{class_folder: file}, "^there are no submissions in 'file'$"]
+- [{class_folder: hidden}, "^there are no submissions in 'hidden'$"]
+"""
 
-@pytest.mark.parametrize(
-    ("given", "line"),
-    [
-        ({}, "^submission or class is needed, one of the two: the folder to grade$"),
-        ({"submission": "a", "class_folder": "a"}, "^submission or class is needed"),
-        ({"submission": "none"}, "none"),
-        ({"submission": "file"}, "^there are no submissions in 'file'$"),
-        ({"class_folder": "file"}, "^there are no submissions in 'file'$"),
-        ({"class_folder": "hidden"}, "^there are no submissions in 'hidden'$"),
-    ],
-)
+
+@pytest.mark.parametrize("given, line", yaml.safe_load(REFUSED))
 def test_what_cannot_be_graded_is_named(tmp_path, given, line):
     (tmp_path / "file").touch()
     (tmp_path / "hidden" / ".git").mkdir(parents=True)
@@ -27,16 +28,17 @@ def test_what_cannot_be_graded_is_named(tmp_path, given, line):
         _run(tmp_path, settings, print)
 
 
-@pytest.mark.parametrize(
-    "kind, field",
-    [
-        ("nav_msgs/Odometry", "pose.x"),
-        ("nav_msgs/Odometry", "pose"),
-        ("std_msgs/Flaot64", "data"),
-        ("Float64", "data"),
-        ("std_msgs/String", "data"),
-    ],
-)
+# Types and fields that have no number.
+FIELDS = """
+- [nav_msgs/Odometry, pose.x]
+- [nav_msgs/Odometry, pose]
+- [std_msgs/Flaot64, data]
+- [Float64, data]
+- [std_msgs/String, data]
+"""
+
+
+@pytest.mark.parametrize("kind, field", yaml.safe_load(FIELDS))
 def test_a_field_that_is_no_number_is_named_before_anything_runs(tmp_path, kind, field):
     file = tmp_path / "e.yaml"
     limits = f"measure: topic_mean, topic: a, type: {kind}, field: {field}, at_most: 0"

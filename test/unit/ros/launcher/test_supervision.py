@@ -8,7 +8,7 @@ import pytest
 from bullet_lab.ros.launcher import supervision
 
 
-@pytest.mark.parametrize(("user", "joins"), [(0, True), (1, False)])
+@pytest.mark.parametrize("user, joins", [(0, True), (1, False)])
 @pytest.mark.parametrize("uri", [supervision.STOCK_URI, supervision.STOCK_URI + "/"])
 def test_the_stock_master_of_another_user_is_not_joined(monkeypatch, user, joins, uri):
     running = SimpleNamespace(

@@ -34,17 +34,17 @@ def test_arguments(line, found):
     assert parse(line) == found
 
 
-@pytest.mark.parametrize(
-    ("line", "reason"),
-    [
-        ("-p state.log", "--play is not simulated"),
-        ("--iters 100 a.world", "--iters is not simulated"),
-        ("--seed -3", "--seed -3 is negative"),
-        ("--seed x", "argument --seed: invalid int value: 'x'"),
-        ("a.world b.world", "unrecognized arguments: b.world"),
-        ("--nix", "unrecognized arguments: --nix"),
-    ],
-)
+REFUSED = """
+-p state.log: --play is not simulated
+--iters 100 a.world: --iters is not simulated
+--seed -3: --seed -3 is negative
+--seed x: "argument --seed: invalid int value: 'x'"
+a.world b.world: "unrecognized arguments: b.world"
+--nix: "unrecognized arguments: --nix"
+"""
+
+
+@pytest.mark.parametrize("line, reason", yaml.safe_load(REFUSED).items())
 def test_refusals(line, reason):
     with pytest.raises(ArgumentsError, match=reason):
         parse(line)
@@ -71,7 +71,7 @@ def test_worlds_that_need_no_search(name):
 
 
 @pytest.mark.parametrize(
-    ("text", "value"), [("true", True), ("false", False), ("0.1", 0.1), ("1", 1)]
+    "text, value", [("true", True), ("false", False), ("0.1", 0.1), ("1", 1)]
 )
 def test_use_sim_time_has_the_type_of_its_value(text, value):
     """As in gazebo_ros's own launch file: use_sim_time:=0.1 is no mistake there."""

@@ -46,7 +46,7 @@ def first(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("answers", "found"),
+    "answers, found",
     [
         ("a1 b1 c1 a2 b2 c2", "a1 b1 c1"),
         # Each misses some, and is as late as it likes.

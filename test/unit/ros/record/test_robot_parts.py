@@ -259,7 +259,7 @@ Homepage: https://wiki.ros.org/geometry2
 
 
 @pytest.mark.parametrize(
-    ("package", "found"), [("tf", "tf-tools"), ("tf2_ros", "tf2-tools"), ("amcl", "")]
+    "package, found", [("tf", "tf-tools"), ("tf2_ros", "tf2-tools"), ("amcl", "")]
 )
 def test_the_debian_package_of_a_ros_package(monkeypatch, tmp_path, package, found):
     def run(command, **_):
