@@ -1,8 +1,6 @@
 """Submissions that hang, print, fork or crash end, with all that they have started."""
 
 import os
-import re
-import signal
 import subprocess
 import time
 from contextlib import closing
@@ -14,11 +12,13 @@ from bullet_lab.ros.grade import trial as submission
 from bullet_lab.ros.grade.trial import Submission, SubmissionError, command_of
 
 HOSTILE = Path(__file__).parents[3] / "submissions" / "hostile"
+LARGEST_FILE = 100_000
 
 
 @pytest.fixture(autouse=True)
-def short_grace(monkeypatch):
+def lower_limits(monkeypatch):
     monkeypatch.setattr(submission, "GRACE", 0.3)
+    monkeypatch.setattr(submission, "LARGEST_FILE", LARGEST_FILE)
 
 
 def started(folder, tmp_path, seconds=30):
@@ -78,23 +78,39 @@ def test_a_launch_file_is_started_by_roslaunch(tmp_path):
     assert command_of(tmp_path) == ["roslaunch", "drive.launch"]
 
 
+def hostile(name):
+    return (HOSTILE / name).read_text()
+
+
 @pytest.mark.parametrize(
     "name, text, reason",
     [
-        ("main.sh", "exit 3", "^it ended with status 3: it printed nothing$"),
+        ("main.sh", "exit 3", "it ended with status 3: it printed nothing"),
         ("main.py", "#!/no/such/python\n", "No such file"),
         (
             "main.py",
-            (HOSTILE / "crashes/main.py").read_text(),
-            "^it ended with status 1: ZeroDivisionError: division by zero$",
+            hostile("crashes/main.py"),
+            "it ended with status 1: ZeroDivisionError: division by zero",
+        ),
+        (
+            "main.sh",
+            "while :; do :; done",
+            "it was ended, since it used too much processor time",
+        ),
+        (
+            "main.sh",
+            hostile("writes_much/main.sh"),
+            "it was ended, since it wrote a file of more than 20 MB",
         ),
     ],
 )
-def test_a_crash_gives_the_last_line(tmp_path, name, text, reason):
-    with started(written(tmp_path / "a", text, name), tmp_path) as one:
-        assert ended(one) > 0
+def test_why_it_ended(tmp_path, name, text, reason):
+    with started(written(tmp_path / "a", text, name), tmp_path, seconds=1) as one:
+        assert ended(one)
         (why,) = one.why_ended()
-        assert re.search(reason, why)
+        assert reason in why
+    sizes = [path.stat().st_size for path in (tmp_path / "work").rglob("*")]
+    assert max(sizes) <= LARGEST_FILE
 
 
 def test_it_runs_in_a_copy_and_what_it_leaves_is_read(tmp_path):
@@ -126,20 +142,6 @@ def test_processes_that_leave_the_group_are_named_and_ended(tmp_path):
         assert one.why_ended() == ["it left processes behind, which were ended"]
         assert is_running(process)
     assert not is_running(process)
-
-
-def test_processor_time_is_limited(tmp_path):
-    with started(written(tmp_path / "a", "while :; do :; done"), tmp_path, seconds=1) as one:
-        assert ended(one) in (-signal.SIGXCPU, -signal.SIGKILL)
-        assert one.why_ended() == ["it was ended, since it used too much processor time"]
-
-
-def test_files_are_limited(tmp_path, monkeypatch):
-    monkeypatch.setattr(submission, "LARGEST_FILE", 100_000)
-    with started(HOSTILE / "writes_much", tmp_path) as one:
-        ended(one)
-        assert one.why_ended() == ["it was ended, since it wrote a file of more than 20 MB"]
-    assert (tmp_path / "work" / "much").stat().st_size <= 100_000
 
 
 def test_other_children_of_the_process_are_left_alone(tmp_path):

@@ -3,12 +3,12 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
+import yaml
 from bullet_lab.msg import DockGoal, MarkerDetectionArray, UndockGoal
-from geometry_msgs.msg import PoseStamped, Quaternion
+from geometry_msgs.msg import Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
-from std_msgs.msg import Header
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
@@ -89,14 +89,14 @@ def test_markers_without_finite_corners_are_left_out():
     assert not found.deviations.any()
 
 
-def goal(frame="''", x=3.0):
-    """Return a goal with a pose in a frame: x m ahead, 1 m to the left and turned by -0.2 rad."""
+def goal(frame):
+    """Return a goal with a pose in a frame: 3 m ahead, 1 m to the left and turned by -0.2 rad."""
     text = f"""
         dock_id: dock
         dock_pose:
           header: {{frame_id: {frame}}}
           pose:
-            position: {{x: {x}, y: 1.0}}
+            position: {{x: 3.0, y: 1.0}}
             orientation: {{z: {math.sin(-0.1)}, w: {math.cos(0.1)}}}
     """
     return message(DockGoal, text)
@@ -136,21 +136,25 @@ def test_a_leaning_dock_is_refused_for_good():
     assert isinstance(caught.value, LabError)
 
 
-@pytest.mark.parametrize(
-    "wrong, said",
-    [
-        (DockGoal(max_retries=-2, dock_id="dock"), "max_retries is -2"),
-        (DockGoal(), "neither dock_id nor"),
-        (goal("odom", ".nan"), "not finite"),
-        (DockGoal(dock_pose=PoseStamped(header=Header(frame_id="odom"))), "no unit quaternion"),
-        (UndockGoal(-0.1), "distance is -0.1 m"),
-        (UndockGoal(10.1), "from 0 to 10 m"),
-        (UndockGoal(math.nan), "distance is nan m"),
-    ],
-)
-def test_invalid_goals_are_refused(wrong, said):
+# Goals and what is wrong with them.
+INVALID = """
+- [dock, "max_retries: -2, dock_id: dock", max_retries is -2]
+- [dock, "", neither dock_id nor]
+- - dock
+  - "dock_pose: {header: {frame_id: odom}, pose: {position: {x: .nan}, orientation: {w: 1.0}}}"
+  - not finite
+- [dock, "dock_pose: {header: {frame_id: odom}}", no unit quaternion]
+- [undock, "distance: -0.1", distance is -0.1 m]
+- [undock, "distance: 10.1", from 0 to 10 m]
+- [undock, "distance: .nan", distance is nan m]
+"""
+
+
+@pytest.mark.parametrize("action, text, said", yaml.safe_load(INVALID))
+def test_invalid_goals_are_refused(action, text, said):
+    kind = {"dock": DockGoal, "undock": UndockGoal}[action]
     with pytest.raises(DockingFailureError, match=said) as caught:
-        check_goal(wrong)
+        check_goal(message(kind, f"{{{text}}}"))
     assert caught.value.error == DockingError.NOT_VALID
 
 
