@@ -39,26 +39,19 @@ class Server:
         return request.config.groups
 
 
+RATE = Setting("rate", 2.0, "Hz", 0.0, 50.0)
+
+
 @pytest.fixture
 def settings(monkeypatch):
     """A function that offers a rate of 2 Hz and returns its server."""
     monkeypatch.setattr(physics, "Server", Server)
-
-    def offer(change):
-        setting = Setting("rate", 2.0, "Hz", 0.0, 50.0)
-        return physics.Reconfigurable("/eye", [setting], change)._server
-
-    return offer
+    return lambda change: physics.Reconfigurable("/eye", [RATE], change)._server
 
 
 def test_what_is_changed_is_asked_for_and_the_start_is_not(settings):
     asked = []
-
-    def change(values):
-        asked.append(values)
-        return {"rate": 5.0}
-
-    server = settings(change)
+    server = settings(lambda values: asked.append(values) or {"rate": 5.0})
     assert not asked
     assert server.take({"rate": 9.0}, 1) == {"rate": 5.0}
     assert asked == [{"rate": 9.0}]
@@ -102,7 +95,7 @@ def test_a_calibration_has_numbers_and_a_usual_size(name, value, wrong):
 
 def test_without_the_package_nothing_is_offered(monkeypatch):
     monkeypatch.setattr(physics, "Server", None)
-    physics.Reconfigurable("/eye", [Setting("rate", 2.0, "Hz")], dict).shutdown()
+    physics.Reconfigurable("/eye", [RATE], dict).shutdown()
 
 
 def test_groups_of_a_request_are_ignored(settings):

@@ -84,19 +84,16 @@ def test_what_markers_have_no_field_for_stands_in_their_text(tmp_path):
     assert _marker(Visual(Box((1.0, 1.0, 1.0)))).text == ""
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a label",
-        "[1]",
-        '"x"',
-        '{"texture": 3}',
-        '{"texture": {}}',
-        '{"texture": {"path": "a", "scale": [0, 1]}}',
-        '{"texture": {"path": "a", "rotation": "b"}}',
-        '{"emissive": [1, 2, NaN, 1]}',
-        "[" * 100000,
-    ],
-)
+NO_LOOKS = """a label
+[1]
+"x"
+{"texture": 3}
+{"texture": {}}
+{"texture": {"path": "a", "scale": [0, 1]}}
+{"texture": {"path": "a", "rotation": "b"}}
+{"emissive": [1, 2, NaN, 1]}"""
+
+
+@pytest.mark.parametrize("text", [*NO_LOOKS.splitlines(), "[" * 100000])
 def test_a_text_that_makes_no_sense_is_no_look(text):
     assert look_of(text) == Look()

@@ -1,30 +1,17 @@
+from unittest import mock
 
 from bullet_lab.ros.view.displays import Displays, Kind
 
 
-class Shown:
-    """A display that only notes whether it is closed."""
-
-    def __init__(self, stays):
-        self.stays, self.closed = stays, False
-
-    def close(self):
-        self.closed = True
-
-
 def test_a_display_that_stays_outlives_its_publisher_until_switched_off():
-    made = {}
-
-    def display(stays):
-        return lambda context, topic: made.setdefault(topic, Shown(stays))
-
-    kind = Kind("Things", {"a/Path": display(True), "a/Scan": display(False)})
+    path, scan = mock.Mock(stays=True), mock.Mock(stays=False)
+    kind = Kind("Things", {"a/Path": lambda *_: path, "a/Scan": lambda *_: scan})
     displays = Displays(kind, context=None)
     displays.follow({"/path": "a/Path", "/scan": "a/Scan", "/other": "b/Other"})
     displays.follow({"/other": "b/Other"})
     assert list(displays.shown) == ["/path"]
-    assert made["/scan"].closed
+    assert (path.close.called, scan.close.called) == (False, True)
     displays.follow({"/path": "a/Path"})
     displays.follow({})
-    assert made["/path"].closed
+    assert path.close.called
     assert not displays.shown
