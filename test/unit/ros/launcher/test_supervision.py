@@ -1,11 +1,53 @@
-"""The ROS master that a run joins."""
+"""The ROS master that a run joins, and how the run ends."""
 
 import os
+import signal
 from unittest import mock
 
 import pytest
+import yaml
 
 from bullet_lab.ros.launcher import supervision
+from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
+
+NAMES = {"bridge-1": "bridge", "drive-2": "drive", "plot-3": "plot"}
+# Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
+# exit status of the run with its reason. The bridge and the plot are required.
+VERDICTS = """
+- [{drive-2: 0, plot-3: 0}, true, null, 0, ""]
+- [{plot-3: 0}, false, null, 1, plot ended before there was a summary]
+# The first failure gives the status.
+- [{drive-2: 1, bridge-1: 5, plot-3: 0}, true, null, 1, drive ended with status 1]
+- [{drive-2: 77, bridge-1: 5, plot-3: 0}, true, null, 77, drive ended with status 77]
+# After the end of the job, it does not count.
+- [{plot-3: 0, drive-2: 1}, true, null, 0, ""]
+- [{bridge-1: -11}, true, null, 139, bridge was killed by signal 11]
+- [{}, true, SIGINT, 130, stopped by SIGINT]
+- [{}, true, SIGTERM, 143, stopped by SIGTERM]
+# It counts more than the signal that followed.
+- [{drive-2: 3}, true, SIGINT, 3, drive ended with status 3]
+"""
+
+
+def judged(deaths, has_summary=True, stopped_by=None):
+    deaths = [Death(*death) for death in deaths.items()]
+    return judge(deaths, NAMES, {"bridge", "plot"}, has_summary, stopped_by)
+
+
+@pytest.mark.parametrize("deaths, summary, signal_name, status, reason", yaml.safe_load(VERDICTS))
+def test_how_a_run_ends(deaths, summary, signal_name, status, reason):
+    stopped_by = signal_name and signal.Signals[signal_name]
+    assert judged(deaths, summary, stopped_by) == Verdict(status, reason)
+
+
+def test_run_goes_on_until_a_required_node_ends():
+    assert judged({}) is None
+    assert judged({"drive-2": 0}) is None
+
+
+def test_all_nodes_ended_without_a_required_one():
+    verdict = judge([Death("drive-2", 0)], {"drive-2": "drive"}, set(), True, None)
+    assert verdict.status == 1
 
 
 @pytest.mark.parametrize("user, joins", [(0, True), (1, False)])

@@ -23,9 +23,9 @@ class Driven:
         self.page = Page(18200, DriverSeat(lambda tab, shares: self.sent.append(shares)))
         self.origin = self.page.url.rsplit("/", 2)[0]
 
-    def socket(self, path="tab/drive", **options):
+    def socket(self, path="tab/drive", origin=""):
         address = self.page.url.replace("http", "ws", 1) + path
-        return connect(address, **{"origin": self.origin, **options})
+        return connect(address, origin=self.origin if origin == "" else origin)
 
     def drive(self, socket, shares):
         """Send shares with each time from the server, until one was in time."""
