@@ -42,15 +42,17 @@ class Queue:
         return self.queue.take(rospy.Time.from_sec(now))
 
 
-def test_a_queue_gives_what_is_stamped_up_to_now(monkeypatch):
-    queue = Queue(monkeypatch)
+@pytest.fixture
+def queue(monkeypatch):
+    return Queue(monkeypatch)
+
+
+def test_a_queue_gives_what_is_stamped_up_to_now(queue):
     queue.receive(0.05, 0.1, 0.15)
     assert [queue.take(now) for now in (0.1, 0.1, 1.0)] == [[0.05, 0.1], [], [0.15]]
 
 
-def test_a_queue_refuses_what_goes_back_and_says_why(monkeypatch):
-    monkeypatch.setattr(rospy, "logwarn", lambda *_: None)
-    queue = Queue(monkeypatch)
+def test_a_queue_refuses_what_goes_back_and_says_why(queue):
     queue.receive(0.1, 0.05)
     assert "out-of-order stamp 0.05" in queue.queue.trouble
     assert queue.take(1.0) == [0.1]
@@ -82,21 +84,18 @@ def test_a_queue_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
     assert queue.waited(now) == due
 
 
-def test_a_queue_goes_on_as_soon_as_it_is_there(monkeypatch):
-    queue = Queue(monkeypatch)
+def test_a_queue_goes_on_as_soon_as_it_is_there(queue):
     queue.late = [0.05]
     assert not queue.waited(0.05)
     assert queue.take(0.05) == [0.05]
 
 
-def test_what_never_comes_is_waited_for_once(monkeypatch):
-    queue = Queue(monkeypatch)
+def test_what_never_comes_is_waited_for_once(queue):
     assert [queue.waited(1.0) for _ in range(3)] == [True, False, False]
     queue.receive(0.5)
     assert queue.waited(1.0)
 
 
-def test_out_of_lock_step_nothing_is_waited_for(monkeypatch):
-    queue = Queue(monkeypatch)
+def test_out_of_lock_step_nothing_is_waited_for(queue, monkeypatch):
     monkeypatch.setattr(odometry, "in_lock_step", lambda: False)
     assert not queue.waited(1.0)

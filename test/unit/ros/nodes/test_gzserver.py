@@ -1,5 +1,4 @@
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -8,7 +7,6 @@ from roslaunch.xmlloader import XmlLoader
 
 from bullet_lab.core.parameters import ArgumentsError
 from bullet_lab.errors import LabError
-from bullet_lab.ros.nodes import gzserver as gazebo_server
 from bullet_lab.ros.nodes.gzserver import bridge_parameters, find_world, parse_server_arguments
 from bullet_lab.simulation.world.resources import package_share
 
@@ -91,17 +89,14 @@ def parameters(*words):
 
 @pytest.fixture
 def ros(monkeypatch):
-    """Parameters on the master, and warnings."""
-    ros = SimpleNamespace(parameters={}, warnings=[])
-    monkeypatch.setattr(gazebo_server.rospy, "get_param", ros.parameters.get)
-    monkeypatch.setattr(
-        gazebo_server.rospy, "logwarn", lambda line, *values: ros.warnings.append(line % values)
-    )
-    return ros
+    """Parameters on the master."""
+    given = {}
+    monkeypatch.setattr("rospy.get_param", given.get)
+    return given
 
 
 def test_the_bridge_gets_the_arguments_of_gzserver(ros):
-    ros.parameters["/gazebo/pub_clock_frequency"] = 250
+    ros["/gazebo/pub_clock_frequency"] = 250
     wanted = parameters("-u", "--seed", "7", "worlds/beacons.world")
     assert wanted.world == str(package_share() / "worlds" / "beacons.world")
     assert (wanted.paused, wanted.seed, wanted.clock_rate, wanted.rtf) == (True, 7, 250.0, 1.0)
@@ -113,14 +108,14 @@ def test_no_robot_comes_from_robot_description(ros):
     assert (wanted.robot, wanted.robot_description, wanted.clock_rate) == ("", "", 100.0)
 
 
-def test_plugins_that_are_not_simulated_are_named(ros):
+def test_plugins_that_are_not_simulated_are_named(ros, logged):
     parameters("-s", "libfog.so")
-    assert ros.warnings == ["server plugin libfog.so is not simulated and skipped"]
+    assert logged == ["server plugin libfog.so is not simulated and skipped"]
 
 
 def test_parameters_that_are_refused(ros):
     with pytest.raises(LabError, match="world 'nix.world' is in none of"):
         parameters("nix.world")
-    ros.parameters["/gazebo/pub_clock_frequency"] = "often"
+    ros["/gazebo/pub_clock_frequency"] = "often"
     with pytest.raises(LabError, match="/gazebo/pub_clock_frequency is 'often': it must be"):
         parameters()

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 from bullet_lab.reports.robot import Robot, RobotReport
 from bullet_lab.ros.node.node import NodeError
-from bullet_lab.ros.record import try_robot
 from bullet_lab.ros.record.try_robot import Trial
 
 FIRST, LAST = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
@@ -24,13 +23,11 @@ class Odometry:
         return pose
 
 
-def test_odometry_comes_again_after_a_pause(tmp_path, monkeypatch):
-    warnings = []
-    monkeypatch.setattr(try_robot.rospy, "logwarn", lambda *words: warnings.append(words))
+def test_odometry_comes_again_after_a_pause(tmp_path, logged):
     trial = Trial.__new__(Trial)
     trial._report = RobotReport(tmp_path, Robot("cart", odometry="/odom"), {})
     trial._rate, trial._pauses, trial._odometry = SimpleNamespace(now=None), False, Odometry()
     assert [trial._newest_odometry() for _ in range(5)] == [FIRST, None, None, LAST, None]
     # What pauses is waited for once.
     assert trial._odometry.has_waited == [True, True, False, False, True]
-    assert (len(warnings), trial._report.pauses) == (2, 2)
+    assert (len(logged), trial._report.pauses) == (2, 2)
