@@ -14,3 +14,22 @@ def logged(monkeypatch):
     for name in ("rospy.logwarn", "rospy.logerr"):
         monkeypatch.setattr(name, lambda line, *values: lines.append(line % values))
     return lines
+
+
+class Clock:
+    """Wall time of the tests' own, in place of a function or of the module `time`."""
+
+    now = 50.0
+
+    def __call__(self):
+        return self.now
+
+    monotonic = __call__
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+@pytest.fixture
+def clock():
+    return Clock()

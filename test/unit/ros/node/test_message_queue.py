@@ -1,7 +1,5 @@
 """Messages that are taken by their stamps, and waited for on a clock of the test."""
 
-from types import SimpleNamespace
-
 import pytest
 import rospy
 import yaml
@@ -14,16 +12,16 @@ from bullet_lab.ros.node.odometry import LATEST, MessageQueue
 class Queue:
     """A queue of stamps in s, the time that it has waited, and what comes meanwhile."""
 
-    def __init__(self, monkeypatch, rate=20.0):
+    def __init__(self, monkeypatch, clock, rate=20.0):
         self.late = []
-        self.clock = SimpleNamespace(now=0.0, monotonic=lambda: self.clock.now)
+        self.clock = clock
         self.queue = MessageQueue("odom", Odometry, lambda m: m.header.stamp.to_sec(), rate)
-        monkeypatch.setattr(odometry, "time", self.clock)
+        monkeypatch.setattr(odometry, "time", clock)
         monkeypatch.setattr(self.queue._new, "wait", self.pass_time)
         monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
 
     def pass_time(self, seconds):
-        self.clock.now += seconds
+        self.clock.sleep(seconds)
         self.receive(*self.late)
 
     def receive(self, *stamps):
@@ -43,8 +41,8 @@ class Queue:
 
 
 @pytest.fixture
-def queue(monkeypatch):
-    return Queue(monkeypatch)
+def queue(monkeypatch, clock):
+    return Queue(monkeypatch, clock)
 
 
 def test_a_queue_gives_what_is_stamped_up_to_now(queue):
@@ -78,8 +76,8 @@ DUE = """
 
 
 @pytest.mark.parametrize("rate, stamps, now, due", yaml.safe_load(DUE))
-def test_a_queue_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
-    queue = Queue(monkeypatch, rate)
+def test_a_queue_waits_for_what_is_due(monkeypatch, clock, rate, stamps, now, due):
+    queue = Queue(monkeypatch, clock, rate)
     queue.receive(*stamps)
     assert queue.waited(now) == due
 

@@ -142,13 +142,12 @@ def test_why_a_robot_stands(monkeypatch):
     assert why_it_stands(cart, "/go", True) == ["the model is static"]
 
 
-def find(monkeypatch, name, coming):
+def find(monkeypatch, clock, name, coming):
     """Return what is found where models come at times (s), and when; time takes no time."""
-    clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
-    clock.sleep = lambda seconds: setattr(clock, "now", clock.now + seconds)
+    start = clock.now
 
     def models():
-        names = [name for name, (at, _) in coming.items() if clock.now >= at]
+        names = [name for name, (at, _) in coming.items() if clock.now >= start + at]
         text = "{{name: {0}, of_world_file: {1}, plugins: [{{inputs: [/{0}]}}]}}"
         return [message(ModelDescription, text.format(name, coming[name][1])) for name in names]
 
@@ -161,7 +160,7 @@ def find(monkeypatch, name, coming):
     monkeypatch.setattr(robot_parts, "described", lambda: SimpleNamespace(models=models()))
     monkeypatch.setattr(robot_parts.rospy, "ServiceProxy", lambda *_: lambda: None)
     launched = SimpleNamespace(path="some.launch", check=lambda: None)
-    return find_robot(name, launched).name, clock.now
+    return find_robot(name, launched).name, clock.now - start
 
 
 # The name that is asked for, when models come, whether they are of the world file, which of them
@@ -176,15 +175,15 @@ COMING = """
 
 
 @pytest.mark.parametrize("name, coming, taken, within", yaml.safe_load(COMING))
-def test_the_choice_waits_until_all_are_there(monkeypatch, name, coming, taken, within):
-    found, when = find(monkeypatch, name, coming)
+def test_the_choice_waits_until_all_are_there(monkeypatch, clock, name, coming, taken, within):
+    found, when = find(monkeypatch, clock, name, coming)
     assert (found, when < within) == (taken, True)
 
 
-def test_nothing_comes(monkeypatch):
+def test_nothing_comes(monkeypatch, clock):
     line = "no model 'cart' was spawned within 120 s; .* one of robot$"
     with pytest.raises(NodeError, match=line):
-        find(monkeypatch, "cart", {"robot": (0, True)})
+        find(monkeypatch, clock, "cart", {"robot": (0, True)})
 
 
 ARGUMENTS = """
