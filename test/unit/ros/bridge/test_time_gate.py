@@ -32,10 +32,14 @@ STORIES = """
 """
 
 
-@pytest.mark.parametrize("expected, events", [(e, rest) for e, *rest in yaml.safe_load(STORIES)])
-def test_time_goes_on_as_far_as_each_member_has_granted(expected, events):
+@pytest.mark.parametrize("story", yaml.safe_load(STORIES))
+def test_time_goes_on_as_far_as_each_member_has_granted(story):
+    expected, *events = story
     gate = TimeGate(expected)
     for words, limit, holding in events:
         do, *member = words.split()
-        getattr(gate, do)(*member[:1], *map(float, member[1:]))
+        if do == "grant":
+            gate.grant(member[0], float(member[1]))
+        else:
+            getattr(gate, do)(*member)
         assert (gate.limit(), gate.holding()) == (limit, tuple(holding)), words

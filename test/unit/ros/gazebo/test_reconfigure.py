@@ -2,6 +2,7 @@
 
 import math
 from types import SimpleNamespace
+from unittest import mock
 
 import pytest
 
@@ -50,11 +51,11 @@ def settings(monkeypatch):
 
 
 def test_what_is_changed_is_asked_for_and_the_start_is_not(settings):
-    asked = []
-    server = settings(lambda values: asked.append(values) or {"rate": 5.0})
-    assert not asked
+    change = mock.Mock(return_value={"rate": 5.0})
+    server = settings(change)
+    assert not change.called
     assert server.take({"rate": 9.0}, 1) == {"rate": 5.0}
-    assert asked == [{"rate": 9.0}]
+    change.assert_called_once_with({"rate": 9.0})
 
 
 @pytest.mark.parametrize("rate", [math.nan, math.inf, 0.0])
