@@ -70,18 +70,19 @@ def rate(model):
     return model.state().joints["j"][1]
 
 
-@pytest.mark.parametrize(
-    "start, duration, expected",
-    [
-        (0.0, 0.05, Period(100, 150)),
-        (0.2001, 0.05, Period(201, 251)),
-        (0.0, -1.0, Period(100, math.inf)),
-        (0.0, 0.0, Period(100, 100)),
-        (0.0, 1e-5, Period(100, 101)),
-    ],
-)
-def test_periods_are_whole_steps(start, duration, expected):
-    assert Period.after(100, start, duration) == expected
+# Start and duration (s) of what is asked for at step 100, and its steps.
+PERIODS = """
+- [0.0, 0.05, 100, 150]
+- [0.2001, 0.05, 201, 251]
+- [0.0, -1.0, 100, .inf]
+- [0.0, 0.0, 100, 100]
+- [0.0, 1.0e-5, 100, 101]
+"""
+
+
+@pytest.mark.parametrize("start, duration, first, end", yaml.safe_load(PERIODS))
+def test_periods_are_whole_steps(start, duration, first, end):
+    assert Period.after(100, start, duration) == Period(first, end)
 
 
 def test_a_force_acts_for_its_time_and_not_longer(space, ball):

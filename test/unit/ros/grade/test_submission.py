@@ -54,14 +54,14 @@ def is_running(process):
         return False
 
 
-@pytest.mark.parametrize(
-    "name, reason",
-    [
-        ("not_executable", "^main.py is not executable; run chmod .x main.py$"),
-        ("nothing", "^it has no main.py, no main.sh and 0 launch files; one is needed$"),
-        ("two_launch_files", "^it has no main.py, no main.sh and 2 launch files; one is needed$"),
-    ],
-)
+UNSTARTED = {
+    "not_executable": "^main.py is not executable; run chmod .x main.py$",
+    "nothing": "^it has no main.py, no main.sh and 0 launch files; one is needed$",
+    "two_launch_files": "^it has no main.py, no main.sh and 2 launch files; one is needed$",
+}
+
+
+@pytest.mark.parametrize("name, reason", UNSTARTED.items())
 def test_what_cannot_be_started_says_why(name, reason, tmp_path):
     with pytest.raises(SubmissionError, match=reason):
         started(HOSTILE / name, tmp_path)
