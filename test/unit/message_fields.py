@@ -3,6 +3,7 @@
 from io import BytesIO
 
 import genpy
+import numpy as np
 import pytest
 import yaml
 
@@ -51,7 +52,9 @@ def near(value):
 
 
 def plain(value):
-    """Return a time as seconds, and vectors, other messages and their lists as lists."""
+    """Return a time as seconds, and arrays, vectors, other messages and their lists as lists."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
     if isinstance(value, genpy.Time):
         return value.to_sec()
     if isinstance(value, genpy.Message):

@@ -1,6 +1,7 @@
 """A simulator that dies while the contract is checked: what is judged all the same."""
 
 import pytest
+import yaml
 from contract_judges import Evidence
 from contract_rows import read_contract
 from contract_run import FAILED, NOT_JUDGED, PASSED, ContractRun
@@ -50,11 +51,10 @@ class Mortal:
         self.dead, self.models, self.lives = self.lives <= 0, [], self.lives - 1
         return not self.dead
 
-    def listen(self, _topics):
-        pass
+    def listen(self, *_topics):
+        """Do nothing."""
 
-    def forget(self):
-        pass
+    forget = listen
 
     def services(self, _names):
         return {}
@@ -74,23 +74,25 @@ def contract(tmp_path):
     return read_contract(tmp_path, "mark_")
 
 
-# What it dies of, its further lives, and the statuses of a/row, b/row, steps/first, steps/second.
-@pytest.mark.parametrize(
-    ("deadly", "lives", "statuses"),
-    [
-        ([], 0, [PASSED, PASSED, PASSED, FAILED]),
-        (["delete_model contract_mark_a"], 9, [PASSED, PASSED, PASSED, FAILED]),
-        (["spawn_sdf_model contract_mark_a"], 9, [NOT_JUDGED, PASSED, PASSED, FAILED]),
-        (["run ['contract_mark_floor_1"], 9, [PASSED, PASSED, PASSED, FAILED]),
-        (["spawn_sdf_model contract_mark_b"], 0, [NOT_JUDGED, NOT_JUDGED, PASSED, FAILED]),
-        (["second"], 1, [PASSED, PASSED, PASSED, NOT_JUDGED]),
-        (["first"], 0, [NOT_JUDGED] * 4),
-    ],
-)
+# What it dies of, its further lives, and what is judged of a/row, b/row, steps/first and
+# steps/second: passed (P), failed (F) or not judged (-).
+DEATHS = """
+- [[], 0, P P P F]
+- [[delete_model contract_mark_a], 9, P P P F]
+- [[spawn_sdf_model contract_mark_a], 9, "- P P F"]
+- [["run ['contract_mark_floor_1"], 9, P P P F]
+- [[spawn_sdf_model contract_mark_b], 0, "- - P F"]
+- [[second], 1, P P P -]
+- [[first], 0, "- - - -"]
+"""
+STATUSES = {"P": PASSED, "F": FAILED, "-": NOT_JUDGED}
+
+
+@pytest.mark.parametrize("deadly, lives, statuses", yaml.safe_load(DEATHS))
 def test_what_is_judged_of_a_simulator_that_dies(contract, deadly, lives, statuses):
     simulator = Mortal(deadly, lives)
     verdicts = ContractRun(contract, simulator, contract.rows, {}, 1.0).verdicts()
-    assert [entry.status for entry in verdicts] == statuses
+    assert [entry.status for entry in verdicts] == [STATUSES[s] for s in statuses.split()]
     for entry in verdicts:
         assert ("the simulator died, after" in entry.detail) == (entry.status == NOT_JUDGED)
 

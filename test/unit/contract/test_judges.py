@@ -113,12 +113,12 @@ BREAK = yaml.safe_load("""
 """)
 
 
-@pytest.mark.parametrize(("word", "expected", "changes"), HOLD)
+@pytest.mark.parametrize("word, expected, changes", HOLD)
 def test_right_values_hold(word, expected, changes):
     assert judge(word, expected, scene(**changes)) == ""
 
 
-@pytest.mark.parametrize(("word", "expected", "changes", "found"), BREAK)
+@pytest.mark.parametrize("word, expected, changes, found", BREAK)
 def test_wrong_values_are_named(word, expected, changes, found):
     assert found in judge(word, expected, scene(**changes))
 

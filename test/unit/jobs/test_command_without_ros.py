@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from bullet_lab.jobs import command
 from bullet_lab.jobs.declaration import find_jobs, read_job
@@ -27,14 +28,6 @@ def run(monkeypatch, *words):
     return end.value.code
 
 
-def as_ros_finds_it(name):
-    """Return the module that uses roslaunch, and a job from the folder where ROS finds it."""
-    supervision = pytest.importorskip("bullet_lab.ros.launcher.supervision")
-    rospkg = pytest.importorskip("rospkg")
-    package = Path(rospkg.RosPack().get_path("bullet_lab"))
-    return supervision, read_job(package / "launch" / f"{name}.launch", package)
-
-
 def test_jobs_without_ros_are_listed(monkeypatch, capsys):
     assert run(monkeypatch) == 0
     listed = capsys.readouterr().out
@@ -44,18 +37,18 @@ def test_jobs_without_ros_are_listed(monkeypatch, capsys):
     assert "  dock " not in listed
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["dock"], "bullet_lab: dock needs ROS: clone bullet_lab, run scripts/run.sh dock"),
-        (["square"], "bullet_lab: there is no job 'square' (did you mean 'squares'?)"),
-        (["squares", "rtf:=1"], "bullet_lab: squares has no argument 'rtf'"),
-        (["squares", "std:=-1"], "bullet_lab: std is '-1': it must be a number >= 0"),
-        (["squares", "mode:=fast"], "bullet_lab: mode is 'fast': it must be one of open_loop"),
-    ],
-)
+WRONG = """
+dock: "bullet_lab: dock needs ROS: clone bullet_lab, run scripts/run.sh dock"
+square: "bullet_lab: there is no job 'square' (did you mean 'squares'?)"
+"squares rtf:=1": "bullet_lab: squares has no argument 'rtf'"
+"squares std:=-1": "bullet_lab: std is '-1': it must be a number >= 0"
+"squares mode:=fast": "bullet_lab: mode is 'fast': it must be one of open_loop"
+"""
+
+
+@pytest.mark.parametrize("words, said", yaml.safe_load(WRONG).items())
 def test_a_wrong_command_line_is_one_line(words, said, monkeypatch, capsys):
-    assert run(monkeypatch, *words) == command.STATUS_BAD_VALUE
+    assert run(monkeypatch, *words.split()) == command.STATUS_BAD_VALUE
     printed = capsys.readouterr()
     assert printed.err.startswith(said)
     assert printed.err.count("\n") == 1
@@ -71,13 +64,13 @@ def test_squares_leaves_the_files_of_the_library(monkeypatch, capsys, tmp_path):
         std=0.05, model="probabilistic", alpha1=0.02, base_error=-0.01, seed=4
     )
     run_squares(tmp_path / "plain", settings)
-    names = {path.name for path in (tmp_path / "plain").iterdir()}
-    assert names == {path.name for path in (tmp_path / "results/squares").iterdir()}
-    assert names == {"odom.tum", "noisy_odom.tum", "paths.csv", "paths.png", "summary.json"}
-    for name in names:
-        ours, theirs = tmp_path / "results/squares" / name, tmp_path / "plain" / name
-        assert ours.read_bytes() == theirs.read_bytes()
-        assert f"\n  results/squares/{name}\n" in printed
+    ours, theirs = (
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
+        for folder in ("results/squares", "plain")
+    )
+    assert ours == theirs
+    assert sorted(ours) == ["noisy_odom.tum", "odom.tum", "paths.csv", "paths.png", "summary.json"]
+    assert all(f"\n  results/squares/{name}\n" in printed for name in ours)
     summary = json.loads((tmp_path / "plain/summary.json").read_text())
     assert (summary["seed"], summary["alpha1"], summary["finished"]) == (4, 0.02, True)
 
@@ -92,21 +85,19 @@ def test_a_study_that_refuses_its_input_says_so_alone(monkeypatch, capsys, tmp_p
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_a_study_gets_the_command_line_that_roslaunch_gives_it(name):
-    supervision, job = as_ros_finds_it(name)
+def test_a_study_has_the_command_line_and_the_help_of_roslaunch(name):
+    supervision = pytest.importorskip("bullet_lab.ros.launcher.supervision")
+    rospkg = pytest.importorskip("rospkg")
+    package = Path(rospkg.RosPack().get_path("bullet_lab"))
+    job = read_job(package / "launch" / f"{name}.launch", package)
     values = {key: value for key, value in VALUES.items() if key in job.arguments}
     # A shell quotes this for roslaunch, which splits the resolved text.
     shown = {key: value.replace("'", "'\"'\"'") for key, value in values.items()}
     [node] = supervision._load(job.path, shown).nodes
     assert job.words(values) == shlex.split(node.args)
-
-
-@pytest.mark.parametrize("name", STUDIES)
-def test_help_is_that_of_the_launcher(name):
-    supervision, job = as_ros_finds_it(name)
-    defaults = supervision.resolved_defaults(job.path)
-    assert command._defaults(job.without_ros()) == defaults
-    assert list(job.without_ros().arguments) == list(job.arguments)
+    alone = job.without_ros()
+    assert command._defaults(alone) == supervision.resolved_defaults(job.path)
+    assert list(alone.arguments) == list(job.arguments)
 
 
 def test_listing_jobs_imports_no_study():

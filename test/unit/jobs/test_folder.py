@@ -6,31 +6,18 @@ from bullet_lab.jobs.command import OutputFolder, shown
 from bullet_lab.jobs.declaration import UsageError
 
 
-def test_folder_is_created_with_room_for_logs(tmp_path):
-    with OutputFolder(tmp_path / "a" / "b") as out:
-        assert out.log.is_dir()
-
-
 def test_second_run_on_the_same_folder_is_refused_until_the_first_ends(tmp_path):
-    with OutputFolder(tmp_path), pytest.raises(UsageError, match="another run is writing"):
-        OutputFolder(tmp_path).__enter__()
-    with OutputFolder(tmp_path):
-        pass
-
-
-def test_refused_run_leaves_the_summary_of_the_first_alone(tmp_path):
-    with OutputFolder(tmp_path) as out:
-        (tmp_path / "summary.json").write_text("{}")
-        with pytest.raises(UsageError):
-            OutputFolder(tmp_path).__enter__()
+    folder = tmp_path / "a" / "b"
+    with OutputFolder(folder) as out:
+        (folder / "summary.json").write_text("{}")
+        with pytest.raises(UsageError, match="another run is writing"):
+            OutputFolder(folder).__enter__()
+        # It leaves the summary of the first alone.
         assert out.has_summary()
-
-
-def test_summary_of_an_earlier_run_does_not_count(tmp_path):
-    (tmp_path / "summary.json").write_text("{}")
-    with OutputFolder(tmp_path) as out:
+    with OutputFolder(folder) as out:
+        # That of an earlier run does not count.
         assert not out.has_summary()
-        (tmp_path / "summary.json").write_text("{}")
+        (folder / "summary.json").write_text("{}")
         assert out.has_summary()
 
 
@@ -81,7 +68,7 @@ def test_paths_are_shown_relative_to_the_current_folder(tmp_path, monkeypatch):
 
 def test_only_logs_of_a_run_keep_their_folder(tmp_path):
     with OutputFolder(tmp_path) as out:
-        pass
+        assert out.log.is_dir()
     assert not out.log.exists()
     with OutputFolder(tmp_path) as out:
         (out.log / "node.log").write_text("started")

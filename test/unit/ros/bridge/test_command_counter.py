@@ -33,124 +33,94 @@ class Waiting(threading.Condition):
 
 
 class Sender:
-    """A member that sends its commands by one connection, straight or by a relay."""
+    """A member that sends its commands by one connection, straight or by a relay.
 
-    def __init__(self, arrival=STRAIGHT, member="/a"):
+    It does what the words of a story say, such as "join, sent 2, come, late".
+    """
+
+    def __init__(self, arrival):
         self.arrival = arrival
+        self.route = ("/cmd_vel", "/bridge") if arrival == STRAIGHT else ("/wish", "/relay")
         self.waiting = Waiting()
         self.counter = CommandCounter(lambda *_: {arrival} if arrival else set(), self.waiting)
-        self.member = member
-        self.sent = 0
+        self.number = self.connection = 0
+
+    def does(self, story):
+        for words in story.split(", "):
+            word, *numbers = words.split()
+            getattr(self, word)(*map(int, numbers))
 
     def report(self):
-        straight = self.arrival == STRAIGHT
-        topic, receiver = ("/cmd_vel", "/bridge") if straight else ("/wish", "/relay")
-        return {Route(self.member, topic, receiver): self.sent}
+        return {Route("/a", *self.route): self.number}
 
     def join(self):
-        return self.counter.heard(self.report())
+        led = set(self.route[:1] if self.arrival else ())
+        assert self.counter.heard(self.report()) == led
 
-    def wait(self):
-        """Return whether all has come."""
-        return not self.counter.wait(self.report())
+    def sent(self, number):
+        self.number = number
 
-    def waits_for_a_late_one(self):
-        """Return whether it waited, and all came in the end."""
-        self.waiting.late.append(self.arrive)
-        return self.wait() and not self.waiting.late
+    def restarts(self):
+        self.number, self.connection = 0, 1
 
-    def arrive(self, count=1, connection=None):
+    def come(self, count=1):
         for _ in range(count):
-            self.counter.note(self.arrival, connection)
+            self.counter.note(self.arrival, self.connection)
+
+    def others(self):
+        for arrival in (Arrival("/cmd_vel", "/b"), Arrival("/other", "/a")):
+            self.counter.note(arrival)
+
+    def all(self):
+        """All has come, or is not waited for."""
+        assert not self.counter.wait(self.report())
+
+    def lacks(self):
+        assert self.counter.wait(self.report())
+
+    def late(self):
+        """It waits for one that comes late, and all has come in the end."""
+        self.waiting.late.append(self.come)
+        self.all()
+        assert not self.waiting.late
 
 
-@pytest.mark.parametrize("arrival", [STRAIGHT, RELAYED])
-def test_what_was_sent_is_awaited(arrival):
-    sender = Sender(arrival)
-    sender.join()
-    for number in range(1, 4):
-        sender.sent = 2 * number
-        sender.arrive()
-        assert sender.waits_for_a_late_one()
+AWAITED = "join, sent 2, come, late, sent 4, come, late, sent 6, come, late"
 
 
-def test_commands_of_others_do_not_count():
-    sender = Sender()
-    sender.join()
-    sender.sent = 1
-    sender.counter.note(Arrival("/cmd_vel", "/b"))
-    sender.counter.note(Arrival("/other", "/a"))
-    assert not sender.wait()
+@pytest.mark.parametrize(
+    "arrival, story",
+    [
+        (STRAIGHT, AWAITED),
+        (RELAYED, AWAITED),
+        (STRAIGHT, "join, sent 1, others, lacks"),
+        # Lost commands are given up once.
+        (STRAIGHT, "join, sent 2, lacks, all, sent 3, come, all"),
+        # A member that was started again counts anew.
+        (STRAIGHT, "join, sent 5, come 5, all, restarts, join, sent 1, lacks, sent 2, come 2, all"),
+        # What a relay has passed on before does not count.
+        (RELAYED, "sent 7, come 3, join, sent 8, lacks"),
+        # The two late ones, of which the bridge knows nothing, are not taken for the next.
+        (RELAYED, "join, sent 1, come, all, come 2, sent 2, come, all, sent 3, late"),
+    ],
+)
+def test_what_was_sent_is_awaited(arrival, story):
+    Sender(arrival).does(story)
 
 
 def test_what_does_not_lead_to_the_bridge_is_not_awaited():
     sender = Sender(arrival=None)
-    assert sender.join() == set()
-    sender.sent = 5
-    assert sender.wait()
+    sender.does("join, sent 5, all")
     assert not sender.waiting.patience
-
-
-def test_lost_commands_are_given_up_once():
-    sender = Sender()
-    sender.join()
-    sender.sent = 2
-    assert not sender.wait()
-    assert sender.wait()
-    sender.sent = 3
-    sender.arrive()
-    assert sender.wait()
-
-
-def test_a_member_that_was_started_again_counts_anew():
-    sender = Sender()
-    sender.join()
-    sender.sent = 5
-    sender.arrive(5, "first")
-    assert sender.wait()
-    sender.sent = 0
-    sender.join()
-    sender.sent = 1
-    assert not sender.wait()
-    sender.sent = 2
-    sender.arrive(2, "second")
-    assert sender.wait()
-
-
-def test_what_a_relay_has_passed_on_before_does_not_count():
-    sender = Sender(RELAYED)
-    sender.sent = 7
-    sender.arrive(3)
-    assert sender.join() == {"/wish"}
-    sender.sent = 8
-    assert not sender.wait()
 
 
 def test_a_multiplexer_that_drops_commands_is_waited_for_once():
     sender = Sender(RELAYED)
-    sender.join()
-    for number in range(1, 201):
-        sender.sent = number
-        assert sender.wait() == (number > 1)
+    sender.does("join, sent 1, lacks")
+    for number in range(2, 201):
+        sender.does(f"sent {number}, all")
     assert sender.waiting.patience == [topics.PATIENCE]
-    sender.join()
-    sender.sent += 1
-    assert sender.waits_for_a_late_one()
-
-
-def test_what_comes_after_it_was_given_up_is_not_taken_for_the_next():
-    sender = Sender(RELAYED)
-    sender.join()
-    sender.sent = 1
-    sender.arrive()
-    assert sender.wait()
-    # Two late ones, of which the bridge knows nothing.
-    sender.arrive(2)
-    sender.sent = 2
-    sender.arrive()
-    assert sender.wait()
-    sender.sent = 3
-    assert sender.waits_for_a_late_one()
+    sender.does("join, sent 201, late")
 
 
 def test_what_another_thread_notes_ends_the_waiting(monkeypatch):

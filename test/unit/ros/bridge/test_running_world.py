@@ -15,16 +15,13 @@ def test_that_no_master_answers_is_said(monkeypatch):
 
 
 def test_models_are_followed_as_they_are_added_and_removed():
-    models = {"a": "model a"}
+    models, calls = {"a": "model a"}, []
     world = RunningWorld(SimpleNamespace(simulation=SimpleNamespace(models=models)), None)
-    begun, ended = [], []
-    world.follow(begun.append, ended.append)
-    assert begun == ["model a"]
+    world.follow(calls.append, lambda name: calls.append(f"end of {name}"))
     models["b"] = "model b"
-    world.notify("b")
-    world.notify("b")
-    assert (begun, ended) == (["model a", "model b"], [])
+    for name in ("b", "b"):
+        world.notify(name)
     del models["a"]
-    world.notify("a")
-    world.notify("")
-    assert (begun, ended) == (["model a", "model b"], ["a"])
+    for name in ("a", ""):
+        world.notify(name)
+    assert calls == ["model a", "model b", "end of a"]

@@ -1,55 +1,45 @@
-from bullet_lab.ros.bridge.stepper import FOR_EVER, NOT_YET, TimeGate
+import pytest
+import yaml
+
+from bullet_lab.ros.bridge.stepper import TimeGate
+
+# Whom the gate waits for, and what happens then: each time the step up to which time may go on,
+# and who holds it back.
+STORIES = """
+- - []
+  - [leave nobody, .inf, []]
+- - [b, a]
+  - [grant b 100, -.inf, [a]]
+  - [grant a 50, 50, [a]]
+- - [a]
+  - [grant a 50, 50, [a]]
+  - [grant b 20, 20, [b]]
+  - [grant c 20, 20, [b, c]]
+  - [grant b 70, 20, [c]]
+  - [grant c 80, 50, [a]]
+- - [a, b]
+  - [grant a 50, -.inf, [b]]
+  - [leave b, 50, [a]]
+  - [grant a inf, .inf, []]
+  - [leave a, .inf, []]
+# A restart takes grants back, but not those for ever.
+- - [late]
+  - [grant a 500, -.inf, [late]]
+  - [grant b inf, -.inf, [late]]
+  - [restart, -.inf, [late]]
+  - [grant late 100, 0, [a]]
+  - [leave a, 100, [late]]
+"""
 
 
-def test_without_members_time_is_free():
-    gate = TimeGate()
-    assert gate.limit() == FOR_EVER
-    assert gate.holding() == ()
-
-
-def test_time_does_not_start_before_all_have_joined():
-    gate = TimeGate(["b", "a"])
-    gate.grant("b", 100)
-    assert gate.limit() == NOT_YET
-    assert gate.holding() == ("a",)
-    gate.grant("a", 50)
-    assert gate.limit() == 50
-
-
-def test_the_least_grant_counts_and_its_givers_hold_time_back():
-    gate = TimeGate(["a"])
-    gate.grant("a", 50)
-    gate.grant("b", 20)
-    gate.grant("c", 20)
-    assert gate.limit() == 20
-    assert gate.holding() == ("b", "c")
-    gate.grant("b", 70)
-    gate.grant("c", 80)
-    assert gate.limit() == 50
-    assert gate.holding() == ("a",)
-
-
-def test_who_leaves_or_grants_for_ever_holds_nothing_back():
-    gate = TimeGate(["a", "b"])
-    gate.grant("a", 50)
-    gate.leave("b")
-    assert gate.limit() == 50
-    gate.grant("a", FOR_EVER)
-    assert gate.limit() == FOR_EVER
-    assert gate.holding() == ()
-    gate.leave("a")
-    gate.leave("never joined")
-    assert gate.limit() == FOR_EVER
-
-
-def test_a_restart_takes_grants_back_but_not_those_for_ever():
-    gate = TimeGate(["late"])
-    gate.grant("a", 500)
-    gate.grant("b", FOR_EVER)
-    gate.restart()
-    assert gate.limit() == NOT_YET
-    gate.grant("late", 100)
-    assert gate.limit() == 0
-    assert gate.holding() == ("a",)
-    gate.leave("a")
-    assert gate.limit() == 100
+@pytest.mark.parametrize("story", yaml.safe_load(STORIES))
+def test_time_goes_on_as_far_as_each_member_has_granted(story):
+    expected, *events = story
+    gate = TimeGate(expected)
+    for words, limit, holding in events:
+        do, *member = words.split()
+        if do == "grant":
+            gate.grant(member[0], float(member[1]))
+        else:
+            getattr(gate, do)(*member)
+        assert (gate.limit(), gate.holding()) == (limit, tuple(holding)), words

@@ -7,19 +7,23 @@ from visualization_msgs.msg import MarkerArray
 from bullet_lab.ros.gazebo.client import StandingModels
 from bullet_lab.ros.nodes.populate import free_name
 
-ALONG_Y = "{z: 0.7071067811865476, w: 0.7071067811865476}"
+
+def cube(name, x, size="x: 1.0, y: 1.0, z: 1.0", z=0.5, turn="w: 1.0"):
+    """Return the marker of a cube (type 1) at a place."""
+    pose = f"{{position: {{x: {x}, z: {z}}}, orientation: {{{turn}}}}}"
+    return f"{{ns: {name}, type: 1, scale: {{{size}}}, pose: {pose}}}"
 
 
 def models(*texts, known=None):
-    """Return models of which markers tell: cubes (type 1), balls (2) and meshes (10)."""
+    """Return models of which markers tell."""
     found = known or StandingModels()
     found.take(message(MarkerArray, f"markers: [{', '.join(texts)}]"))
     return found
 
 
 def test_boxes_are_as_large_as_they_are():
-    pose = f"{{position: {{x: 2.0, z: 0.5}}, orientation: {ALONG_Y}}}"
-    found = models(f"{{ns: box, type: 1, scale: {{x: 1.0, y: 2.0, z: 1.0}}, pose: {pose}}}")
+    along_y = "z: 0.7071067811865476, w: 0.7071067811865476"
+    found = models(cube("box", 2.0, "x: 1.0, y: 2.0, z: 1.0", turn=along_y))
     assert found.nearest(2.0, 0.0) == ("box", 0.0)
     assert found.nearest(0.5, 0.0)[1] == pytest.approx(0.5)
     assert found.origin("box") == (2.0, 0.0, 0.5)
@@ -36,22 +40,17 @@ def test_meshes_are_as_large_as_their_file_says():
 
 
 def test_floors_are_in_nobodys_way():
-    pose = "{position: {z: -0.01}, orientation: {w: 1.0}}"
-    found = models(f"{{ns: floor, type: 1, scale: {{x: 20.0, y: 20.0, z: 0.01}}, pose: {pose}}}")
+    found = models(cube("floor", 0.0, "x: 20.0, y: 20.0, z: 0.01", z=-0.01))
     assert found.names() == ("floor",)
     assert found.nearest(0.0, 0.0) == ("", math.inf)
 
 
 def test_models_come_move_and_go():
-    def unit(name, x):
-        pose = f"{{position: {{x: {x}, z: 0.5}}, orientation: {{w: 1.0}}}}"
-        return f"{{ns: {name}, type: 1, scale: {{x: 1.0, y: 1.0, z: 1.0}}, pose: {pose}}}"
-
     found = StandingModels()
     assert not found.is_known()
-    models(unit("a", 0.0), unit("b", 5.0), known=found)
+    models(cube("a", 0.0), cube("b", 5.0), known=found)
     assert found.is_known()
-    models(unit("a", 3.0), known=found)
+    models(cube("a", 3.0), known=found)
     assert found.nearest(0.0, 0.0)[1] == pytest.approx(2.5)
     models("{ns: a, action: 2}", known=found)
     assert found.names() == ("b",)

@@ -10,19 +10,17 @@ def raising(error):
 
 
 @pytest.mark.parametrize(
-    ("error", "message", "logged"),
+    "error, message, is_logged",
     [
         (LabError("no such model"), "DeleteModel: no such model", False),
         (RuntimeError("unexpected"), "unexpected", True),
     ],
 )
-def test_errors_are_answers(monkeypatch, error, message, logged):
-    log = []
+def test_errors_are_answers(monkeypatch, logged, error, message, is_logged):
     monkeypatch.setattr(services.rospy, "Service", lambda name, kind, handle: handle)
-    monkeypatch.setattr(services.rospy, "logerr", lambda *words: log.append(words))
     kind = srv.DeleteModel
     handle = services.offer("x", kind, lambda request: raising(error), failed="DeleteModel: ")
     answer = handle(srv.DeleteModel._request_class("a"))
     assert not answer.success
     assert message in answer.status_message
-    assert bool(log) == logged
+    assert bool(logged) == is_logged

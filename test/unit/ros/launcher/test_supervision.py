@@ -1,27 +1,65 @@
-"""The ROS master that a run joins."""
+"""The ROS master that a run joins, and how the run ends."""
 
 import os
-from types import SimpleNamespace
+import signal
+from unittest import mock
 
 import pytest
+import yaml
 
 from bullet_lab.ros.launcher import supervision
+from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
+
+NAMES = {"bridge-1": "bridge", "drive-2": "drive", "plot-3": "plot"}
+# Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
+# exit status of the run with its reason. The bridge and the plot are required.
+VERDICTS = """
+- [{drive-2: 0, plot-3: 0}, true, null, 0, ""]
+- [{plot-3: 0}, false, null, 1, plot ended before there was a summary]
+# The first failure gives the status.
+- [{drive-2: 1, bridge-1: 5, plot-3: 0}, true, null, 1, drive ended with status 1]
+- [{drive-2: 77, bridge-1: 5, plot-3: 0}, true, null, 77, drive ended with status 77]
+# After the end of the job, it does not count.
+- [{plot-3: 0, drive-2: 1}, true, null, 0, ""]
+- [{bridge-1: -11}, true, null, 139, bridge was killed by signal 11]
+- [{}, true, SIGINT, 130, stopped by SIGINT]
+- [{}, true, SIGTERM, 143, stopped by SIGTERM]
+# It counts more than the signal that followed.
+- [{drive-2: 3}, true, SIGINT, 3, drive ended with status 3]
+"""
 
 
-@pytest.mark.parametrize(("user", "joins"), [(0, True), (1, False)])
+def judged(deaths, has_summary=True, stopped_by=None):
+    deaths = [Death(*death) for death in deaths.items()]
+    return judge(deaths, NAMES, {"bridge", "plot"}, has_summary, stopped_by)
+
+
+@pytest.mark.parametrize("deaths, summary, signal_name, status, reason", yaml.safe_load(VERDICTS))
+def test_how_a_run_ends(deaths, summary, signal_name, status, reason):
+    stopped_by = signal_name and signal.Signals[signal_name]
+    assert judged(deaths, summary, stopped_by) == Verdict(status, reason)
+
+
+def test_run_goes_on_until_a_required_node_ends():
+    assert judged({}) is None
+    assert judged({"drive-2": 0}) is None
+
+
+def test_all_nodes_ended_without_a_required_one():
+    verdict = judge([Death("drive-2", 0)], {"drive-2": "drive"}, set(), True, None)
+    assert verdict.status == 1
+
+
+@pytest.mark.parametrize("user, joins", [(0, True), (1, False)])
 @pytest.mark.parametrize("uri", [supervision.STOCK_URI, supervision.STOCK_URI + "/"])
 def test_the_stock_master_of_another_user_is_not_joined(monkeypatch, user, joins, uri):
-    running = SimpleNamespace(
-        get=lambda: running,
-        getPid=lambda caller: (1, "", os.getpid()),
-        getParam=lambda caller, name: (1, "", "run"),
-    )
-    own = SimpleNamespace(uri="http://127.0.0.1:1/", start=lambda: None)
-    mine = os.getuid()
+    running, own, mine = mock.Mock(), mock.Mock(uri="http://127.0.0.1:1/"), os.getuid()
+    running.get.return_value = running
+    running.getPid.return_value = (1, "", os.getpid())
+    running.getParam.return_value = (1, "", "run")
     monkeypatch.setattr(supervision, "Master", lambda uri: running)
     monkeypatch.setattr(supervision, "_answers", lambda uri: True)
     monkeypatch.setattr(supervision.rosmaster.master, "Master", lambda port: own)
     monkeypatch.setattr(supervision.os, "getuid", lambda: mine + user)
-    for name in ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6"):
-        monkeypatch.setenv(name, uri if name == "ROS_MASTER_URI" else "")
+    monkeypatch.setattr(supervision.os, "environ", {"ROS_MASTER_URI": uri})
     assert supervision.prepare_master().own is not joins

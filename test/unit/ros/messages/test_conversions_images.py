@@ -2,7 +2,6 @@ import cv2
 import numpy as np
 import pytest
 from message_fields import check, message_of
-from sensor_msgs.msg import PointField
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.ros.messages.conversions import Converter, compressed_message
@@ -11,26 +10,31 @@ from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample,
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
 
 
+def picture(*shape, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+
+
 @pytest.mark.parametrize(
-    ("encoding", "shape", "step"), [("rgb8", (48, 64, 3), 192), ("mono8", (48, 64), 64)]
+    "encoding, pixels, step",
+    [("rgb8", picture(48, 64, 3), 192), ("mono8", picture(48, 64), 64)],
 )
-def test_images(encoding, shape, step):
-    pixels = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+def test_images(encoding, pixels, step):
     message = message_of(ImageSample(1234, "optical", encoding, pixels))
-    fields = """
+    fields = f"""
         header.stamp: 1.234
         header.frame_id: optical
         width: 64
         height: 48
         is_bigendian: 0
+        encoding: {encoding}
+        step: {step}
     """
     check(message, fields)
-    assert (message.encoding, message.step) == (encoding, step)
     assert message.data == pixels.tobytes()
 
 
 def test_images_whose_rows_are_not_in_one_piece():
-    pixels = np.random.default_rng(0).integers(0, 256, (48, 128, 3), dtype=np.uint8)[:, ::2]
+    pixels = picture(48, 128, 3)[:, ::2]
     assert message_of(ImageSample(0, "f", "rgb8", pixels)).data == pixels.tobytes()
 
 
@@ -52,15 +56,15 @@ def test_camera_info():
 def test_depth_images():
     depths = np.array([[1.5, np.nan], [0.4, 5.0], [2.0, 3.0]], np.float32)
     message = message_of(ImageSample(7, "optical", "32FC1", depths))
-    assert (message.width, message.height, message.step) == (2, 3, 8)
-    np.testing.assert_array_equal(np.frombuffer(message.data, "<f4").reshape(3, 2), depths)
+    check(message, "{width: 2, height: 3, step: 8}")
+    assert message.data == depths.tobytes()
     whole = message_of(ImageSample(7, "optical", "16UC1", np.array([[65000, 1]], np.uint16)))
     assert (whole.step, whole.data) == (4, b"\xe8\xfd\x01\x00")
 
 
 def test_points_are_read_as_what_they_were():
     points = np.random.default_rng(0).normal(size=(3, 4, 3)).astype(np.float32)
-    colours = np.random.default_rng(1).integers(0, 256, (3, 4, 3), dtype=np.uint8)
+    colours = picture(3, 4, 3, seed=1)
     sample = PointsSample(9, "optical", points, colours)
     converter = Converter(PointsSample)
     message = converter.convert(sample)
@@ -72,11 +76,10 @@ def test_points_are_read_as_what_they_were():
         point_step: 32
         row_step: 128
         is_bigendian: false
+        # All of FLOAT32.
+        fields: [[x, 0, 7, 1], [y, 4, 7, 1], [z, 8, 7, 1], [rgb, 16, 7, 1]]
     """
     check(message, fields)
-    assert [f.name for f in message.fields] == ["x", "y", "z", "rgb"]
-    assert [f.offset for f in message.fields] == [0, 4, 8, 16]
-    assert {(f.datatype, f.count) for f in message.fields} == {(PointField.FLOAT32, 1)}
     found = np.frombuffer(message.data, np.uint8).reshape(3, 4, 32)
     assert found[..., :12].tobytes() == points.tobytes()
     # As PCL takes them apart: blue, green, red.
@@ -88,24 +91,24 @@ def test_points_are_read_as_what_they_were():
     assert len(converter.convert(smaller).data) == 2 * 4 * 32
 
 
+COLOURED = np.full((8, 12, 3), [200, 100, 50], np.uint8)
+
+
 @pytest.mark.parametrize(
-    ("encoding", "format", "said"),
+    "encoding, format, pixels, said, shown",
     [
-        ("rgb8", "png", "rgb8; png compressed bgr8"),
-        ("bgr8", "png", "bgr8; png compressed bgr8"),
-        ("mono8", "png", "mono8; png compressed "),
-        ("rgb8", "jpeg", "rgb8; jpeg compressed bgr8"),
+        ("rgb8", "png", COLOURED, "rgb8; png compressed bgr8", COLOURED[..., ::-1]),
+        ("bgr8", "png", COLOURED, "bgr8; png compressed bgr8", COLOURED),
+        ("mono8", "png", COLOURED[..., 0], "mono8; png compressed ", COLOURED[..., 0]),
+        ("rgb8", "jpeg", COLOURED, "rgb8; jpeg compressed bgr8", COLOURED[..., ::-1]),
     ],
 )
-def test_pictures_are_compressed_as_image_transport_does(encoding, format, said):
+def test_pictures_are_compressed_as_image_transport_does(encoding, format, pixels, said, shown):
     settings = {"format": format, "jpeg_quality": 90, "jpeg_progressive": False}
     settings.update(jpeg_optimize=True, png_level=3)
-    colour = np.array([200, 100, 50], np.uint8)
-    pixels = np.tile(colour, (8, 12, 1)) if encoding != "mono8" else np.full((8, 12), 99, np.uint8)
     message = compressed_message(ImageSample(1500, "eye", encoding, pixels), settings)
+    check(message, "{header.stamp: 1.5, header.frame_id: eye}")
     assert message.format == said
-    assert (message.header.stamp.to_sec(), message.header.frame_id) == (1.5, "eye")
     decoded = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
-    wanted = pixels[..., ::-1] if encoding == "rgb8" else pixels
-    assert decoded.shape == wanted.shape
-    assert np.abs(decoded.astype(int) - wanted).max() <= (3 if format == "jpeg" else 0)
+    assert decoded.shape == shown.shape
+    assert np.abs(decoded.astype(int) - shown).max() <= (3 if format == "jpeg" else 0)

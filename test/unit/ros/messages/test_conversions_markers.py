@@ -46,20 +46,14 @@ def test_each_visible_shape_is_a_marker_of_its_own(markers):
     assert len({marker.id for marker in markers}) == len(markers)
     for marker in markers:
         check(marker, "{ns: things, header.frame_id: map, action: 0}")
-
-
-def test_sizes_are_those_of_the_shapes(markers):
     sizes = [plain(marker.scale) for marker in markers]
     floor = sizes.pop(3)
     assert sizes == [[1, 2, 3], [1, 1, 2], [0.5, 0.5, 0.5], [1, 2, 3]]
     assert floor[:2] == [LARGEST_PLANE, 4]
     assert markers[4].mesh_resource == "package://bullet_lab/meshes/beacon.dae"
-
-
-def test_poses_are_in_the_world_and_colours_as_there(markers):
     # 3 m ahead of a link that is 1 m above a model which looks along y from (1, 2).
-    assert plain(markers[0].pose.position) == pytest.approx([1.0, 5.0, 1.0])
-    assert plain(markers[0].pose.orientation) == pytest.approx([0.0, 0.0, 0.5**0.5, 0.5**0.5])
+    place, turn = [1.0, 5.0, 1.0], [0.0, 0.0, 0.5**0.5, 0.5**0.5]
+    assert plain(markers[0].pose) == [pytest.approx(place), pytest.approx(turn)]
     assert plain(markers[0].color) == pytest.approx([0.1, 0.2, 0.3, 0.4])
 
 
@@ -68,15 +62,12 @@ def test_a_plane_is_drawn_below_its_surface(markers):
     assert floor.pose.position.z + 0.5 * floor.scale.z < 1.0
 
 
-COLLADA = "<COLLADA><instance_material/></COLLADA>"
-
-
 def test_meshes_keep_what_they_bring_in_rviz(tmp_path):
     """RViz takes no colour at all for "as the mesh is"."""
-    path = tmp_path / "m.dae"
-    path.write_text(COLLADA)
-    covered = Visual(Mesh(path, ""), colour=(0.0, 1.0, 0.0, 1.0), material=Material(covers=True))
-    plain = Visual(Mesh(tmp_path / "m.stl", ""), colour=(0.0, 1.0, 0.0, 1.0))
+    path, green = tmp_path / "m.dae", (0.0, 1.0, 0.0, 1.0)
+    path.write_text("<COLLADA><instance_material/></COLLADA>")
+    covered = Visual(Mesh(path, ""), colour=green, material=Material(covers=True))
+    plain = Visual(Mesh(tmp_path / "m.stl", ""), colour=green)
     found = [_marker(v) for v in (Visual(Mesh(path, "")), covered, plain)]
     assert [m.mesh_use_embedded_materials for m in found] == [True, False, False]
     assert [(m.color.g, m.color.a) for m in found] == [(0, 0), (1, 1), (1, 1)]
@@ -93,19 +84,16 @@ def test_what_markers_have_no_field_for_stands_in_their_text(tmp_path):
     assert _marker(Visual(Box((1.0, 1.0, 1.0)))).text == ""
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a label",
-        "[1]",
-        '"x"',
-        '{"texture": 3}',
-        '{"texture": {}}',
-        '{"texture": {"path": "a", "scale": [0, 1]}}',
-        '{"texture": {"path": "a", "rotation": "b"}}',
-        '{"emissive": [1, 2, NaN, 1]}',
-        "[" * 100000,
-    ],
-)
+NO_LOOKS = """a label
+[1]
+"x"
+{"texture": 3}
+{"texture": {}}
+{"texture": {"path": "a", "scale": [0, 1]}}
+{"texture": {"path": "a", "rotation": "b"}}
+{"emissive": [1, 2, NaN, 1]}"""
+
+
+@pytest.mark.parametrize("text", [*NO_LOOKS.splitlines(), "[" * 100000])
 def test_a_text_that_makes_no_sense_is_no_look(text):
     assert look_of(text) == Look()

@@ -1,7 +1,8 @@
 """What a camera_info says of an image, and which ones are refused."""
 
 import pytest
-from message_fields import message
+import yaml
+from message_fields import check, message
 from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.ros.messages.images import CameraGeometryError, camera_of
@@ -18,54 +19,55 @@ USUAL = """
 
 def camera(changes="", size=(640, 480), rectified=False):
     """Return the camera of a usual camera_info with changes, for an image of a size."""
-    # Of a key that comes twice, YAML takes the last one.
-    return camera_of(message(CameraInfo, f"{USUAL}\n    {changes}"), *size, rectified=rectified)
+    fields = {**yaml.safe_load(USUAL), **yaml.safe_load(f"{{{changes}}}")}
+    return camera_of(message(CameraInfo, yaml.safe_dump(fields)), *size, rectified=rectified)
 
 
-def test_a_raw_image_has_k_and_d():
-    found = camera()
-    assert (found.fx, found.fy, found.cx, found.cy) == (500.0, 510.0, 320.0, 240.0)
-    assert found.distortion == (-0.2, 0.05, 0.001, 0.002, 0.01)
+# Changes, and the camera then.
+CAMERAS = """
+# Of a raw image: K and D.
+- ["", "{fx: 500.0, fy: 510.0, cx: 320.0, cy: 240.0, distortion: [-0.2, 0.05, 0.001, 0.002, 0.01]}"]
+# A lens of zeros is none.
+- ["distortion_model: '', D: []", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
+- ["D: [0, 0, 0, 0, 0]", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
+- ["distortion_model: x, D: [0, 0, 0, 0, 0, 0, 0, 0]", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
+# Four numbers are those without k3.
+- ["D: [0.1, 0.2, 0.3, 0.4]", "{distortion: [0.1, 0.2, 0.3, 0.4, 0.0]}"]
+"""
+
+
+@pytest.mark.parametrize("changes, fields", yaml.safe_load(CAMERAS))
+def test_a_raw_image_has_k_and_d(changes, fields):
+    check(camera(changes), fields)
 
 
 def test_a_rectified_image_has_p_and_no_distortion():
-    found = camera(rectified=True)
-    assert (found.fx, found.fy, found.cx, found.cy) == (480.0, 480.0, 310.0, 235.0)
-    assert not any(found.distortion)
-
-
-@pytest.mark.parametrize("model, numbers", [("''", []), ("plumb_bob", [0.0] * 5), ("x", [0.0] * 8)])
-def test_a_lens_of_zeros_is_none(model, numbers):
-    assert not any(camera(f"distortion_model: {model}\n    D: {numbers}").distortion)
-
-
-def test_four_numbers_are_those_without_k3():
-    assert camera("D: [0.1, 0.2, 0.3, 0.4]").distortion == (0.1, 0.2, 0.3, 0.4, 0.0)
+    fields = "{fx: 480.0, fy: 480.0, cx: 310.0, cy: 235.0, distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"
+    check(camera(rectified=True), fields)
 
 
 def test_a_region_moves_the_principal_point():
     region = "roi: {x_offset: 100, y_offset: 50, width: 200, height: 120}"
-    found = camera(region, (200, 120))
-    assert (found.width, found.height, found.cx, found.cy) == (200, 120, 220.0, 190.0)
+    check(camera(region, (200, 120)), "{width: 200, height: 120, cx: 220.0, cy: 190.0}")
     with pytest.raises(CameraGeometryError, match="about 200 x 120 px, not 640 x 480"):
         camera(region)
 
 
-@pytest.mark.parametrize(
-    "changes, reason",
-    [
-        ("K: [0, 0, 0, 0, 0, 0, 0, 0, 0]", "zero K: the camera is not calibrated"),
-        ("K: [.nan, 0, 0, 0, 0, 0, 0, 0, 0]", "not finite"),
-        ("D: [.inf, 0, 0, 0, 0]", "not finite"),
-        ("K: [-500, 0, 320, 0, 510, 240, 0, 0, 1]", "focal lengths"),
-        ("K: [500, 9, 320, 0, 510, 240, 0, 0, 1]", "no pinhole camera's"),
-        ("K: [500, 0, 320, 0, 510, 240, 0, 0, 0]", "no pinhole camera's"),
-        ("width: 320", "about 320 x 480 px, not 640 x 480"),
-        ("binning_x: 2", "binning"),
-        ("distortion_model: equidistant", "only plumb_bob is known"),
-        ("D: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]", "only plumb_bob is known"),
-    ],
-)
+REFUSED = """
+"K: [0, 0, 0, 0, 0, 0, 0, 0, 0]": "zero K: the camera is not calibrated"
+"K: [.nan, 0, 0, 0, 0, 0, 0, 0, 0]": not finite
+"D: [.inf, 0, 0, 0, 0]": not finite
+"K: [-500, 0, 320, 0, 510, 240, 0, 0, 1]": focal lengths
+"K: [500, 9, 320, 0, 510, 240, 0, 0, 1]": no pinhole camera's
+"K: [500, 0, 320, 0, 510, 240, 0, 0, 0]": no pinhole camera's
+"width: 320": about 320 x 480 px, not 640 x 480
+"binning_x: 2": binning
+"distortion_model: equidistant": only plumb_bob is known
+"D: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]": only plumb_bob is known
+"""
+
+
+@pytest.mark.parametrize("changes, reason", yaml.safe_load(REFUSED).items())
 def test_what_says_nothing_of_use_is_refused(changes, reason):
     with pytest.raises(CameraGeometryError, match=reason):
         camera(changes)

@@ -1,9 +1,8 @@
 """Messages that are taken by their stamps, and waited for on a clock of the test."""
 
-from types import SimpleNamespace
-
 import pytest
 import rospy
+import yaml
 from nav_msgs.msg import Odometry
 
 from bullet_lab.ros.node import odometry
@@ -13,17 +12,16 @@ from bullet_lab.ros.node.odometry import LATEST, MessageQueue
 class Queue:
     """A queue of stamps in s, the time that it has waited, and what comes meanwhile."""
 
-    def __init__(self, monkeypatch, rate=20.0):
+    def __init__(self, monkeypatch, clock, rate=20.0):
         self.late = []
-        self.clock = SimpleNamespace(now=0.0, monotonic=lambda: self.clock.now)
+        self.clock = clock
         self.queue = MessageQueue("odom", Odometry, lambda m: m.header.stamp.to_sec(), rate)
-        monkeypatch.setattr(odometry, "time", self.clock)
+        monkeypatch.setattr(odometry, "time", clock)
         monkeypatch.setattr(self.queue._new, "wait", self.pass_time)
-        monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
         monkeypatch.setattr(odometry, "in_lock_step", lambda: True)
 
     def pass_time(self, seconds):
-        self.clock.now += seconds
+        self.clock.sleep(seconds)
         self.receive(*self.late)
 
     def receive(self, *stamps):
@@ -42,15 +40,17 @@ class Queue:
         return self.queue.take(rospy.Time.from_sec(now))
 
 
-def test_a_queue_gives_what_is_stamped_up_to_now(monkeypatch):
-    queue = Queue(monkeypatch)
+@pytest.fixture
+def queue(monkeypatch, clock):
+    return Queue(monkeypatch, clock)
+
+
+def test_a_queue_gives_what_is_stamped_up_to_now(queue):
     queue.receive(0.05, 0.1, 0.15)
     assert [queue.take(now) for now in (0.1, 0.1, 1.0)] == [[0.05, 0.1], [], [0.15]]
 
 
-def test_a_queue_refuses_what_goes_back_and_says_why(monkeypatch):
-    monkeypatch.setattr(rospy, "logwarn", lambda *_: None)
-    queue = Queue(monkeypatch)
+def test_a_queue_refuses_what_goes_back_and_says_why(queue):
     queue.receive(0.1, 0.05)
     assert "out-of-order stamp 0.05" in queue.queue.trouble
     assert queue.take(1.0) == [0.1]
@@ -59,43 +59,41 @@ def test_a_queue_refuses_what_goes_back_and_says_why(monkeypatch):
     assert (queue.queue.trouble, queue.take(1.0)) == ("", [0.05])
 
 
-@pytest.mark.parametrize(
-    ("rate", "stamps", "now", "due"),
-    [
-        (20.0, (), 0.0, False),
-        (20.0, (), 0.05, True),
-        (20.0, (0.05,), 0.05, False),
-        (20.0, (0.05,), 0.1, True),
-        # At 30 Hz the bridge's steps are 34, 67 and 100 ms.
-        (30.0, (), 0.033, False),
-        (30.0, (0.034,), 0.066, False),
-        (30.0, (0.034,), 0.067, True),
-        (30.0, (0.067,), 0.099, False),
-        (30.0, (0.067,), 0.1, True),
-        (5.0, (0.2,), 0.35, False),
-    ],
-)
-def test_a_queue_waits_for_what_is_due(monkeypatch, rate, stamps, now, due):
-    queue = Queue(monkeypatch, rate)
+# The rate (Hz), the stamps that came (s), what time it is (s), and whether it waits.
+DUE = """
+- [20.0, [], 0.0, false]
+- [20.0, [], 0.05, true]
+- [20.0, [0.05], 0.05, false]
+- [20.0, [0.05], 0.1, true]
+# At 30 Hz the bridge's steps are 34, 67 and 100 ms.
+- [30.0, [], 0.033, false]
+- [30.0, [0.034], 0.066, false]
+- [30.0, [0.034], 0.067, true]
+- [30.0, [0.067], 0.099, false]
+- [30.0, [0.067], 0.1, true]
+- [5.0, [0.2], 0.35, false]
+"""
+
+
+@pytest.mark.parametrize("rate, stamps, now, due", yaml.safe_load(DUE))
+def test_a_queue_waits_for_what_is_due(monkeypatch, clock, rate, stamps, now, due):
+    queue = Queue(monkeypatch, clock, rate)
     queue.receive(*stamps)
     assert queue.waited(now) == due
 
 
-def test_a_queue_goes_on_as_soon_as_it_is_there(monkeypatch):
-    queue = Queue(monkeypatch)
+def test_a_queue_goes_on_as_soon_as_it_is_there(queue):
     queue.late = [0.05]
     assert not queue.waited(0.05)
     assert queue.take(0.05) == [0.05]
 
 
-def test_what_never_comes_is_waited_for_once(monkeypatch):
-    queue = Queue(monkeypatch)
+def test_what_never_comes_is_waited_for_once(queue):
     assert [queue.waited(1.0) for _ in range(3)] == [True, False, False]
     queue.receive(0.5)
     assert queue.waited(1.0)
 
 
-def test_out_of_lock_step_nothing_is_waited_for(monkeypatch):
-    queue = Queue(monkeypatch)
+def test_out_of_lock_step_nothing_is_waited_for(queue, monkeypatch):
     monkeypatch.setattr(odometry, "in_lock_step", lambda: False)
     assert not queue.waited(1.0)

@@ -44,13 +44,8 @@ def listed(packages, monkeypatch):
     return add
 
 
-def test_what_packages_export(packages, listed):
-    models, media = listed("", "")
-    assert models == [f"{packages}/one/models", "/opt/m", "/two"]
-    assert media == [f"{packages}/two"]
-
-
-def test_it_comes_after_what_the_user_says(packages, listed):
-    models, media = listed("/mine:/two", "")
-    assert models == ["/mine", "/two", f"{packages}/one/models", "/opt/m"]
+@pytest.mark.parametrize("mine, before", [("", []), ("/mine:/two", ["/mine", "/two"])])
+def test_what_packages_export_comes_after_what_the_user_says(packages, listed, mine, before):
+    models, media = listed(mine, "")
+    assert models == list(dict.fromkeys([*before, f"{packages}/one/models", "/opt/m", "/two"]))
     assert media == [f"{packages}/two"]

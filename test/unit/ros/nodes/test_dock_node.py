@@ -1,13 +1,14 @@
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
+import yaml
 from bullet_lab.msg import DockGoal, MarkerDetectionArray, UndockGoal
-from geometry_msgs.msg import PoseStamped, Quaternion
+from geometry_msgs.msg import Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
-from std_msgs.msg import Header
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
@@ -50,16 +51,14 @@ def test_odometry_with_the_covariance_of_its_twist():
     made = message(Odometry, text)
     made.twist.covariance = list(range(36))
     found = odometry_of(made)
-    assert found.stamp == 1.0
     assert found.pose == pytest.approx((2.0, 0.0, 2.0 * math.asin(0.6)))
-    assert found.twist_covariance.tolist() == [[0, 1, 5], [6, 7, 11], [30, 31, 35]]
+    check(found, "{stamp: 1.0, twist_covariance: [[0, 1, 5], [6, 7, 11], [30, 31, 35]]}")
 
 
 def test_a_camera_on_the_robot():
     # The optical frame of a camera that looks ahead.
     mount = mount_of(Pose((0.16, 0.01, 0.44), (-0.5, 0.5, -0.5, 0.5)))
-    assert (mount.x, mount.y, mount.z) == pytest.approx((0.16, 0.01, 0.44))
-    assert (mount.roll, mount.pitch, mount.yaw) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert astuple(mount) == pytest.approx((0.16, 0.01, 0.44, 0.0, 0.0, 0.0), abs=1e-12)
 
 
 def test_camera_info():
@@ -72,7 +71,7 @@ def test_camera_info():
     """
     frame, camera = camera_of(message(CameraInfo, text))
     assert frame == "optical"
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (500.0, 501.0, 320.0, 240.0)
+    check(camera, "{fx: 500.0, fy: 501.0, cx: 320.0, cy: 240.0}")
 
 
 def test_markers_without_finite_corners_are_left_out():
@@ -85,20 +84,19 @@ def test_markers_without_finite_corners_are_left_out():
     """
     stamp, (found,) = sightings_of(message(MarkerDetectionArray, text))
     assert stamp == 2.0
-    assert (found.id, found.dictionary) == (3, "d")
-    assert found.corners.tolist() == [[0, 1], [2, 3], [4, 5], [6, 7]]
+    check(found, "{id: 3, dictionary: d, corners: [[0, 1], [2, 3], [4, 5], [6, 7]]}")
     assert found.corners.dtype == np.float64
     assert not found.deviations.any()
 
 
-def goal(frame="''", x=3.0):
-    """Return a goal with a pose in a frame: x m ahead, 1 m to the left and turned by -0.2 rad."""
+def goal(frame):
+    """Return a goal with a pose in a frame: 3 m ahead, 1 m to the left and turned by -0.2 rad."""
     text = f"""
         dock_id: dock
         dock_pose:
           header: {{frame_id: {frame}}}
           pose:
-            position: {{x: {x}, y: 1.0}}
+            position: {{x: 3.0, y: 1.0}}
             orientation: {{z: {math.sin(-0.1)}, w: {math.cos(0.1)}}}
     """
     return message(DockGoal, text)
@@ -110,15 +108,17 @@ def lookup(target, source):
     return Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, math.pi / 2))
 
 
-def test_the_rough_pose_is_that_of_the_database_unless_the_goal_has_one():
-    assert rough_pose(goal(), DOCK, "odom", lookup) == pytest.approx((4.0, 0.0, 0.1))
-    given = rough_pose(goal("odom"), DOCK, "odom", lookup)
-    assert given == pytest.approx((3.0, 1.0, -0.2))
-
-
-def test_a_pose_in_another_frame_is_turned_into_that_of_the_odometry():
-    found = rough_pose(goal("map"), DOCK, "odom", lookup)
-    assert found == pytest.approx((0.0, 5.0, math.pi / 2 - 0.2))
+@pytest.mark.parametrize(
+    "frame, expected",
+    [
+        # That of the database, unless the goal has one.
+        ("''", (4.0, 0.0, 0.1)),
+        ("odom", (3.0, 1.0, -0.2)),
+        ("map", (0.0, 5.0, math.pi / 2 - 0.2)),
+    ],
+)
+def test_the_rough_pose_is_in_the_frame_of_the_odometry(frame, expected):
+    assert rough_pose(goal(frame), DOCK, "odom", lookup) == pytest.approx(expected)
 
 
 def test_an_unknown_frame_may_be_known_later():
@@ -129,28 +129,32 @@ def test_an_unknown_frame_may_be_known_later():
 
 def test_a_leaning_dock_is_refused_for_good():
     wrong = goal("odom")
-    wrong.dock_pose.pose.orientation = Quaternion(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+    wrong.dock_pose.pose.orientation = Quaternion(0.6, 0.0, 0.0, 0.8)
     with pytest.raises(DockingFailureError, match="not upright") as caught:
         rough_pose(wrong, DOCK, "odom", lookup)
     assert not isinstance(caught.value, NotYetError)
     assert isinstance(caught.value, LabError)
 
 
-@pytest.mark.parametrize(
-    "wrong, said",
-    [
-        (DockGoal(max_retries=-2, dock_id="dock"), "max_retries is -2"),
-        (DockGoal(), "neither dock_id nor"),
-        (goal("odom", ".nan"), "not finite"),
-        (DockGoal(dock_pose=PoseStamped(header=Header(frame_id="odom"))), "no unit quaternion"),
-        (UndockGoal(-0.1), "distance is -0.1 m"),
-        (UndockGoal(10.1), "from 0 to 10 m"),
-        (UndockGoal(math.nan), "distance is nan m"),
-    ],
-)
-def test_invalid_goals_are_refused(wrong, said):
+# Goals and what is wrong with them.
+INVALID = """
+- [dock, "max_retries: -2, dock_id: dock", max_retries is -2]
+- [dock, "", neither dock_id nor]
+- - dock
+  - "dock_pose: {header: {frame_id: odom}, pose: {position: {x: .nan}, orientation: {w: 1.0}}}"
+  - not finite
+- [dock, "dock_pose: {header: {frame_id: odom}}", no unit quaternion]
+- [undock, "distance: -0.1", distance is -0.1 m]
+- [undock, "distance: 10.1", from 0 to 10 m]
+- [undock, "distance: .nan", distance is nan m]
+"""
+
+
+@pytest.mark.parametrize("action, text, said", yaml.safe_load(INVALID))
+def test_invalid_goals_are_refused(action, text, said):
+    kind = {"dock": DockGoal, "undock": UndockGoal}[action]
     with pytest.raises(DockingFailureError, match=said) as caught:
-        check_goal(wrong)
+        check_goal(message(kind, f"{{{text}}}"))
     assert caught.value.error == DockingError.NOT_VALID
 
 

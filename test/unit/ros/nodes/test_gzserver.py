@@ -1,11 +1,84 @@
-from types import SimpleNamespace
+from pathlib import Path
 
 import pytest
+import yaml
+from roslaunch.config import ROSLaunchConfig
+from roslaunch.xmlloader import XmlLoader
 
+from bullet_lab.core.parameters import ArgumentsError
 from bullet_lab.errors import LabError
-from bullet_lab.ros.nodes import gzserver as gazebo_server
-from bullet_lab.ros.nodes.gzserver import bridge_parameters, parse_server_arguments
+from bullet_lab.ros.nodes.gzserver import bridge_parameters, find_world, parse_server_arguments
 from bullet_lab.simulation.world.resources import package_share
+
+
+def parse(line):
+    found = parse_server_arguments(line.split(" "))
+    return [found.world, found.paused, found.seed, found.plugins]
+
+
+# Lines, and their world, whether it is paused, the seed and the plugins that are not known.
+LINES = """
+# Those of empty_world.launch.
+"-u    --verbose -e ode  worlds/empty.world": [worlds/empty.world, true, 0, []]
+"   -e ode  /a/b.world": [/a/b.world, false, 0, []]
+"": [worlds/empty.world, false, 0, []]
+# What has no meaning here is ignored.
+-r --record_path /tmp/x -q --minimal_comms --lockstep -e bullet -o default my.world:
+  [my.world, false, 0, []]
+--seed 7 -s libgazebo_ros_api_plugin.so -s /lib/libgazebo_ros_paths_plugin.so -s w.so a:
+  [a, false, 7, [w.so]]
+"""
+
+
+@pytest.mark.parametrize("line, found", yaml.safe_load(LINES).items())
+def test_arguments(line, found):
+    assert parse(line) == found
+
+
+REFUSED = """
+-p state.log: --play is not simulated
+--iters 100 a.world: --iters is not simulated
+--seed -3: --seed -3 is negative
+--seed x: "argument --seed: invalid int value: 'x'"
+a.world b.world: "unrecognized arguments: b.world"
+--nix: "unrecognized arguments: --nix"
+"""
+
+
+@pytest.mark.parametrize("line, reason", yaml.safe_load(REFUSED).items())
+def test_refusals(line, reason):
+    with pytest.raises(ArgumentsError, match=reason):
+        parse(line)
+
+
+def test_worlds_are_looked_up_as_in_gazebo(tmp_path, monkeypatch):
+    name, path = "worlds/empty.world", f"{tmp_path}/first::{tmp_path}/second"
+    monkeypatch.setenv("GAZEBO_RESOURCE_PATH", path)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert find_world(name) == str(package_share() / name)
+    for folder in ("second", "first", "here"):
+        world = tmp_path / folder / name
+        world.parent.mkdir(parents=True)
+        world.write_text("<sdf/>")
+        assert find_world(name) == str(world)
+    with pytest.raises(ArgumentsError, match="'nix.world' is in none of .*first.*second"):
+        find_world("nix.world")
+
+
+@pytest.mark.parametrize("name", ["/nix/a.world", "package://p/w.world", "model://m/w.world"])
+def test_worlds_that_need_no_search(name):
+    assert find_world(name) == name
+
+
+@pytest.mark.parametrize("text", ["true", "false", "0.1", "1"])
+def test_use_sim_time_has_the_type_of_its_value(text):
+    """As in gazebo_ros's own launch file: use_sim_time:=0.1 is no mistake there."""
+    launch = Path(__file__).parents[4] / "stand_ins/gazebo_ros/launch/empty_world.launch"
+    config, arguments = ROSLaunchConfig(), [f"use_sim_time:={text}", "use_clock_frequency:=1"]
+    XmlLoader().load(str(launch), config, argv=arguments, verbose=False)
+    assert repr(config.params["/use_sim_time"].value) == repr(yaml.safe_load(text))
+    assert config.params["/gazebo/pub_clock_frequency"].value == 100
 
 
 def parameters(*words):
@@ -14,18 +87,14 @@ def parameters(*words):
 
 @pytest.fixture
 def ros(monkeypatch):
-    """Parameters on the master, and warnings."""
-
-    ros = SimpleNamespace(parameters={}, warnings=[])
-    monkeypatch.setattr(gazebo_server.rospy, "get_param", ros.parameters.get)
-    monkeypatch.setattr(
-        gazebo_server.rospy, "logwarn", lambda line, *values: ros.warnings.append(line % values)
-    )
-    return ros
+    """Parameters on the master."""
+    given = {}
+    monkeypatch.setattr("rospy.get_param", given.get)
+    return given
 
 
 def test_the_bridge_gets_the_arguments_of_gzserver(ros):
-    ros.parameters["/gazebo/pub_clock_frequency"] = 250
+    ros["/gazebo/pub_clock_frequency"] = 250
     wanted = parameters("-u", "--seed", "7", "worlds/beacons.world")
     assert wanted.world == str(package_share() / "worlds" / "beacons.world")
     assert (wanted.paused, wanted.seed, wanted.clock_rate, wanted.rtf) == (True, 7, 250.0, 1.0)
@@ -37,14 +106,14 @@ def test_no_robot_comes_from_robot_description(ros):
     assert (wanted.robot, wanted.robot_description, wanted.clock_rate) == ("", "", 100.0)
 
 
-def test_plugins_that_are_not_simulated_are_named(ros):
+def test_plugins_that_are_not_simulated_are_named(ros, logged):
     parameters("-s", "libfog.so")
-    assert ros.warnings == ["server plugin libfog.so is not simulated and skipped"]
+    assert logged == ["server plugin libfog.so is not simulated and skipped"]
 
 
-def test_refusals(ros):
+def test_parameters_that_are_refused(ros):
     with pytest.raises(LabError, match="world 'nix.world' is in none of"):
         parameters("nix.world")
-    ros.parameters["/gazebo/pub_clock_frequency"] = "often"
+    ros["/gazebo/pub_clock_frequency"] = "often"
     with pytest.raises(LabError, match="/gazebo/pub_clock_frequency is 'often': it must be"):
         parameters()

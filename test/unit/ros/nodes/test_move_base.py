@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("rospy")
 # The real move_base has no such module.
@@ -21,66 +22,60 @@ from bullet_lab.ros.nodes.map_floor import grid_message, read_grid, read_scan  #
 from bullet_lab.ros.nodes.send_goals import draw_goal  # noqa: E402
 
 
-def parameters(**given):
-    """Those of move_base by their names, with __ for /."""
-    given = {f"~{name.replace('__', '/')}": value for name, value in given.items()}
+def parameters(given):
+    """Return those of move_base by their names."""
+    given = {f"~{name}": value for name, value in given.items()}
     return read(lambda name, default: given.get(name, default))
 
 
-DWA = {"base_local_planner": "dwa_local_planner/DWAPlannerROS"}
+# What is set, and the parameter of the drive with its value.
+SETTINGS = """
+- [{}, radius, 0.46]
+- [{}, tolerance, 0.1]
+- [{}, map, map]
+- [{TrajectoryPlannerROS/max_vel_x: 0.5}, speed, 0.5]
+- [{DWAPlannerROS/max_vel_x: 0.5}, speed, 0.2]
+- [{base_local_planner: dwa_local_planner/DWAPlannerROS, DWAPlannerROS/max_vel_x: 0.5}, speed, 0.5]
+- - {base_local_planner: dwa_local_planner/DWAPlannerROS, DWAPlannerROS/max_rot_vel: 1.5}
+  - turn_speed
+  - 1.5
+- [{TrajectoryPlannerROS/acc_lim_theta: 3.2}, turn_acceleration, 3.2]
+- [{TrajectoryPlannerROS/yaw_goal_tolerance: 0.2}, yaw_tolerance, 0.2]
+- [{TrajectoryPlannerROS/yaw_goal_tolerance: 6.28}, heading, false]
+- [{}, heading, true]
+- [{controller_frequency: 3.0}, rate, 5.0]
+- [{global_costmap/robot_radius: 0.18}, radius, 0.18]
+- [{local_costmap/robot_radius: 0.18}, radius, 0.18]
+- [{global_costmap/footprint: [[-0.3, -0.4], [0.1, 0.0], [0.2, 0.2]]}, radius, 0.5]
+- [{local_costmap/footprint: "[[0.3, 0.4], [0, 0.1], [-0.1, 0]]"}, radius, 0.5]
+- [{global_costmap/inflation_layer/inflation_radius: 0.7}, inflation, 0.7]
+- [{global_costmap/inflation_radius: 0.7}, inflation, 0.7]
+- - local_costmap:
+      obstacle_layer:
+        observation_sources: cloud laser
+        cloud: {data_type: PointCloud2, topic: points}
+        laser: {data_type: LaserScan, topic: /base_scan}
+  - scan
+  - /base_scan
+"""
 
 
-@pytest.mark.parametrize(
-    "given, name, value",
-    [
-        ({}, "radius", 0.46),
-        ({}, "tolerance", 0.1),
-        ({}, "map", "map"),
-        ({"TrajectoryPlannerROS__max_vel_x": 0.5}, "speed", 0.5),
-        ({"DWAPlannerROS__max_vel_x": 0.5}, "speed", 0.2),
-        ({**DWA, "DWAPlannerROS__max_vel_x": 0.5}, "speed", 0.5),
-        ({**DWA, "DWAPlannerROS__max_rot_vel": 1.5}, "turn_speed", 1.5),
-        ({"TrajectoryPlannerROS__acc_lim_theta": 3.2}, "turn_acceleration", 3.2),
-        ({"TrajectoryPlannerROS__yaw_goal_tolerance": 0.2}, "yaw_tolerance", 0.2),
-        ({"TrajectoryPlannerROS__yaw_goal_tolerance": 6.28}, "heading", False),
-        ({}, "heading", True),
-        ({"controller_frequency": 3.0}, "rate", 5.0),
-        ({"global_costmap__robot_radius": 0.18}, "radius", 0.18),
-        ({"local_costmap__robot_radius": 0.18}, "radius", 0.18),
-        ({"global_costmap__footprint": [[-0.3, -0.4], [0.1, 0.0], [0.2, 0.2]]}, "radius", 0.5),
-        ({"local_costmap__footprint": "[[0.3, 0.4], [0, 0.1], [-0.1, 0]]"}, "radius", 0.5),
-        ({"global_costmap__inflation_layer/inflation_radius": 0.7}, "inflation", 0.7),
-        ({"global_costmap__inflation_radius": 0.7}, "inflation", 0.7),
-        (
-            {
-                "local_costmap": {
-                    "obstacle_layer": {
-                        "observation_sources": "cloud laser",
-                        "cloud": {"data_type": "PointCloud2", "topic": "points"},
-                        "laser": {"data_type": "LaserScan", "topic": "/base_scan"},
-                    }
-                }
-            },
-            "scan",
-            "/base_scan",
-        ),
-    ],
-)
+@pytest.mark.parametrize("given, name, value", yaml.safe_load(SETTINGS))
 def test_parameters_of_move_base_are_those_of_the_drive(given, name, value):
-    assert getattr(parameters(**given), name) == value
+    assert getattr(parameters(given), name) == value
 
 
-@pytest.mark.parametrize(
-    "given, line",
-    [
-        ({"TrajectoryPlannerROS__max_vel_x": -1}, "~TrajectoryPlannerROS/max_vel_x is -1: it must"),
-        ({"global_costmap__footprint": "round"}, "footprint is round: it must be a list of points"),
-        ({"global_costmap__footprint": [[0, 0]]}, "footprint"),
-    ],
-)
+WRONG = """
+- [{TrajectoryPlannerROS/max_vel_x: -1}, "~TrajectoryPlannerROS/max_vel_x is -1: it must"]
+- [{global_costmap/footprint: round}, "footprint is round: it must be a list of points"]
+- [{global_costmap/footprint: [[0, 0]]}, footprint]
+"""
+
+
+@pytest.mark.parametrize("given, line", yaml.safe_load(WRONG))
 def test_a_value_that_cannot_be_used_is_named_as_move_base_has_it(given, line):
     with pytest.raises(ParameterError) as error:
-        parameters(**given)
+        parameters(given)
     assert line in str(error.value)
 
 
@@ -94,14 +89,10 @@ def test_a_map_is_the_same_as_a_message():
     assert (found.resolution, found.origin) == (made.resolution, made.origin)
 
 
-@pytest.mark.parametrize(
-    "change", [{"width": 3}, *({"resolution": wrong} for wrong in (0.0, math.nan, math.inf))]
-)
-def test_a_map_of_another_size_is_refused(change):
-    info = MapMetaData(width=2, height=2, resolution=0.1)
+@pytest.mark.parametrize("width, resolution", [(3, 0.1), (2, 0.0), (2, math.nan), (2, math.inf)])
+def test_a_map_of_another_size_is_refused(width, resolution):
+    info = MapMetaData(width=width, height=2, resolution=resolution)
     info.origin.orientation.w = 1.0
-    for name, value in change.items():
-        setattr(info, name, value)
     with pytest.raises(InputError, match="4 values for"):
         read_grid(OccupancyGrid(info=info, data=[0] * 4))
 

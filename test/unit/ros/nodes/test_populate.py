@@ -1,4 +1,5 @@
 import pytest
+import yaml
 
 from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.errors import LabError
@@ -11,8 +12,19 @@ def wanted(**given):
     return read_parameters(PopulateParameters, lambda name, default: given.get(name[1:], default))
 
 
-def test_by_default_the_three_beacons_of_the_report():
-    assert places_of(wanted()) == [(1.0, 1.0, 0.0), (5.0, 1.0, 0.0), (-5.0, 1.0, 0.0)]
+POSES = """
+# By default, the three beacons of the report.
+- [{}, [[1.0, 1.0, 0.0], [5.0, 1.0, 0.0], [-5.0, 1.0, 0.0]]]
+- [{poses: [[1, 2], [3, 4, 0.5]]}, [[1, 2, 0], [3, 4, 0.5]]]
+"""
+
+
+@pytest.mark.parametrize("given, places", yaml.safe_load(POSES))
+def test_poses(given, places):
+    assert list(map(list, places_of(wanted(**given)))) == places
+
+
+def test_the_model_is_a_beacon():
     model = read_spawned(description_of(wanted().model), "beacon")
     assert model.static
     assert model.links[0].collisions[0].geometry.path.name == "beacon.dae"
@@ -23,13 +35,10 @@ def test_other_patterns_have_as_many_places_as_asked_for(pattern):
     assert len(set(places_of(wanted(pattern=pattern, count=7)))) == 7
 
 
-def test_poses_of_ones_own():
-    assert places_of(wanted(poses=[[1, 2], [3, 4, 0.5]])) == [(1, 2, 0), (3, 4, 0.5)]
+NO_POSES = "[5, [1, 2], [[1]], [[1, 2, 3, 4]], [['1', '2']], [[true, 1]], [[.nan, 0]]]"
 
 
-@pytest.mark.parametrize(
-    "poses", [5, [1, 2], [[1]], [[1, 2, 3, 4]], [["1", "2"]], [[True, 1]], [[float("nan"), 0]]]
-)
+@pytest.mark.parametrize("poses", yaml.safe_load(NO_POSES))
 def test_poses_that_are_none(poses):
     with pytest.raises(ParameterError, match=r"~poses is .*: it must be a list of \[x, y\]"):
         wanted(poses=poses)
@@ -37,8 +46,8 @@ def test_poses_that_are_none(poses):
 
 def test_descriptions_are_files_or_references(package, tmp_path):
     path = package / "urdf" / "beacon.urdf"
-    assert description_of(str(path)) == path.read_text()
-    assert description_of("package://bullet_lab/urdf/beacon.urdf") == path.read_text()
+    for name in (str(path), "package://bullet_lab/urdf/beacon.urdf"):
+        assert description_of(name) == path.read_text()
     folder = read_spawned(description_of(str(package / "models" / "beacon")), "folder")
     assert folder.name == "beacon"
     assert "model://a&amp;b" in description_of("model://a&b")

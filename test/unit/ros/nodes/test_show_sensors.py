@@ -1,5 +1,7 @@
+from collections import Counter
+
 import pytest
-from message_fields import message, plain
+from message_fields import check, message, plain
 from visualization_msgs.msg import Marker
 
 from bullet_lab.ros.messages.gazebo_types import msg
@@ -31,15 +33,12 @@ def touching(force=2.0, normals="[{x: -1}, {x: -1}]", before=False):
 def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before):
     first, *markers = contact_markers(touching(before=before), 0.1)
     assert first.action == Marker.DELETEALL
-    kinds = [marker.ns for marker in markers]
     # The second point of each pair of shapes bears nothing: no arrow.
-    assert [kinds.count(kind) for kind in ("point", "normal", "force")] == [4, 4, 2]
+    kinds = Counter(marker.ns for marker in markers)
+    assert kinds == {"point": 4, "normal": 4, "force": 2}
     assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
     force = next(marker for marker in markers if marker.ns == "force")
-    assert force.header.frame_id == "bumper_link"
-    start, end = map(plain, force.points)
-    assert start == [1, 2, 3]
-    assert end == pytest.approx([0.8, 2.0, 3.0])
+    check(force, "{header.frame_id: bumper_link, points: [[1, 2, 3], [0.8, 2.0, 3.0]]}")
 
 
 @pytest.mark.parametrize("before", [False, True])

@@ -60,15 +60,18 @@ def test_numbers_in_any_spelling(x):
     assert found.joints["j"] == pytest.approx(float(x), abs=1e-15)
 
 
-def test_the_robot_is_in_the_namespace_of_the_node_by_default():
-    assert parse("-urdf -stdin -model m", "/left/").robot_namespace == "/left/"
-    assert parse("-urdf -stdin -model m -namespace /right", "/l/").robot_namespace == "/right"
+# Lines, and what they say in the namespace /left/.
+LINES = """
+-urdf -stdin -model m: "{robot_namespace: /left/, source: [stdin, '']}"
+-urdf -stdin -model m -namespace /right: "{robot_namespace: /right}"
+-sdf -database table -model t: "{source: [database, table]}"
+-gazebo -file f -model t: "{urdf: false}"
+"""
 
 
-def test_sources():
-    assert parse("-sdf -database table -model t").source == ("database", "table")
-    assert parse("-sdf -stdin -model t").source == ("stdin", "")
-    assert parse("-gazebo -file f -model t").urdf is False
+@pytest.mark.parametrize("line, fields", yaml.safe_load(LINES).items())
+def test_namespaces_and_sources(line, fields):
+    check(parse(line, "/left/"), fields)
 
 
 REFUSED = """

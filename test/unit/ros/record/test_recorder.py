@@ -49,21 +49,27 @@ def receive(monkeypatch):
 
     monkeypatch.setattr(recorder, "subscriber", subscriber)
     monkeypatch.setattr(recorder.rospy, "Subscriber", subscriber)
-    monkeypatch.setattr(rospy, "is_shutdown", lambda: False)
     return receivers
 
 
 @pytest.fixture
-def recording(tmp_path, receive):
-    """A recording until an announced end, with one message."""
-    made = recording_in(tmp_path)
-    receive["odom"](odometry(1))
-    return made
+def report(tmp_path):
+    return PathReport(tmp_path)
 
 
-def recording_in(folder, **more):
-    parameters = TimedParameters(out=str(folder), about={"job": "test"}, until="over", **more)
-    return Recorder(PathReport(folder), parameters)
+@pytest.fixture
+def record(tmp_path, report, receive):
+    """A function that returns a recording until an announced end, with one message."""
+
+    def record(request=None, **more):
+        parameters = TimedParameters(
+            out=str(tmp_path), about={"job": "test"}, until="" if request else "over", **more
+        )
+        made = Recorder(report, parameters, request=request)
+        receive["odom"](odometry(1))
+        return made
+
+    return record
 
 
 def odometry(number, x=0.0, frame="odom"):
@@ -74,8 +80,10 @@ def odometry(number, x=0.0, frame="odom"):
     return message(Odometry, text)
 
 
-def summary_of(folder):
-    return json.loads((folder / "summary.json").read_text())
+def left(folder):
+    """Return the summary that is left, and the rows of the path."""
+    summary = json.loads((folder / "summary.json").read_text())
+    return summary, len((folder / "path.tum").read_text().splitlines())
 
 
 def end_at(number):
@@ -83,8 +91,9 @@ def end_at(number):
 
 
 def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(
-    tmp_path, receive, recording
+    tmp_path, receive, record
 ):
+    recording = record()
     for bad in (odometry(2, ".nan"), odometry(2, frame="map"), odometry(1)):
         receive["odom"](bad)
     for number in (2, 3, 4):
@@ -92,35 +101,36 @@ def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(
     assert len((tmp_path / "path.tum").read_text().splitlines()) == 4
     receive["over"](end_at(3))
     recording.run()
-    summary = summary_of(tmp_path)
+    # A late message.
+    receive["odom"](odometry(5))
+    summary, rows = left(tmp_path)
     assert list(summary)[:2] == ["job", "finished"]
     assert (summary["finished"], summary["rows"], summary["refused_messages"]) == (True, 3, 3)
     assert summary["sim_time_s"] == pytest.approx(0.1)
-    assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
+    assert rows == 3
     assert (tmp_path / "path.png").is_file()
-    # A late message.
-    receive["odom"](odometry(5))
-    assert len((tmp_path / "path.tum").read_text().splitlines()) == 3
 
 
 def test_an_end_that_nothing_comes_up_to_is_one_all_the_same(
-    tmp_path, receive, recording, monkeypatch
+    tmp_path, receive, record, monkeypatch
 ):
     monkeypatch.setattr(recorder, "PATIENCE", 0.05)
+    recording = record()
     receive["over"](end_at(3))
     recording.run()
-    assert summary_of(tmp_path)["rows"] == 1
+    assert left(tmp_path)[1] == 1
 
 
-def test_nothing_is_cut_off_where_it_is_broken_off(tmp_path, recording, monkeypatch):
+def test_nothing_is_cut_off_where_it_is_broken_off(tmp_path, record, monkeypatch):
+    recording = record()
     monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
     recording.run()
-    assert (summary_of(tmp_path)["finished"], summary_of(tmp_path)["rows"]) == (False, 1)
+    summary, rows = left(tmp_path)
+    assert (summary["finished"], rows) == (False, 1)
 
 
-def test_pictures_are_renewed_before_the_summary(tmp_path, receive):
-    recording = recording_in(tmp_path, plot_period=0.01)
-    receive["odom"](odometry(1))
+def test_pictures_are_renewed_before_the_summary(tmp_path, receive, record):
+    recording = record(plot_period=0.01)
     seen = []
 
     def watch():
@@ -136,26 +146,19 @@ def test_pictures_are_renewed_before_the_summary(tmp_path, receive):
     assert seen == [True]
 
 
-def test_a_goal_that_is_not_reached_leaves_everything_and_one_line(tmp_path, receive):
-    report = PathReport(tmp_path)
-    report.failed = True
+def test_a_goal_that_is_not_reached_leaves_everything_and_one_line(tmp_path, record, report):
+    report.failed, report.until = True, 50_000_000
     sent = []
-    request = GoalRequest("server", lambda: True, lambda: sent.append(1), lambda: bool(sent))
-    report.until = 50_000_000
-    parameters = recorder.RecordParameters(out=str(tmp_path))
-    recording = Recorder(report, parameters, request=request)
-    receive["odom"](odometry(1))
+    recording = record(GoalRequest("server", lambda: True, lambda: sent.append(1), lambda: sent))
     with pytest.raises(NodeError, match="^1 rows$"):
         recording.run()
     assert sent == [1]
-    assert summary_of(tmp_path)["finished"] is True
+    assert left(tmp_path)[0]["finished"] is True
 
 
-def test_a_goal_that_is_not_accepted(tmp_path, receive, monkeypatch):
+def test_a_goal_that_is_not_accepted(tmp_path, record, monkeypatch):
     monkeypatch.setattr(recorder, "ACCEPTANCE", 0.05)
-    request = GoalRequest("server", lambda: True, lambda: None, lambda: False)
-    parameters = recorder.RecordParameters(out=str(tmp_path))
-    recording = Recorder(PathReport(tmp_path), parameters, request=request)
+    recording = record(GoalRequest("server", lambda: True, list, lambda: False))
     with pytest.raises(NodeError, match=r"^server has not accepted the goal within 0\.05 s$"):
         recording.run()
-    assert summary_of(tmp_path)["rows"] == 0
+    assert left(tmp_path)[1] == 1

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+import yaml
 from bullet_lab.msg import ModelDescription
 from message_fields import message, messages
 
@@ -24,8 +25,6 @@ from bullet_lab.ros.record.robot_parts import (
     why_it_stands,
 )
 
-TWIST, ODOMETRY = "geometry_msgs/Twist", "nav_msgs/Odometry"
-
 
 def master(subscribed=(), published=()):
     return SimpleNamespace(
@@ -33,7 +32,7 @@ def master(subscribed=(), published=()):
     )
 
 
-CART, ROVER, LAMP, BOX, WALL, DOOR, MOVER, STATUE = messages(
+MODELS = messages(
     ModelDescription,
     """
     - {name: cart, plugins: [{inputs: [/go], outputs: [/odom]}]}
@@ -44,83 +43,88 @@ CART, ROVER, LAMP, BOX, WALL, DOOR, MOVER, STATUE = messages(
     - {name: a_door, of_world_file: true, plugins: [{}]}
     - {name: mover, of_world_file: true, plugins: [{inputs: [/go]}]}
     - {name: a_statue, of_world_file: true, plugins: [{inputs: [/go]}], is_static: true}
+    - {name: tb_2, plugins: [{inputs: [/2]}]}
+    - {name: tb_0, plugins: [{inputs: [/0]}]}
+    - {name: husky, plugins: [{}, {outputs: [/truth]}]}
+    - {name: two, plugins: [{outputs: [/cmd/odom]}, {inputs: [/cmd/vel], outputs: [/driven]}]}
     """,
 )
 
 
-@pytest.mark.parametrize(
-    ("models", "name", "found"),
-    [
-        ([WALL, BOX, LAMP, CART], "", CART),
-        ([WALL, BOX, LAMP], "", LAMP),
-        ([WALL, BOX], "", BOX),
-        ([CART, ROVER], "rover", ROVER),
-        ([CART, WALL], "wall", WALL),
-        ([WALL], "", None),
-        ([CART], "rover", None),
-    ],
-)
-def test_the_robot_is_one_that_can_be_driven(models, name, found):
-    assert choose(models, name, ["/go", "/rover/go"]) is found
+def named(names):
+    """Return the models of these names."""
+    return [model for name in names.split() for model in MODELS if model.name == name]
+
+
+# The models, the name that is asked for, what can be driven, whether the model may be of the
+# world file, and which is chosen.
+CHOICES = """
+- [wall box lamp cart, "", /go, false, cart]
+- [wall box lamp, "", /go, false, lamp]
+- [wall box, "", /go, false, box]
+- [cart rover, rover, /go /rover/go, false, rover]
+- [cart wall, wall, /go, false, wall]
+- [wall, "", /go, false, null]
+- [cart, rover, /go, false, null]
+- [lamp tb_2 tb_0, "", /0 /2, false, tb_0]
+- [wall a_statue a_door mover, "", /go, false, null]
+- [wall a_statue a_door mover, "", /go, true, mover]
+- [wall a_statue a_door mover box, "", /go, true, box]
+# A controller may drive it, whose topic no plugin names.
+- [wall a_statue a_door, "", /base/go, true, a_door]
+- [wall a_statue a_door mover, "", "", true, null]
+"""
+
+
+@pytest.mark.parametrize("models, name, driven, of_world, chosen", yaml.safe_load(CHOICES))
+def test_the_robot_is_one_that_can_be_driven(models, name, driven, of_world, chosen):
+    found = choose(named(models), name, driven.split(), of_world)
+    assert getattr(found, "name", None) == chosen
+
+
+# The robot, the other models, topics of velocities and of odometry, and those of the robot.
+TOPICS = """
+- [rover, cart, /go /rover/go, /odom /rover/odom, /rover/go, /rover/odom]
+# A controller drives where no plugin names a topic.
+- [husky, "", /base/cmd_vel, /odom /truth, /base/cmd_vel, /odom]
+# The odometry is that of the plugin that drives.
+- [two, "", /cmd/vel, /cmd/odom /driven, /cmd/vel, /driven]
+- [cart, wall, "", "", "", ""]
+"""
+
+
+@pytest.mark.parametrize("name, others, driven, told, drive, odometry", yaml.safe_load(TOPICS))
+def test_topics_of_the_robot(name, others, driven, told, drive, odometry):
+    (model,) = named(name)
+    now = master({"/light": "std_msgs/Bool"}, {"/base/other": "std_msgs/Bool"})
+    now.subscribed.update(dict.fromkeys(driven.split(), "geometry_msgs/Twist"))
+    now.published.update(dict.fromkeys(told.split(), "nav_msgs/Odometry"))
+    robot = robot_of(model, named(others), [], now)
+    assert (robot.drive, robot.odometry) == (drive, odometry)
 
 
 def test_topics_of_another_robot_are_not_its_own():
-    now = master(
-        {"/go": TWIST, "/rover/go": TWIST},
-        {"/odom": ODOMETRY, "/rover/odom": ODOMETRY, "/joint_states": "sensor_msgs/JointState"},
-    )
-    robot = robot_of(ROVER, [CART], [], now)
-    assert (robot.drive, robot.odometry) == ("/rover/go", "/rover/odom")
-    assert set(topics_of(CART, [ROVER], now.published)) == {"/odom", "/joint_states"}
+    cart, rover = named("cart rover")
+    published = dict.fromkeys(("/odom", "/rover/odom", "/joint_states"), "")
+    assert set(topics_of(cart, [rover], published)) == {"/odom", "/joint_states"}
 
 
-def test_a_controller_drives_where_no_plugin_names_a_topic():
-    husky = message(ModelDescription, "{name: husky, plugins: [{}, {outputs: [/truth]}]}")
-    now = master(
-        {"/base/cmd_vel": TWIST, "/light": "std_msgs/Bool"},
-        {"/odom": ODOMETRY, "/truth": ODOMETRY, "/base/other": "std_msgs/Bool"},
-    )
-    robot = robot_of(husky, [], [], now)
-    assert (robot.drive, robot.odometry) == ("/base/cmd_vel", "/odom")
+@pytest.mark.parametrize("name", ["cart", "mover"])
+def test_warnings_of_the_world_are_left_out(name):
+    own = (f"model '{name}': odd", f"model_xml of '{name}': odder")
+    (model,) = named(name)
+    assert robot_of(model, named("wall"), ["model 'wall': crooked", *own], master()).said == own
 
 
-def test_the_odometry_is_that_of_the_plugin_that_drives():
-    text = "plugins: [{outputs: [/cmd/odom]}, {inputs: [/cmd/vel], outputs: [/driven]}]"
-    now = master({"/cmd/vel": TWIST}, {"/cmd/odom": ODOMETRY, "/driven": ODOMETRY})
-    assert robot_of(message(ModelDescription, text), [], [], now).odometry == "/driven"
-
-
-def test_warnings_of_the_world_are_left_out():
-    warnings = ["model 'wall': crooked", "model 'cart': odd", "model_xml of 'cart': odder"]
-    robot = robot_of(CART, [WALL], warnings, master())
-    assert robot.said == ("model 'cart': odd", "model_xml of 'cart': odder")
-    assert (robot.drive, robot.odometry) == ("", "")
-
-
-def test_of_several_robots_the_first_by_name_is_driven():
-    text = "[{name: tb_2, plugins: [{inputs: [/2]}]}, {name: tb_0, plugins: [{inputs: [/0]}]}]"
-    two, zero = messages(ModelDescription, text)
-    assert choose([LAMP, two, zero], "", ["/0", "/2"]) is zero
-    now = master({"/0": TWIST, "/2": TWIST})
-    assert robot_of(zero, [LAMP, two], [], now).choice == ("tb_0", "tb_2")
-
-
-def test_a_robot_of_the_world_file_is_taken_where_nothing_else_came():
-    world = [WALL, STATUE, DOOR, MOVER]
-    assert choose(world, "", ["/go"]) is None
-    assert choose(world, "", ["/go"], True) is MOVER
-    assert choose([*world, BOX], "", ["/go"], True) is BOX
-    # A controller may drive it, whose topic no plugin names.
-    assert choose([WALL, STATUE, DOOR], "", ["/base/go"], True) is DOOR
-    assert choose(world, "", [], True) is None
-    # Warnings about the robot are not those of the world.
-    warnings = ["model 'mover': odd", "model 'wall': crooked"]
-    assert robot_of(MOVER, world[:-1], warnings, master()).said == ("model 'mover': odd",)
+def test_of_several_robots_the_choice_is_named():
+    (zero,) = named("tb_0")
+    now = master(dict.fromkeys(("/0", "/2"), "geometry_msgs/Twist"))
+    assert robot_of(zero, named("lamp tb_2"), [], now).choice == ("tb_0", "tb_2")
 
 
 def test_whom_model_may_name():
-    assert candidates([STATUE]) == "no model in the world can move"
-    assert candidates([BOX, STATUE, LAMP]) == "model:=NAME takes one of lamp, box"
+    assert candidates(named("a_statue")) == "no model in the world can move"
+    assert candidates(named("box a_statue lamp")) == "model:=NAME takes one of lamp, box"
 
 
 def test_why_a_robot_stands(monkeypatch):
@@ -138,71 +142,77 @@ def test_why_a_robot_stands(monkeypatch):
     assert why_it_stands(cart, "/go", True) == ["the model is static"]
 
 
-@pytest.fixture
-def found(monkeypatch):
-    """What is found where these models come at these times (s), and when; time takes no time."""
+def find(monkeypatch, clock, name, coming):
+    """Return what is found where models come at times (s), and when; time takes no time."""
+    start = clock.now
 
-    def find(name, **coming):
-        clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
-        clock.sleep = lambda seconds: setattr(clock, "now", clock.now + seconds)
+    def models():
+        names = [name for name, (at, _) in coming.items() if clock.now >= start + at]
+        text = "{{name: {0}, of_world_file: {1}, plugins: [{{inputs: [/{0}]}}]}}"
+        return [message(ModelDescription, text.format(name, coming[name][1])) for name in names]
 
-        def models():
-            return [
-                message(
-                    ModelDescription,
-                    f"{{name: {model}, of_world_file: {world}, plugins: [{{inputs: [/{model}]}}]}}",
-                )
-                for model, (at, world) in coming.items()
-                if clock.now >= at
-            ]
+    def now():
+        drives = {f"/{model.name}": VELOCITIES for model in models()}
+        return SimpleNamespace(services={SERVICE}, subscribed=drives)
 
-        def now():
-            drives = {f"/{model.name}": VELOCITIES for model in models()}
-            return SimpleNamespace(services={SERVICE}, subscribed=drives)
-
-        monkeypatch.setattr(robot_parts, "time", clock)
-        monkeypatch.setattr(robot_parts, "Master", now)
-        monkeypatch.setattr(robot_parts, "described", lambda: SimpleNamespace(models=models()))
-        monkeypatch.setattr(robot_parts.rospy, "ServiceProxy", lambda *_: lambda: None)
-        monkeypatch.setattr(robot_parts.rospy, "is_shutdown", lambda: False)
-        launched = SimpleNamespace(path="some.launch", check=lambda: None)
-        return find_robot(name, launched).name, clock.now
-
-    return find
+    monkeypatch.setattr(robot_parts, "time", clock)
+    monkeypatch.setattr(robot_parts, "Master", now)
+    monkeypatch.setattr(robot_parts, "described", lambda: SimpleNamespace(models=models()))
+    monkeypatch.setattr(robot_parts.rospy, "ServiceProxy", lambda *_: lambda: None)
+    launched = SimpleNamespace(path="some.launch", check=lambda: None)
+    return find_robot(name, launched).name, clock.now - start
 
 
-def test_the_choice_waits_until_all_are_there(found):
-    name, when = found("", tb3_1=(5.0, False), tb3_0=(6.0, False))
-    assert (name, when < 12.0) == ("tb3_0", True)
-    assert found("tb3_1", tb3_1=(5.0, False), tb3_0=(6.0, False))[0] == "tb3_1"
+# The name that is asked for, when models come, whether they are of the world file, which of them
+# is taken, and within what time (s).
+COMING = """
+- ["", {tb3_1: [5, false], tb3_0: [6, false]}, tb3_0, 12]
+- [tb3_1, {tb3_1: [5, false], tb3_0: [6, false]}, tb3_1, 120]
+# A robot of the world file waits for others.
+- ["", {robot: [0, true]}, robot, 120]
+- ["", {robot: [0, true], spawned: [15, false]}, spawned, 120]
+"""
 
 
-def test_a_robot_of_the_world_file_waits_for_others(found):
-    assert found("", robot=(0.0, True))[0] == "robot"
-    assert found("", robot=(0.0, True), spawned=(15.0, False))[0] == "spawned"
+@pytest.mark.parametrize("name, coming, taken, within", yaml.safe_load(COMING))
+def test_the_choice_waits_until_all_are_there(monkeypatch, clock, name, coming, taken, within):
+    found, when = find(monkeypatch, clock, name, coming)
+    assert (found, when < within) == (taken, True)
 
 
-def test_nothing_comes(found):
+def test_nothing_comes(monkeypatch, clock):
     line = "no model 'cart' was spawned within 120 s; .* one of robot$"
     with pytest.raises(NodeError, match=line):
-        found("cart", robot=(0.0, True))
+        find(monkeypatch, clock, "cart", {"robot": (0, True)})
 
 
-def test_arguments_of_a_launch_file():
-    assert assignments("") == []
-    assert assignments("a:=1 b=2") == ["a:=1", "b:=2"]
-    assert assignments("world:='a b=c'") == ["world:=a b=c"]
+ARGUMENTS = """
+"": []
+"a:=1 b=2": ["a:=1", "b:=2"]
+"world:='a b=c'": ["world:=a b=c"]
+"""
 
 
-def test_why_a_launch_file_has_ended():
-    log = "logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n"
-    assert reason_in(log) == "Resource not found: lidar"
-    assert reason_in("start\nRLException: while processing a.launch:\nno b\nd") == (
-        "RLException: while processing a.launch: no b"
-    )
-    assert reason_in("Error:\n") == "Error:"
-    assert reason_in("done\n") == "done"
-    assert reason_in("") == "no output"
+@pytest.mark.parametrize("text, found", yaml.safe_load(ARGUMENTS).items())
+def test_arguments_of_a_launch_file(text, found):
+    assert assignments(text) == found
+
+
+# Logs and the reason that they have.
+REASONS = r"""
+"logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n":
+  "Resource not found: lidar"
+"start\nRLException: while processing a.launch:\nno b\nd":
+  "RLException: while processing a.launch: no b"
+"Error:\n": "Error:"
+"done\n": done
+"": no output
+"""
+
+
+@pytest.mark.parametrize("log, reason", yaml.safe_load(REASONS).items())
+def test_why_a_launch_file_has_ended(log, reason):
+    assert reason_in(log) == reason
 
 
 LOG = """started roslaunch server http://here:1/
@@ -217,6 +227,13 @@ process[spawn-2]: started with pid [7]
 \x1b[31m[gripper-4] process has died [pid 10, exit code -11, cmd /x/gripper __name:=gripper].
 log file: /tmp/gripper-4*.log\x1b[0m
 """
+FAILURES = """
+- "map_server/map_server: there is no ROS package 'map_server'; Debian has none that is known"
+- "nodelet/nodelet: there is no ROS package 'nodelet'; Debian has it: libnodeletlib-tools (2 times)"
+- "mine/run.py: Cannot locate node of type [run.py] in package"
+- "tf/tf_echo: there is no ROS package 'tf'; Debian has it: libtf-dev"
+- gripper-4 has died (exit code -11)
+"""
 
 
 def test_nodes_that_could_not_start_or_died(monkeypatch):
@@ -225,15 +242,7 @@ def test_nodes_that_could_not_start_or_died(monkeypatch):
     monkeypatch.setattr(
         robot_parts, "debian_package", lambda name, forms=(): packages.get((name, *forms), "")
     )
-    assert failures_in(LOG) == [
-        "map_server/map_server: there is no ROS package 'map_server'; "
-        "Debian has none that is known",
-        "nodelet/nodelet: there is no ROS package 'nodelet'; Debian has it: libnodeletlib-tools "
-        "(2 times)",
-        "mine/run.py: Cannot locate node of type [run.py] in package",
-        "tf/tf_echo: there is no ROS package 'tf'; Debian has it: libtf-dev",
-        "gripper-4 has died (exit code -11)",
-    ]
+    assert failures_in(LOG) == yaml.safe_load(FAILURES)
     assert failures_in("") == []
 
 
@@ -249,7 +258,7 @@ Homepage: https://wiki.ros.org/geometry2
 
 
 @pytest.mark.parametrize(
-    ("package", "found"), [("tf", "tf-tools"), ("tf2_ros", "tf2-tools"), ("amcl", "")]
+    "package, found", [("tf", "tf-tools"), ("tf2_ros", "tf2-tools"), ("amcl", "")]
 )
 def test_the_debian_package_of_a_ros_package(monkeypatch, tmp_path, package, found):
     def run(command, **_):

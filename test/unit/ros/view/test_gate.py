@@ -14,7 +14,7 @@ def read(text):
 
 
 @pytest.mark.parametrize(
-    ("target", "path", "headers"),
+    "target, path, headers",
     read(
         """
         - [/secret/, /, {Host: "localhost:8080"}]

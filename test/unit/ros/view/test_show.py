@@ -1,6 +1,5 @@
 """How often the view reads the list of topics."""
 
-from types import SimpleNamespace
 from unittest import mock
 
 import pytest
@@ -12,14 +11,13 @@ TICK = 1.0 / 30.0
 
 @pytest.mark.parametrize("seconds_of_an_update", [0.1, 2.0])
 def test_topics_are_updated_each_second_however_long_an_update_takes(
-    monkeypatch, seconds_of_an_update
+    monkeypatch, clock, seconds_of_an_update
 ):
-    clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     begins, ends = [], []
 
     def update(_show):
         begins.append(clock.now)
-        clock.now += seconds_of_an_update
+        clock.sleep(seconds_of_an_update)
         ends.append(clock.now)
 
     monkeypatch.setattr(show, "time", clock)
@@ -27,10 +25,9 @@ def test_topics_are_updated_each_second_however_long_an_update_takes(
     monkeypatch.setattr(show, "FramesDisplay", mock.MagicMock())
     monkeypatch.setattr(show.Show, "_update", update)
     shown = show.Show(mock.MagicMock(), mock.MagicMock(), list, "world", 10.0)
-    while clock.now < 30.0:
+    while len(begins) < 8:
         shown.tick()
-        clock.now += TICK
+        clock.sleep(TICK)
     # A topic that is advertised just after an update is seen at the end of the next one.
     waits = [end - begin for begin, end in zip(begins, ends[1:])]
-    assert len(waits) > 5
     assert max(waits) < 2 * seconds_of_an_update + 1.0 + 2 * TICK

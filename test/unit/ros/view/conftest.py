@@ -1,0 +1,44 @@
+"""A stand-in for viser's scene."""
+
+import numpy as np
+import pytest
+
+
+class Node:
+    """A node of the scene, and how often something of it was set."""
+
+    def __init__(self, nodes, name, **properties):
+        self.__dict__.update(properties, nodes=nodes, name=name, sent=0)
+        nodes[name] = self
+
+    def __setattr__(self, name, value):
+        # As viser's, it sends what differs.
+        self.__dict__["sent"] += not np.array_equal(self.__dict__[name], value)
+        self.__dict__[name] = value
+
+    def remove(self):
+        if self.nodes.get(self.name) is self:
+            del self.nodes[self.name]
+
+
+class Scene:
+    """The nodes by their names."""
+
+    def __init__(self):
+        self.nodes = {}
+
+    def add_batched_meshes_simple(self, name, vertices, faces, **properties):
+        return Node(self.nodes, name, **properties)
+
+    def add_line_segments(self, name, points, colors, **properties):
+        return Node(self.nodes, name, points=points, colors=colors)
+
+    add_point_cloud = add_line_segments
+
+    def add_label(self, name, text, position, anchor):
+        return Node(self.nodes, name, text=text, position=position)
+
+
+@pytest.fixture
+def scene():
+    return Scene()
