@@ -4,6 +4,7 @@ import re
 
 from shared import complains
 
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import World
 from bullet_lab.simulation.world.sdf import read_spawned
@@ -60,6 +61,14 @@ def record(robot, topic):
     samples = []
     robot.listen(topic, samples.append)
     return samples
+
+
+def drive(world, robot, seconds, vx=0.0, wz=0.0, vy=0.0, topic="cmd_vel"):
+    """Command a velocity, m/s and rad/s, and return how the robot moves after that."""
+    start = robot.pose()
+    robot.command(topic, PlanarCommand(vx, vy, wz))
+    world.run_for(seconds)
+    return start.inverse() * robot.pose()
 
 
 def readings(model, topic, seconds=0.1, things=(), world=empty, seed=0, **where):
