@@ -176,12 +176,6 @@ def test_odometry_of_the_world(world, spawn):
     assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 
 
-def test_the_mean_rate_is_exact(world, spawn):
-    samples = record(spawn(updateRate="7"), "odom")
-    world.run_for(1.0)
-    assert [sample.step for sample in samples] == [math.ceil(k * 1000 / 7) for k in range(1, 8)]
-
-
 @pytest.mark.parametrize(
     "tags",
     [

@@ -2,8 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import record
-from shared import complains
+from sensor_worlds import check_refusal, record
 
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -77,6 +76,6 @@ def test_a_robot_without_joints_sends_no_states(world, robot):
     assert samples == []
 
 
-def test_an_unknown_joint_is_refused(world):
-    with complains("<jointName>: no movable joint 'knee'"):
-        world.add(pendulum("<jointName>hinge, knee</jointName>"))
+def test_an_unknown_joint_is_refused():
+    unknown = pendulum("<jointName>hinge, knee</jointName>")
+    check_refusal(unknown, "<jointName>: no movable joint 'knee'")
