@@ -14,7 +14,6 @@ from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 COMMANDS = "mobile_base/commands"
-EVENTS = ("bumper", "cliff", "wheel_drop")
 LEFT, CENTRE, RIGHT = range(3)
 
 
@@ -83,37 +82,32 @@ def test_the_messages(world, robot):
     assert (core[-1].bumpers, core[-1].cliffs, core[-1].wheel_drops) == (0, 0, 0)
 
 
-@pytest.mark.parametrize("yaw, side, bit", [(0.0, CENTRE, 2), (-0.8, LEFT, 4), (0.8, RIGHT, 1)])
-def test_a_wall_presses_the_bumper_on_its_side(world, model, yaw, side, bit):
-    robot = world.add(model, pose=Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, yaw)))
-    world.add(box("0.1 4 1", "0.4 0 0.5 0 0 0"))
-    events = record(robot, "mobile_base/events/bumper")
-    core = record(robot, "mobile_base/sensors/core")
-    while not events and world.seconds < 5.0:
-        go(world, robot, 0.2, 0.0, 0.1)
-    assert (events[0].number, events[0].on) == (side, True)
-    assert bit in {sample.bumpers for sample in core}
-    go(world, robot, -0.2, 0.0, 1.0)
-    assert {(event.number, event.on) for event in events} >= {(side, False)}
-    assert core[-1].bumpers == 0
+WALL, PLATE = box("0.1 4 1", "0.4 0 0.5 0 0 0"), box("1 4 0.2", "0 0 0.1 0 0 0")
 
 
 @pytest.mark.parametrize("yaw, side, bit", [(0.0, CENTRE, 2), (-1.0, LEFT, 4), (1.0, RIGHT, 1)])
-def test_the_edge_of_a_plate_is_a_cliff(world, model, yaw, side, bit):
-    world.add(box("1 4 0.2", "0 0 0.1 0 0 0"))
-    robot = world.add(model, pose=Pose.from_rpy((0.2, 0.0, 0.2), (0.0, 0.0, yaw)))
-    cliffs, drops = (record(robot, f"mobile_base/events/{kind}") for kind in EVENTS[1:])
+@pytest.mark.parametrize(
+    "kind, thing, start, speed",
+    [("bumper", WALL, (0.0, 0.0, 0.0), 0.2), ("cliff", PLATE, (0.2, 0.0, 0.2), 0.1)],
+)
+def test_a_wall_presses_a_bumper_and_an_edge_is_a_cliff(
+    world, model, kind, thing, start, speed, yaw, side, bit
+):
+    world.add(thing)
+    robot = world.add(model, pose=Pose.from_rpy(start, (0.0, 0.0, yaw)))
+    events, drops = (record(robot, f"mobile_base/events/{name}") for name in (kind, "wheel_drop"))
     core = record(robot, "mobile_base/sensors/core")
     world.run_for(0.5)
-    assert not cliffs and not drops
-    while not cliffs and world.seconds < 5.0:
-        go(world, robot, 0.1, 0.0, 0.1)
-    assert [(event.number, event.on) for event in cliffs] == [(side, True)]
-    # Beyond its greatest range it sees nothing: the converter reads 0.
-    assert cliffs[0].reading == 0 and core[-1].cliffs == bit
-    go(world, robot, -0.1, 0.0, 1.0)
-    assert [(event.number, event.on) for event in cliffs[1:]] == [(side, False)]
-    assert core[-1].cliffs == 0 and not drops
+    assert not events
+    while not events and world.seconds < 5.0:
+        go(world, robot, speed, 0.0, 0.1)
+    # Beyond its greatest range a cliff sensor sees nothing: the converter reads 0.
+    assert (events[0].number, events[0].on, events[0].reading) == (side, True, 0)
+    assert bit in {getattr(sample, f"{kind}s") for sample in core}
+    go(world, robot, -speed, 0.0, 1.0)
+    assert (side, False) in [(event.number, event.on) for event in events[1:]]
+    assert len(events) == 2 or kind == "bumper"
+    assert getattr(core[-1], f"{kind}s") == 0 and not drops
 
 
 def test_a_lifted_robot_drops_its_wheels(world, robot):

@@ -181,12 +181,11 @@ def test_a_point_is_where_the_lens_function_maps_it(kind, fov, angles, cutoff, m
     robot = single("camera", "wideanglecamera", width=WIDTH, height=WIDTH, fov=fov, more=lens)
     middle, balls, expected = 0.5 * (WIDTH - 1), [], []
     for number, angle in enumerate(angles):
-        for turn in (0.3 + 0.4 * number, 2.1 + 0.4 * number, 4.0 + 0.4 * number):
-            right, down = math.sin(angle) * math.cos(turn), math.sin(angle) * math.sin(turn)
-            place = Pose((4.0 * math.cos(angle), -4.0 * right, -4.0 * down))
-            balls.append(thing(f"ball{len(balls)}", Sphere(0.1), place, RED))
-            distance = 0.5 * WIDTH * radius(kind, angle, fov, 4.0)
-            expected.append(middle + distance * np.array((math.cos(turn), math.sin(turn))))
+        for turn in np.array((0.3, 2.1, 4.0)) + 0.4 * number:
+            around = np.array((math.cos(turn), math.sin(turn)))
+            place = (4.0 * math.cos(angle), *(-4.0 * math.sin(angle) * around).tolist())
+            balls.append(thing(f"ball{len(balls)}", Sphere(0.1), Pose(place), RED))
+            expected.append(middle + 0.5 * WIDTH * radius(kind, angle, fov, 4.0) * around)
     ((picture,),) = sent(robot, "image_raw", things=balls)
     found = blobs(picture.pixels)
     assert len(found) == len(expected)

@@ -3,8 +3,8 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import box, drive, record
-from shared import BLOCK_ROBOT, complains
+from sensor_worlds import box, check_refusal, drive, record
+from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins import PluginError
@@ -217,9 +217,8 @@ def test_topics_are_known_by_their_full_names_only(world):
         ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 is negative"),
     ],
 )
-def test_bad_tags_name_model_plugin_and_tag(world, tags, message):
-    with complains(f"model 'block': plugin 'move': {message}"):
-        world.add(block(tags))
+def test_bad_tags_name_model_plugin_and_tag(tags, message):
+    check_refusal(block(tags), f"model 'block': plugin 'move': {message}")
 
 
 def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_down(world):

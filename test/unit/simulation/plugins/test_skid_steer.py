@@ -2,8 +2,8 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import drive, record
-from shared import EMPTY_WORLD, complains
+from sensor_worlds import check_refusal, drive, record
+from shared import EMPTY_WORLD
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -148,6 +148,5 @@ def test_a_transform_where_it_is_asked_for(world):
         ("covariance_x", "-1", "-1 is negative"),
     ],
 )
-def test_refusals(world, tag, value, message):
-    with complains(f"<{tag}>: {message}"):
-        world.add(rover(f"<{tag}>{value}</{tag}>"))
+def test_refusals(tag, value, message):
+    check_refusal(rover(f"<{tag}>{value}</{tag}>"), f"<{tag}>: {message}")
