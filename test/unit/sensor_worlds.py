@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 from shared import complains
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -61,6 +62,16 @@ def record(robot, topic):
     samples = []
     robot.listen(topic, samples.append)
     return samples
+
+
+def steps(samples):
+    """The simulated times of samples."""
+    return [sample.step for sample in samples]
+
+
+def table(samples, name):
+    """An attribute of samples, a row for each."""
+    return np.array([getattr(sample, name) for sample in samples])
 
 
 def drive(world, robot, seconds, vx=0.0, wz=0.0, vy=0.0, topic="cmd_vel"):

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 from picture_worlds import checkers, plate, simulation_of, thing, write_plate
-from sensor_worlds import check_refusal, record
+from sensor_worlds import check_refusal, record, steps
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import Camera, CameraSettings
@@ -135,7 +135,7 @@ def test_another_rate_from_now_on(wall):
     infos = record(robot, "camera_info")
     camera.set_rate(5.0, wall.step)
     wall.run_for(0.4)
-    assert [sample.step for sample in infos] == [200, 400]
+    assert steps(infos) == [200, 400]
 
 
 def test_nothing_is_drawn_for_nobody(wall, monkeypatch):

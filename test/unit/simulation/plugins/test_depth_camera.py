@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
-from sensor_worlds import check_refusal, record
+from sensor_worlds import check_refusal, record, steps
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import DepthCamera
@@ -191,7 +191,7 @@ def test_all_is_of_one_moment_and_points_have_the_colours_of_the_picture(format,
         found = {output.topic: record(robot, output.topic) for output in camera.outputs}
         simulation.run_for(0.1)
     for samples in found.values():
-        assert [sample.step for sample in samples] == [50, 100]
+        assert steps(samples) == [50, 100]
     cloud, depth = found["points"][0], found["depth/image_raw"][0]
     assert depth.encoding == "32FC1"
     np.testing.assert_array_equal(cloud.points[..., 2], depth.pixels)

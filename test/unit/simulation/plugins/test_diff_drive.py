@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor_worlds import box, check_refusal, drive, record
+from sensor_worlds import box, check_refusal, drive, record, steps
 from shared import complains
 
 from bullet_lab.core.pose import Pose
@@ -98,7 +98,7 @@ def test_the_defaults_are_gazebos(world, model):
     (body,) = robot.bodies.values()
     assert body.joint_state("right_joint").effort == pytest.approx(5.0)
     world.run_until(1000)
-    assert [sample.step for sample in samples] == list(range(10, 1001, 10))
+    assert steps(samples) == list(range(10, 1001, 10))
     assert (samples[0].frame, samples[0].child_frame) == ("odom", "base_footprint")
     # Separation 0.34 m, diameter 0.15 m; its real wheels are larger.
     expected = np.array([0.15 - 0.5 * 0.17, 0.15 + 0.5 * 0.17]) * RADIUS / 0.075

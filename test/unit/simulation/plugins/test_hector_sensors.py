@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, check_refusal, empty, held, readings, record
+from sensor_worlds import carrier, check_refusal, empty, held, readings, record, steps, table
 
 from bullet_lab.core.pose import Pose
 
@@ -33,15 +33,11 @@ def told(kind, topic, seconds, seed=0, pose=None, **tags):
     return readings(model, topic, seconds, world=held, seed=seed, pose=pose)
 
 
-def table(samples, name):
-    return np.array([getattr(sample, name) for sample in samples])
-
-
 def test_without_errors_the_imu_reads_the_truth():
     pose = Pose.from_rpy((0, 0, 0), (0.3, 0.2, 0.1))
     samples = told("imu", "imu", 0.5, pose=pose, updateRate=100)
     last = samples[-1]
-    assert [s.step for s in samples] == list(range(10, 501, 10))
+    assert steps(samples) == list(range(10, 501, 10))
     assert Pose(quaternion=last.orientation).rpy() == pytest.approx((0.3, 0.2, 0.1))
     up = Pose(quaternion=last.orientation).inverse().rotate((0.0, 0.0, G))
     assert last.specific_force == pytest.approx(up)
@@ -125,7 +121,7 @@ def test_a_fix_is_metres_in_degrees_about_the_reference():
     tags = {"referenceLatitude": 45, "referenceLongitude": 9, "referenceAltitude": 100}
     at = Pose((NORTH_45, -EAST_45, 7.0))
     fix = told("gps", "fix", 1.0, pose=at, status=2, service=3, **tags)
-    assert [sample.step for sample in fix] == [250, 500, 750, 1000]
+    assert steps(fix) == [250, 500, 750, 1000]
     last = fix[-1]
     assert (last.latitude, last.longitude) == pytest.approx((46.0, 10.0), abs=2e-6)
     assert (last.altitude, last.status, last.service) == (107.0, 2, 3)

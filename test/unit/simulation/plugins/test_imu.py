@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, check_refusal, empty, held, readings, record, sensor
+from sensor_worlds import carrier, check_refusal, empty, held, readings, record, sensor, table
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.motion_sensors import Accelerometer
@@ -72,8 +72,8 @@ def test_a_turn_at_speed_reads_the_centripetal_acceleration(world):
     world.run_for(0.5)
     samples = record(robot, "imu")
     world.run_for(1.0)
-    forces = np.array([sample.specific_force for sample in samples])
-    rates = np.array([sample.angular_velocity for sample in samples])
+    forces = table(samples, "specific_force")
+    rates = table(samples, "angular_velocity")
     # What floor friction leaves of the command.
     real_speed, real_turn = speed - 9.8e-3, rates[:, 2].mean()
     assert real_turn == pytest.approx(turn, abs=3e-3)
@@ -160,7 +160,7 @@ def test_no_spike_when_it_is_put_elsewhere(world, reset):
     else:
         world.reset_simulation()
     world.run_for(0.3)
-    after = np.array([sample.specific_force for sample in samples])
+    after = table(samples, "specific_force")
     assert len(after) >= 29
     # It sinks in where it is put.
     assert np.abs(after).max() < 0.4
@@ -191,8 +191,8 @@ def test_noise_of_the_sensor_element():
     )
     model = imu_sensor(inner=inner)
     samples = readings(model, "imu", 10.0, seed=1)
-    rates = np.array([sample.angular_velocity for sample in samples])
-    forces = np.array([sample.specific_force for sample in samples])
+    rates = table(samples, "angular_velocity")
+    forces = table(samples, "specific_force")
     check_normal(rates[:, 0], 0.02)
     assert not rates[:, 1:].any()
     bias = round(forces[:, 2].mean())

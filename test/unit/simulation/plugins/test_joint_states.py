@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import check_refusal, record
+from sensor_worlds import check_refusal, record, steps
 
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -40,7 +40,7 @@ def test_a_hinge_swings_under_gravity(world):
     robot = world.add(pendulum("<updateRate>50</updateRate>"))
     samples = record(robot, "joint_states")
     world.run_for(0.8)
-    assert [sample.step for sample in samples] == list(range(20, 801, 20))
+    assert steps(samples) == list(range(20, 801, 20))
     assert {sample.names for sample in samples} == {("hinge",)}
     expected = swing(0.8)[19::20]
     positions = [sample.positions[0] for sample in samples]
@@ -66,7 +66,7 @@ def test_a_reset_puts_the_joints_back(world):
 def test_rates_and_names_may_be_chosen(world, rate, period):
     samples = record(world.add(pendulum(f"<jointName> hinge , </jointName>{rate}")), "joint_states")
     world.run_for(0.04)
-    assert [sample.step for sample in samples] == list(range(period, 41, period))
+    assert steps(samples) == list(range(period, 41, period))
     assert samples[0].names == ("hinge",)
 
 

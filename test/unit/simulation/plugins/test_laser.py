@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from noise_checks import check_normal
 from scipy import stats
-from sensor_worlds import box, carrier, check_refusal, empty, readings, record, sensor, thing
+from sensor_worlds import box, carrier, check_refusal, empty, readings, record, sensor, table, thing
 from shared import PACKAGE
 
 from bullet_lab.core.pose import Pose
@@ -169,7 +169,7 @@ def noisy_scans(deviation, mean=0.0, seed=1, rays=1000, scans=20):
     model = laser(ray(rays, (0.0, 0.0), more=noise(deviation, mean)))
     wall = box("1 1 1", "2.5 0 0 0 0 0")
     samples = readings(model, "scan", 0.1 * scans, [wall], seed=seed)
-    return np.array([scan.ranges for scan in samples])
+    return table(samples, "ranges")
 
 
 def test_noise_is_gaussian_with_the_given_moments():

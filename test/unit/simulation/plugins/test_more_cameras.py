@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
-from sensor_worlds import carrier, check_refusal, record, sensor
+from sensor_worlds import carrier, check_refusal, record, sensor, steps
 from shared import complains
 
 from bullet_lab.core.pose import Pose
@@ -132,8 +132,8 @@ def test_a_picture_for_each_trigger(robot, trigger, image):
         robot.command(trigger, Trigger())
         robot.command(trigger, Trigger())
         simulation.run_for(0.1)
-        assert [sample.step for sample in pictures] == [501, 601, 602]
-        assert [sample.step for sample in infos] == [501, 601, 602]
+        assert steps(pictures) == [501, 601, 602]
+        assert steps(infos) == [501, 601, 602]
         assert 1.0 / robot.plugins[0].schedule.period == 0.0
         robot.plugins[0].set_rate(30.0, simulation.step)
         simulation.run_for(0.1)

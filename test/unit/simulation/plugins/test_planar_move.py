@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import box, check_refusal, drive, record
+from sensor_worlds import box, check_refusal, drive, record, steps
 from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
@@ -132,7 +132,7 @@ def test_in_the_air_it_sinks_as_in_gazebo_and_no_floor_slows_it(world):
 def test_odometry_comes_when_more_than_a_period_has_passed(world, rate, gap):
     samples = record(world.add(block(f"<odometryRate>{rate}</odometryRate>")), "odom")
     world.run_for(0.5)
-    assert [sample.step for sample in samples] == list(range(gap, 501, gap))
+    assert steps(samples) == list(range(gap, 501, gap))
 
 
 def test_what_odometry_and_transform_say(world):
@@ -166,7 +166,7 @@ def test_no_spike_after_a_reset(world, robot, reset):
         assert dataclasses.astuple(sample.velocity) == pytest.approx((0, 0, 0), abs=1e-3)
         assert sample.pose.position == pytest.approx((0, 0, 0), abs=1e-4)
     first, end = (1071, 1526) if reset == "reset_world" else (51, 501)
-    assert [sample.step for sample in samples] == list(range(first, end, 51))
+    assert steps(samples) == list(range(first, end, 51))
 
 
 def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot):

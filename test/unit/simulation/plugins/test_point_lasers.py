@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import box, carrier, readings, sensor
+from sensor_worlds import box, carrier, readings, sensor, table
 
 ROWS, COLUMNS = 5, 24
 UP = np.radians(15.0)
@@ -80,7 +80,7 @@ def test_a_ray_without_a_hit_is_at_the_greatest_range_without_noise():
 def test_noise_of_a_block_is_on_each_coordinate():
     tags = f"{PLAIN}<gaussianNoise>0.1</gaussianNoise>"
     samples = scans("block", tags, ray=fan(noise=1.0), seconds=2.0)
-    errors = np.array([sample.points for sample in samples]) - in_the_room().reshape(-1, 3)
+    errors = table(samples, "points") - in_the_room().reshape(-1, 3)
     check_normal(errors, 0.1)
 
 

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import check_refusal, drive, record
+from sensor_worlds import check_refusal, drive, record, steps
 from shared import EMPTY_WORLD
 
 from bullet_lab.core.pose import Pose
@@ -136,7 +136,7 @@ def test_a_transform_where_it_is_asked_for(world):
     odometry, transforms = record(robot, "odom"), record(robot, "/tf")
     world.run_for(0.04)
     for samples in (odometry, transforms):
-        assert [sample.step for sample in samples] == [20, 40]
+        assert steps(samples) == [20, 40]
 
 
 @pytest.mark.parametrize(

@@ -29,18 +29,22 @@ def drive(world, **parameters):
     return robot, controller, listen(controller.odometry)
 
 
+def go(world, controller, seconds, vx=0.0, wz=0.0):
+    """Command a velocity and let time pass."""
+    controller.command(PlanarCommand(vx=vx, wz=wz))
+    world.run_for(seconds)
+
+
 def test_its_odometry_is_the_truth(world):
     robot, controller, odometry = drive(world, **GENTLE, cmd_vel_timeout=10.0)
-    controller.command(PlanarCommand(vx=0.5))
-    world.run_for(3.0)
+    go(world, controller, 3.0, vx=0.5)
     sample = odometry[-1]
     assert sample.pose.position[0] == pytest.approx(robot.pose().position[0], rel=0.02)
     assert sample.velocity.vx == pytest.approx(0.5, rel=0.01)
     assert (sample.frame, sample.child_frame) == ("odom", "base_link")
     assert sample.pose_variances == (0.001, 0.002, 0.003, 0.004, 0.005, 0.03)
     assert sample.twist_variances[-1] == 3.0
-    controller.command(PlanarCommand(wz=0.5))
-    world.run_for(3.0)
+    go(world, controller, 3.0, wz=0.5)
     pose, driven = odometry[-1].pose, robot.pose()
     assert math.dist(pose.position, driven.position) < 0.02
     assert pose.yaw == pytest.approx(driven.yaw, rel=0.02)
@@ -50,8 +54,7 @@ def test_it_stops_when_no_command_comes(world):
     robot, controller, _ = drive(world, cmd_vel_timeout=0.3)
     # Commands again and again keep it going.
     for seconds in (0.2, 0.2, 0.29):
-        controller.command(PlanarCommand(vx=0.2))
-        world.run_for(seconds)
+        go(world, controller, seconds, vx=0.2)
         assert controller.joints[0].velocity == pytest.approx(0.2 / 0.06, rel=0.02)
     world.run_for(0.05)
     assert controller.joints[0].command == 0.0
@@ -75,8 +78,7 @@ def test_it_says_what_is_left_of_a_command_by_its_limits(world):
         (9.0, 0.3, 0.4, 0.0),
         (-9.0, 0.4, -0.1, 0.0),
     ):
-        controller.command(PlanarCommand(vx=command))
-        world.run_for(seconds)
+        go(world, controller, seconds, vx=command)
         assert told[-1].velocity.vx == pytest.approx(left, rel=0.0, abs=within)
 
 
@@ -116,8 +118,7 @@ def test_open_loop_believes_its_commands(world):
     for joint in controller.joints:
         # Something blocks the wheels.
         joint.limits = joint.limits.__class__(velocity=0.0)
-    controller.command(PlanarCommand(vx=0.2))
-    world.run_for(2.0)
+    go(world, controller, 2.0, vx=0.2)
     assert abs(robot.pose().position[0]) < 0.01
     assert odometry[-1].pose.position[0] == pytest.approx(0.4, abs=0.005)
 
@@ -159,8 +160,7 @@ def test_it_is_adjusted_while_it_drives(world):
         "enable_odom_tf": True,
     }
     transforms = listen(controller.transform)
-    controller.command(PlanarCommand(vx=0.3, wz=1.0))
-    world.run_for(1.0)
+    go(world, controller, 1.0, vx=0.3, wz=1.0)
     before = odometry[-1].pose.position
     adjusted = settings(
         controller,
@@ -201,8 +201,7 @@ def test_what_cannot_be_adjusted_changes_nothing(world, name, value):
 
 def test_a_robot_that_is_put_elsewhere_has_not_driven_and_a_reset_begins_again(world):
     robot, controller, odometry = drive(world, cmd_vel_timeout=10.0)
-    controller.command(PlanarCommand(vx=0.2))
-    world.run_for(0.5)
+    go(world, controller, 0.5, vx=0.2)
     before = odometry[-1].pose.position[0]
     robot.place(Pose((3.0, 0.0, 0.0)))
     world.run_for(0.5)
