@@ -1,5 +1,11 @@
 """Robots and things that the tests of sensors share."""
 
+import re
+
+import numpy as np
+from shared import complains
+
+from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import World
 from bullet_lab.simulation.world.sdf import read_spawned
@@ -13,9 +19,9 @@ def empty(seed=0, gravity=(0.0, 0.0, 0.0)):
     return Simulation(World("empty", gravity=gravity), seed)
 
 
-def held():
+def held(seed=0):
     """A world with gravity, which sensors know of, and in which nothing falls."""
-    simulation = Simulation(World("held"))
+    simulation = Simulation(World("held"), seed)
     simulation._physics.set_gravity((0.0, 0.0, 0.0))
     return simulation
 
@@ -56,3 +62,37 @@ def record(robot, topic):
     samples = []
     robot.listen(topic, samples.append)
     return samples
+
+
+def steps(samples):
+    """The simulated times of samples."""
+    return [sample.step for sample in samples]
+
+
+def table(samples, name):
+    """An attribute of samples, a row for each."""
+    return np.array([getattr(sample, name) for sample in samples])
+
+
+def drive(world, robot, seconds, vx=0.0, wz=0.0, vy=0.0, topic="cmd_vel"):
+    """Command a velocity, m/s and rad/s, and return how the robot moves after that."""
+    start = robot.pose()
+    robot.command(topic, PlanarCommand(vx, vy, wz))
+    world.run_for(seconds)
+    return start.inverse() * robot.pose()
+
+
+def readings(model, topic, seconds=0.1, things=(), world=empty, seed=0, **where):
+    """What a robot among some things sends on a topic from the beginning on."""
+    with world(seed) as simulation:
+        for one in things:
+            simulation.add(one)
+        samples = record(simulation.add(model, **where), topic)
+        simulation.run_for(seconds)
+    return samples
+
+
+def check_refusal(model, message):
+    """Check that a robot is not simulated as it is, for a reason that is said."""
+    with empty() as simulation, complains(re.escape(message)):
+        simulation.add(model)

@@ -1,13 +1,11 @@
 """The depth camera against closed-form geometry."""
 
 import math
-import re
 
 import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
-from sensor_worlds import record
-from shared import complains
+from sensor_worlds import check_refusal, record, steps
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import DepthCamera
@@ -37,6 +35,11 @@ def add(simulation, **changes):
     robot = simulation.add(read_urdf(robot_text(**changes), "robot"))
     (camera,) = (device for device in robot.plugins if isinstance(device, DepthCamera))
     return robot, camera
+
+
+def measured(*models, **changes):
+    with world(*models) as simulation:
+        return add(simulation, **changes)[1].measure()
 
 
 def cutoff(least, greatest):
@@ -73,8 +76,7 @@ def test_depth_of_an_oblique_wall(yaw, distance, error):
     model, normal = wall(distance, yaw)
     x, _ = rays()
     exact = distance * normal[0] / (normal[0] - normal[1] * x)
-    with world(model) as simulation:
-        depths = add(simulation)[1].measure()
+    depths = measured(model)
     assert depths.dtype == np.float32
     inside = (exact > 0.4 + error) & (exact < 5.0 - error)
     assert inside.any()
@@ -99,8 +101,7 @@ def test_points_lie_where_the_wall_is():
 
 def test_what_is_too_near_hides_what_is_behind_it():
     plate = thing("plate", Box((0.02, 0.1, 0.1)), Pose((0.3, 0.0, 0.0)))
-    with world(wall(2.0, 0.0)[0], plate) as simulation:
-        depths = add(simulation)[1].measure()
+    depths = measured(wall(2.0, 0.0)[0], plate)
     assert np.isnan(depths[50:70, 65:95]).all()
     assert depths[60, 5] == pytest.approx(2.0, abs=1e-3)
 
@@ -153,9 +154,7 @@ def test_names_without_tags(plugin, caplog):
 
 @pytest.mark.parametrize(("plugin", "seen"), [("openni_kinect", False), ("depth_camera", True)])
 def test_how_far_each_plugin_sees_by_default(plugin, seen):
-    with world(wall(6.0, 0.0)[0]) as simulation:
-        depths = add(simulation, plugin=plugin)[1].measure()
-    assert np.isfinite(depths).all() == seen
+    assert np.isfinite(measured(wall(6.0, 0.0)[0], plugin=plugin)).all() == seen
 
 
 def test_each_output_is_worked_out_only_while_it_is_wanted(monkeypatch):
@@ -192,7 +191,7 @@ def test_all_is_of_one_moment_and_points_have_the_colours_of_the_picture(format,
         found = {output.topic: record(robot, output.topic) for output in camera.outputs}
         simulation.run_for(0.1)
     for samples in found.values():
-        assert [sample.step for sample in samples] == [50, 100]
+        assert steps(samples) == [50, 100]
     cloud, depth = found["points"][0], found["depth/image_raw"][0]
     assert depth.encoding == "32FC1"
     np.testing.assert_array_equal(cloud.points[..., 2], depth.pixels)
@@ -235,5 +234,4 @@ def test_millimetres_where_they_are_asked_for():
     ],
 )
 def test_tags_that_make_no_depth_camera(changes, message):
-    with world() as simulation, complains(re.escape(message)):
-        simulation.add(read_urdf(robot_text(**changes), "robot"))
+    check_refusal(read_urdf(robot_text(**changes), "robot"), message)

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, empty, held, record
-from shared import complains
+from sensor_worlds import carrier, check_refusal, empty, held, readings, record, steps, table
 
 from bullet_lab.core.pose import Pose
 
@@ -29,24 +28,16 @@ def elements(**texts):
     return "".join(f"<{name}>{text}</{name}>" for name, text in texts.items())
 
 
-def readings(make, tags, topic, seconds, seed=0, pose=None):
-    with held() as simulation:
-        simulation.seed = seed
-        added = simulation.add(robot(make, tags), pose=pose)
-        samples = record(added, topic)
-        simulation.run_for(seconds)
-    return samples
-
-
-def table(samples, name):
-    return np.array([getattr(sample, name) for sample in samples])
+def told(kind, topic, seconds, seed=0, pose=None, **tags):
+    model = robot(kind, elements(**tags))
+    return readings(model, topic, seconds, world=held, seed=seed, pose=pose)
 
 
 def test_without_errors_the_imu_reads_the_truth():
-    tags = elements(updateRate=100)
-    samples = readings("imu", tags, "imu", 0.5, pose=Pose.from_rpy((0, 0, 0), (0.3, 0.2, 0.1)))
+    pose = Pose.from_rpy((0, 0, 0), (0.3, 0.2, 0.1))
+    samples = told("imu", "imu", 0.5, pose=pose, updateRate=100)
     last = samples[-1]
-    assert [s.step for s in samples] == list(range(10, 501, 10))
+    assert steps(samples) == list(range(10, 501, 10))
     assert Pose(quaternion=last.orientation).rpy() == pytest.approx((0.3, 0.2, 0.1))
     up = Pose(quaternion=last.orientation).inverse().rotate((0.0, 0.0, G))
     assert last.specific_force == pytest.approx(up)
@@ -55,7 +46,10 @@ def test_without_errors_the_imu_reads_the_truth():
 
 
 def test_offset_scale_and_noise():
-    tags = elements(
+    samples = told(
+        "imu",
+        "imu",
+        2.0,
         updateRate=1000,
         accelOffset="0.1 0.2 0.3",
         accelScaleError=1.5,
@@ -63,7 +57,6 @@ def test_offset_scale_and_noise():
         accelGaussianNoise="0.01 0.02 0.03",
         yawGaussianNoise=0.5,
     )
-    samples = readings("imu", tags, "imu", 4.0)
     force = table(samples, "specific_force") - (0.1, 0.2, 1.5 * G + 0.3)
     for axis, deviation in enumerate((0.01, 0.02, 0.03)):
         check_normal(force[:, axis], deviation)
@@ -75,90 +68,86 @@ def test_offset_scale_and_noise():
 
 
 def test_the_old_tag_gaussian_noise_counts_for_both():
-    sample = readings("imu", "<gaussianNoise>0.1</gaussianNoise>", "imu", 0.01)[0]
+    sample = told("imu", "imu", 0.01, gaussianNoise=0.1)[0]
     assert sample.specific_force_variance == pytest.approx((0.01,) * 3)
     assert sample.angular_velocity_variance == pytest.approx((0.01,) * 3)
 
 
 def test_the_biases_of_accelerometer_and_yaw_turn_the_orientation():
-    tags = elements(updateRate=50, accelOffset="0.098 0 0", yawOffset=0.2)
-    samples = readings("imu", tags, "imu", 0.1)
-    biases = readings("imu", tags, "imu/bias", 0.1)
-    roll, pitch, yaw = Pose(quaternion=samples[-1].orientation).rpy()
+    tags = {"updateRate": 50, "accelOffset": "0.098 0 0", "yawOffset": 0.2}
+    samples, biases = (told("imu", topic, 0.1, **tags) for topic in ("imu", "imu/bias"))
     # The tilt at which gravity would explain the bias, in the small-angle form of hector.
-    assert (roll, pitch, yaw) == pytest.approx((0.0, -2.0 * math.atan(0.5 * 0.01), 0.2))
+    turned = (0.0, -2.0 * math.atan(0.5 * 0.01), 0.2)
+    assert Pose(quaternion=samples[-1].orientation).rpy() == pytest.approx(turned)
     assert biases[-1].orientation == pytest.approx(samples[-1].orientation)
     assert biases[-1].specific_force == pytest.approx((0.098, 0.0, 0.0))
 
 
 def test_drift_is_a_gauss_markov_process():
-    # 200 correlation times: 3 axes x 20,000 readings.
-    tags = elements(updateRate=100, rateDrift=0.3, rateDriftFrequency=1.0)
-    drift = table(readings("imu", tags, "imu", 200.0), "angular_velocity")
+    # 200 correlation times: 3 axes x 4,000 readings.
+    tags = {"updateRate": 100, "rateDrift": 0.3, "rateDriftFrequency": 5}
+    drift = table(told("imu", "imu", 40.0, **tags), "angular_velocity")
     # The variance of a mean square of n independent pairs is 2/n; a time constant has one.
     assert np.mean(drift**2) == pytest.approx(0.09, rel=4.0 * math.sqrt(2.0 / 600.0))
-    for lag in (0.5, 1.0):
-        later = round(100 * lag)
+    for later in (10, 20):
         found = np.mean(drift[:-later] * drift[later:]) / np.mean(drift**2)
-        assert found == pytest.approx(math.exp(-lag), abs=0.15)
+        assert found == pytest.approx(math.exp(-0.05 * later), abs=0.15)
     # From one reading to the next: a * drift + sqrt(1 - a^2) * 0.3 * normal.
-    kept = math.exp(-0.01)
+    kept = math.exp(-0.05)
     steps = (drift[1:] - kept * drift[:-1]) / (0.3 * math.sqrt(1.0 - kept * kept))
     check_normal(steps, 1.0)
     assert np.abs(drift[0]).max() > 0.01
 
 
 def test_drift_depends_on_seed_and_names_not_on_listeners():
-    tags = elements(updateRate=100, rateDrift=0.3, rateDriftFrequency=1)
-    first, again, other = (readings("imu", tags, "imu", 1.0, seed) for seed in (1, 1, 2))
-    assert (table(first, "angular_velocity") == table(again, "angular_velocity")).all()
-    assert (table(first, "angular_velocity") != table(other, "angular_velocity")).all()
-    with held() as simulation:
-        simulation.seed = 1
-        added = simulation.add(robot("imu", tags))
+    tags = {"updateRate": 100, "rateDrift": 0.3, "rateDriftFrequency": 1}
+    first, other = (
+        table(told("imu", "imu", 1.0, seed, **tags), "angular_velocity") for seed in (1, 2)
+    )
+    assert (first != other).all()
+    with held(1) as simulation:
+        added = simulation.add(robot("imu", elements(**tags)))
         simulation.run_for(0.5)
         late = record(added, "imu")
         simulation.run_for(0.5)
-        assert (table(late, "angular_velocity") == table(first[50:], "angular_velocity")).all()
+        assert (table(late, "angular_velocity") == first[50:]).all()
         simulation.reset_simulation()
         late.clear()
         simulation.run_for(1.0)
-    assert (table(late, "angular_velocity") == table(first, "angular_velocity")).all()
+    assert (table(late, "angular_velocity") == first).all()
 
 
 def test_a_fix_is_metres_in_degrees_about_the_reference():
-    tags = elements(
-        referenceLatitude=45, referenceLongitude=9, referenceAltitude=100, status=2, service=3
-    )
+    tags = {"referenceLatitude": 45, "referenceLongitude": 9, "referenceAltitude": 100}
     at = Pose((NORTH_45, -EAST_45, 7.0))
-    fix = readings("gps", tags, "fix", 1.0, pose=at)
-    assert [sample.step for sample in fix] == [250, 500, 750, 1000]
+    fix = told("gps", "fix", 1.0, pose=at, status=2, service=3, **tags)
+    assert steps(fix) == [250, 500, 750, 1000]
     last = fix[-1]
     assert (last.latitude, last.longitude) == pytest.approx((46.0, 10.0), abs=2e-6)
     assert (last.altitude, last.status, last.service) == (107.0, 2, 3)
     assert last.frame == "/world"
     # The x axis points east at a heading of 90°, and then y points north.
-    turned = f"{tags}<referenceHeading>90</referenceHeading>"
-    last = readings("gps", turned, "fix", 0.3, pose=Pose((EAST_45, NORTH_45, 0.0)))[-1]
+    at = Pose((EAST_45, NORTH_45, 0.0))
+    last = told("gps", "fix", 0.3, pose=at, referenceHeading=90, **tags)[-1]
     assert (last.latitude, last.longitude) == pytest.approx((46.0, 10.0), abs=2e-6)
 
 
 def test_errors_of_a_fix_and_velocity():
-    tags = elements(
-        updateRate=100,
-        referenceLatitude=45,
-        offset="1 2 3",
-        gaussianNoise=0.5,
-        drift="0 0 4",
-        velocityOffset="0.1 0 0",
-    )
-    fix = readings("gps", tags, "fix", 20.0)
+    tags = {
+        "updateRate": 100,
+        "referenceLatitude": 45,
+        "offset": "1 2 3",
+        "gaussianNoise": 0.5,
+        "drift": "0 0 4",
+        "velocityOffset": "0.1 0 0",
+    }
+    fix = told("gps", "fix", 20.0, **tags)
     assert fix[0].variances == pytest.approx((0.25, 0.25, 16.25))
     north = (table(fix, "latitude") - 45.0) * NORTH_45
     check_normal(north, 0.5, 1.0)
     west = -(table(fix, "longitude") - 8.9) * EAST_45
     check_normal(west, 0.5, 2.0)
-    velocity = readings("gps", tags, "fix_velocity", 0.1)
+    velocity = told("gps", "fix_velocity", 0.1, **tags)
     assert velocity[-1].vector == pytest.approx((0.1, 0.0, 0.0))
 
 
@@ -184,8 +173,7 @@ def test_the_velocity_is_along_north_west_and_up():
     ],
 )
 def test_wrong_tags(kind, tags, complaint):
-    with empty() as simulation, complains(complaint):
-        simulation.add(robot(kind, tags))
+    check_refusal(robot(kind, tags), complaint)
 
 
 def test_names_of_older_versions_are_ignored_quietly(caplog):
@@ -195,15 +183,10 @@ def test_names_of_older_versions_are_ignored_quietly(caplog):
 
 
 def test_the_drift_of_the_velocity_carries_the_position_away():
-    tags = elements(
-        updateRate=10,
-        referenceLatitude=45,
-        driftFrequency=0,
-        velocityDrift=1,
-        velocityDriftFrequency=0,
-    )
-    speed = readings("gps", tags, "fix_velocity", 0.1)[0].vector[0]
-    fix = readings("gps", tags, "fix", 5.0)
+    tags = {"driftFrequency": 0, "velocityDrift": 1, "velocityDriftFrequency": 0}
+    tags = {"updateRate": 10, "referenceLatitude": 45, **tags}
+    speed = told("gps", "fix_velocity", 0.1, **tags)[0].vector[0]
+    fix = told("gps", "fix", 5.0, **tags)
     # The drift at a step is that of the velocities before.
     north = (table(fix, "latitude") - 45.0) * NORTH_45
     assert north == pytest.approx(0.1 * speed * np.arange(50), abs=1e-3)

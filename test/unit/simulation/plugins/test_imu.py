@@ -1,16 +1,14 @@
+import functools
 import math
-import re
 
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, empty, held, record, sensor
-from shared import EMPTY_WORLD, complains
+from sensor_worlds import carrier, check_refusal, empty, held, readings, record, sensor, table
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.motion_sensors import Accelerometer
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf
 
 G = 9.8
@@ -39,8 +37,7 @@ def imu_sensor(tags=SENSOR_TAGS, inner=""):
     return carrier(sensor("imu", inner, "libgazebo_ros_imu_sensor.so", tags))
 
 
-# What each plugin reads at rest, upwards: that of the model feels no gravity, as in Gazebo.
-BOTH = pytest.mark.parametrize(("make", "rest"), [(imu, 0.0), (imu_sensor, G)])
+FALLING = functools.partial(empty, gravity=(0.0, 0.0, -G))
 
 
 def block(rate, at="0 0 0.05"):
@@ -56,42 +53,27 @@ def block(rate, at="0 0 0.05"):
     )
 
 
-def driving(command):
-    with Simulation.of(EMPTY_WORLD) as simulation:
-        robot = simulation.add(block(1000, at="0.02 0 0.05"))
-        samples = record(robot, "imu")
-        robot.command("cmd_vel", command)
-        simulation.run_for(0.5)
-        samples.clear()
-        simulation.run_for(1.0)
-    return samples
-
-
-@BOTH
-def test_at_rest_the_sensor_reads_gravity_upwards(make, rest):
-    with held() as simulation:
-        samples = record(simulation.add(make()), "imu")
-        simulation.run_for(0.1)
-    assert samples[-1].specific_force == pytest.approx((0, 0, rest), abs=1e-9)
-    assert samples[-1].angular_velocity == pytest.approx((0, 0, 0), abs=1e-9)
-    assert samples[-1].orientation == (0.0, 0.0, 0.0, 1.0)
-
-
-@BOTH
-def test_in_free_fall_the_sensor_reads_nothing(make, rest):
-    with Simulation() as simulation:
-        samples = record(simulation.add(make(), pose=Pose((0, 0, 100))), "imu")
-        simulation.run_for(0.1)
+# That of the model feels no gravity, as in Gazebo.
+@pytest.mark.parametrize(("make", "rest"), [(imu, 0.0), (imu_sensor, G)])
+@pytest.mark.parametrize(("world", "fall", "within"), [(held, 0.0, 1e-9), (FALLING, G, 1e-6)])
+def test_at_rest_gravity_is_read_upwards_and_in_free_fall_nothing(make, rest, world, fall, within):
+    samples = readings(make(), "imu", world=world)
     assert len(samples) == 10
     for sample in samples:
-        assert sample.specific_force == pytest.approx((0, 0, rest - G), abs=1e-6)
+        assert sample.specific_force == pytest.approx((0, 0, rest - fall), abs=within)
+        assert sample.angular_velocity == pytest.approx((0, 0, 0), abs=1e-9)
+        assert sample.orientation == (0.0, 0.0, 0.0, 1.0)
 
 
-def test_a_turn_at_speed_reads_the_centripetal_acceleration():
+def test_a_turn_at_speed_reads_the_centripetal_acceleration(world):
     speed, turn = 0.3, 0.5
-    samples = driving(PlanarCommand(vx=speed, wz=turn))
-    forces = np.array([sample.specific_force for sample in samples])
-    rates = np.array([sample.angular_velocity for sample in samples])
+    robot = world.add(block(1000, at="0.02 0 0.05"))
+    robot.command("cmd_vel", PlanarCommand(vx=speed, wz=turn))
+    world.run_for(0.5)
+    samples = record(robot, "imu")
+    world.run_for(1.0)
+    forces = table(samples, "specific_force")
+    rates = table(samples, "angular_velocity")
     # What floor friction leaves of the command.
     real_speed, real_turn = speed - 9.8e-3, rates[:, 2].mean()
     assert real_turn == pytest.approx(turn, abs=3e-3)
@@ -102,15 +84,13 @@ def test_a_turn_at_speed_reads_the_centripetal_acceleration():
     assert (forces.std(axis=0) < (0.3, 0.3, 1.0)).all()
 
 
-def test_readings_add_up_to_the_change_of_velocity():
+def test_readings_add_up_to_the_change_of_velocity(world):
     rate = 40
-    with Simulation.of(EMPTY_WORLD) as simulation:
-        robot = simulation.add(block(rate))
-        samples = record(robot, "imu")
-        simulation.run_for(0.5)
-        samples.clear()
-        robot.command("cmd_vel", PlanarCommand(vx=0.4))
-        simulation.run_for(0.5)
+    robot = world.add(block(rate))
+    world.run_for(0.5)
+    samples = record(robot, "imu")
+    robot.command("cmd_vel", PlanarCommand(vx=0.4))
+    world.run_for(0.5)
     gained = sum(sample.specific_force[0] for sample in samples) / rate
     # The velocity before friction acts, as Gazebo's plugin reads it.
     assert gained == pytest.approx(0.4, abs=2e-3)
@@ -168,20 +148,19 @@ def test_the_accelerometer_averages_over_the_whole_of_a_longer_period():
 
 
 @pytest.mark.parametrize("reset", ["reset_simulation", "place"])
-def test_no_spike_when_it_is_put_elsewhere(reset):
-    with Simulation.of(EMPTY_WORLD) as simulation:
-        robot = simulation.add(block(100))
-        samples = record(robot, "imu")
-        robot.command("cmd_vel", PlanarCommand(vx=0.5))
-        simulation.run_for(0.305)
-        before = len(samples)
-        if reset == "place":
-            robot.command("cmd_vel", PlanarCommand())
-            robot.place(Pose((3, 0, 0)))
-        else:
-            getattr(simulation, reset)()
-        simulation.run_for(0.3)
-    after = np.array([sample.specific_force for sample in samples[before:]])
+def test_no_spike_when_it_is_put_elsewhere(world, reset):
+    robot = world.add(block(100))
+    samples = record(robot, "imu")
+    robot.command("cmd_vel", PlanarCommand(vx=0.5))
+    world.run_for(0.305)
+    samples.clear()
+    if reset == "place":
+        robot.command("cmd_vel", PlanarCommand())
+        robot.place(Pose((3, 0, 0)))
+    else:
+        world.reset_simulation()
+    world.run_for(0.3)
+    after = table(samples, "specific_force")
     assert len(after) >= 29
     # It sinks in where it is put.
     assert np.abs(after).max() < 0.4
@@ -190,26 +169,18 @@ def test_no_spike_when_it_is_put_elsewhere(reset):
 # Noise
 
 
-def noisy(model, seed=1, seconds=1.0):
-    with empty(seed) as simulation:
-        samples = record(simulation.add(model), "imu")
-        simulation.run_for(seconds)
-    return samples
-
-
 @pytest.mark.parametrize("make", [imu, lambda tags: imu_sensor(SENSOR_TAGS + tags)])
 def test_noise_and_covariances(make):
-    samples = noisy(make("<gaussianNoise>0.05</gaussianNoise>"))
-    check_normal([sample.specific_force for sample in samples], 0.05)
-    check_normal([sample.angular_velocity for sample in samples], 0.05)
+    samples = readings(make("<gaussianNoise>0.05</gaussianNoise>"), "imu", 1.0, seed=1)
+    for name in ("specific_force", "angular_velocity"):
+        check_normal([getattr(sample, name) for sample in samples], 0.05)
+        assert getattr(samples[-1], f"{name}_variance") == pytest.approx(0.0025)
     # Half the rotation vector, near enough.
     turns = 2.0 * np.array([sample.orientation[:3] for sample in samples])
     check_normal(turns, 0.05)
     last = samples[-1]
     assert math.hypot(*last.orientation) == pytest.approx(1.0, abs=1e-12)
     assert last.orientation_variance == pytest.approx(0.0025)
-    assert last.angular_velocity_variance == pytest.approx(0.0025)
-    assert last.specific_force_variance == pytest.approx(0.0025)
 
 
 def test_noise_of_the_sensor_element():
@@ -218,9 +189,10 @@ def test_noise_of_the_sensor_element():
         f"<imu><angular_velocity><x>{noise.format(0, 0.02, 0)}</x></angular_velocity>"
         f"<linear_acceleration><z>{noise.format(0, 0.3, 2.0)}</z></linear_acceleration></imu>"
     )
-    samples = noisy(imu_sensor(inner=inner), seconds=10.0)
-    rates = np.array([sample.angular_velocity for sample in samples])
-    forces = np.array([sample.specific_force for sample in samples])
+    model = imu_sensor(inner=inner)
+    samples = readings(model, "imu", 10.0, seed=1)
+    rates = table(samples, "angular_velocity")
+    forces = table(samples, "specific_force")
     check_normal(rates[:, 0], 0.02)
     assert not rates[:, 1:].any()
     bias = round(forces[:, 2].mean())
@@ -230,7 +202,7 @@ def test_noise_of_the_sensor_element():
     variances = (first.angular_velocity_variance, first.specific_force_variance)
     assert (*variances, first.orientation_variance) == pytest.approx((4e-4, 0.09, 0.0))
     signs = {
-        round(noisy(imu_sensor(inner=inner), seed, 0.01)[0].specific_force[2] / 2.0)
+        round(readings(model, "imu", 0.01, seed=seed)[0].specific_force[2] / 2.0)
         for seed in range(20)
     }
     assert signs == {-1, 1}
@@ -248,50 +220,45 @@ def test_noise_of_the_sensor_element():
 )
 def test_the_rate_is_that_of_the_slower_of_plugin_and_sensor(model, count):
     # The plugin of a model waits for 143 whole steps.
-    assert len(noisy(model)) == count
+    assert len(readings(model, "imu", 1.0)) == count
 
 
-def test_defaults_of_the_models_plugin():
-    bare = carrier(
-        '<gazebo><plugin name="imu" filename="libgazebo_ros_imu"><bodyName>base</bodyName>'
-        "</plugin></gazebo>"
-    )
-    with empty() as simulation:
-        robot = simulation.add(bare, namespace="ns", tf_prefix="robot")
-        samples = record(robot, "/default_imu")
-        simulation.run_for(0.005)
-    assert [(s.step, s.frame) for s in samples] == [(step, "base") for step in range(1, 6)]
+BARE = carrier(
+    '<gazebo><plugin name="imu" filename="libgazebo_ros_imu"><bodyName>base</bodyName></plugin>'
+    "</gazebo>"
+)
 
 
-def test_defaults_of_the_sensors_plugin():
-    with empty() as simulation:
-        robot = simulation.add(imu_sensor(FRAME), namespace="ns", tf_prefix="robot")
-        samples = record(robot, "/ns/imu_data")
-        simulation.run_for(2.0)
-    assert [(s.step, s.frame) for s in samples] == [(1000, "imu_link"), (2000, "imu_link")]
+@pytest.mark.parametrize(
+    ("model", "topic", "frame", "steps"),
+    [
+        (BARE, "/default_imu", "base", range(1, 2001)),
+        (imu_sensor(FRAME), "/ns/imu_data", "imu_link", (1000, 2000)),
+    ],
+)
+def test_defaults(model, topic, frame, steps):
+    samples = readings(model, topic, 2.0, namespace="ns", tf_prefix="robot")
+    assert [(sample.step, sample.frame) for sample in samples] == [(step, frame) for step in steps]
 
 
 def test_the_initial_orientation_may_be_the_reference():
     tag = "<initialOrientationAsReference>true</initialOrientationAsReference>"
-    with empty() as simulation:
-        place = Pose.from_rpy((0, 0, 0), (0, 0, 0.7))
-        samples = record(simulation.add(imu_sensor(SENSOR_TAGS + tag), pose=place), "imu")
-        simulation.run_for(0.01)
+    place = Pose.from_rpy((0, 0, 0), (0, 0, 0.7))
+    samples = readings(imu_sensor(SENSOR_TAGS + tag), "imu", 0.01, pose=place)
     assert samples[0].orientation == pytest.approx((0, 0, 0, 1))
 
 
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (lambda: imu(body=""), "<bodyName>: is missing"),
-        (lambda: imu("<xyzOffset>0 0</xyzOffset>"), "<xyzOffset>: '0 0' is not 3 finite numbers"),
-        (lambda: imu_sensor(""), "<frameName>: is missing"),
-        (lambda: carrier(sensor("ray", "", "libgazebo_ros_imu_sensor.so", FRAME)), 'type="imu"'),
+        (imu(body=""), "<bodyName>: is missing"),
+        (imu("<xyzOffset>0 0</xyzOffset>"), "<xyzOffset>: '0 0' is not 3 finite numbers"),
+        (imu_sensor(""), "<frameName>: is missing"),
+        (carrier(sensor("ray", "", "libgazebo_ros_imu_sensor.so", FRAME)), 'type="imu"'),
     ],
 )
 def test_refusals(model, message):
-    with empty() as simulation, complains(re.escape(message)):
-        simulation.add(model())
+    check_refusal(model, message)
 
 
 def test_gravity_in_any_direction_is_felt_in_the_sensors_axes():

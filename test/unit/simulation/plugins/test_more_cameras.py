@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
-from sensor_worlds import carrier, record, sensor
+from sensor_worlds import carrier, check_refusal, record, sensor, steps
 from shared import complains
 
 from bullet_lab.core.pose import Pose
@@ -18,6 +18,7 @@ from bullet_lab.simulation.world.sdf_writer import world_text
 RED = (1.0, 0.0, 0.0, 1.0)
 IMAGE = "<image><width>{}</width><height>{}</height><format>{}</format></image>"
 FOV = 1.2
+SIDES = ("left", "right")
 FOCAL = 160 / math.tan(0.5 * FOV)
 BASELINE = 0.12
 NAME = "<cameraName>eyes</cameraName><frameName>lens</frameName>"
@@ -56,35 +57,37 @@ def floating(*things):
     return simulation_of(*things, gravity=(0.0, 0.0, 0.0))
 
 
+def sent(model, *topics, things=(), seconds=0.05):
+    """What a robot among things sends on some of its cameras' topics, a list for each."""
+    with floating(*things) as simulation:
+        robot = simulation.add(model)
+        samples = [record(robot, f"eyes/{topic}") for topic in topics]
+        simulation.run_for(seconds)
+    return samples
+
+
 TARGET = thing("target", Box((0.002, 0.2, 0.2)), Pose((2.1, 0.1, 0.05)), RED)
 
 
 def test_a_pair_sees_the_disparity_of_its_baseline():
-    with floating(TARGET) as simulation:
-        robot = simulation.add(pair())
-        sides = {side: record(robot, f"eyes/{side}/image_raw") for side in ("left", "right")}
-        infos = {side: record(robot, f"eyes/{side}/camera_info") for side in sides}
-        simulation.run_for(0.1)
-    assert [sample.step for sample in sides["left"]] == [50, 100]
-    assert [sample.step for sample in sides["right"]] == [50, 100]
-    assert sides["left"][0].frame == sides["right"][0].frame == "lens"
-    ((left, row),), ((right, other),) = (blobs(sides[side][0].pixels) for side in sides)
+    topics = [f"{side}/{name}" for name in ("image_raw", "camera_info") for side in SIDES]
+    found = sent(pair(), *topics, things=[TARGET], seconds=0.1)
+    for samples in found:
+        assert [(sample.step, sample.frame) for sample in samples] == [(50, "lens"), (100, "lens")]
+    ((left, row),), ((right, other),) = (blobs(samples[0].pixels) for samples in found[:2])
     # The front of the target is 1.999 m ahead of the cameras, which are 0.1 m ahead of the link.
     assert left - right == pytest.approx(FOCAL * BASELINE / 1.999, abs=0.5)
     assert (row, other) == pytest.approx((119.5 - FOCAL * 0.05 / 1.999,) * 2, abs=0.5)
     assert left == pytest.approx(159.5 - FOCAL * 0.04 / 1.999, abs=0.5)
-    assert [infos[side][0].baseline for side in ("left", "right")] == [0.0, BASELINE]
+    assert [samples[0].baseline for samples in found[2:]] == [0.0, BASELINE]
 
 
 def test_each_head_has_noise_of_its_own():
     noise = "<noise><type>gaussian</type><stddev>0.1</stddev></noise>"
     heads = camera("left", more=noise) + camera("right", more=noise)
     robot = carrier(sensor("multicamera", heads, LIBRARY.format("multicamera"), NAME))
-    with floating() as simulation:
-        added = simulation.add(robot)
-        sides = [record(added, f"eyes/{side}/image_raw") for side in ("left", "right")]
-        simulation.run_for(0.04)
-    assert (sides[0][0].pixels != sides[1][0].pixels).mean() > 0.5
+    (left,), (right,) = sent(robot, *(f"{side}/image_raw" for side in SIDES), seconds=0.04)
+    assert (left.pixels != right.pixels).mean() > 0.5
 
 
 def test_a_saved_pair_is_a_pair_again(tmp_path):
@@ -129,8 +132,8 @@ def test_a_picture_for_each_trigger(robot, trigger, image):
         robot.command(trigger, Trigger())
         robot.command(trigger, Trigger())
         simulation.run_for(0.1)
-        assert [sample.step for sample in pictures] == [501, 601, 602]
-        assert [sample.step for sample in infos] == [501, 601, 602]
+        assert steps(pictures) == [501, 601, 602]
+        assert steps(infos) == [501, 601, 602]
         assert 1.0 / robot.plugins[0].schedule.period == 0.0
         robot.plugins[0].set_rate(30.0, simulation.step)
         simulation.run_for(0.1)
@@ -178,34 +181,25 @@ def test_a_point_is_where_the_lens_function_maps_it(kind, fov, angles, cutoff, m
     robot = single("camera", "wideanglecamera", width=WIDTH, height=WIDTH, fov=fov, more=lens)
     middle, balls, expected = 0.5 * (WIDTH - 1), [], []
     for number, angle in enumerate(angles):
-        for turn in (0.3 + 0.4 * number, 2.1 + 0.4 * number, 4.0 + 0.4 * number):
-            right, down = math.sin(angle) * math.cos(turn), math.sin(angle) * math.sin(turn)
-            place = Pose((4.0 * math.cos(angle), -4.0 * right, -4.0 * down))
-            balls.append(thing(f"ball{len(balls)}", Sphere(0.1), place, RED))
-            distance = 0.5 * WIDTH * radius(kind, angle, fov, 4.0)
-            offset = distance * math.cos(turn), distance * math.sin(turn)
-            expected.append((middle + offset[0], middle + offset[1]))
-    with floating(*balls) as simulation:
-        added = simulation.add(robot)
-        pictures = record(added, "eyes/image_raw")
-        simulation.run_for(0.05)
-    found = blobs(pictures[0].pixels)
+        for turn in np.array((0.3, 2.1, 4.0)) + 0.4 * number:
+            around = np.array((math.cos(turn), math.sin(turn)))
+            place = (4.0 * math.cos(angle), *(-4.0 * math.sin(angle) * around).tolist())
+            balls.append(thing(f"ball{len(balls)}", Sphere(0.1), Pose(place), RED))
+            expected.append(middle + 0.5 * WIDTH * radius(kind, angle, fov, 4.0) * around)
+    ((picture,),) = sent(robot, "image_raw", things=balls)
+    found = blobs(picture.pixels)
     assert len(found) == len(expected)
     for point in expected:
         assert np.linalg.norm(found - point, axis=1).min() < 0.5
     corner = radius(kind, cutoff, fov, 4.0) * (middle + 0.5)
     if corner < middle * math.sqrt(2.0):
-        assert (pictures[0].pixels[0, 0] == 0).all()
+        assert (picture.pixels[0, 0] == 0).all()
 
 
 def test_without_scaling_f_counts_and_the_middle_is_published():
     lens = "<lens><type>equidistant</type><scale_to_hfov>false</scale_to_hfov></lens>"
     robot = single("camera", "wideanglecamera", width=400, fov=2.0, more=lens)
-    with floating() as simulation:
-        added = simulation.add(robot)
-        infos = record(added, "eyes/camera_info")
-        simulation.run_for(0.05)
-    (info,) = infos
+    ((info,),) = sent(robot, "camera_info")
     assert (info.camera.fx, info.camera.cx) == pytest.approx((200.0, 199.5))
     assert not any(info.camera.distortion)
 
@@ -227,22 +221,17 @@ TINY = "<custom_function><c1>1e-17</c1><fun>id</fun></custom_function>"
 def test_wrong_lenses(fov, kind, more, complaint):
     lens = f"<lens><type>{kind}</type>{more}</lens>"
     robot = single("camera", "wideanglecamera", width=41, height=41, fov=fov, more=lens)
-    with floating() as simulation, complains(complaint):
-        simulation.add(robot)
+    check_refusal(robot, complaint)
 
 
-def picture(format, noise=""):
+def picture_in(format):
     back = thing("back", Box((0.1, 9.0, 9.0)), Pose((4.0, 0.0, 0.0)), (0.2, 0.5, 0.8, 1.0))
-    with floating(TARGET, back) as simulation:
-        added = simulation.add(single(format=format, more=noise))
-        pictures = record(added, "eyes/image_raw")
-        simulation.run_for(0.05)
-    return pictures[0]
+    return sent(single(format=format), "image_raw", things=[TARGET, back])[0][0]
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GBRG", "GRBG"])
 def test_bayer_has_one_colour_in_a_pixel(pattern):
-    colours, mosaic = picture("R8G8B8").pixels, picture(f"BAYER_{pattern}8")
+    colours, mosaic = picture_in("R8G8B8").pixels, picture_in(f"BAYER_{pattern}8")
     assert mosaic.encoding == f"bayer_{pattern.lower()}8"
     for place, letter in enumerate(pattern):
         row, column = divmod(place, 2)
@@ -261,7 +250,7 @@ def test_bayer_has_one_colour_in_a_pixel(pattern):
     ],
 )
 def test_other_formats(format, encoding, plain, factor):
-    found, eight = picture(format), picture(plain)
+    found, eight = picture_in(format), picture_in(plain)
     assert found.encoding == encoding
     assert found.pixels.dtype == (np.uint16 if factor > 1 else np.uint8)
     assert (found.pixels == factor * eight.pixels.astype(int)).all()
@@ -269,5 +258,4 @@ def test_other_formats(format, encoding, plain, factor):
 
 def test_a_depth_camera_has_no_bayer():
     robot = single("depth_camera", "depth", format="BAYER_RGGB8")
-    with floating() as simulation, complains("'BAYER_RGGB8' is not one of R8G8B8"):
-        simulation.add(robot)
+    check_refusal(robot, "'BAYER_RGGB8' is not one of R8G8B8")

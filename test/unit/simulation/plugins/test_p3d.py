@@ -2,8 +2,7 @@ import math
 
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, empty, record
-from shared import complains
+from sensor_worlds import carrier, check_refusal, empty, readings, record, steps
 
 from bullet_lab.core.pose import Pose
 
@@ -70,30 +69,24 @@ def test_the_offsets_move_the_pose_in_the_frame_and_nothing_else():
 
 
 def test_noise_is_on_the_velocity_and_its_square_in_the_covariances():
-    with empty(2) as simulation:
-        model = p3d("<gaussianNoise>0.2</gaussianNoise>")
-        samples = record(simulation.add(model), "truth")
-        simulation.run_for(1.0)
+    samples = readings(p3d("<gaussianNoise>0.2</gaussianNoise>"), "truth", 1.0, seed=2)
     check_normal([(*sample.linear, *sample.angular) for sample in samples], 0.2)
     assert {sample.pose.position for sample in samples} == {(0.0, 0.0, 0.0)}
     assert samples[0].variance == pytest.approx(0.04)
 
 
 def test_each_sample_waits_for_a_period():
-    with empty() as simulation:
-        samples = record(simulation.add(p3d("<updateRate>7</updateRate>")), "truth")
-        simulation.run_for(1.0)
-    assert [sample.step for sample in samples] == [143 * k for k in range(1, 7)]
+    samples = readings(p3d("<updateRate>7</updateRate>"), "truth", 1.0)
+    assert steps(samples) == [143 * k for k in range(1, 7)]
 
 
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (lambda: p3d(body=""), "<bodyName>: is missing"),
-        (lambda: p3d(topic=""), "<topicName>: is missing"),
-        (lambda: p3d("<frameName>nowhere</frameName>"), "no link 'nowhere'"),
+        (p3d(body=""), "<bodyName>: is missing"),
+        (p3d(topic=""), "<topicName>: is missing"),
+        (p3d("<frameName>nowhere</frameName>"), "no link 'nowhere'"),
     ],
 )
 def test_refusals(model, message):
-    with empty() as simulation, complains(message):
-        simulation.add(model())
+    check_refusal(model, message)

@@ -1,9 +1,10 @@
+import dataclasses
 import math
 
 import numpy as np
 import pytest
-from sensor_worlds import box, record
-from shared import complains
+from sensor_worlds import box, check_refusal, drive, record, steps
+from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins import PluginError
@@ -47,9 +48,7 @@ def test_figure_1a_points(published_run, figure_corners):
 
 
 def test_a_command_is_latched_and_loses_friction(world, robot):
-    robot.command("cmd_vel", PlanarCommand(vx=0.2, vy=-0.1))
-    world.run_for(2.0)
-    x, y, _ = robot.pose().position
+    x, y, _ = drive(world, robot, 2.0, vx=0.2, vy=-0.1).position
     speed = math.hypot(0.2, 0.1) - FRICTION_LOSS
     assert math.hypot(x, y) == pytest.approx(2.0 * speed, abs=2e-4)
     assert y / x == pytest.approx(-0.5, abs=1e-3)
@@ -57,38 +56,27 @@ def test_a_command_is_latched_and_loses_friction(world, robot):
 
 def test_friction_of_the_robot_counts_and_the_radius_may_be_given(world):
     slippery = world.add(block("<supportRadius>0</supportRadius>", mu="0.5"))
-    slippery.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(1.0)
-    assert slippery.pose().position[0] == pytest.approx(0.2 - 0.5 * FRICTION_LOSS, abs=1e-4)
-    slippery.command("cmd_vel", PlanarCommand(wz=0.5))
-    world.run_for(1.0)
-    assert slippery.pose().yaw == pytest.approx(0.5, abs=1e-3)
+    driven = drive(world, slippery, 1.0, vx=0.2).position
+    assert driven[0] == pytest.approx(0.2 - 0.5 * FRICTION_LOSS, abs=1e-4)
+    assert drive(world, slippery, 1.0, wz=0.5).yaw == pytest.approx(0.5, abs=1e-3)
 
 
 def test_a_turn_loses_the_moment_of_the_patch(world, robot):
-    robot.command("cmd_vel", PlanarCommand(wz=-0.5236))
-    world.run_for(1.0)
+    turned = drive(world, robot, 1.0, wz=-0.5236)
     lost = 4.51 * 9.8 * RADIUS * 1e-3 / 7.5125e-3
-    assert robot.pose().yaw == pytest.approx(-(0.5236 - lost), abs=5e-4)
-    x, y, _ = robot.pose().position
-    assert math.hypot(x, y) < 1e-4
+    assert turned.yaw == pytest.approx(-(0.5236 - lost), abs=5e-4)
+    assert math.hypot(*turned.position[:2]) < 1e-4
 
 
 def test_velocities_turn_with_the_robot(world):
-    robot = world.spawn(
-        "package://bullet_lab/urdf/block_robot.urdf",
-        pose=Pose.from_rpy((1, 2, 0), (0, 0, math.pi / 2)),
-    )
+    robot = world.spawn(BLOCK_ROBOT, pose=Pose.from_rpy((1, 2, 0), (0, 0, math.pi / 2)))
     samples = record(robot, "odom")
-    robot.command("cmd_vel", PlanarCommand(vx=0.2, vy=0.05, wz=0.3))
-    world.run_for(0.1)
+    drive(world, robot, 0.1, vx=0.2, vy=0.05, wz=0.3)
     x, y, _ = robot.pose().position
     assert y > 2.015
     assert x < 0.998
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(0.2)
-    velocity = samples[-1].velocity
-    told = (velocity.vx, velocity.vy, velocity.wz)
+    drive(world, robot, 0.2, vx=0.2)
+    told = dataclasses.astuple(samples[-1].velocity)
     assert told == pytest.approx((0.2 - FRICTION_LOSS, 0.0, 0.0), abs=1e-3)
 
 
@@ -101,22 +89,11 @@ def test_a_command_moves_the_robot_in_the_very_next_step(world, robot):
 def test_a_command_times_out(world):
     world.run_until(137)
     robot = world.add(block("<cmdTimeout>0.1</cmdTimeout>"))
-    for _ in range(2):
-        start = robot.pose().position[0]
-        robot.command("cmd_vel", PlanarCommand(vx=0.2))
-        world.run_for(0.2)
-        driven = robot.pose().position[0] - start
+    for change in (lambda: None, lambda: None, world.reset_simulation):
+        change()
+        driven = drive(world, robot, 0.3, vx=0.2).position[0]
         # 100 steps, not one more or less.
         assert driven == pytest.approx(0.1 * (0.2 - FRICTION_LOSS), abs=5e-5)
-
-
-def test_a_time_out_counts_anew_after_a_reset(world):
-    robot = world.add(block("<cmdTimeout>0.1</cmdTimeout>"))
-    world.run_for(0.5)
-    world.reset_simulation()
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(0.3)
-    assert robot.pose().position[0] == pytest.approx(0.1 * (0.2 - FRICTION_LOSS), abs=5e-5)
 
 
 def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, robot):
@@ -147,20 +124,15 @@ def test_a_wall_stops_the_block(world, robot, yaw, speed):
 
 def test_in_the_air_it_sinks_as_in_gazebo_and_no_floor_slows_it(world):
     robot = world.add(block(), pose=Pose((0, 0, 2)))
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(0.5)
-    x, _, z = robot.pose().position
-    world.run_for(0.5)
-    driven = np.subtract(robot.pose().position, (x, 0.0, z))
     # Each step starts without vertical velocity: g·dt is all it reaches.
-    assert driven == pytest.approx((0.1, 0.0, -4.9e-3), abs=1e-6)
+    assert drive(world, robot, 0.5, vx=0.2).position == pytest.approx((0.1, 0.0, -4.9e-3), abs=1e-6)
 
 
 @pytest.mark.parametrize(("rate", "gap"), [(7, 143), (20, 51), (50, 21)])
 def test_odometry_comes_when_more_than_a_period_has_passed(world, rate, gap):
     samples = record(world.add(block(f"<odometryRate>{rate}</odometryRate>")), "odom")
     world.run_for(0.5)
-    assert [sample.step for sample in samples] == list(range(gap, 501, gap))
+    assert steps(samples) == list(range(gap, 501, gap))
 
 
 def test_what_odometry_and_transform_say(world):
@@ -170,8 +142,7 @@ def test_what_odometry_and_transform_say(world):
     )
     robot = world.add(block(tags), pose=Pose((1, 2, 0.3)))
     odometry, transforms = record(robot, "wheels"), record(robot, "/tf")
-    robot.command("go", PlanarCommand(vx=0.1))
-    world.run_for(0.102)
+    drive(world, robot, 0.102, vx=0.1, topic="go")
     first, last = odometry
     assert (first.step, last.step) == (51, 102)
     assert (last.frame, last.child_frame) == ("world_odom", "base")
@@ -187,28 +158,25 @@ def test_what_odometry_and_transform_say(world):
 @pytest.mark.parametrize("reset", ["reset_world", "reset_simulation"])
 def test_no_spike_after_a_reset(world, robot, reset):
     samples = record(robot, "odom")
-    robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.2))
-    world.run_for(1.025)
+    drive(world, robot, 1.025, vx=0.2, wz=0.2)
     samples.clear()
     getattr(world, reset)()
     world.run_for(0.5)
     for sample in samples:
-        velocity = sample.velocity
-        assert (velocity.vx, velocity.vy, velocity.wz) == pytest.approx((0, 0, 0), abs=1e-3)
+        assert dataclasses.astuple(sample.velocity) == pytest.approx((0, 0, 0), abs=1e-3)
         assert sample.pose.position == pytest.approx((0, 0, 0), abs=1e-4)
     first, end = (1071, 1526) if reset == "reset_world" else (51, 501)
-    assert [sample.step for sample in samples] == list(range(first, end, 51))
+    assert steps(samples) == list(range(first, end, 51))
 
 
 def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot):
     samples = record(robot, "odom")
-    robot.command("cmd_vel", PlanarCommand(vx=0.2))
-    world.run_for(0.3)
+    drive(world, robot, 0.3, vx=0.2)
     for z in (2.0, 0.0):
         robot.place(Pose((3.0, 0.0, z)))
         world.run_for(0.25)
-        driven = robot.pose().position[0] - 3.0
-        assert driven == pytest.approx(0.25 * (0.2 - FRICTION_LOSS), abs=3e-3)
+        there = 3.0 + 0.25 * (0.2 - FRICTION_LOSS)
+        assert robot.pose().position[0] == pytest.approx(there, abs=3e-3)
     assert max(abs(sample.velocity.vx) for sample in samples) < 0.21
 
 
@@ -249,9 +217,8 @@ def test_topics_are_known_by_their_full_names_only(world):
         ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 is negative"),
     ],
 )
-def test_bad_tags_name_model_plugin_and_tag(world, tags, message):
-    with complains(f"model 'block': plugin 'move': {message}"):
-        world.add(block(tags))
+def test_bad_tags_name_model_plugin_and_tag(tags, message):
+    check_refusal(block(tags), f"model 'block': plugin 'move': {message}")
 
 
 def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_down(world):
@@ -263,8 +230,7 @@ def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_
     )
     robot = world.add(block(more=sensors), pose=Pose.from_rpy((0, 0, 0), (0, 0, math.pi / 2)))
     truth, imu = record(robot, "p3d"), record(robot, "imu")
-    robot.command("cmd_vel", PlanarCommand(vx=0.2, wz=0.5))
-    world.run_for(0.1)
+    drive(world, robot, 0.1, vx=0.2, wz=0.5)
     assert truth[0].linear == pytest.approx((0.0, 0.2, 0.0), abs=5e-3)
     for turning in (truth[0].angular, imu[0].angular_velocity):
         assert turning == pytest.approx((0.0, 0.0, 0.5), abs=1e-4)

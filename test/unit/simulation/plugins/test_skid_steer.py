@@ -2,8 +2,8 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import record
-from shared import EMPTY_WORLD, complains
+from sensor_worlds import check_refusal, drive, record, steps
+from shared import EMPTY_WORLD
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -54,29 +54,22 @@ def rover(tags=SIZES, mass=8.0, wheel_mass=0.5, place=(0.2, 0.25)):
     )
 
 
-def drive(world, command, tags=SIZES, start=None):
-    robot = world.add(rover(tags), pose=start)
-    samples = record(robot, "odom")
-    world.run_for(0.5)
-    robot.command("cmd_vel", command)
-    world.run_for(1.0)
-    return samples, robot.pose()
-
-
-def test_on_the_spot_it_turns_but_less_than_commanded():
-    with Simulation.of(EMPTY_WORLD, coulomb=True) as world:
-        samples, pose = drive(world, PlanarCommand(wz=-1.0))
-    # By Coulomb's law it is b²/(a² + b²) of the command, with the wheels at (±a, ±b).
-    rates = np.array([sample.velocity.wz for sample in samples[100:]])
-    assert -rates == pytest.approx(0.25**2 / (0.2**2 + 0.25**2), rel=5e-3)
-    assert math.hypot(*pose.position[:2]) < 2e-3
-
-
 @pytest.fixture
 def coulomb_world():
     """An empty world in which hard wheels do not creep."""
     with Simulation.of(EMPTY_WORLD, coulomb=True) as world:
         yield world
+
+
+def test_on_the_spot_it_turns_but_less_than_commanded(coulomb_world):
+    robot = coulomb_world.add(rover())
+    samples = record(robot, "odom")
+    coulomb_world.run_for(0.5)
+    driven = drive(coulomb_world, robot, 1.0, wz=-1.0)
+    # By Coulomb's law it is b²/(a² + b²) of the command, with the wheels at (±a, ±b).
+    rates = np.array([sample.velocity.wz for sample in samples[100:]])
+    assert -rates == pytest.approx(0.25**2 / (0.2**2 + 0.25**2), rel=5e-3)
+    assert math.hypot(*driven.position[:2]) < 2e-3
 
 
 def test_the_wheels_of_a_side_turn_alike_with_the_torque_that_is_given(coulomb_world):
@@ -98,8 +91,10 @@ def test_what_the_odometry_says(world):
         "<covariance_x>0.1</covariance_x><covariance_y>0.2</covariance_y>"
         "<covariance_yaw>0.3</covariance_yaw>"
     )
-    samples, pose = drive(world, PlanarCommand(vx=0.3), tags, start)
-    last = samples[-1]
+    robot = world.add(rover(tags), pose=start)
+    samples = record(robot, "odom")
+    drive(world, robot, 1.0, vx=0.3)
+    last, pose = samples[-1], robot.pose()
     assert last.pose.position == (*pose.position[:2], 0.0)
     assert last.pose.quaternion == pose.quaternion
     assert (last.velocity.vx, last.velocity.vy) == pytest.approx((0.3, 0.0), abs=0.01)
@@ -117,11 +112,9 @@ def test_hard_wheels_creep_by_their_load_as_in_gazebo(world, mass, wheel_mass, d
     )
     robot = world.add(rover(tags, mass, wheel_mass, (0.12, 0.2)))
     world.run_for(0.5)
-    for command, seconds in ((0.2, 0.0), 1.0), ((0.0, 0.0), 0.5), ((0.0, 0.5), 5.0):
-        robot.command("cmd_vel", PlanarCommand(vx=command[0], wz=command[1]))
-        start = robot.pose().yaw
-        world.run_for(seconds)
-    assert math.degrees(robot.pose().yaw - start) == pytest.approx(degrees, rel=0.08)
+    for seconds, vx, wz in (1.0, 0.2, 0.0), (0.5, 0.0, 0.0), (5.0, 0.0, 0.5):
+        driven = drive(world, robot, seconds, vx, wz)
+    assert math.degrees(driven.yaw) == pytest.approx(degrees, rel=0.08)
 
 
 def test_defaults(coulomb_world):
@@ -129,8 +122,7 @@ def test_defaults(coulomb_world):
     robot = world.add(rover(""))
     samples = record(robot, "odom")
     (device,) = robot.plugins
-    robot.command("cmd_vel", PlanarCommand(vx=0.15, wz=1.0))
-    world.run_for(1.0)
+    drive(world, robot, 1.0, vx=0.15, wz=1.0)
     speeds = [robot.bodies["base"].joint_state(joint).velocity for joint in PLACES]
     assert [output.topic for output in device.outputs] == ["odom"]
     assert len(samples) == 100
@@ -144,7 +136,7 @@ def test_a_transform_where_it_is_asked_for(world):
     odometry, transforms = record(robot, "odom"), record(robot, "/tf")
     world.run_for(0.04)
     for samples in (odometry, transforms):
-        assert [sample.step for sample in samples] == [20, 40]
+        assert steps(samples) == [20, 40]
 
 
 @pytest.mark.parametrize(
@@ -156,6 +148,5 @@ def test_a_transform_where_it_is_asked_for(world):
         ("covariance_x", "-1", "-1 is negative"),
     ],
 )
-def test_refusals(world, tag, value, message):
-    with complains(f"<{tag}>: {message}"):
-        world.add(rover(f"<{tag}>{value}</{tag}>"))
+def test_refusals(tag, value, message):
+    check_refusal(rover(f"<{tag}>{value}</{tag}>"), f"<{tag}>: {message}")

@@ -61,14 +61,16 @@ def trajectory(*points, joints=NAMES, start=0.0):
 
 
 class Sent:
-    """A goal that a controller has got, with its states and feedback."""
+    """A goal that a controller has got, with its states and feedback, after some time."""
 
-    def __init__(self, controller, content):
+    def __init__(self, controller, content, world=None, seconds=0.0):
         if isinstance(content, Trajectory):
             content = TrajectoryGoal(content, {}, {}, 0.0)
         self.states, self.told, self.result, self.text = [], [], None, ""
         self.goal = Goal(content, self._move, self.told.append)
         controller.receive(self.goal)
+        if world:
+            world.run_for(seconds)
 
     def _move(self, state, result, text):
         self.states.append(state)

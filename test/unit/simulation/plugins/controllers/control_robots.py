@@ -89,6 +89,13 @@ def spawn(simulation, parameters=None, height=0.0, **robot):
     return instance, control_of(instance).configure(urdf, parameters or {})
 
 
+def listen(output):
+    """Return a list that grows with the samples of an output."""
+    samples = []
+    output.connect(samples.append)
+    return samples
+
+
 def run(manager, name, **parameters):
     """Load and start a controller by its parameters, and return it."""
     controller = manager.load(name, ControlParameters(parameters, f"/bot/{name}"))

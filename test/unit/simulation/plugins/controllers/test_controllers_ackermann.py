@@ -4,7 +4,7 @@ import math
 
 import pytest
 import yaml
-from control_robots import run
+from control_robots import listen, run
 
 from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -30,8 +30,7 @@ def drive(world, car, settings, vx, angle, seconds, **parameters):
     """Return the robot's motion and the odometry after a drive."""
     robot, manager = car
     controller = run(manager, "drive", **{**settings, "cmd_vel_timeout": 60.0, **parameters})
-    samples = []
-    controller.odometry.connect(samples.append)
+    samples = listen(controller.odometry)
     world.run_for(0.5)
     start = robot.pose()
     controller.command(PlanarCommand(vx=vx, wz=angle))
@@ -48,7 +47,7 @@ def test_it_drives_a_metre(world, car, settings):
     assert told.pose_variances == (0.001, 0.001, 1e6, 1e6, 1e6, 0.03)
 
 
-@pytest.mark.parametrize("angle", [-0.5, 0.2, 0.5, 0.9])
+@pytest.mark.parametrize("angle", [-0.5, 0.2, 0.9])
 def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, car, settings, angle):
     driven, told = drive(world, car, settings, 0.2, angle, 3.0)
     x, y, _ = driven.position

@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from control_robots import run, spawn
+from control_robots import listen, run, spawn
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
@@ -25,24 +25,26 @@ GENTLE = {
 def drive(world, **parameters):
     """A robot whose controller runs; return robot, controller and the odometry to come."""
     robot, manager = spawn(world)
-    controller = run(manager, "drive", **WHEELS, **parameters)
-    samples = []
-    controller.odometry.connect(samples.append)
-    return robot, controller, samples
+    controller = run(manager, "drive", **{**WHEELS, **parameters})
+    return robot, controller, listen(controller.odometry)
+
+
+def go(world, controller, seconds, vx=0.0, wz=0.0):
+    """Command a velocity and let time pass."""
+    controller.command(PlanarCommand(vx=vx, wz=wz))
+    world.run_for(seconds)
 
 
 def test_its_odometry_is_the_truth(world):
     robot, controller, odometry = drive(world, **GENTLE, cmd_vel_timeout=10.0)
-    controller.command(PlanarCommand(vx=0.5))
-    world.run_for(3.0)
+    go(world, controller, 3.0, vx=0.5)
     sample = odometry[-1]
     assert sample.pose.position[0] == pytest.approx(robot.pose().position[0], rel=0.02)
     assert sample.velocity.vx == pytest.approx(0.5, rel=0.01)
     assert (sample.frame, sample.child_frame) == ("odom", "base_link")
     assert sample.pose_variances == (0.001, 0.002, 0.003, 0.004, 0.005, 0.03)
     assert sample.twist_variances[-1] == 3.0
-    controller.command(PlanarCommand(wz=0.5))
-    world.run_for(3.0)
+    go(world, controller, 3.0, wz=0.5)
     pose, driven = odometry[-1].pose, robot.pose()
     assert math.dist(pose.position, driven.position) < 0.02
     assert pose.yaw == pytest.approx(driven.yaw, rel=0.02)
@@ -50,23 +52,15 @@ def test_its_odometry_is_the_truth(world):
 
 def test_it_stops_when_no_command_comes(world):
     robot, controller, _ = drive(world, cmd_vel_timeout=0.3)
-    controller.command(PlanarCommand(vx=0.2))
-    world.run_for(0.29)
-    assert controller.joints[0].velocity == pytest.approx(0.2 / 0.06, rel=0.02)
+    # Commands again and again keep it going.
+    for seconds in (0.2, 0.2, 0.29):
+        go(world, controller, seconds, vx=0.2)
+        assert controller.joints[0].velocity == pytest.approx(0.2 / 0.06, rel=0.02)
     world.run_for(0.05)
     assert controller.joints[0].command == 0.0
     world.run_for(0.3)
-    # 0.2 m/s for 0.3 s, and nothing since.
-    assert robot.pose().position[0] == pytest.approx(0.06, abs=0.005)
-
-
-def test_commands_again_and_again_keep_it_going(world):
-    robot, controller, _ = drive(world, cmd_vel_timeout=0.3)
-    command = PlanarCommand(vx=0.2)
-    for _ in range(10):
-        controller.command(command)
-        world.run_for(0.2)
-    assert robot.pose().position[0] == pytest.approx(0.4, rel=0.03)
+    # 0.2 m/s for 0.7 s, and nothing since.
+    assert robot.pose().position[0] == pytest.approx(0.14, abs=0.005)
 
 
 def test_it_says_what_is_left_of_a_command_by_its_limits(world):
@@ -78,16 +72,14 @@ def test_it_says_what_is_left_of_a_command_by_its_limits(world):
         "max_acceleration": 2.0,
     }
     _, controller, _ = drive(world, linear={"x": limits}, publish_cmd=True)
-    told = []
-    controller.commanded.connect(told.append)
-    controller.command(PlanarCommand(vx=9.0))
-    world.run_for(0.101)
-    assert told[-1].velocity.vx == pytest.approx(0.2, abs=0.005)
-    world.run_for(0.3)
-    assert told[-1].velocity.vx == 0.4
-    controller.command(PlanarCommand(vx=-9.0))
-    world.run_for(0.4)
-    assert told[-1].velocity.vx == -0.1
+    told = listen(controller.commanded)
+    for command, seconds, left, within in (
+        (9.0, 0.101, 0.2, 0.005),
+        (9.0, 0.3, 0.4, 0.0),
+        (-9.0, 0.4, -0.1, 0.0),
+    ):
+        go(world, controller, seconds, vx=command)
+        assert told[-1].velocity.vx == pytest.approx(left, rel=0.0, abs=within)
 
 
 def test_a_jerk_is_limited():
@@ -126,26 +118,30 @@ def test_open_loop_believes_its_commands(world):
     for joint in controller.joints:
         # Something blocks the wheels.
         joint.limits = joint.limits.__class__(velocity=0.0)
-    controller.command(PlanarCommand(vx=0.2))
-    world.run_for(2.0)
+    go(world, controller, 2.0, vx=0.2)
     assert abs(robot.pose().position[0]) < 0.01
     assert odometry[-1].pose.position[0] == pytest.approx(0.4, abs=0.005)
 
 
-@pytest.mark.parametrize(("rate", "number"), [(None, 25), (41.2, 20)])
-def test_odometry_comes_at_its_rate(world, rate, number):
-    _, _, odometry = drive(world, **({} if rate is None else {"publish_rate": rate}))
+NAMED = {"odom_frame_id": "a", "base_frame_id": "b"}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "number", "frames"),
+    [
+        (NAMED, 25, {("a", "b")}),
+        ({"publish_rate": 41.2, "enable_odom_tf": False}, 20, set()),
+        # A window of any length is taken.
+        ({"velocity_rolling_window_size": -1.0}, 25, {("odom", "base_link")}),
+        ({"velocity_rolling_window_size": 1e308}, 25, {("odom", "base_link")}),
+    ],
+)
+def test_rate_and_transform_are_parameters(world, parameters, number, frames):
+    _, controller, odometry = drive(world, **parameters)
+    transforms = listen(controller.transform)
     world.run_for(0.5)
     assert abs(len(odometry) - number) <= 1
-
-
-@pytest.mark.parametrize(("switch", "frames"), [(True, {("a", "b")}), (False, set())])
-def test_the_transform_is_a_parameter(world, switch, frames):
-    _, controller, _ = drive(world, enable_odom_tf=switch, odom_frame_id="a", base_frame_id="b")
-    samples = []
-    controller.transform.connect(samples.append)
-    world.run_for(0.1)
-    assert {(sample.frame, sample.child_frame) for sample in samples} == frames
+    assert {(sample.frame, sample.child_frame) for sample in transforms} == frames
 
 
 def settings(controller, **changed):
@@ -163,10 +159,8 @@ def test_it_is_adjusted_while_it_drives(world):
         "publish_rate": 20.0,
         "enable_odom_tf": True,
     }
-    transforms = []
-    controller.transform.connect(transforms.append)
-    controller.command(PlanarCommand(vx=0.3, wz=1.0))
-    world.run_for(1.0)
+    transforms = listen(controller.transform)
+    go(world, controller, 1.0, vx=0.3, wz=1.0)
     before = odometry[-1].pose.position
     adjusted = settings(
         controller,
@@ -185,13 +179,6 @@ def test_it_is_adjusted_while_it_drives(world):
     assert transforms == []
     rims = rim_speeds(world, controller, PlanarCommand(vx=0.3, wz=1.0))
     assert rims == pytest.approx((0.075 / 0.03, 0.525 / 0.072))
-
-
-@pytest.mark.parametrize("length", [-1.0, 1e308])
-def test_a_window_of_any_length_is_taken(world, length):
-    _, _, odometry = drive(world, velocity_rolling_window_size=length)
-    world.run_for(0.1)
-    assert odometry
 
 
 @pytest.mark.parametrize(
@@ -214,8 +201,7 @@ def test_what_cannot_be_adjusted_changes_nothing(world, name, value):
 
 def test_a_robot_that_is_put_elsewhere_has_not_driven_and_a_reset_begins_again(world):
     robot, controller, odometry = drive(world, cmd_vel_timeout=10.0)
-    controller.command(PlanarCommand(vx=0.2))
-    world.run_for(0.5)
+    go(world, controller, 0.5, vx=0.2)
     before = odometry[-1].pose.position[0]
     robot.place(Pose((3.0, 0.0, 0.0)))
     world.run_for(0.5)
@@ -242,15 +228,13 @@ def test_a_robot_that_is_put_elsewhere_has_not_driven_and_a_reset_begins_again(w
         ),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(world, parameters, complaint):
-    _, manager = spawn(world)
+def test_what_cannot_be_is_refused_by_name(manager, parameters, complaint):
     with pytest.raises(ControlError, match=complaint):
         run(manager, "drive", **{**WHEELS, **parameters})
     assert not manager.controllers
 
 
-def test_commands_that_make_no_sense_are_refused(world):
-    _, manager = spawn(world)
+def test_commands_that_make_no_sense_are_refused(manager):
     controller = run(manager, "drive", **WHEELS)
     with pytest.raises(ControlError, match="not finite"):
         controller.command(PlanarCommand(vx=math.nan))

@@ -34,12 +34,10 @@ def gripper(world, kind="effort", box=True, change=lambda urdf: urdf, **paramete
 @pytest.mark.parametrize("kind", ["effort", "position"])
 def test_a_gripper_reaches_its_goal_or_stalls_at_a_box(world, kind):
     controller, fingers = gripper(world, kind)
-    goal = Sent(controller, GripperSample(0.02, 5.0))
-    world.run_for(0.5)
+    goal = Sent(controller, GripperSample(0.02, 5.0), world, 0.5)
     assert goal.states == ["accepted", "succeeded"]
     assert (goal.result.reached, goal.result.stalled) == (True, False)
-    goal = Sent(controller, GripperSample(0.05, 5.0))
-    world.run_for(0.2)
+    goal = Sent(controller, GripperSample(0.05, 5.0), world, 0.2)
     assert goal.states == ["accepted"]
     world.run_for(0.8)
     assert goal.states == ["accepted", "aborted"]
@@ -58,8 +56,7 @@ def test_an_arm_carries_a_box_in_its_gripper(world):
     controller, fingers = gripper(world, "position")
     kind = "position_controllers/JointTrajectoryController"
     arm = run(control_of(world.models["arm"]).manager, "arm", type=kind, joints=list(NAMES))
-    Sent(controller, GripperSample(0.05, 10.0))
-    world.run_for(0.5)
+    Sent(controller, GripperSample(0.05, 10.0), world, 0.5)
     world.set_gravity((0.0, 0.0, -9.8))
     arm.command(trajectory((1.0, (0.5, 0.5, 0.5, 0.5, 0.0, 0.0), 0.0), (2.0, 0.0, 0.0)))
     world.run_for(1.0)
@@ -72,8 +69,7 @@ def test_an_arm_carries_a_box_in_its_gripper(world):
 def test_a_goal_that_is_cancelled_or_invalid(world):
     controller, fingers = gripper(world, box=False, max_effort=5.0)
     assert Sent(controller, GripperSample(float("nan"), 1.0)).states == []
-    goal = Sent(controller, GripperSample(0.05, 5.0))
-    world.run_for(0.05)
+    goal = Sent(controller, GripperSample(0.05, 5.0), world, 0.05)
     controller.cancel(goal.goal)
     world.run_for(0.01)
     assert goal.states == ["accepted", "canceled"]
@@ -81,8 +77,7 @@ def test_a_goal_that_is_cancelled_or_invalid(world):
     world.run_for(0.5)
     assert fingers()[0] == pytest.approx(here, abs=0.01)
     # Without an effort, it cannot move.
-    goal = Sent(controller, GripperSample(0.05, 0.0))
-    world.run_for(0.5)
+    goal = Sent(controller, GripperSample(0.05, 0.0), world, 0.5)
     assert goal.states == ["accepted", "aborted"]
 
 
@@ -113,8 +108,7 @@ def test_a_joint_mimics_another_one(world, tags, expected):
         mimic.configure(wanted)
     else:
         assert mimic.gains == ""
-    Sent(controller, GripperSample(0.02, 5.0))
-    world.run_for(2.0)
+    Sent(controller, GripperSample(0.02, 5.0), world, 2.0)
     assert fingers() == pytest.approx([0.02, expected], abs=1e-3)
 
 

@@ -1,8 +1,7 @@
 import pytest
-from control_robots import control_of, run, spawn
+from control_robots import control_of, listen, run, spawn
 
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS
 from bullet_lab.simulation.plugins.controllers.joints import EFFORT, VELOCITY
 from bullet_lab.simulation.plugins.samples import JointCommand, JointCommands
 
@@ -11,14 +10,7 @@ JOINT = {"joint": "turntable_joint"}
 WHEELS = ["left_wheel_joint", "right_wheel_joint"]
 
 
-def listen(output):
-    samples = []
-    output.connect(samples.append)
-    return samples
-
-
-def test_joint_states_come_at_their_rate_for_all_that_have_a_transmission(world):
-    _, manager = spawn(world)
+def test_joint_states_come_at_their_rate_for_all_that_have_a_transmission(world, manager):
     controller = run(manager, "states", publish_rate=50, **STATES)
     samples = listen(controller.states)
     world.run_for(1.0)
@@ -28,8 +20,7 @@ def test_joint_states_come_at_their_rate_for_all_that_have_a_transmission(world)
     assert samples[0].step == 1
 
 
-def test_joint_states_of_some_joints_and_of_some_that_nobody_reads(world):
-    _, manager = spawn(world)
+def test_joint_states_of_some_joints_and_of_some_that_nobody_reads(world, manager):
     told = {
         "joints": ["turntable_joint"],
         "extra_joints": [{"name": "lid", "position": 0.3, "effort": 2}, {"position": 1.0}],
@@ -42,14 +33,12 @@ def test_joint_states_of_some_joints_and_of_some_that_nobody_reads(world):
 
 
 @pytest.mark.parametrize("told", [{}, {"publish_rate": 50, "joints": ["tail"]}])
-def test_joint_states_that_cannot_be(world, told):
-    _, manager = spawn(world)
+def test_joint_states_that_cannot_be(manager, told):
     with pytest.raises(ControlError, match=r"publish_rate is missing|no joint 'tail'"):
         run(manager, "states", **STATES, **told)
 
 
-def test_a_position_is_reached_by_an_effort_and_told(world):
-    _, manager = spawn(world)
+def test_a_position_is_reached_by_an_effort_and_told(world, manager):
     gains = {"p": 2.0, "i": 0.5, "d": 0.05, "i_clamp": 1.0}
     kind = "effort_controllers/JointPositionController"
     controller = run(manager, "turn", type=kind, pid=gains, **JOINT)
@@ -67,61 +56,55 @@ def test_a_position_is_reached_by_an_effort_and_told(world):
     assert samples[-1].gains == (2.0, 0.5, 0.05, 1.0)
 
 
+EFFORT_GAINS = {"p": 0.05, "i": 0.5, "i_clamp": 1.0}
+
+
 @pytest.mark.parametrize(
     ("kind", "robot", "gains", "what"),
     [
-        (
-            "effort_controllers/JointVelocityController",
-            {"kind": "continuous"},
-            {"p": 0.05, "i": 0.5, "i_clamp": 1.0},
-            "velocity",
-        ),
-        (
-            "velocity_controllers/JointPositionController",
-            {"turntable": VELOCITY},
-            {"p": 10.0},
-            "position",
-        ),
+        ("effort_controllers/JointVelocity", {"kind": "continuous"}, EFFORT_GAINS, "velocity"),
+        ("velocity_controllers/JointPosition", {"turntable": VELOCITY}, {"p": 10.0}, "position"),
     ],
 )
 def test_a_speed_by_an_effort_and_a_position_by_a_speed(world, kind, robot, gains, what):
     _, manager = spawn(world, **robot)
-    controller = run(manager, "turn", type=kind, pid=gains, **JOINT)
+    controller = run(manager, "turn", type=f"{kind}Controller", pid=gains, **JOINT)
     controller.command(JointCommand(-1.0))
     world.run_for(1.0)
     assert getattr(controller.joints[0], what) == pytest.approx(-1.0, abs=0.01)
 
 
-def group(world, kind, interface, **parameters):
-    """Return a controller of both wheels of a robot in the air that is told 0.5 and -0.5."""
+@pytest.mark.parametrize(
+    ("kind", "interface", "gains", "what", "within"),
+    [
+        ("velocity_controllers/JointGroupVelocity", VELOCITY, {}, "velocity", 1e-3),
+        (
+            "effort_controllers/JointGroupPosition",
+            EFFORT,
+            {name: {"pid": {"p": 0.05, "d": 0.005}} for name in WHEELS},
+            "position",
+            0.02,
+        ),
+    ],
+)
+def test_a_group_is_told_at_once(world, kind, interface, gains, what, within):
     _, manager = spawn(world, height=0.5, interface=interface)
     world.set_gravity((0.0, 0.0, 0.0))
-    controller = run(manager, "wheels", type=kind, joints=WHEELS, **parameters)
+    controller = run(manager, "wheels", type=f"{kind}Controller", joints=WHEELS, **gains)
     controller.command(JointCommands((0.5, -0.5)))
-    return controller
-
-
-def test_a_group_is_told_at_once(world):
-    controller = group(world, "velocity_controllers/JointGroupVelocityController", VELOCITY)
-    world.run_for(0.1)
-    assert [joint.velocity for joint in controller.joints] == pytest.approx([0.5, -0.5], abs=1e-3)
-    with pytest.raises(ControlError, match="3 numbers for the 2 joints"):
-        controller.command(JointCommands((1.0, 2.0, 3.0)))
-    with pytest.raises(ControlError, match="not finite"):
-        controller.command(JointCommands((1.0, float("nan"))))
-
-
-def test_a_group_is_brought_to_positions_by_efforts(world):
-    gains = {name: {"pid": {"p": 0.05, "d": 0.005}} for name in WHEELS}
-    kind = "effort_controllers/JointGroupPositionController"
-    controller = group(world, kind, EFFORT, **gains)
     assert controller.outputs == ()
     world.run_for(2.0)
-    assert [joint.position for joint in controller.joints] == pytest.approx([0.5, -0.5], abs=0.02)
+    found = [getattr(joint, what) for joint in controller.joints]
+    assert found == pytest.approx([0.5, -0.5], abs=within)
+    for wrong, complaint in (
+        ((1.0, 2.0, 3.0), "3 numbers for the 2 joints"),
+        ((1.0, float("nan")), "not finite"),
+    ):
+        with pytest.raises(ControlError, match=complaint):
+            controller.command(JointCommands(wrong))
 
 
-def test_a_controller_is_loaded_started_stopped_and_unloaded(world):
-    _, manager = spawn(world)
+def test_a_controller_is_loaded_started_stopped_and_unloaded(manager):
     controller = manager.load("s", ControlParameters({"publish_rate": 50, **STATES}, "/bot/s"))
     assert controller.state == "initialized"
     with pytest.raises(ControlError, match="loaded already"):
@@ -140,8 +123,7 @@ def test_a_controller_is_loaded_started_stopped_and_unloaded(world):
         manager.unload("s")
 
 
-def test_a_kind_that_is_not_simulated_is_named_with_those_that_are(world):
-    _, manager = spawn(world)
+def test_a_kind_that_is_not_simulated_is_named_with_those_that_are(manager):
     kind = "joint_trajectory_controller/JointTrajectoryController"
     with pytest.raises(ControlError, match=r"'arm'.*JointTrajectoryController.*diff_drive"):
         manager.load("arm", ControlParameters({"type": kind}, "/bot/arm"))
@@ -149,8 +131,7 @@ def test_a_kind_that_is_not_simulated_is_named_with_those_that_are(world):
         manager.load("arm", ControlParameters(None, "/bot/arm"))
 
 
-def test_two_controllers_of_one_joint_do_not_run_at_once(world):
-    _, manager = spawn(world)
+def test_two_controllers_of_one_joint_do_not_run_at_once(manager):
     kind = "effort_controllers/JointEffortController"
     run(manager, "one", type=kind, **JOINT)
     manager.load("two", ControlParameters({"type": kind, **JOINT}, "/bot/two"))
@@ -161,8 +142,7 @@ def test_two_controllers_of_one_joint_do_not_run_at_once(world):
     assert manager.controllers["two"].running
 
 
-def test_best_effort_passes_over_what_cannot_be(world):
-    _, manager = spawn(world)
+def test_best_effort_passes_over_what_cannot_be(manager):
     with pytest.raises(ControlError, match="no controller 'tail'"):
         manager.switch([], ["tail"])
     run(manager, "s", publish_rate=50, **STATES)
@@ -171,8 +151,7 @@ def test_best_effort_passes_over_what_cannot_be(world):
 
 
 def test_the_control_period_is_a_tag(world):
-    tags = "<controlPeriod>0.005</controlPeriod>"
-    robot, manager = spawn(world, tags=tags)
+    robot, manager = spawn(world, tags="<controlPeriod>0.005</controlPeriod>")
     # A plugin without a namespace has its model's.
     assert control_of(robot).namespace == "/bot/"
     periods = []
@@ -180,10 +159,3 @@ def test_the_control_period_is_a_tag(world):
     controller.update = lambda step, seconds: periods.append(seconds)
     world.run_for(0.1)
     assert set(periods) == {0.005}
-
-
-def test_the_kinds_are_those_of_ros_controllers():
-    assert "diff_drive_controller/DiffDriveController" in CONTROLLERS
-    groups = [kind for kind in CONTROLLERS if "/JointGroup" in kind]
-    assert len(groups) == 4
-    assert len(CONTROLLERS) == 18

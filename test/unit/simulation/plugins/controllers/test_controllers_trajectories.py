@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from arm_robots import NAMES, Sent, arm_controller, positions, spawn_arm, trajectory
-from control_robots import run
+from control_robots import listen, run
 
 from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.trajectories import (
@@ -18,19 +18,12 @@ from bullet_lab.simulation.plugins.samples import TrajectoryGoal
 GOAL = np.array([1.0, -0.6, 0.9, 0.4, -0.5, 2.0])
 NAN = float("nan")
 DEFAULT = {"path": {}, "goal": {}, "seconds": 0.0}
-# An arc of ten points: positions that begin and end slowly, with velocities.
-PARTS = np.linspace(0.1, 1.0, 10)
-ARC = [
-    (
-        2.0 * part,
-        tuple(GOAL * (3.0 * part**2 - 2.0 * part**3)),
-        tuple(GOAL * 3.0 * part * (1 - part)),
-    )
-    for part in PARTS
-]
-
-
 QUINTIC = np.polynomial.Polynomial([0.0, 1.0, 1.0, 0.5, 0.1, -0.03])
+
+
+def arc(part):
+    """Positions and velocities at a part of an arc of 2 s that begins and ends slowly."""
+    return tuple(GOAL * (3.0 * part**2 - 2.0 * part**3)), tuple(GOAL * 3.0 * part * (1 - part))
 
 
 def state(seconds):
@@ -57,11 +50,10 @@ def test_a_spline_is_as_smooth_as_its_ends_are_known(one, two, middle):
 @pytest.mark.parametrize("kind", ["position", "velocity", "effort"])
 def test_an_arm_follows_ten_points(world, kind):
     controller = arm_controller(world, kind)
-    states = []
-    controller.states.connect(states.append)
+    states = listen(controller.states)
     world.run_for(0.5)
-    goal = Sent(controller, trajectory(*ARC))
-    world.run_for(2.2)
+    points = ((2.0 * part, *arc(part)) for part in np.linspace(0.1, 1.0, 10))
+    goal = Sent(controller, trajectory(*points), world, 2.2)
     assert goal.states == ["accepted", "succeeded"]
     assert goal.result == (0, "")
     assert positions(controller) == pytest.approx(GOAL, abs=0.02)
@@ -70,8 +62,7 @@ def test_an_arm_follows_ten_points(world, kind):
     assert len(states) == pytest.approx(67, abs=1)
     most = max(abs(error) for one in goal.told for error in one.error.positions)
     assert most < (0.1 if kind == "effort" else 2e-3)
-    part = 0.5 * goal.told[20].desired.seconds
-    there = tuple(GOAL * (3.0 * part**2 - 2.0 * part**3))
+    there, _ = arc(0.5 * goal.told[20].desired.seconds)
     assert goal.told[20].desired.positions == pytest.approx(there, abs=1e-3)
     assert goal.told[20].actual.positions == pytest.approx(there, abs=0.1)
     world.run_for(0.5)
@@ -96,8 +87,7 @@ def test_an_arm_follows_ten_points(world, kind):
 def test_invalid_goals_are_rejected(world, content, code, text):
     controller = arm_controller(world)
     world.run_for(0.5)
-    goal = Sent(controller, content)
-    world.run_for(0.01)
+    goal = Sent(controller, content, world, 0.01)
     assert goal.states == ["rejected"]
     assert goal.result[0] == code
     assert text in goal.result[1] == goal.text
@@ -122,8 +112,8 @@ def test_invalid_goals_are_rejected(world, content, code, text):
 )
 def test_a_violated_tolerance_is_named(world, point, tolerances, code, text):
     controller = arm_controller(world)
-    goal = Sent(controller, TrajectoryGoal(trajectory(point), **{**DEFAULT, **tolerances}))
-    world.run_for(2.15)
+    content = TrajectoryGoal(trajectory(point), **{**DEFAULT, **tolerances})
+    goal = Sent(controller, content, world, 2.15)
     assert (goal.states == ["accepted"]) == (code == OFF_GOAL)
     world.run_for(0.1)
     assert goal.states == ["accepted", "aborted"]
@@ -133,10 +123,8 @@ def test_a_violated_tolerance_is_named(world, point, tolerances, code, text):
 
 def test_a_new_goal_and_a_topic_preempt(world):
     controller = arm_controller(world)
-    first = Sent(controller, trajectory((1.0, 0.5)))
-    world.run_for(0.5)
-    second = Sent(controller, trajectory((1.0, -0.5)))
-    world.run_for(0.01)
+    first = Sent(controller, trajectory((1.0, 0.5)), world, 0.5)
+    second = Sent(controller, trajectory((1.0, -0.5)), world, 0.01)
     assert (first.states, second.states) == (["accepted", "canceled"], ["accepted"])
     controller.command(trajectory((0.5, 0.2)))
     world.run_for(0.7)
@@ -147,8 +135,7 @@ def test_a_new_goal_and_a_topic_preempt(world):
 @pytest.mark.parametrize("seconds", [0.0, 0.2])
 def test_a_cancelled_goal_stops_the_arm(world, seconds):
     controller = arm_controller(world, stop_trajectory_duration=seconds)
-    goal = Sent(controller, trajectory((1.0, 1.0)))
-    world.run_for(0.5)
+    goal = Sent(controller, trajectory((1.0, 1.0)), world, 0.5)
     controller.cancel(Sent(controller, trajectory((1.0, NAN))).goal)
     controller.cancel(goal.goal)
     world.run_for(0.5)
@@ -165,8 +152,7 @@ def test_an_empty_trajectory_holds_the_joints(world):
     controller.command(trajectory()._replace(joints=()))
     world.run_for(0.5)
     assert max(positions(controller)) < 0.7
-    goal = Sent(controller, trajectory())
-    world.run_for(0.3)
+    goal = Sent(controller, trajectory(), world, 0.3)
     assert goal.states == ["accepted", "succeeded"]
 
 
@@ -174,8 +160,7 @@ def test_some_joints_alone_if_that_is_allowed(world):
     controller = arm_controller(world, allow_partial_joints_goal=True)
     controller.command(trajectory((1.0, 1.0)))
     world.run_for(0.2)
-    goal = Sent(controller, trajectory((0.3, (-0.2, 0.3)), joints=(NAMES[2], NAMES[0])))
-    world.run_for(0.4)
+    goal = Sent(controller, trajectory((0.3, (-0.2, 0.3)), joints=(NAMES[2], NAMES[0])), world, 0.4)
     # The others are under way.
     assert goal.states == ["accepted"]
     world.run_for(0.5)
@@ -188,8 +173,8 @@ def test_a_later_start_keeps_the_trajectory_until_then(world):
     controller.command(trajectory((1.0, 1.0)))
     world.run_for(0.19)
     later = trajectory((0.1, 0.2), (0.4, 0.0), start=0.5)
-    goal = Sent(controller, TrajectoryGoal(later, **{**DEFAULT, "path": {NAMES[0]: (1e-6, 0.0)}}))
-    world.run_for(0.1)
+    tolerances = {**DEFAULT, "path": {NAMES[0]: (1e-6, 0.0)}}
+    goal = Sent(controller, TrajectoryGoal(later, **tolerances), world, 0.1)
     assert positions(controller) == pytest.approx([0.29] * 6, abs=0.01)
     world.run_for(0.2)
     assert positions(controller) == pytest.approx([0.49] * 6, abs=0.01)
@@ -209,8 +194,7 @@ def test_a_continuous_joint_takes_the_short_way(world):
     controller = arm_controller(world)
     joint = controller.joints[5]
     for target, reached in ((3.0, 3.0), (-3.0, 2 * np.pi - 3.0), (3.0, 3.0)):
-        goal = Sent(controller, trajectory((1.5, (0.0,) * 5 + (target,))))
-        world.run_for(1.6)
+        goal = Sent(controller, trajectory((1.5, (0.0,) * 5 + (target,))), world, 1.6)
         assert goal.states[-1] == "succeeded"
         assert joint.position == pytest.approx(reached, abs=2e-3)
 
@@ -230,8 +214,7 @@ def test_a_query_of_the_trajectory(world):
 def test_a_controller_that_is_stopped_ends_its_goal(world):
     manager, kind = spawn_arm(world), "position_controllers/JointTrajectoryController"
     controller = run(manager, "a", type=kind, joints=list(NAMES))
-    active = Sent(controller, trajectory((1.0, 1.0)))
-    world.run_for(0.1)
+    active = Sent(controller, trajectory((1.0, 1.0)), world, 0.1)
     waiting = Sent(controller, trajectory((1.0, 0.5)))
     manager.switch([], ["a"])
     assert (active.states, waiting.states) == (["accepted", "canceled"], ["rejected"])
@@ -239,11 +222,9 @@ def test_a_controller_that_is_stopped_ends_its_goal(world):
     with pytest.raises(ControlError, match="not running"):
         controller.command(trajectory((1.0, 0.5)))
     manager.switch(["a"], [])
-    active = Sent(controller, trajectory((1.0, 1.0)))
-    world.run_for(0.5)
+    active = Sent(controller, trajectory((1.0, 1.0)), world, 0.5)
     world.reset_simulation()
-    states = []
-    controller.states.connect(states.append)
+    states = listen(controller.states)
     assert active.states == ["accepted", "canceled"]
     world.run_for(0.5)
     assert positions(controller) == pytest.approx([0.0] * 6, abs=1e-3)
