@@ -9,7 +9,6 @@ from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
 from bullet_lab.noise.odometry_noise import (
     MIN_TRANSLATION,
-    NoiseRule,
     decompose_steps,
     named_alphas,
     rule_of,
@@ -25,10 +24,6 @@ def poses_of(block, perfect):
     """Return x (m), y (m) and yaw (rad, not wrapped) of a `NoisyBlock`, shape (b, n+1, 3)."""
     x, y = perfect[0, 0] + block.position.real, perfect[0, 1] + block.position.imag
     return np.stack([x, y, perfect[:, 2] + block.heading_error], axis=-1)
-
-
-# m or rad; smaller standard deviations drown in the rounding of the poses.
-RESOLUTION = 1e-9
 
 
 def read_paths_csv(path):
@@ -52,20 +47,8 @@ class RecoveredNoise:
     components: np.ndarray
     noise: np.ndarray
 
-    def standardised(self, rule: NoiseRule) -> np.ndarray:
-        """Return the noise over its standard deviation by a rule, shape (n-1, 3).
 
-        If the rule is the one that the noise was made with, these are standard normal. NaN
-        where the noise is NaN or its standard deviation is below `RESOLUTION`.
-        """
-        variances = np.stack(rule.variances(*self.components.T), axis=-1)
-        undirected = np.isnan(self.noise[:, 0])
-        variances[undirected, 2] += variances[undirected, 0]
-        std = np.sqrt(variances)
-        return self.noise / np.where(std >= RESOLUTION, std, np.nan)
-
-
-def recover_noise(true_poses, noisy_poses) -> RecoveredNoise:
+def recover_noise(true_poses, noisy_poses):
     """Find the noise that `NoisyPath` added at each step, from two paths of shape (n, 3).
 
     The noise of rot1 is taken to be less than a quarter turn; a noisy step in the opposite
