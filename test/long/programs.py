@@ -3,7 +3,7 @@
 import subprocess
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = Path(__file__).resolve().parents[2]
 # Wall seconds.
 LONGEST = 1800.0
 
@@ -14,7 +14,7 @@ def printed(program, *words, statuses=(0,), **options):
     Its status has to be one of some; options are those of `subprocess.run`.
     """
     done = subprocess.run(
-        [str(ROOT / program), *map(str, words)],
+        [str(PACKAGE / program), *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
