@@ -10,7 +10,7 @@ import re
 import statistics
 import struct
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any, List, Mapping, Optional, Sequence, Set, Tuple
 
 from rosgraph.names import namespace, ns_join
 
@@ -52,7 +52,7 @@ class Heard:
     kind: Optional[type] = None
     buffers: List[bytes] = field(default_factory=list)
 
-    def message(self, index: int) -> Any:
+    def message(self, index):
         """Return a message; raise NotSeenError."""
         if not self.buffers:
             raise NotSeenError("no message came")
@@ -60,17 +60,17 @@ class Heard:
             raise NotSeenError(f"{self.type} is not installed here")
         return self.kind().deserialize(self.buffers[index])
 
-    def has_stamps(self) -> bool:
+    def has_stamps(self):
         """Return whether the messages begin with a header, or are times themselves."""
         return self.kind is not None and self.kind.__slots__[:1] in (["header"], ["clock"])
 
-    def cut(self, end: float) -> None:
+    def cut(self, end):
         """Drop messages with stamps after `end` (s): the simulator may have run on."""
         if self.has_stamps():
             kept = zip(self.buffers, self.stamps())
             self.buffers = [buffer for buffer, stamp in kept if stamp <= end + STAMP_ROUNDING]
 
-    def stamps(self) -> List[float]:
+    def stamps(self):
         """Return the stamps of the messages in s."""
         # A header begins with its sequence number.
         offset = _STAMP.size // 2 if self.kind.__slots__[0] == "header" else 0
@@ -123,21 +123,21 @@ class Scene:
     answer: Any = None
     error: str = ""
 
-    def heard(self, topic: str = "") -> Heard:
+    def heard(self, topic=""):
         """Return the messages on a topic, by default the row's; raise NotSeenError."""
         name = topic or self.topic
         if name not in self.evidence.heard or not self.evidence.heard[name].buffers:
             raise NotSeenError(f"nothing came on {name}{self.nearby(name)}")
         return self.evidence.heard[name]
 
-    def nearby(self, topic: str) -> str:
+    def nearby(self, topic):
         """Return a note on the published topics with the same namespace; empty if none."""
         around = topic.rpartition("/")[0]
         near = [name for name in sorted(self.evidence.published) if name.startswith(around)]
         return f"; there are {', '.join(near[:6])}" if around and near else ""
 
 
-def find_field(message: Any, path: str) -> Any:
+def find_field(message, path):
     """Return a field of a message, such as pose.covariance[0]; raise NotSeenError."""
     found = message
     for part in path.split("."):
@@ -152,7 +152,7 @@ def find_field(message: Any, path: str) -> Any:
     return found
 
 
-def plain(value: Any) -> Any:
+def plain(value):
     """Return a value of a message as YAML has it: lists, dictionaries, numbers and texts."""
     if isinstance(value, (bytes, tuple, list)):
         return [plain(entry) for entry in value]
@@ -163,7 +163,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def judge(word: str, expected: Any, scene: Scene) -> str:
+def judge(word, expected, scene):
     """Return how an expectation is not met; empty if it is met."""
     try:
         return JUDGES[word](expected, scene)
@@ -171,7 +171,7 @@ def judge(word: str, expected: Any, scene: Scene) -> str:
         return str(error)
 
 
-def _publishes(kind: str, scene: Scene) -> str:
+def _publishes(kind, scene):
     """The topic has a publisher, of that type with its md5 sum."""
     found = scene.evidence.published.get(scene.topic)
     if found is None:
@@ -183,13 +183,13 @@ def _publishes(kind: str, scene: Scene) -> str:
     return "" if heard.md5 == md5 else f"md5 {heard.md5} of {kind}, not {md5}"
 
 
-def _takes(kind: str, scene: Scene) -> str:
+def _takes(kind, scene):
     """The topic has a subscriber of that type."""
     found = scene.evidence.taken.get(scene.topic, "nobody")
     return "" if found == kind else f"on {scene.topic} listens {found}"
 
 
-def _absent(_expected: bool, scene: Scene) -> str:
+def _absent(_expected, scene):
     """The topic has no publisher and no subscriber, and there is no such service."""
     evidence = scene.evidence
     for named in (evidence.published, evidence.taken, evidence.services):
@@ -198,7 +198,7 @@ def _absent(_expected: bool, scene: Scene) -> str:
     return ""
 
 
-def _offers(kind: str, scene: Scene) -> str:
+def _offers(kind, scene):
     """There is a service of that type with its md5 sum."""
     found = scene.evidence.services.get(scene.topic)
     if found is None:
@@ -207,12 +207,12 @@ def _offers(kind: str, scene: Scene) -> str:
     return "" if found == asked else f"it is {found[0]} with md5 {found[1]}"
 
 
-def _latched(expected: bool, scene: Scene) -> str:
+def _latched(expected, scene):
     """The publisher keeps the last message for new subscribers, or does not."""
     return "" if scene.heard().latching == expected else f"latched: {not expected}"
 
 
-def _silent(expected: Any, scene: Scene) -> str:
+def _silent(expected, scene):
     """No message comes on the topic; if the row names a type, it has a publisher of that type."""
     found = scene.evidence.published.get(scene.topic, "no publisher")
     if isinstance(expected, str) and found != expected:
@@ -221,12 +221,12 @@ def _silent(expected: Any, scene: Scene) -> str:
     return f"{len(heard.buffers)} messages came" if heard and heard.buffers else ""
 
 
-def _parameter(expected: Mapping[str, Any], scene: Scene) -> str:
+def _parameter(expected, scene):
     """The ROS master has parameters with these values."""
     return _compared(expected, scene.evidence.parameters.get, scene)
 
 
-def _rate(hertz: float, scene: Scene) -> str:
+def _rate(hertz, scene):
     """Messages come at this rate per simulated second, by the median between stamps."""
     heard = scene.heard()
     if heard.has_stamps():
@@ -242,42 +242,44 @@ def _rate(hertz: float, scene: Scene) -> str:
     return "" if holds else f"{found:.4g} Hz, by {len(heard.buffers)} messages"
 
 
-def _fields(expected: Mapping[str, Any], scene: Scene) -> str:
+def _fields(expected, scene):
     """The fields of the last message have these values."""
     return _compared_fields(expected, scene.heard().message(-1), scene)
 
 
-def _answers(expected: Mapping[str, Any], scene: Scene) -> str:
+def _answers(expected, scene):
     """The service answers, and the fields of its answer have these values."""
     return scene.error or _compared_fields(expected, scene.answer, scene)
 
 
-def _fails(_expected: bool, scene: Scene) -> str:
+def _fails(_expected, scene):
     """The service reports that the call failed."""
     return "" if scene.error else f"it answered {plain(scene.answer)}"
 
 
-def _change(expected: Mapping[str, Any], scene: Scene) -> str:
+def _change(expected, scene):
     """The fields change by these values from the first to the last message."""
     heard = scene.heard()
     first, last = heard.message(0), heard.message(-1)
-    return _compared(
-        expected, lambda path: find_field(last, path) - find_field(first, path), scene
-    )
+
+    def change(path):
+        return find_field(last, path) - find_field(first, path)
+
+    return _compared(expected, change, scene)
 
 
-def _spread(expected: Mapping[str, Any], scene: Scene) -> str:
+def _spread(expected, scene):
     """The fields have these standard deviations over all messages."""
     heard = scene.heard()
     messages = [heard.message(index) for index in range(len(heard.buffers))]
-    return _compared(
-        expected,
-        lambda path: statistics.pstdev([find_field(message, path) for message in messages]),
-        scene,
-    )
+
+    def deviation(path):
+        return statistics.pstdev([find_field(message, path) for message in messages])
+
+    return _compared(expected, deviation, scene)
 
 
-def _stamped(other: str, scene: Scene) -> str:
+def _stamped(other, scene):
     """Each stamp but the first and the last is also a stamp of the other topic."""
     heard = scene.heard(ns_join(namespace(scene.topic), other))
     theirs = {round(stamp, 6) for stamp in heard.stamps()}
@@ -286,7 +288,7 @@ def _stamped(other: str, scene: Scene) -> str:
     return f"no {other} at {lone[0]:.3f} s" if lone else "" if inner else "too few messages"
 
 
-def _tf(pair: Sequence[str], scene: Scene) -> str:
+def _tf(pair, scene):
     """A transform from this parent to this child comes on /tf."""
     if tuple(pair) in scene.evidence.frames:
         return ""
@@ -294,16 +296,16 @@ def _tf(pair: Sequence[str], scene: Scene) -> str:
     return f"{pair[1]} is on /tf {', '.join(parents) or 'not at all'}"
 
 
-def _no_tf(pair: Sequence[str], scene: Scene) -> str:
+def _no_tf(pair, scene):
     """No such transform comes on /tf."""
     return f"{pair} is on /tf" if tuple(pair) in scene.evidence.frames else ""
 
 
-def _compared_fields(expected: Mapping[str, Any], message: Any, scene: Scene) -> str:
+def _compared_fields(expected, message, scene):
     return _compared(expected, lambda path: find_field(message, path), scene)
 
 
-def _compared(expected: Mapping[str, Any], find: Callable[[str], Any], scene: Scene) -> str:
+def _compared(expected, find, scene):
     """Compare named values with those that `find` returns; return those that differ."""
     wrong = []
     for name, want in expected.items():
@@ -314,7 +316,7 @@ def _compared(expected: Mapping[str, Any], find: Callable[[str], Any], scene: Sc
     return "; ".join(wrong)
 
 
-def _is(want: Any, found: Any, scene: Scene) -> bool:
+def _is(want, found, scene):
     if isinstance(want, dict):
         near = "near" not in want or _near(want, found, scene)
         tests = [name for name in want if name not in _NEAR]
@@ -329,7 +331,7 @@ def _is(want: Any, found: Any, scene: Scene) -> bool:
     return want == found
 
 
-def _near(want: Mapping[str, Any], found: Any, scene: Scene) -> bool:
+def _near(want, found, scene):
     value = want["near"]
     tolerance = want.get("within", ROUNDING * max(1.0, abs(value)))
     origin = scene.place[_AXES[want["from"]]] if "from" in want else 0.0
@@ -338,7 +340,7 @@ def _near(want: Mapping[str, Any], found: Any, scene: Scene) -> bool:
     return _is_near(value + origin, found, tolerance)
 
 
-def _is_near(want: float, found: Any, tolerance: float) -> bool:
+def _is_near(want, found, tolerance):
     if isinstance(found, bool) or not isinstance(found, (int, float)):
         return False
     if math.isnan(want):
@@ -348,7 +350,7 @@ def _is_near(want: float, found: Any, tolerance: float) -> bool:
 
 # A row may use these in place of a value.
 _NEAR = ("near", "within", "from", "per_second_before")
-_TESTS: Dict[str, Callable[[Any, Any], bool]] = {
+_TESTS = {
     "length": lambda want, found: isinstance(found, (list, str)) and len(found) == want,
     "holds": lambda want, found: isinstance(found, list) and all(one in found for one in want),
     "lacks": lambda want, found: isinstance(found, list) and not any(one in found for one in want),
@@ -357,7 +359,7 @@ _TESTS: Dict[str, Callable[[Any, Any], bool]] = {
     "below": lambda want, found: found < want,
 }
 
-JUDGES: Dict[str, Callable[[Any, Scene], str]] = {
+JUDGES = {
     "publishes": _publishes,
     "takes": _takes,
     "absent": _absent,

@@ -15,12 +15,11 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, Iterable, List, Mapping, Sequence
 from xml.etree import ElementTree
 
 import rospy
-from contract_rows import COMMIT, Contract, Deviation, Row, read_contract
-from contract_run import DEVIATES, FAILED, NOT_JUDGED, PASSED, ContractRun, Verdict
+from contract_rows import COMMIT, read_contract
+from contract_run import DEVIATES, FAILED, NOT_JUDGED, PASSED, ContractRun
 from contract_simulator import Simulator
 
 from bullet_lab.core import parameters
@@ -54,18 +53,16 @@ class ContractParameters:
         10.0, "wall seconds to wait for a simulator that died to start again", 0.0, maximum=3600.0
     )
     junit: str = parameters.text("", "file for the results as JUnit XML; none if empty")
-    contract: str = parameters.text("", "folder with another contract; the package's if empty")
 
 
-def main() -> None:
+def main():
     """Run the program.
 
     The status is 0 if all rows hold, 1 if one fails, 2 for wrong options, and STATUS_NOT_JUDGED.
     """
     try:
         options = read_command(rospy.myargv(sys.argv)[1:])
-        folder = Path(options.contract) if options.contract else ROWS
-        contract = read_contract(folder, f"{time.time_ns() // 1_000_000:x}_")
+        contract = read_contract(ROWS, f"{time.time_ns() // 1_000_000:x}_")
         rows = [row for row in contract.rows if options.only in row.name]
         if not rows:
             raise ArgumentsError(f"no row has '{options.only}' in its name; --list shows all")
@@ -80,14 +77,14 @@ def main() -> None:
         run_node(NAME, lambda: check(contract, rows, options))
 
 
-def read_command(words: Sequence[str]) -> ContractParameters:
+def read_command(words):
     """Read the options; raise LabError."""
     parser = ArgumentParser(prog=f"{NAME}.py", description=(__doc__ or "").split("\n")[0])
     add_options(parser, ContractParameters)
     return read_options(ContractParameters, vars(parser.parse_args(list(words))))
 
 
-def check(contract: Contract, rows: List[Row], options: ContractParameters) -> None:
+def check(contract, rows, options):
     """Check rows, print the table and write the file.
 
     Raises NodeError if a row fails, and SystemExit if one could not be judged.
@@ -107,37 +104,43 @@ def check(contract: Contract, rows: List[Row], options: ContractParameters) -> N
         raise NodeError(f"{failed} of {len(verdicts)} rows do not hold")
 
 
-def table(verdicts: Sequence[Verdict]) -> str:
+def table(verdicts):
     """Return a line for each row, and one with the number of rows of each status."""
-    width = max((len(entry.row.name) for entry in verdicts), default=0)
-    lines: List[str] = []
+    width = _width(entry.row for entry in verdicts)
+    lines = []
     for entry in verdicts:
-        detail = f"  {entry.detail}" if entry.detail else ""
-        source = _short(entry.row.source)
-        lines.append(f"{entry.status:10}  {entry.row.name:{width}}  {source}{detail}")
+        line = f"{entry.status:10}  {entry.row.name:{width}}  {_short(entry.row.source)}"
+        lines.append(f"{line}  {entry.detail}" if entry.detail else line)
     counts = Counter(entry.status for entry in verdicts)
     total = ", ".join(f"{counts[status]} {status}" for status in STATUSES)
     return "\n".join([*lines, f"{total}; by gazebo_ros_pkgs {COMMIT[:12]}"])
 
 
-def _short(source: str) -> str:
+def _width(rows):
+    return max((len(row.name) for row in rows), default=0)
+
+
+def _short(source):
     """Return a source as file:line, without folders."""
     return source.rpartition("/")[2]
 
 
-def listing(rows: Sequence[Row], deviations: Mapping[str, Deviation]) -> str:
+def listing(rows, deviations):
     """Return a line for each row, and a line with the reason for each deviation."""
-    width = max((len(row.name) for row in rows), default=0)
-    lines: List[str] = []
+    width = _width(rows)
+    lines = []
     for row in rows:
-        deviation = deviations.get(row.name)
         lines.append(f"{row.name:{width}}  {row.word:9}  {_short(row.source)}")
-        if deviation is not None:
-            lines.append(f"{'':{width}}  deviates: {deviation.reason}")
+        if row.name in deviations:
+            lines.append(f"{'':{width}}  deviates: {deviations[row.name].reason}")
     return "\n".join(lines)
 
 
-def write_junit(path: Path, verdicts: Sequence[Verdict], seconds: float) -> None:
+KINDS = {FAILED: "failure", NOT_JUDGED: "error", DEVIATES: "skipped"}
+"""The words of JUnit for what has not passed."""
+
+
+def write_junit(path, verdicts, seconds):
     """Write the verdicts as JUnit XML; deviations are skipped tests with their reasons."""
     counts = Counter(entry.status for entry in verdicts)
     suite = ElementTree.Element(
@@ -153,29 +156,24 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], seconds: float) -> None
     ElementTree.SubElement(properties, "property", name="gazebo_ros_pkgs", value=COMMIT)
     for entry in verdicts:
         chapter, _, name = entry.row.name.partition("/")
-        case = ElementTree.SubElement(suite, "testcase", classname=chapter, name=name)
-        case.set("file", entry.row.source)
-        if entry.status != PASSED:
-            kind = {FAILED: "failure", NOT_JUDGED: "error"}.get(entry.status, "skipped")
-            ElementTree.SubElement(case, kind, message=entry.detail)
+        source = {"classname": chapter, "name": name, "file": entry.row.source}
+        case = ElementTree.SubElement(suite, "testcase", source)
+        if entry.status in KINDS:
+            ElementTree.SubElement(case, KINDS[entry.status], message=entry.detail)
     text = ElementTree.tostring(suite, encoding="unicode")
     replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
-def deviations_table(contract: Contract) -> str:
+def deviations_table(contract):
     """Return the deviations as a Markdown table."""
-    sources = {row.name: row.source for row in contract.rows}
+    sources = {row.name: _short(row.source).partition(":") for row in contract.rows}
     lines = ["| rows | source in Gazebo | here, and why |", "|---|---|---|"]
     for entry in contract.deviations:
         names = ", ".join(f"`{name}`" for name in entry.rows)
-        lines.append(f"| {names} | {_joined(map(sources.get, entry.rows))} | {entry.reason} |")
+        # Each file once.
+        files = {}
+        for file, _, numbers in map(sources.get, entry.rows):
+            files.setdefault(file, {})[numbers] = None
+        joined = ", ".join(f"{file}:{','.join(numbers)}" for file, numbers in files.items())
+        lines.append(f"| {names} | {joined} | {entry.reason} |")
     return "\n".join(lines)
-
-
-def _joined(sources: Iterable[str]) -> str:
-    """Join sources, naming each file once."""
-    files: Dict[str, List[str]] = {}
-    for source in sources:
-        file, _, lines = _short(source).partition(":")
-        files.setdefault(file, []).append(lines)
-    return ", ".join(f"{file}:{','.join(dict.fromkeys(ls))}" for file, ls in files.items())

@@ -11,11 +11,12 @@ The rows of a chapter are followed in their order if one of them has a call, or 
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Type, TypeVar
-from xml.sax.saxutils import escape, quoteattr
+from typing import Any, Mapping, Optional, Sequence, Tuple
+from xml.sax.saxutils import escape
 
 import yaml
 from contract_judges import JUDGES
@@ -29,12 +30,9 @@ COMMIT = "f9e1a4607842afa5888ef01de31cd64a1e3e297f"
 PREFIX = "contract_"
 """The names of all models that the contract spawns begin with this, and with the mark of a run."""
 
-_DEVIATIONS = "deviations.yaml"
-_TYPES = "types.yaml"
 # Keys of a row that are copied as they are, and the others besides the word.
 _COPIED = ("probe", "topic", "call", "publish")
 _KEYS = {"name", "line", "source", "with", "run", "wait", *_COPIED}
-T = TypeVar("T")
 
 
 class ContractError(LabError):
@@ -74,36 +72,36 @@ class Probe:
     round: int = 1
 
     @property
-    def robot_namespace(self) -> str:
+    def robot_namespace(self):
         """The namespace of plugins that name none."""
         return f"contract/{self.name}" if self.namespace is None else self.namespace
 
-    def full_name(self, topic: str) -> str:
+    def full_name(self, topic):
         """Return the full name of a topic or service of this probe; empty for an empty name."""
         return ns_join(f"/{self.robot_namespace.strip('/')}", topic) if topic else ""
 
-    def commands(self) -> List[Dict[str, Any]]:
+    def commands(self):
         """Return the entries of `publish` with full names of topics."""
         return [{**entry, "topic": self.full_name(entry["topic"])} for entry in self.publish]
 
-    def text(self, folder: Path) -> str:
+    def text(self, folder):
         """Return the SDF or URDF of this probe of the contract in a folder; raise ContractError."""
         path = folder / "probes" / self.robot
-        values = {"plugin": self._plugin_text(), **{k: str(v) for k, v in self.fill.items()}}
+        values = {"plugin": self._plugin_text(), **self.fill}
         try:
             return Template(path.read_text(encoding="utf-8")).substitute(values)
         except (OSError, KeyError, ValueError) as error:
             raise ContractError(f"{path}, for {self.name}: {error!r}") from error
 
-    def _plugin_text(self) -> str:
+    def _plugin_text(self):
         if not self.plugin:
             return ""
-        tags: List[str] = []
+        tags = []
         for tag, value in self.tags.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             tags.append(f"<{tag}>{escape(text)}</{tag}>")
-        name, file = quoteattr(f"{self.name}_plugin"), quoteattr(self.plugin)
-        return f"<plugin name={name} filename={file}>{''.join(tags)}</plugin>"
+        opening = f'<plugin name="{self.name}_plugin" filename="{self.plugin}">'
+        return f"{opening}{''.join(tags)}</plugin>"
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ class Chapter:
     probes: Mapping[str, Probe]
     rows: Tuple[Row, ...]
 
-    def has_steps(self) -> bool:
+    def has_steps(self):
         """Return whether its rows are followed in their order."""
         return any(row.call or row.run or row.wait for row in self.rows)
 
@@ -168,16 +166,16 @@ class Contract:
     mark: str = ""
 
     @property
-    def rows(self) -> List[Row]:
+    def rows(self):
         """All rows that are checked."""
         return [row for chapter in self.chapters for row in chapter.rows if row.word]
 
     @property
-    def known(self) -> Dict[str, Deviation]:
+    def known(self):
         """The deviations by the names of their rows."""
         return {name: entry for entry in self.deviations for name in entry.rows}
 
-    def read(self, value: Any) -> Any:
+    def read(self, value):
         """Return a value of a row; for `{file: …}`, the text of that file in probes/."""
         if not (isinstance(value, dict) and set(value) == {"file"}):
             return value
@@ -185,20 +183,21 @@ class Contract:
         return text.replace(PREFIX, PREFIX + self.mark)
 
 
-def read_contract(folder: Path, mark: str = "") -> Contract:
+def read_contract(folder, mark=""):
     """Read all files of a contract; raise ContractError."""
-    paths = [p for p in sorted(folder.glob("*.yaml")) if p.name not in (_DEVIATIONS, _TYPES)]
+    others = folder / "deviations.yaml", folder / "types.yaml"
+    paths = sorted(set(folder.glob("*.yaml")) - set(others))
     chapters = tuple(_chapter(path, mark) for path in paths)
     if not chapters:
         raise ContractError(f"there is no contract in {folder}")
     deviations = tuple(
-        _made(Deviation, {**entry, "rows": tuple(entry.get("rows", ()))}, folder / _DEVIATIONS)
-        for entry in _load(folder / _DEVIATIONS, mark) or ()
+        _made(Deviation, {**entry, "rows": tuple(entry.get("rows", ()))}, others[0])
+        for entry in _load(others[0], mark) or ()
     )
-    contract = Contract(chapters, _load(folder / _TYPES) or {}, deviations, folder, mark)
-    names = [row.name for row in contract.rows]
-    duplicates = sorted({name for name in names if names.count(name) > 1})
-    unknown = sorted(set(contract.known) - set(names))
+    contract = Contract(chapters, _load(others[1]) or {}, deviations, folder, mark)
+    counts = Counter(row.name for row in contract.rows)
+    duplicates = [name for name in counts if counts[name] > 1]
+    unknown = sorted(set(contract.known) - set(counts))
     if duplicates or unknown:
         raise ContractError(
             f"{folder}: duplicate rows: {duplicates}, deviations of unknown rows: {unknown}"
@@ -206,7 +205,7 @@ def read_contract(folder: Path, mark: str = "") -> Contract:
     return contract
 
 
-def _load(path: Path, mark: str = "") -> Any:
+def _load(path, mark=""):
     try:
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         return yaml.safe_load(text.replace(PREFIX, PREFIX + mark))
@@ -214,7 +213,7 @@ def _load(path: Path, mark: str = "") -> Any:
         raise ContractError(f"{path}: {error}") from error
 
 
-def _chapter(path: Path, mark: str) -> Chapter:
+def _chapter(path, mark):
     content = _load(path, mark)
     if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
         raise ContractError(f"{path}: has no rows")
@@ -230,12 +229,12 @@ def _chapter(path: Path, mark: str) -> Chapter:
     return Chapter(probes, rows)
 
 
-def _row(entry: Dict[str, Any], source: str, path: Path) -> Row:
-    words = sorted(set(entry) - _KEYS)
+def _row(entry, source, path):
+    words = set(entry) - _KEYS
     acts = "run" in entry or "wait" in entry
-    if len(words) > 1 or (not words and not acts) or not set(words) <= set(JUDGES):
+    if len(words) > 1 or not (words or acts) or words - set(JUDGES):
         raise ContractError(f"{path}: {entry}: needs exactly one of {sorted(JUDGES)}")
-    word = words[0] if words else ""
+    word = "".join(words)
     if word and not ("name" in entry and "line" in entry):
         raise ContractError(f"{path}: {entry}: has no name or no line")
     lines = entry.get("line", "")
@@ -252,7 +251,7 @@ def _row(entry: Dict[str, Any], source: str, path: Path) -> Row:
     )
 
 
-def _made(kind: Type[T], entry: Mapping[str, Any], path: Path) -> T:
+def _made(kind, entry, path):
     try:
         return kind(**entry)
     except TypeError as error:

@@ -5,19 +5,15 @@ from __future__ import annotations
 import contextlib
 from collections import deque
 from dataclasses import dataclass
-from typing import Deque, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import rospy
 from contract_judges import Evidence, Scene, judge
-from contract_rows import PREFIX, Contract, Deviation, Probe, Row
-from contract_simulator import CallError, Simulator, SimulatorError
+from contract_rows import PREFIX, Row
+from contract_simulator import CallError, SimulatorError
 from rosgraph.names import namespace, ns_join
 
 from bullet_lab.core.pose import Pose
-
-Place = Tuple[float, float, float]
-Rows = List[Tuple[Row, Optional[Probe]]]
-"""Rows with their probes; None for a row that has none."""
+from bullet_lab.ros.messages.poses import pose_message
 
 PASSED, DEVIATES, FAILED, NOT_JUDGED = "passed", "deviates", "FAILED", "not judged"
 ROUND_SECONDS = 2.6
@@ -46,9 +42,7 @@ class Verdict:
     detail: str = ""
 
 
-def verdict(
-    row: Row, complaint: str, deviation: Optional[Deviation] = None, instead: str = ""
-) -> Verdict:
+def verdict(row, complaint, deviation=None, instead=""):
     """Return the result of a row. A row with a known deviation fails unless it deviates so.
 
     Args:
@@ -77,26 +71,19 @@ class ContractRun:
         patience: wall seconds for which a simulator that died is waited for.
     """
 
-    def __init__(
-        self,
-        contract: Contract,
-        simulator: Simulator,
-        rows: Sequence[Row],
-        deviations: Mapping[str, Deviation],
-        patience: float = 0.0,
-    ):
+    def __init__(self, contract, simulator, rows, deviations, patience=0.0):
         self._contract = contract
         self._simulator = simulator
         self._wanted = {row.name for row in rows}
         self._deviations = deviations
         self._patience = patience
-        self._parameters: List[str] = []
-        self._found: Dict[str, Verdict] = {}
+        self._parameters = []
+        self._found = {}
         self._floors = 0
         # What the simulator was asked for last.
         self._last = ""
 
-    def verdicts(self) -> List[Verdict]:
+    def verdicts(self):
         """Return the results of the rows; raise SimulatorError if no simulator answers.
 
         If it dies on the way, the rows so far keep their results. If another one is started, the
@@ -113,51 +100,51 @@ class ContractRun:
                     self._follow(group)
                     self._clear()
                 except SimulatorError as error:
-                    groups = self._after_failure(group, groups, str(error))
+                    self._after_failure(group, groups, str(error))
         finally:
             # An error here must not hide the first one.
             with contextlib.suppress(SimulatorError):
                 self._clear()
                 if not was_paused:
                     self._simulator.must("unpause_physics")
-        order = {row.name: number for number, row in enumerate(self._contract.rows)}
-        return sorted(self._found.values(), key=lambda entry: order[entry.row.name])
+        return [self._found[row.name] for row in self._contract.rows if row.name in self._found]
 
-    def _after_failure(self, group: Rows, groups: Deque[Rows], error: str) -> Deque[Rows]:
-        """Note that the rest of a group is not judged; return the groups that are to follow."""
+    def _after_failure(self, group, groups, error):
+        """Note that the rest of a group is not judged, or put it before the others, in parts."""
         self._simulator.forget()
-        has_died = not self._simulator.answers()
-        reason = f"{'the simulator died, ' if has_died else ''}after {self._last}: {error}"
-        rest = [(row, probe) for row, probe in group if self._is_left(row)]
-        if not has_died:
-            self._give_up(rest, reason)
-            return groups
+        if self._simulator.answers():
+            self._give_up(group, f"after {self._last}: {error}")
+            return
+        reason = f"the simulator died, after {self._last}: {error}"
         if not self._simulator.is_back_within(self._patience):
-            self._give_up(rest, reason)
-            for other in groups:
-                self._give_up(other, reason)
-            return deque()
+            for each in (group, *groups):
+                self._give_up(each, reason)
+            groups.clear()
+            return
         self._simulator.must("pause_physics")
-        chapters: Dict[str, Rows] = {}
-        for row, probe in rest:
-            chapters.setdefault(row.name.partition("/")[0], []).append((row, probe))
+        chapters = {}
+        for row, probe in group:
+            if self._is_left(row):
+                chapters.setdefault(row.name.partition("/")[0], []).append((row, probe))
         if len(chapters) > 1:
             groups.extendleft(reversed(list(chapters.values())))
         else:
-            self._give_up(rest, reason)
-        return groups
+            self._give_up(group, reason)
 
-    def _give_up(self, rows: Rows, reason: str) -> None:
+    def _give_up(self, rows, reason):
         for row, _ in rows:
             if self._is_left(row):
                 self._found[row.name] = Verdict(row, NOT_JUDGED, reason)
 
-    def _is_left(self, row: Row) -> bool:
+    def _is_left(self, row):
         return self._is_wanted(row) and row.name not in self._found
 
-    def _groups(self) -> Iterator[Rows]:
-        """Yield the rows that are followed together: chapters with steps, and rounds of probes."""
-        rounds: Dict[int, Rows] = {}
+    def _is_wanted(self, row):
+        return bool(row.word) and row.name in self._wanted
+
+    def _groups(self):
+        """Yield rows that are followed together, with their probes: chapters with steps, rounds."""
+        rounds = {}
         for chapter in self._contract.chapters:
             wanted = [row for row in chapter.rows if self._is_wanted(row)]
             if not chapter.has_steps():
@@ -169,10 +156,7 @@ class ContractRun:
         for number in sorted(rounds):
             yield rounds[number]
 
-    def _is_wanted(self, row: Row) -> bool:
-        return bool(row.word) and row.name in self._wanted
-
-    def _follow(self, rows: Rows) -> None:
+    def _follow(self, rows):
         """Spawn the probes of some rows, then do and judge the rows one after the other."""
         probes = {probe.name: probe for _, probe in rows if probe}
         where = places(probes)
@@ -205,7 +189,7 @@ class ContractRun:
                 self._found[row.name] = self._judged(row, scene)
         self._simulator.forget()
 
-    def _call(self, row: Row, scene: Scene) -> None:
+    def _call(self, row, scene):
         request = {name: self._contract.read(value) for name, value in row.request.items()}
         self._last = f"{row.call} in '{row.name}'"
         try:
@@ -215,28 +199,30 @@ class ContractRun:
             if not self._simulator.answers():
                 raise SimulatorError(scene.error) from error
 
-    def _observe(self, rows: Sequence[Row], topics: Sequence[str]) -> Dict[str, Tuple[str, str]]:
+    def _instead(self, row):
+        """Return the expectations that a known deviation meets instead."""
+        return self._deviations[row.name].instead if row.name in self._deviations else {}
+
+    def _observe(self, rows, topics):
         """Subscribe to the topics of rows; return type and md5 sum of their services."""
         heard, services = [], []
         for row, topic in zip(rows, topics):
             if row.word in _WITHOUT_MESSAGES:
                 services.append(topic)
-            deviation = self._deviations.get(row.name)
-            words = {row.word, *(deviation.instead if deviation else ())}
-            if topic and words - _WITHOUT_MESSAGES:
+            if topic and {row.word, *self._instead(row)} - _WITHOUT_MESSAGES:
                 heard.append(topic)
             if row.word == "stamped":
                 heard.append(ns_join(namespace(topic), row.expected))
         self._simulator.listen(heard)
         return self._simulator.services(services)
 
-    def _judged(self, row: Row, scene: Scene) -> Verdict:
+    def _judged(self, row, scene):
+        found = [judge(word, value, scene) for word, value in self._instead(row).items()]
+        complaint = judge(row.word, row.expected, scene)
         deviation = self._deviations.get(row.name)
-        entries = deviation.instead.items() if deviation else ()
-        instead = "; ".join(filter(None, (judge(word, value, scene) for word, value in entries)))
-        return verdict(row, judge(row.word, row.expected, scene), deviation, instead)
+        return verdict(row, complaint, deviation, "; ".join(filter(None, found)))
 
-    def _spawn_all(self, probes: Iterable[Probe], where: Mapping[str, Place]) -> Dict[str, str]:
+    def _spawn_all(self, probes, where):
         """Spawn probes, and a floor below them; return errors by the names of refused probes."""
         standing = [where[probe.name] for probe in probes if probe.floor]
         if standing:
@@ -259,19 +245,17 @@ class ContractRun:
                 refused[probe.name] = str(error)
         return refused
 
-    def _spawn(self, name: str, text: str, space: str, pose: Pose) -> None:
-        position = dict(zip("xyz", pose.position))
-        orientation = dict(zip("xyzw", pose.quaternion))
+    def _spawn(self, name, text, space, pose):
         self._last = f"spawn of {name}"
         self._simulator.must(
             "spawn_sdf_model",
             model_name=f"{PREFIX}{self._contract.mark}{name}",
             model_xml=text,
             robot_namespace=space,
-            initial_pose={"position": position, "orientation": orientation},
+            initial_pose=pose_message(pose),
         )
 
-    def _clear(self) -> None:
+    def _clear(self):
         """Remove everything that a run of the contract adds, also that of an earlier run."""
         self._simulator.forget()
         for name in self._simulator.must("get_world_properties").model_names:
@@ -282,7 +266,7 @@ class ContractRun:
             rospy.delete_param(self._parameters.pop())
 
 
-def places(names: Iterable[str]) -> Dict[str, Place]:
+def places(names):
     """Return the place of each probe by its name, in m."""
     x, y, z = CORNER
     return {
@@ -291,7 +275,7 @@ def places(names: Iterable[str]) -> Dict[str, Place]:
     }
 
 
-def floor_text(standing: Sequence[Place]) -> str:
+def floor_text(standing):
     """Return the SDF of a static model with a slab below each place."""
     width, depth, height = SLAB
     slabs = "".join(

@@ -7,7 +7,6 @@ import contextlib
 import threading
 import time
 from io import BytesIO
-from typing import Any, Callable, Dict, Iterable, List, Mapping, Tuple
 
 import genpy
 import rosgraph
@@ -21,7 +20,6 @@ from tf2_msgs.msg import TFMessage
 
 from bullet_lab.errors import LabError
 
-CALLER = "/gazebo_contract"
 ANSWER_SECONDS = 20.0
 """Timeout of a service call, in wall s."""
 
@@ -31,125 +29,168 @@ TOPICS_SECONDS = 3.0
 SETTLE_SECONDS = 0.3
 """Wall seconds for messages to arrive."""
 
-SLOWEST = 20.0
+SLOWEST = 60.0
 """Wall seconds in which a simulated second must pass."""
+
+HALF_STEP = 5e-4
+"""In simulated s."""
 
 _CALL_ERRORS = (
     *(rosservice.ROSServiceException, rospy.ServiceException, genpy.MessageException),
     *(ValueError, OSError),
 )
-_POLL_SECONDS = 0.02
-_CLOCK_POLL_SECONDS = 0.002
 
 
 class SimulatorError(LabError):
-    """The simulator does not do what is necessary to check the contract."""
+    """The simulator does not do what is asked of it."""
 
 
 class CallError(LabError):
     """A service did not answer."""
 
 
-class Simulator:
-    """Uses a simulator through the interface of Gazebo; simulated time passes only in `run`."""
+class Gazebo:
+    """Uses a simulator through the services of Gazebo and /clock.
+
+    Attributes:
+        master: the ROS master.
+        time: of the last message on /clock, in s.
+    """
 
     def __init__(self):
-        self._master = rosgraph.Master(CALLER)
-        self._lock = threading.Lock()
-        self._now = 0.0
-        self._recorder = Recorder()
-        self._clock = rospy.Subscriber("/clock", Clock, self._take_time)
+        self.master = rosgraph.Master(rospy.get_name())
+        self.time = 0.0
+        self._kinds = {}
+        self._ticked = threading.Condition()
+        self._clock = rospy.Subscriber("/clock", Clock, self._take_time, tcp_nodelay=True)
 
-    def call(self, service: str, request: Mapping[str, Any]) -> Any:
-        """Return the answer of a service, by default of /gazebo; raise CallError."""
-        name = ns_join("/gazebo", service)
-        try:
-            kind = rosservice.get_service_class_by_name(name)
-            message = kind._request_class()
+    def call(self, service, request):
+        """Return the answer of a service, by default of /gazebo, to a dictionary.
+
+        Raises CallError.
+        """
+
+        def filled(kind):
+            message = kind()
             genpy.message.fill_message_args(message, [dict(request)])
-            return _within(ANSWER_SECONDS, lambda: rospy.ServiceProxy(name, kind)(message))
-        except concurrent.futures.TimeoutError as error:
-            raise CallError(f"{name}: no answer in {ANSWER_SECONDS:g} s") from error
-        except _CALL_ERRORS as error:
-            raise CallError(f"{name}: {error}") from error
+            return message
 
-    def services(self, names: Iterable[str]) -> Dict[str, Tuple[str, str]]:
-        """Return type and md5 sum of those of the services that exist."""
-        found: Dict[str, Tuple[str, str]] = {}
-        for name in names:
-            with contextlib.suppress(rosgraph.MasterException, *_CALL_ERRORS):
-                uri = self._master.lookupService(name)
-                header = rosservice.get_service_headers(name, uri)
-                found[name] = header.get("type", ""), header.get("md5sum", "")
-        return found
+        return self._answer(service, filled)
 
-    def offered(self) -> List[str]:
-        """Return the names of all services."""
-        return [name for name, _ in self._master.getSystemState()[2]]
-
-    def answers(self) -> bool:
-        """Return whether the simulator answers."""
-        try:
-            self.call("get_world_properties", {})
-            return True
-        except CallError:
-            return False
-
-    def is_back_within(self, seconds: float) -> bool:
-        """Wait for a simulator that died to be started again; return whether it answers."""
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            if self.answers():
-                return True
-            time.sleep(1.0)
-        return False
-
-    def must(self, service: str, **request: Any) -> Any:
+    def must(self, service, **request):
         """Return the answer of a service; raise SimulatorError unless it reports success."""
         try:
-            answer = self.call(service, request)
+            answer = self._answer(service, lambda kind: kind(**request))
         except CallError as error:
             raise SimulatorError(str(error)) from error
         if not getattr(answer, "success", True):
             raise SimulatorError(f"{service}: {answer.status_message}")
         return answer
 
-    def listen(self, topics: Iterable[str]) -> None:
+    def _answer(self, service, make):
+        """Return the answer to a request that is made of its class."""
+        name = ns_join("/gazebo", service)
+        try:
+            if name not in self._kinds:
+                self._kinds[name] = rosservice.get_service_class_by_name(name)
+            kind = self._kinds[name]
+            request = make(kind._request_class)
+            return _within(ANSWER_SECONDS, lambda: rospy.ServiceProxy(name, kind)(request))
+        except concurrent.futures.TimeoutError as error:
+            raise CallError(f"{name}: no answer in {ANSWER_SECONDS:g} s") from error
+        except _CALL_ERRORS as error:
+            raise CallError(f"{name}: {error}") from error
+
+    def offered(self):
+        """Return the names of all services."""
+        return [name for name, _ in self.master.getSystemState()[2]]
+
+    def answers(self):
+        """Return whether the simulator answers."""
+        with contextlib.suppress(CallError):
+            self.call("get_world_properties", {})
+            return True
+        return False
+
+    def sim_time(self):
+        """Return simulated time in s."""
+        return self.must("get_world_properties").sim_time
+
+    def run_until(self, end, seconds):
+        """Let time run, about so many seconds, until /clock has reached a time (s).
+
+        Raises SimulatorError on a timeout.
+        """
+        patience = SLOWEST * max(seconds, 1.0)
+        self.must("unpause_physics")
+        with self._ticked:
+            # It may have been later before a reset.
+            self.time = min(self.time, end - seconds)
+            if not self._ticked.wait_for(lambda: self.time >= end - HALF_STEP, patience):
+                raise SimulatorError(f"/clock did not reach {end:.3f} s in {patience:g} s")
+        self.must("pause_physics")
+
+    def _take_time(self, message):
+        with self._ticked:
+            self.time = message.clock.to_sec()
+            self._ticked.notify_all()
+
+
+class Simulator(Gazebo):
+    """The simulator as the contract uses it; simulated time passes only in `run`."""
+
+    def __init__(self):
+        super().__init__()
+        self._recorder = Recorder()
+
+    def services(self, names):
+        """Return type and md5 sum of those of the services that exist."""
+        found = {}
+        for name in names:
+            with contextlib.suppress(rosgraph.MasterException, *_CALL_ERRORS):
+                uri = self.master.lookupService(name)
+                header = rosservice.get_service_headers(name, uri)
+                found[name] = header.get("type", ""), header.get("md5sum", "")
+        return found
+
+    def is_back_within(self, seconds):
+        """Wait for a simulator that died to be started again; return whether it answers."""
+        return wait_until(self.answers, seconds, 1.0)
+
+    def listen(self, topics):
         """Subscribe to topics, and wait a while until each of them has a publisher."""
         self._recorder.listen(topics)
-        _wait_until(self._recorder.is_connected)
+        wait_until(self._recorder.is_connected)
 
-    def forget(self) -> None:
+    def forget(self):
         """Unsubscribe from all topics."""
         self._recorder.close()
 
-    def run(self, seconds: float, commands: Iterable[Mapping[str, Any]] = ()) -> Evidence:
+    def run(self, seconds, commands=()):
         """Send commands, let time run, and return what was seen in exactly these seconds.
 
         Each command has a topic, a `type` and a `message`.
         """
         publishers = [_publisher(entry) for entry in commands]
         evidence = Evidence(*self._topics())
-        start = self._sim_time()
+        start = self.sim_time()
         self._recorder.begin()
         # Before time runs, so that commands act for all of it, even on a busy machine.
         for publisher, message in publishers:
             publisher.publish(message)
         if publishers:
             time.sleep(SETTLE_SECONDS)
-        self.must("unpause_physics")
-        self._wait(start, seconds)
-        self.must("pause_physics")
+        self.run_until(start + seconds, seconds)
         time.sleep(SETTLE_SECONDS)
         evidence.heard, evidence.frames = self._recorder.end()
-        evidence.seconds = self._sim_time() - start
+        evidence.seconds = self.sim_time() - start
         for heard in evidence.heard.values():
             heard.cut(start + seconds)
         for publisher, _ in publishers:
             publisher.unregister()
         return evidence
 
-    def stand(self, seconds: float) -> Evidence:
+    def stand(self, seconds):
         """Return what was seen in some wall seconds while time was paused."""
         evidence = Evidence(*self._topics())
         self._recorder.begin()
@@ -157,34 +198,14 @@ class Simulator:
         evidence.heard, evidence.frames = self._recorder.end()
         return evidence
 
-    def _sim_time(self) -> float:
-        return self.must("get_world_properties").sim_time
-
-    def _topics(self) -> Tuple[Dict[str, str], Dict[str, str]]:
+    def _topics(self):
         """Return the types of topics that other nodes publish, and of those they subscribe to."""
-        published, subscribed, _ = self._master.getSystemState()
-        types = dict(self._master.getTopicTypes())
+        types = dict(self.master.getTopicTypes())
         own = rospy.get_name()
-        return tuple(  # type: ignore[return-value]
+        return [
             {name: types.get(name, "?") for name, nodes in topics if set(nodes) - {own}}
-            for topics in (published, subscribed)
-        )
-
-    def _take_time(self, message: Clock) -> None:
-        with self._lock:
-            self._now = message.clock.to_sec()
-
-    def _wait(self, start: float, seconds: float) -> None:
-        """Wait until /clock has advanced by some seconds; raise SimulatorError on a timeout."""
-        until = time.monotonic() + SLOWEST * max(seconds, 1.0)
-        with self._lock:
-            self._now = start
-        while time.monotonic() < until:
-            with self._lock:
-                if self._now - start >= seconds:
-                    return
-            time.sleep(_CLOCK_POLL_SECONDS)
-        raise SimulatorError(f"{seconds:g} s of /clock did not pass in {SLOWEST * seconds:g} s")
+            for topics in self.master.getSystemState()[:2]
+        ]
 
 
 class Recorder:
@@ -193,28 +214,26 @@ class Recorder:
     def __init__(self):
         self._lock = threading.Lock()
         self._on = False
-        self._heard: Dict[str, Heard] = {}
-        self._frames: set = set()
-        self._subscribers: Dict[str, rospy.Subscriber] = {}
+        self._heard, self._frames, self._subscribers = {}, set(), {}
         self._tf = rospy.Subscriber("/tf", TFMessage, self._take_frames)
 
-    def listen(self, topics: Iterable[str]) -> None:
+    def listen(self, topics):
         """Subscribe to topics, besides the present ones."""
         for name in sorted(set(topics) - set(self._subscribers)):
             self._subscribers[name] = rospy.Subscriber(
                 name, rospy.AnyMsg, self._take, callback_args=name, tcp_nodelay=True
             )
 
-    def is_connected(self) -> bool:
+    def is_connected(self):
         """Return whether each topic has a publisher."""
         return all(entry.get_num_connections() for entry in self._subscribers.values())
 
-    def begin(self) -> None:
+    def begin(self):
         """Begin to record."""
         with self._lock:
             self._on, self._heard, self._frames = True, {}, set()
 
-    def end(self) -> Tuple[Dict[str, Heard], set]:
+    def end(self):
         """Stop recording; return the messages by topic, and the pairs of frames on /tf."""
         with self._lock:
             self._on = False
@@ -223,31 +242,27 @@ class Recorder:
             entry.kind = roslib.message.get_message_class(entry.type)
         return heard, frames
 
-    def close(self) -> None:
+    def close(self):
         """Unsubscribe from all topics but /tf."""
         for subscriber in self._subscribers.values():
             subscriber.unregister()
         self._subscribers.clear()
 
-    def _take(self, message: Any, name: str) -> None:
+    def _take(self, message, name):
         header = message._connection_header
+        made = Heard(header["type"], header["md5sum"], header.get("latching") == "1")
         with self._lock:
             if self._on:
-                latching = header.get("latching") == "1"
-                heard = self._heard.setdefault(
-                    name, Heard(header.get("type", ""), header.get("md5sum", ""), latching)
-                )
-                heard.buffers.append(_buffer(message))
+                self._heard.setdefault(name, made).buffers.append(_buffer(message))
 
-    def _take_frames(self, message: TFMessage) -> None:
+    def _take_frames(self, message):
+        pairs = {(entry.header.frame_id, entry.child_frame_id) for entry in message.transforms}
         with self._lock:
             if self._on:
-                self._frames |= {
-                    (entry.header.frame_id, entry.child_frame_id) for entry in message.transforms
-                }
+                self._frames |= pairs
 
 
-def _buffer(message: Any) -> bytes:
+def _buffer(message):
     """Return a serialized message: rospy hands on typed ones for topics such as /clock."""
     if isinstance(message, rospy.AnyMsg):
         return message._buff
@@ -256,7 +271,7 @@ def _buffer(message: Any) -> bytes:
     return stream.getvalue()
 
 
-def _publisher(entry: Mapping[str, Any]) -> Tuple[rospy.Publisher, Any]:
+def _publisher(entry):
     """Return the publisher of a command and its message; raise SimulatorError.
 
     Waits a while for a subscriber.
@@ -267,21 +282,25 @@ def _publisher(entry: Mapping[str, Any]) -> Tuple[rospy.Publisher, Any]:
     message = kind()
     genpy.message.fill_message_args(message, [dict(entry.get("message") or {})])
     publisher = rospy.Publisher(entry["topic"], kind, queue_size=10)
-    _wait_until(publisher.get_num_connections)
+    wait_until(publisher.get_num_connections)
     return publisher, message
 
 
-def _wait_until(condition: Callable[[], Any]) -> None:
-    until = time.monotonic() + TOPICS_SECONDS
-    while not condition() and time.monotonic() < until:
-        time.sleep(_POLL_SECONDS)
+def wait_until(condition, seconds=TOPICS_SECONDS, period=0.02):
+    """Wait for a condition, at most for some wall seconds; return whether it holds."""
+    until = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > until:
+            return False
+        time.sleep(period)
+    return True
 
 
-def _within(seconds: float, action: Callable[[], Any]) -> Any:
+def _within(seconds, action):
     """Return the result of an action, which runs in a thread; raise TimeoutError."""
-    future: concurrent.futures.Future = concurrent.futures.Future()
+    future = concurrent.futures.Future()
 
-    def act() -> None:
+    def act():
         try:
             future.set_result(action())
         except Exception as error:

@@ -2,11 +2,11 @@
 
 results/faults/faults.jsonl lists the faults that were tried; they are not tried again with the
 same seed. A failure leaves its folder there, and the command that repeats it.
+--count N: number of faults, from the index --first on.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import signal
@@ -14,16 +14,18 @@ import sys
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Dict, List
 
-from kinds import JOBS, KINDS, Fault, drawn
+from kinds import JOBS, KINDS, PACKAGE, drawn
 from tqdm import tqdm
 from trial import Trial
+
+sys.path.append(str(PACKAGE / "test"))
+from lab_nodes import parser_of  # noqa: E402
 
 RECORD = "faults.jsonl"
 
 
-def known(record: Path, seed: int) -> Dict[int, Dict[str, Any]]:
+def known(record, seed):
     """Return the outcomes of the faults that were tried with a seed before, by their index."""
     if not record.is_file():
         return {}
@@ -31,7 +33,7 @@ def known(record: Path, seed: int) -> Dict[int, Dict[str, Any]]:
     return {row["index"]: row for row in rows if row["seed"] == seed}
 
 
-def tried(fault: Fault, out: Path) -> Dict[str, Any]:
+def tried(fault, out):
     """Try a fault and return its outcome; keep its folder if something is wrong."""
     folder = out / f"{fault.seed}-{fault.index}"
     shutil.rmtree(folder, ignore_errors=True)
@@ -42,7 +44,7 @@ def tried(fault: Fault, out: Path) -> Dict[str, Any]:
     return {**asdict(fault), **asdict(outcome), "command": command}
 
 
-def summary_of(rows: List[Dict[str, Any]]) -> Dict[str, Any]:
+def summary_of(rows):
     """Count the faults that were tried; those that came after the end of the job do not count."""
     struck = [row for row in rows if row["struck"]]
     return {
@@ -54,16 +56,13 @@ def summary_of(rows: List[Dict[str, Any]]) -> Dict[str, Any]:
     }
 
 
-def main() -> None:
+def main():
     """Try faults, print and write results/faults/summary.json; exit with status 1 on a failure."""
-    parser = argparse.ArgumentParser(prog="faults.sh", description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=200, help="number of faults")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--first", type=int, default=0, help="index of the first fault")
+    out = Path("results/faults")
+    parser = parser_of("faults.sh", __doc__, count=200, seed=1, first=0, out=out)
     parser.add_argument("--only", type=int, help="the fault of this index, even if it was tried")
     parser.add_argument("--job", choices=JOBS, help="this job only")
     parser.add_argument("--kind", choices=sorted(KINDS), help="this kind only")
-    parser.add_argument("--out", type=Path, default=Path("results/faults"))
     wanted = parser.parse_args()
     # A shell ignores it in background jobs, and the processes started here would inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)

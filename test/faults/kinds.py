@@ -6,7 +6,7 @@ import shlex
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, List, NamedTuple, Tuple
+from typing import NamedTuple, Tuple
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class Kind(NamedTuple):
     live: bool = False
 
 
-KINDS: Dict[str, Kind] = {
+KINDS = {
     "kill": Kind(4, (LAUNCHER, NODE, NODE, NODE, WORKER), signal.SIGKILL),
     "int": Kind(4, (LAUNCHER, TERMINAL, TERMINAL, NODE, WORKER), signal.SIGINT),
     "term": Kind(3, (LAUNCHER, NODE, NODE, WORKER), signal.SIGTERM),
@@ -77,20 +77,20 @@ class Fault:
     moment: float
 
 
-def arguments_of(job: str) -> List[str]:
+def arguments_of(job):
     """Return the arguments of a job's smallest run, with two workers where it has workers."""
     declared = JOBS[job]
     workers = ["workers:=2"] if "workers" in declared.arguments else []
     return [*shlex.split(declared.smallest), *workers, *MORE.get(job, ())]
 
 
-def is_live(job: str) -> bool:
+def is_live(job):
     """Return whether a job has a simulation that runs on ROS."""
     text = JOBS[job].path.read_text()
     return "bridge.launch.xml" in text or "pybullet_bridge.py" in text
 
 
-def drawn(seed: int, index: int) -> Fault:
+def drawn(seed, index):
     """Return the fault of an index: jobs take turns, everything else is random."""
     job = list(JOBS)[index % len(JOBS)]
     random = np.random.default_rng([seed, index])

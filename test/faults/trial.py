@@ -8,14 +8,13 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Callable, Dict, Iterator, List, Optional
+from typing import List, Optional
 
 import psutil
 import rosgraph.names
@@ -28,11 +27,13 @@ from kinds import (
     STOPPED_SECONDS,
     TERMINAL,
     WORKER,
-    Fault,
     arguments_of,
     is_live,
 )
 from PIL import Image
+
+sys.path.append(str(PACKAGE / "test" / "rostest"))
+from lab_testing import Master  # noqa: E402
 
 # Environment variable that marks all processes of a trial.
 MARK = "BULLET_LAB_FAULT"
@@ -70,19 +71,19 @@ class Outcome:
 class Trial:
     """Runs a job in a new folder, and injects the fault."""
 
-    def __init__(self, fault: Fault, folder: Path):
+    def __init__(self, fault, folder):
         self._fault, self._folder = fault, folder
         self._kind = KINDS[fault.kind]
         self._out, self._temporary = folder / "out", folder / "tmp"
         self._mark = uuid.uuid4().hex
         self._outcome = Outcome()
-        self._before: Dict[Path, int] = {}
+        self._before = {}
         self._was_done = False
         self._words = arguments_of(fault.job)
         if self._kind.live:
             self._words = [word for word in self._words if not word.startswith("rtf")] + [SLOWLY]
 
-    def run(self) -> Outcome:
+    def run(self):
         """Run the job, inject the fault, and check the results."""
         for path in (self._out, self._temporary):
             path.mkdir(parents=True)
@@ -101,15 +102,13 @@ class Trial:
         self._outcome.seconds = round(time.monotonic() - start, 1)
         return self._outcome
 
-    def _start(self, stack: contextlib.ExitStack) -> None:
+    def _start(self, stack):
         environment = {k: v for k, v in os.environ.items() if not k.startswith("ROS_")}
         environment.update({MARK: self._mark, "TMPDIR": str(self._temporary)})
         if self._fault.kind.startswith("master"):
-            self._port = _free_port()
-            environment["ROS_MASTER_URI"] = f"http://127.0.0.1:{self._port}"
-            environment["ROS_IP"] = "127.0.0.1"
-            self._master = self._start_master()
-            stack.callback(lambda: _end(self._master))
+            self._master = Master()
+            stack.callback(self._master.end)
+            environment.update({"ROS_MASTER_URI": self._master.uri, "ROS_IP": "127.0.0.1"})
         out, err = (
             stack.enter_context((self._folder / name).open("w")) for name in ("stdout", "stderr")
         )
@@ -125,7 +124,7 @@ class Trial:
 
     # The faults
 
-    def _inject(self) -> bool:
+    def _inject(self):
         """Inject the fault; return whether the job was still running."""
         if self._kind.targets:
             return self._send_signal()
@@ -138,13 +137,13 @@ class Trial:
         if self._fault.kind == "disk_full":
             self._fill_the_disk()
         else:
-            _end(self._master)
+            self._master.end()
             if self._fault.kind == "master_back":
                 time.sleep(2.0 * self._fault.choice)
-                self._master = self._start_master()
+                self._master.start()
         return True
 
-    def _send_signal(self) -> bool:
+    def _send_signal(self):
         victim = self._await(self._find_target)
         if victim is None:
             return False
@@ -153,9 +152,10 @@ class Trial:
         if self._fault.target == WORKER:
             # The first worker may have finished.
             victim = self._find_target() or victim
-        return self._signal(victim, self._kind.signal)
+        return self._signal(victim)
 
-    def _signal(self, victim: psutil.Process, number: int) -> bool:
+    def _signal(self, victim):
+        number = self._kind.signal
         with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
             if victim.status() == psutil.STATUS_ZOMBIE:
                 return False
@@ -169,49 +169,53 @@ class Trial:
             return True
         return False
 
-    def _find_target(self) -> Optional[psutil.Process]:
+    def _find_target(self):
         if self._fault.target in (LAUNCHER, TERMINAL):
             return psutil.Process(self._job.pid)
-        found = self._processes()
         if self._fault.target == WORKER:
-            workers = [one for one in found if any("spawn_main" in word for word in _command(one))]
+            workers = [one for one in self._processes() if "spawn_main" in _command(one)]
             return workers[int(self._fault.choice * len(workers))] if workers else None
         nodes = _nodes_of(self._fault.job, self._words)
         self._outcome.victim = nodes[int(self._fault.choice * len(nodes))]
-        return self._node(self._outcome.victim, found)
+        return self._node(self._outcome.victim)
 
-    def _node(self, name: str, found: List[psutil.Process]) -> Optional[psutil.Process]:
+    def _node(self, name):
         space, _, base = name.rpartition("/")
-        for one in found:
+        for one in self._processes():
             with contextlib.suppress(psutil.Error):
                 theirs = one.environ().get("ROS_NAMESPACE", "").rstrip("/")
-                if f"__name:={base}" in _command(one) and theirs == space:
+                if f"__name:={base}" in one.cmdline() and theirs == space:
                     return one
         return None
 
-    def _meddle(self) -> bool:
+    def _meddle(self):
         uri = self._await(self._master_uri)
         if uri is None:
             return False
         name = self._fault.kind.split("_")[0]
-        words = [str(STOPPED_SECONDS)] if name == "clock" else []
-        helper = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("meddle.py")), name, *words],
-            env={**os.environ, "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"},
-            cwd=self._folder,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=(self._folder / "meddle").open("w"),
-            text=True,
-        )
+        words = [name, str(STOPPED_SECONDS)] if name == "clock" else [name]
+        with (self._folder / "meddle").open("w") as err:
+            helper = subprocess.Popen(
+                [sys.executable, str(Path(__file__).with_name("meddle.py")), *words],
+                env={**os.environ, "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"},
+                cwd=self._folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=err,
+                text=True,
+            )
         try:
             return self._meddle_by(helper)
         finally:
-            _end(helper)
+            helper.kill()
+            helper.wait()
 
-    def _meddle_by(self, helper: subprocess.Popen) -> bool:
-        line = self._first_line(helper)
-        if not line:
+    def _meddle_by(self, helper):
+        # Its first line; none if the job ends before.
+        os.set_blocking(helper.stdout.fileno(), False)
+        line = self._await(lambda: helper.stdout.readline() or None)
+        os.set_blocking(helper.stdout.fileno(), True)
+        if line is None:
             return False
         self._record_state()
         if self._fault.kind == "deaf":
@@ -222,9 +226,9 @@ class Trial:
             helper.wait()
             return True
         time.sleep(min(self._fault.moment, 1.0))
-        self._outcome.victim = line
-        driver = self._node(line, self._processes())
-        if driver is None or not self._signal(driver, self._kind.signal):
+        self._outcome.victim = line.strip()
+        driver = self._node(self._outcome.victim)
+        if driver is None or not self._signal(driver):
             return False
         with contextlib.suppress(psutil.TimeoutExpired):
             driver.wait(PATIENCE)
@@ -234,14 +238,7 @@ class Trial:
                 self._wrong(f"the last command on {topic} was {command}")
         return True
 
-    def _first_line(self, helper: subprocess.Popen) -> str:
-        """Return the first line of a helper; empty if the job ends before."""
-        os.set_blocking(helper.stdout.fileno(), False)
-        line = self._await(lambda: helper.stdout.readline() or None) or ""
-        os.set_blocking(helper.stdout.fileno(), True)
-        return line.strip()
-
-    def _fill_the_disk(self) -> None:
+    def _fill_the_disk(self):
         if os.geteuid():
             for one in self._processes():
                 with contextlib.suppress(psutil.Error, PermissionError):
@@ -253,7 +250,7 @@ class Trial:
 
     # State
 
-    def _await(self, find: Callable) -> object:
+    def _await(self, find):
         """Poll until something is found, and return it; None if the job ends before."""
         while self._runs():
             found = find()
@@ -262,17 +259,17 @@ class Trial:
             time.sleep(POLL)
         return None
 
-    def _runs(self) -> bool:
+    def _runs(self):
         return self._job.poll() is None
 
-    def _master_uri(self) -> Optional[str]:
+    def _master_uri(self):
         uri = re.search(r"master (http://\S+)", self._output("stdout"))
         return uri and uri[1]
 
-    def _output(self, stream: str) -> str:
+    def _output(self, stream):
         return (self._folder / stream).read_text(errors="replace")
 
-    def _processes(self) -> List[psutil.Process]:
+    def _processes(self):
         """Return the running processes of this trial."""
         found = []
         mine = f"{MARK}={self._mark}".encode()
@@ -283,67 +280,44 @@ class Trial:
                     found.append(psutil.Process(int(entry.name)))
         return found
 
-    def _record_state(self) -> None:
-        """Record the state before the fault."""
+    def _record_state(self):
+        """Record the state before the fault: whether all was done, and the lines of recordings."""
         self._was_done = (self._out / "summary.json").is_file()
-        self._before = {path: _lines(path) for path in self._recorded()}
-
-    def _recorded(self) -> List[Path]:
         found = [path for path in self._out.rglob("*") if path.suffix in RECORDED]
         # Partial results are in hidden files and folders.
-        return [path for path in found if "/." not in str(path.relative_to(self._folder))]
-
-    def _start_master(self) -> subprocess.Popen:
-        master = subprocess.Popen(
-            ["rosmaster", "--core", "-p", str(self._port)],
-            env={**os.environ, "ROS_IP": "127.0.0.1", "ROS_HOME": str(self._folder / "ros")},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        while master.poll() is None:
-            with contextlib.suppress(OSError):
-                socket.create_connection(("127.0.0.1", self._port)).close()
-                break
-            time.sleep(0.01)
-        return master
+        shown = [path for path in found if "/." not in str(path.relative_to(self._folder))]
+        self._before = {path: _lines(path) for path in shown}
 
     # The end
 
-    def _wait(self) -> None:
+    def _wait(self):
         """Wait for the end of the job and of all its processes."""
         try:
             self._outcome.status = self._job.wait(PATIENCE)
         except subprocess.TimeoutExpired:
             self._wrong(f"no end after {PATIENCE:g} s")
-            self._describe_processes()
-            return
-        deadline = time.monotonic() + GRACE
-        while self._processes() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        for one in self._processes():
-            self._wrong(f"left running: {' '.join(_command(one))[:200]}")
-        self._describe_processes()
-
-    def _describe_processes(self) -> None:
-        lines = []
-        for one in self._processes():
-            with contextlib.suppress(psutil.Error):
-                lines.append(f"{one.pid} {one.status()} {' '.join(one.cmdline())}")
+        else:
+            deadline = time.monotonic() + GRACE
+            while self._processes() and time.monotonic() < deadline:
+                time.sleep(0.05)
+            for one in self._processes():
+                self._wrong(f"left running: {_command(one)[:200]}")
+        lines = [f"{one.pid} {_command(one)}\n" for one in self._processes()]
         if lines:
-            (self._folder / "processes").write_text("\n".join(lines))
+            (self._folder / "processes").write_text("".join(lines))
 
-    def _end_all(self) -> None:
+    def _end_all(self):
         for one in self._processes():
             with contextlib.suppress(psutil.Error):
                 one.kill()
         self._job.wait()
 
-    def _wrong(self, what: str) -> None:
+    def _wrong(self, what):
         self._outcome.wrong.append(what)
 
     # Checks
 
-    def _judge(self) -> None:
+    def _judge(self):
         status, err = self._outcome.status, self._output("stderr")
         if status is None:
             return
@@ -359,7 +333,7 @@ class Trial:
         self._judge_leftovers()
         self._judge_results()
 
-    def _expected(self) -> set:
+    def _expected(self):
         """Return the right statuses; 0 only if the job has finished its work."""
         kind, at_launcher = self._fault.kind, self._fault.target in (LAUNCHER, TERMINAL)
         done = f"{self._fault.job}: done" in self._output("stdout")
@@ -380,7 +354,7 @@ class Trial:
             return right | {1}
         return right | {1, 2} if kind == "disk_full" else right
 
-    def _judge_leftovers(self) -> None:
+    def _judge_leftovers(self):
         left = [path.name for path in self._temporary.iterdir()]
         if left:
             self._wrong(f"left in the temporary folder: {', '.join(left)}")
@@ -388,10 +362,10 @@ class Trial:
         if parts:
             self._wrong(f"left among the results: {', '.join(parts)}")
 
-    def _judge_results(self) -> None:
+    def _judge_results(self):
         killed = self._outcome.victim.rpartition("/")[2] if self._fault.kind == "kill" else ""
         for path, lines in self._before.items():
-            kept = _lines(path) if path.is_file() else 0
+            kept = _lines(path)
             if kept < KEPT * lines - CUT:
                 self._wrong(f"{path.name}: {kept} lines of {lines} kept")
         full = self._fault.kind == "disk_full"
@@ -412,39 +386,28 @@ class Trial:
                 self._wrong(f"{path.name} is not complete: {error}")
 
 
-def _nodes_of(job: str, words: List[str]) -> List[str]:
+def _nodes_of(job, words):
     """Return the names of a job's nodes in the order of their start."""
     path = str(PACKAGE / "launch" / f"{job}.launch")
     config = roslaunch.config.load_config_default([(path, list(words))], None, verbose=False)
     return [rosgraph.names.ns_join(node.namespace, node.name) for node in config.nodes]
 
 
-def _command(process: psutil.Process) -> List[str]:
-    try:
-        return process.cmdline()
-    except psutil.Error:
-        return []
+def _command(process):
+    """Return the command line of a process, as far as there is one."""
+    with contextlib.suppress(psutil.Error):
+        return " ".join(process.cmdline())
+    return ""
 
 
-def _lines(path: Path) -> int:
+def _lines(path):
     with contextlib.suppress(OSError):
         return path.read_bytes().count(b"\n")
     return 0
 
 
-def _free_port() -> int:
-    with contextlib.closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def _end(process: subprocess.Popen) -> None:
-    process.kill()
-    process.wait()
-
-
 @contextlib.contextmanager
-def _small_disk(folder: Path) -> Iterator[None]:
+def _small_disk(folder):
     """Mount a small file system on a folder; needs root."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(folder)], check=True)
     try:

@@ -8,7 +8,6 @@ first mutant. --each N: mutants of a way's share before the next one.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import math
@@ -20,7 +19,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Dict, Iterator, List, NamedTuple, Sequence, Tuple
+from typing import NamedTuple
 
 from mutations import generator, mutant
 from tqdm import tqdm
@@ -46,7 +45,7 @@ class Failure:
     why: str
 
     @property
-    def command(self) -> str:
+    def command(self):
         """Return the command that repeats it."""
         which = f"--way {self.way} --seed {self.seed} --first {self.number}"
         return f"scripts/fuzz.sh {which} --mutants 1"
@@ -60,9 +59,9 @@ class Batch(NamedTuple):
     count: int
 
 
-def try_all(batches: Sequence[Batch], seed: int, folder: Path) -> List[Failure]:
-    """Try batches of mutants, in as many workers as it takes."""
-    failures: List[Failure] = []
+def try_all(batches, seed, folder):
+    """Try batches of mutants, in as many workers as it takes; return the failures."""
+    failures = []
     left = list(batches)
     while left:
         place, number, found = _one_worker(left, seed, folder)
@@ -75,9 +74,7 @@ def try_all(batches: Sequence[Batch], seed: int, folder: Path) -> List[Failure]:
     return failures
 
 
-def _one_worker(
-    batches: Sequence[Batch], seed: int, folder: Path
-) -> Tuple[int, int, List[Failure]]:
+def _one_worker(batches, seed, folder):
     """Return the place of the batch and the number of the last mutant, and the failures."""
     words = [f"{way}:{first}:{count}" for way, first, count in batches]
     patience = PATIENCE + PATIENCE_EACH * sum(batch.count for batch in batches)
@@ -90,10 +87,9 @@ def _one_worker(
             timeout=patience,
         )
         out = done.stdout
-        if done.returncode < 0:
-            why = f"signal {-done.returncode}"
-        elif done.returncode:
+        if done.returncode:
             said = done.stderr.decode(errors="replace").strip().split("\n")[-1]
+            # Less than 0: the number of a signal.
             why = f"status {done.returncode}: {said}"
     except subprocess.TimeoutExpired as error:
         out, why = error.stdout or b"", f"no end after {patience:g} s"
@@ -109,7 +105,7 @@ def _one_worker(
     return place, number, failures
 
 
-def keep(failure: Failure, folder: Path) -> None:
+def keep(failure, folder):
     """Leave the input of a failure, and how to repeat it."""
     way = WAYS[failure.way]
     data = mutant(list(way.seeds()), generator(failure.seed, failure.way, failure.number))
@@ -119,7 +115,7 @@ def keep(failure: Failure, folder: Path) -> None:
         file.write(f"{failure.command}\n    {failure.why}\n")
 
 
-def rounds(wanted: argparse.Namespace) -> Iterator[List[Batch]]:
+def rounds(wanted):
     """Yield which mutants to try, until there are as many as wanted, or without end."""
     ways = [wanted.way] if wanted.way else list(WAYS)
     left = wanted.mutants or math.inf
@@ -136,29 +132,29 @@ def rounds(wanted: argparse.Namespace) -> Iterator[List[Batch]]:
         yield batches
 
 
-def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, object]:
+def fuzz(wanted, folder):
     """Fuzz for as long as is wanted; return the summary."""
     tried = dict.fromkeys(WAYS, 0)
-    failures: List[Failure] = []
+    failures = []
     lock = threading.Lock()
     start = time.monotonic()
     todo = rounds(wanted)
     bar = tqdm(total=wanted.mutants or None, unit=" mutants", disable=not sys.stderr.isatty())
 
-    def work() -> None:
+    def work():
         while True:
             with lock:
                 late = wanted.minutes and time.monotonic() - start > 60.0 * wanted.minutes
                 batches = () if late else next(todo, ())
-                if not batches:
-                    return
-                for batch in batches:
-                    tried[batch.way] += batch.count
+            if not batches:
+                return
             found = try_all(batches, wanted.seed, folder)
             with lock:
-                bar.update(sum(batch.count for batch in batches))
+                for batch in batches:
+                    tried[batch.way] += batch.count
+                    bar.update(batch.count)
+                failures.extend(found)
                 for failure in found:
-                    failures.append(failure)
                     keep(failure, folder)
                     tqdm.write(f"{failure.way} {failure.number}: {failure.why}")
 
@@ -174,7 +170,7 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, object]:
     }
 
 
-def main() -> None:
+def main():
     """Fuzz, print and write results/fuzz/summary.json; status 1 where something failed."""
     parser = parser_of(
         "fuzz.sh",

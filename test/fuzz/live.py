@@ -8,7 +8,6 @@ view drove stands.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import math
@@ -19,7 +18,6 @@ import threading
 import time
 from collections import Counter, deque
 from pathlib import Path
-from typing import Any, Deque, Dict, List, Tuple
 
 import numpy as np
 import roslib.message
@@ -66,9 +64,7 @@ LEFT_ALONE = ("get_loggers", "set_logger_level", "/gazebo/shutdown")
 HEARD_BY_ALL = ("/clock", "/rosout")
 OUTPUTS = ("/odom", "/noisy_odom", "/cart/drive/odom")
 # Of types that the view shows, and nobody here publishes.
-SHOWN = {
-    f"/fuzz/{kind.rpartition('/')[2]}": kind for one in KINDS for kind in one.displays
-}
+SHOWN = {f"/fuzz/{kind.rpartition('/')[2]}": kind for one in KINDS for kind in one.displays}
 # Wall seconds for a call, and for time to go on afterwards.
 CALL_SECONDS, RECOVERY_SECONDS = 30.0, 60.0
 # MB that the bridge may grow by.
@@ -81,19 +77,22 @@ CALLS, TO_PAGE = 0.05, 0.1
 
 
 class FuzzedLab(Lab):
-    """The nodes that are fuzzed, and what they say."""
+    """The nodes that are fuzzed, and what they say.
 
-    def __init__(self, folder: Path):
+    Attributes:
+        sent: what was sent last, and in `not_finite_after` what before the first of those.
+    """
+
+    def __init__(self, folder):
         super().__init__(folder, NODES)
         self._bridge = self.nodes["pybullet_bridge"]
-        self.not_finite: Counter = Counter()
-        # What was sent last, and what before the first of those.
-        self.sent: Deque[str] = deque(maxlen=LAST_SENT)
-        self.not_finite_after: Dict[str, List[str]] = {}
-        self.step = 0
+        self.not_finite = Counter()
+        self.sent = deque(maxlen=LAST_SENT)
+        self.not_finite_after = {}
+        self._ticks = 0
         # The view's last command on each topic.
-        self.driven: Dict[str, Twist] = {}
-        self.too_fast: Counter = Counter()
+        self.driven = {}
+        self.too_fast = Counter()
         spawn_cart()
         self.url = wait_for_url(self.nodes["view"].output)
         rospy.Subscriber("/clock", Clock, self._note_time, queue_size=1)
@@ -102,16 +101,16 @@ class FuzzedLab(Lab):
         time.sleep(5.0)
         self._memory = self._bridge.megabytes()
 
-    def listen_to_view(self, topics: Dict[str, str]) -> None:
+    def listen_to_view(self, topics):
         """Note what the view commands, on all topics that commands are heard on."""
         for topic, kind in topics.items():
             if kind == "geometry_msgs/Twist":
                 rospy.Subscriber(topic, Twist, self._note_command, topic, queue_size=50)
 
-    def _note_time(self, message: Clock) -> None:
-        self.step += 1
+    def _note_time(self, message):
+        self._ticks += 1
 
-    def _check(self, message: Odometry, topic: str) -> None:
+    def _check(self, message, topic):
         # What is sent here comes back as well.
         if message._connection_header["callerid"] == rospy.get_name():
             return
@@ -123,32 +122,27 @@ class FuzzedLab(Lab):
                 self.not_finite_after[topic] = [*self.sent, came]
             self.not_finite[topic] += 1
 
-    def _note_command(self, message: Twist, topic: str) -> None:
+    def _note_command(self, message, topic):
         if message._connection_header["callerid"] == "/view":
             speeds = message.linear.x / FASTEST, message.angular.z / FASTEST_TURN
             if not all(-1.0 <= speed <= 1.0 for speed in speeds):
                 self.too_fast[topic] += 1
             self.driven[topic] = message
 
-    def view_has_stopped(self) -> bool:
+    def view_has_stopped(self):
         """Return whether all that the view has driven is told to stand, once no page is open."""
-        deadline = time.monotonic() + RECOVERY_SECONDS
-        while time.monotonic() < deadline:
-            if all(message == Twist() for message in list(self.driven.values())):
-                return True
-            time.sleep(0.1)
-        return False
+        return soon(lambda: all(message == Twist() for message in list(self.driven.values())))
 
-    def grown(self) -> float:
+    def grown(self):
         """Return by how many MB the bridge has grown."""
         return self._bridge.megabytes() - self._memory
 
-    def resets(self) -> Counter:
+    def resets(self):
         """Return how often the bridge has warned that a model's pose was no longer finite."""
         warning = re.compile(r"model '([^']*)': its pose is no longer finite")
         return Counter(warning.findall(self._bridge.output()))
 
-    def last_words(self, name: str) -> str:
+    def last_words(self, name):
         """Return the status of a node that has ended, and what it printed at the end."""
         text = self.nodes[name].output()
         # Of the fault handler's pages, the thread that died is what counts.
@@ -157,26 +151,36 @@ class FuzzedLab(Lab):
         kept = words if len(words) < 2 * SAID else f"{words[:SAID]} … {words[-SAID:]}"
         return f"{self.nodes[name].process.returncode}: {kept}"
 
-    def time_goes_on(self) -> bool:
+    def time_goes_on(self):
         """Return whether there are ticks of the clock again, once physics is not paused."""
-        before, deadline = self.step, time.monotonic() + RECOVERY_SECONDS
-        unpause = rospy.ServiceProxy("/gazebo/unpause_physics", Empty)
-        set_speed = rospy.ServiceProxy("/bullet_lab/set_rtf", SetRtf)
-        while self.step == before and time.monotonic() < deadline:
-            with contextlib.suppress(rospy.ServiceException):
-                unpause()
-                set_speed(0.0)
-            time.sleep(0.2)
-        return self.step > before
+        before = self._ticks
 
-    def end(self) -> List[str]:
+        def ticks():
+            with contextlib.suppress(rospy.ServiceException):
+                rospy.ServiceProxy("/gazebo/unpause_physics", Empty)()
+                rospy.ServiceProxy("/bullet_lab/set_rtf", SetRtf)(0.0)
+            return self._ticks > before
+
+        return soon(ticks)
+
+    def end(self):
         """End the nodes; return the tracebacks that they have printed."""
         end_all(*self.nodes.values())
         # Libraries that answer calls themselves print theirs, too.
         return [text for text in self.tracebacks() if "bullet_lab/src" in text]
 
 
-def inputs() -> Tuple[Dict[str, str], List[str]]:
+def soon(condition):
+    """Return whether a condition holds before long."""
+    deadline = time.monotonic() + RECOVERY_SECONDS
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.2)
+    return True
+
+
+def inputs():
     """Return the topics that the nodes hear, with their types, and the services that they offer."""
     mine = {f"/{name}" for name in NODES} | {"/noisy_odom_node"}
     _, subscribed, offered = rospy.get_master().getSystemState()[2]
@@ -192,7 +196,7 @@ def inputs() -> Tuple[Dict[str, str], List[str]]:
     return topics, sorted(services)
 
 
-def texts(seed: int) -> List[str]:
+def texts(seed):
     """Return mutants of descriptions, for the services that take them."""
     found = []
     for number in range(TEXTS):
@@ -202,7 +206,7 @@ def texts(seed: int) -> List[str]:
     return found
 
 
-def spawn_cart() -> None:
+def spawn_cart():
     """Spawn a robot with controllers, if it is not there, and have them run."""
     tutorials = PACKAGE / "test" / "tutorials"
     text = (tutorials / "urdf" / "cart.urdf").read_text()
@@ -217,7 +221,7 @@ def spawn_cart() -> None:
     switch(CONTROLLERS, (), SwitchControllerRequest.STRICT, False, 0.0)
 
 
-def service(name: str, kind: type) -> rospy.ServiceProxy:
+def service(name, kind):
     """Return a service once it is there."""
     rospy.wait_for_service(name, CALL_SECONDS)
     return rospy.ServiceProxy(name, kind)
@@ -226,7 +230,7 @@ def service(name: str, kind: type) -> rospy.ServiceProxy:
 class Caller:
     """Calls services, each in a thread of its own, and notes those that do not answer."""
 
-    def __init__(self, services: List[str]):
+    def __init__(self, services):
         self._proxies = {}
         # Those of dynamic_reconfigure answer an empty request with all that they offer.
         self._settings = {}
@@ -238,9 +242,9 @@ class Caller:
                 self._settings[name] = self._proxies[name][0]().config
         self.names = sorted(self._proxies)
         self.with_settings = sorted(self._settings)
-        self.silent: Counter = Counter()
+        self.silent = Counter()
 
-    def call(self, name: str, messages: Messages) -> str:
+    def call(self, name, messages):
         """Call a service with something; return that in words."""
         proxy, kind = self._proxies[name]
         request = messages.fill(kind._request_class())
@@ -259,17 +263,17 @@ class Caller:
         return shown(request)
 
     @staticmethod
-    def _call(proxy: rospy.ServiceProxy, request: Any) -> None:
+    def _call(proxy, request):
         with contextlib.suppress(rospy.ServiceException, rospy.ROSException, ValueError):
             proxy(request)
 
 
-def shown(message: Any) -> str:
+def shown(message):
     """Return a message in some words."""
     return " ".join(str(message).split())[:500]
 
 
-def publishers(topics: Dict[str, str]) -> List[Tuple[rospy.Publisher, type]]:
+def publishers(topics):
     """Return publishers on all topics, whose types are known."""
     kinds = {topic: roslib.message.get_message_class(kind) for topic, kind in topics.items()}
     made = [(rospy.Publisher(t, kind, queue_size=100), kind) for t, kind in kinds.items() if kind]
@@ -277,7 +281,7 @@ def publishers(topics: Dict[str, str]) -> List[Tuple[rospy.Publisher, type]]:
     return made
 
 
-def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
+def fuzz(wanted, folder):
     """Send so many messages; return what became of it."""
     random = np.random.default_rng([wanted.seed, 0xF])
     lab = FuzzedLab(folder)
@@ -288,7 +292,7 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     lab.listen_to_view(topics)
     caller = Caller(services)
     messages = Messages(random, texts(wanted.seed))
-    failures: List[str] = []
+    failures = []
     sent, calls, to_page = Counter(), Counter(), 0
     outlets = publishers({**topics, **SHOWN})
     for number in tqdm(range(wanted.messages), unit=" messages", disable=None):
@@ -344,7 +348,7 @@ def fuzz(wanted: argparse.Namespace, folder: Path) -> Dict[str, Any]:
     }
 
 
-def main() -> None:
+def main():
     """Fuzz, print and write live.json; status 1 where something failed."""
     out = Path("results/fuzz")
     parser = parser_of("fuzz.sh --live", __doc__, seed=1, messages=5000, out=out)

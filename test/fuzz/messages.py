@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Sequence
 
 import genpy
 import numpy as np
@@ -32,12 +31,12 @@ class Messages:
         now: returns a time that makes sense, in s.
     """
 
-    def __init__(self, random: np.random.Generator, texts: Sequence[str]):
+    def __init__(self, random, texts):
         self._random = random
         self._texts = texts
         self.now = 1.0
 
-    def fill(self, message: Any) -> Any:
+    def fill(self, message):
         """Give every field of a message some value; return it."""
         for name, kind in zip(message.__slots__, message._slot_types):
             setattr(message, name, self._value(kind, name))
@@ -46,7 +45,7 @@ class Messages:
             message.x, message.y, message.z, message.w = values / np.linalg.norm(values)
         return message
 
-    def some_settings(self, config: Any) -> Any:
+    def some_settings(self, config):
         """Return some of a dynamic_reconfigure Config's settings, with other values."""
         made = type(config)()
         for kind in ("bools", "ints", "strs", "doubles"):
@@ -56,13 +55,13 @@ class Messages:
             getattr(made, kind).extend(settings)
         return made
 
-    def _setting(self, setting: Any) -> Any:
+    def _setting(self, setting):
         """Return another value for a setting: of numbers, often one that its limits let through."""
         if isinstance(setting.value, float) and self._odd():
             return self._one_of((np.nan, 0.0, setting.value))
         return self.fill(type(setting)()).value
 
-    def _value(self, kind: str, name: str) -> Any:
+    def _value(self, kind, name):
         array = ARRAY.fullmatch(kind)
         if array:
             return self._array(array[1], array[2], name)
@@ -78,35 +77,35 @@ class Messages:
             return self._integer(kind)
         return self.fill(get_message_class("std_msgs/Header" if kind == "Header" else kind)())
 
-    def _array(self, kind: str, length: str, name: str) -> Any:
+    def _array(self, kind, length, name):
         count = int(length) if length else int(self._random.integers(LONGEST_ARRAY))
         if kind in ("uint8", "char"):
             return self._random.bytes(count)
         return [self._value(kind, name) for _ in range(count)]
 
-    def _odd(self) -> bool:
+    def _odd(self):
         return self._random.random() < ODD
 
-    def _one_of(self, values: Sequence[Any]) -> Any:
+    def _one_of(self, values):
         return values[self._random.integers(len(values))]
 
-    def _float(self, kind: str) -> float:
+    def _float(self, kind):
         value = self._one_of(FLOATS) if self._odd() else float(self._random.normal())
         limit = 3e38 if kind == "float32" else np.inf
         return value if not np.isfinite(value) else float(np.clip(value, -limit, limit))
 
-    def _integer(self, kind: str) -> int:
+    def _integer(self, kind):
         kind = {"char": "uint8", "byte": "int8"}.get(kind, kind)
         limits = np.iinfo(kind)
         values = (limits.min, limits.max, limits.max // 2)
         return int(self._one_of(values)) if self._odd() else int(self._random.integers(5))
 
-    def _text(self, name: str) -> str:
+    def _text(self, name):
         if name in ("model_xml", "xml", "robot_description") and self._texts and not self._odd():
             return self._one_of(self._texts)
         return self._one_of(NAMES)
 
-    def _time(self, kind: str) -> Any:
+    def _time(self, kind):
         make = genpy.Time if kind == "time" else genpy.Duration
         if self._odd():
             seconds = self._one_of(SECONDS)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import zlib
-from typing import Sequence
 
 import numpy as np
 
@@ -26,12 +25,12 @@ PIECES = (
 MOST_CHANGES = 4
 
 
-def generator(seed: int, way: str, number: int) -> np.random.Generator:
+def generator(seed, way, number):
     """Return the random numbers of one mutant."""
     return np.random.default_rng([seed, zlib.crc32(way.encode()), number])
 
 
-def mutant(seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def mutant(seeds, random):
     """Return one of some inputs with one to four changes; another of them may be spliced in."""
     data = seeds[random.integers(len(seeds))]
     for _ in range(random.integers(1, MOST_CHANGES + 1)):
@@ -40,16 +39,16 @@ def mutant(seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
     return data
 
 
-def _span(data: bytes, random: np.random.Generator, longest: int = 200) -> slice:
+def _span(data, random, longest=200):
     start = int(random.integers(len(data) + 1))
     return slice(start, start + int(random.integers(longest)))
 
 
-def _replaced(data: bytes, where: slice, piece: bytes) -> bytes:
+def _replaced(data, where, piece):
     return data[: where.start] + piece + data[where.stop :]
 
 
-def _number(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _number(data, _seeds, random):
     found = list(NUMBER.finditer(data))
     if not found:
         return data
@@ -57,13 +56,13 @@ def _number(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -
     return _replaced(data, slice(*match.span()), NUMBERS[random.integers(len(NUMBERS))])
 
 
-def _piece(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _piece(data, _seeds, random):
     piece = PIECES[random.integers(len(PIECES))]
     where = _span(data, random, 12) if random.random() < 0.5 else _span(data, random, 1)
     return _replaced(data, where, piece)
 
 
-def _bits(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _bits(data, _seeds, random):
     changed = bytearray(data)
     for _ in range(random.integers(1, 9)):
         if changed:
@@ -71,27 +70,27 @@ def _bits(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> 
     return bytes(changed)
 
 
-def _cut(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _cut(data, _seeds, random):
     return data[: random.integers(len(data) + 1)]
 
 
-def _left_out(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _left_out(data, _seeds, random):
     return _replaced(data, _span(data, random), b"")
 
 
-def _twice(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _twice(data, _seeds, random):
     where = _span(data, random, 600)
     return _replaced(data, slice(where.start, where.start), data[where])
 
 
-def _line_moved(data: bytes, _seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _line_moved(data, _seeds, random):
     lines = data.split(b"\n")
     first, second = random.integers(len(lines), size=2)
     lines[first], lines[second] = lines[second], lines[first]
     return b"\n".join(lines)
 
 
-def _spliced(data: bytes, seeds: Sequence[bytes], random: np.random.Generator) -> bytes:
+def _spliced(data, seeds, random):
     other = seeds[random.integers(len(seeds))]
     return _replaced(data, _span(data, random), other[_span(other, random, 600)])
 

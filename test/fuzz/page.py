@@ -7,9 +7,7 @@ import sys
 import time
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, List
 
-import numpy as np
 from mutations import mutant
 from viser import _messages
 from websockets.exceptions import WebSocketException
@@ -46,15 +44,15 @@ class PageFuzzer:
         random: to draw from.
     """
 
-    def __init__(self, url: str, random: np.random.Generator):
+    def __init__(self, url, random):
         self._url, self._random = url, random
         # Another page, which is to live on.
         self._witness = Looker(url)
         self._page = Looker(url)
         self._drive = self._page.driver()
-        self._told: List[bytes] = []
+        self._told = []
 
-    def send(self) -> str:
+    def send(self):
         """Send something; return it in words."""
         if self._random.integers(NEW_PAGE) == 0:
             self._reopen()
@@ -64,7 +62,7 @@ class PageFuzzer:
             self._reopen()
             return f"closed: {error}"
 
-    def lives(self) -> bool:
+    def lives(self):
         """Return whether the other page is still served."""
         before = self._witness.received
         for _ in range(600):
@@ -73,23 +71,23 @@ class PageFuzzer:
             time.sleep(0.1)
         return False
 
-    def close(self) -> None:
+    def close(self):
         """Close all pages."""
         self._drive.socket.close()
         self._page.close()
         self._witness.close()
 
-    def _reopen(self) -> None:
+    def _reopen(self):
         with contextlib.suppress(WebSocketException, OSError):
             self._drive.socket.close()
             self._page.close()
         self._page = Looker(self._url)
         self._drive = self._page.driver()
 
-    def _one_of(self, values: Any) -> Any:
+    def _one_of(self, values):
         return values[self._random.integers(len(values))]
 
-    def _send_word(self) -> str:
+    def _send_word(self):
         stamp = str(self._drive.listen()["time"])
         if self._random.random() < SENSE:
             word = f"{stamp} {self._one_of(SHARES)} {self._one_of(SHARES)}"
@@ -100,7 +98,7 @@ class PageFuzzer:
         self._drive.socket.send(word)
         return f"drive: {word!r:.100}"
 
-    def _send_message(self) -> str:
+    def _send_message(self):
         message = self._update() if self._random.random() < OF_CONTROL else self._any_message()
         data = pack(message)
         if self._random.random() < MUTATED:
@@ -109,22 +107,22 @@ class PageFuzzer:
         self._page.say(data)
         return f"page: {message!r:.200}"
 
-    def _update(self) -> Any:
+    def _update(self):
         uuid, props = self._one_of([*list(self._page.controls.items()), ("none", {})])
         key = self._one_of(("value", "value", "value", "label", "disabled"))
         value = self._value_for(props) if self._random.random() < OF_KIND else self._value()
         return {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {key: value}}
 
-    def _value_for(self, props: Any) -> Any:
+    def _value_for(self, props):
         """Return a value of the kind that a control has, in its limits or not."""
         if "options" in props:
             return self._one_of(list(props["options"]))
         return self._one_of(NUMBERS if "min" in props else (True, False))
 
-    def _any_message(self) -> Any:
+    def _any_message(self):
         name = self._one_of(TYPES)
         parts = {field.name: self._value() for field in fields(getattr(_messages, name))}
         return {"type": name, **parts}
 
-    def _value(self) -> Any:
+    def _value(self):
         return self._one_of(VALUES)

@@ -13,7 +13,7 @@ import pkgutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple
+from typing import Callable, Iterable, Sequence
 
 import rosbag
 import rospy
@@ -64,27 +64,27 @@ class Way:
     share: int = 8
 
 
-def text_of(path: Path, errors: str = "replace") -> str:
+def text_of(path, errors="replace"):
     """Return a mutant as text."""
     return path.read_text(encoding="utf-8", errors=errors)
 
 
-def files(*patterns: str) -> Callable[[], List[bytes]]:
+def files(*patterns):
     """Return the contents of files of the package that patterns name."""
     return lambda: [path.read_bytes() for one in patterns for path in sorted(PACKAGE.glob(one))]
 
 
 @functools.lru_cache(maxsize=None)
-def hall() -> Simulation:
+def hall():
     """Return the world that all models come into, with a robot of ours that is to live on."""
     simulation = Simulation.of(EMPTY)
     simulation.spawn("package://bullet_lab/urdf/block_robot.urdf", "witness")
     return simulation
 
 
-def numbers_of(simulation: Simulation) -> List[float]:
+def numbers_of(simulation):
     """Return where everything is and how it moves."""
-    found: List[float] = []
+    found = []
     for instance in simulation.models.values():
         state = instance.state()
         for frame in state.links.values():
@@ -92,7 +92,7 @@ def numbers_of(simulation: Simulation) -> List[float]:
     return found
 
 
-def spawn(path: Path) -> List[float]:
+def spawn(path):
     """Spawn a text, as the services do, let it live for a while, and take it away."""
     simulation = hall()
     part = read_spawned(text_of(path, "surrogateescape"), "mutant")
@@ -109,7 +109,7 @@ def spawn(path: Path) -> List[float]:
             raise NonsenseError("time stands still")
 
 
-def load_world(path: Path) -> List[float]:
+def load_world(path):
     """Load a world, let it run, and load what is saved of it."""
     with Simulation.of(str(path)) as simulation:
         simulation.run_for(SECONDS)
@@ -124,7 +124,7 @@ def load_world(path: Path) -> List[float]:
     return numbers
 
 
-def load_mesh(path: Path) -> List[float]:
+def load_mesh(path):
     """Read a mesh."""
     triangles = load_triangles(Mesh(path, path.name))
     if triangles.faces.size and triangles.faces.max() >= len(triangles.vertices):
@@ -132,20 +132,20 @@ def load_mesh(path: Path) -> List[float]:
     return triangles.vertices.ravel().tolist()
 
 
-def read_docks_file(path: Path) -> List[float]:
+def read_docks_file(path):
     """Read a dock database."""
     docks = parse_docks(text_of(path))
     return [value for dock in docks.values() for value in _floats(dataclasses.astuple(dock))]
 
 
-def read_map_file(path: Path) -> List[float]:
+def read_map_file(path):
     """Read a map, with an image beside it."""
     path.with_name("house.pgm").write_bytes(b"P5\n2 2\n255\n\0\xfe\xcd\xff")
     found = read_map(path)
     return [found.resolution, *found.origin, *found.cells.ravel().tolist()]
 
 
-def _floats(value: Any) -> Iterable[float]:
+def _floats(value):
     if isinstance(value, (tuple, list)):
         for one in value:
             yield from _floats(one)
@@ -153,21 +153,21 @@ def _floats(value: Any) -> Iterable[float]:
         yield value
 
 
-def trajectory(path: Path) -> List[float]:
+def trajectory(path):
     """Read a path, as the studies do."""
     found = read_tum(path) if path.suffix == ".tum" else read_path(path)
     return [*found.stamps.ravel().tolist(), *found.poses.ravel().tolist()]
 
 
-def expanded(path: Path) -> None:
+def expanded(path):
     """Expand a xacro file and read what it stands for."""
     read_spawned(expand_xacro(path), "mutant")
 
 
-def only(read: Callable[[Path], Any]) -> Callable[[Path], List[float]]:
+def only(read):
     """Return a way in of which no numbers come."""
 
-    def enter(path: Path) -> List[float]:
+    def enter(path):
         read(path)
         return []
 
@@ -175,12 +175,12 @@ def only(read: Callable[[Path], Any]) -> Callable[[Path], List[float]]:
 
 
 @functools.lru_cache(maxsize=None)
-def jobs() -> Dict[str, Any]:
+def jobs():
     """Return the jobs of the package."""
     return find_jobs(PACKAGE)
 
 
-def assignments() -> List[bytes]:
+def assignments():
     """Return command lines: every argument of every job with its default."""
     texts = []
     for name, job in jobs().items():
@@ -189,7 +189,7 @@ def assignments() -> List[bytes]:
     return texts
 
 
-def assign(path: Path) -> None:
+def assign(path):
     """Check the words of a command line."""
     name, *words = text_of(path, "surrogateescape").split("\n")
     job = jobs().get(name) or next(iter(jobs().values()))
@@ -197,7 +197,7 @@ def assign(path: Path) -> None:
 
 
 @functools.lru_cache(maxsize=None)
-def parameter_kinds() -> Tuple[type, ...]:
+def parameter_kinds():
     """Return the declarations of parameters of all nodes."""
     found = {}
     for entry in pkgutil.iter_modules(bullet_lab.ros.nodes.__path__):
@@ -208,7 +208,7 @@ def parameter_kinds() -> Tuple[type, ...]:
     return tuple(found[name] for name in sorted(found))
 
 
-def parameter_files() -> List[bytes]:
+def parameter_files():
     """Return every node's parameters with their defaults, as YAML."""
     texts = []
     for kind in parameter_kinds():
@@ -217,7 +217,7 @@ def parameter_files() -> List[bytes]:
     return texts
 
 
-def set_parameters(path: Path) -> List[float]:
+def set_parameters(path):
     """Check private parameters of a node, as roslaunch would have put them on the server."""
     try:
         given = yaml.safe_load(path.read_bytes())
@@ -233,13 +233,13 @@ def set_parameters(path: Path) -> List[float]:
     return list(_floats(dataclasses.astuple(read)))
 
 
-def stl_files() -> List[bytes]:
+def stl_files():
     """Return a box as STL, in bytes and in words."""
     box = trimesh.creation.box((1.0, 2.0, 0.5))
     return [box.export(file_type="stl"), box.export(file_type="stl_ascii").encode()]
 
 
-def scripts() -> List[bytes]:
+def scripts():
     """Return material scripts with what such files have."""
     texts = (
         """
@@ -254,7 +254,7 @@ def scripts() -> List[bytes]:
     return [text.encode() for text in texts]
 
 
-def bags() -> List[bytes]:
+def bags():
     """Return a short bag with odometry."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "path.bag"
@@ -269,20 +269,20 @@ def bags() -> List[bytes]:
         return [path.read_bytes()]
 
 
-def tum_files() -> List[bytes]:
+def tum_files():
     """Return short paths in TUM's format."""
     rows = [f"{0.05 * k:.9f} {0.1 * k:.3f} 0.2 0 0 0 0.0998334 0.9950042" for k in range(40)]
     return ["\n".join(["# stamp tx ty tz qx qy qz qw", *rows, ""]).encode()]
 
 
-def csv_files() -> List[bytes]:
+def csv_files():
     """Return short paths as the jobs write them."""
     head = "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"
     rows = [f"{0.05 * k:.9f},{0.1 * k},0.2,0.1,{0.11 * k},0.21,0.12" for k in range(40)]
     return ["\n".join([head, *rows, ""]).encode()]
 
 
-WAYS: Dict[str, Way] = {
+WAYS = {
     "urdf": Way(files("urdf/*.urdf", "test/tutorials/urdf/*.urdf"), ".urdf", spawn, 16),
     "sdf": Way(files("models/*/model.sdf"), ".sdf", spawn, 16),
     "world": Way(files("worlds/*.world"), ".world", load_world, 4),
@@ -303,7 +303,7 @@ WAYS: Dict[str, Way] = {
 }
 
 
-def check_numbers(numbers: Iterable[float]) -> None:
+def check_numbers(numbers):
     """Raise NonsenseError where one is not finite."""
     for number in numbers:
         if not math.isfinite(number):

@@ -18,7 +18,6 @@ import tempfile
 import traceback
 import warnings
 from pathlib import Path
-from typing import Any, Iterator, List
 
 from mutations import generator, mutant
 from ways import PACKAGE, WAYS, check_numbers
@@ -54,14 +53,14 @@ ALLOWED = (
 class Watch:
     """Notes files that are opened outside of `ALLOWED` and a folder while a mutant is tried."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder):
         self._folder = os.path.realpath(folder)
-        self.outside: List[str] = []
+        self.outside = []
         self._on = False
         sys.addaudithook(self._see)
 
     @contextlib.contextmanager
-    def look(self) -> Iterator[None]:
+    def look(self):
         """Watch for as long as this lasts."""
         self.outside, self._on = [], True
         try:
@@ -69,7 +68,7 @@ class Watch:
         finally:
             self._on = False
 
-    def _see(self, event: str, arguments: Any) -> None:
+    def _see(self, event, arguments):
         if not self._on or event not in ("open", "os.remove", "os.rename", "socket.connect"):
             return
         name = arguments[0]
@@ -81,7 +80,7 @@ class Watch:
                 self.outside.append(path)
 
 
-def try_mutant(way: str, path: Path, watch: Watch) -> str:
+def try_mutant(way, path, watch):
     """Return why a mutant fails, or nothing."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
@@ -101,7 +100,7 @@ def try_mutant(way: str, path: Path, watch: Watch) -> str:
     return f"it took {grown >> 20} MB" if grown > MOST_GROWTH else ""
 
 
-def main() -> None:
+def main():
     """Try mutants."""
     seed, folder, *batches = sys.argv[1:]
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))

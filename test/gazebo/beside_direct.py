@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Tuple
-
-from beside_scenarios import Push, Stage
+from beside_scenarios import Stage
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.forces import Effort, Period, Wrench
@@ -22,49 +20,48 @@ class DirectStage(Stage):
 
     def __init__(self):
         self.simulation = Simulation.of(FLOOR)
-        self._spawned = 0
 
-    def spawn(self, text: str, pose: Pose) -> str:
+    def spawn(self, text, pose):
         model = read_spawned(text, "a model")
-        self._spawned += 1
-        name = f"{model.name}_{self._spawned}"
+        name = f"{model.name}_{len(self.simulation.models)}"
         self.simulation.add(model, name, pose * model.pose)
         return name
 
-    def clear(self) -> None:
+    def clear(self):
         self.simulation.close()
         self.simulation = Simulation.of(FLOOR)
 
-    def state(self, name: str) -> FrameState:
+    def state(self, name):
         instance = self.simulation.models[name]
         return FrameState(instance.pose(), *instance.frame().velocity())
 
-    def put(self, name: str, state: FrameState) -> None:
+    def put(self, name, state):
         self.simulation.models[name].move(state.pose, state.linear, state.angular)
 
-    def command(self, name: str, vx: float, vy: float, wz: float) -> None:
+    def command(self, name, vx, vy, wz):
         self.simulation.models[name].command("cmd_vel", PlanarCommand(vx, vy, wz))
 
-    def push(self, body: str, push: Push) -> None:
+    def push(self, body, push):
         if push.frame:
             raise NotImplementedError("frames belong to the service; play it through ROS")
         link = find_link(self.simulation.models, body)
         given_in = FrameState(Pose(link.frame.pose().position))
-        period = Period.after(self.simulation.step, 0.0, push.seconds)
-        wrench = Wrench.at_point(given_in, link, push.force, push.torque, push.point, period)
-        self.simulation.forces.add(wrench)
+        wrench = (given_in, link, push.force, push.torque, push.point)
+        self.simulation.forces.add(Wrench.at_point(*wrench, self._period(push.seconds)))
 
-    def exert(self, name: str, joint: str, effort: float, seconds: float) -> None:
+    def exert(self, name, joint, effort, seconds):
         found = find_joint(self.simulation.models, f"{name}::{joint}")
-        period = Period.after(self.simulation.step, 0.0, seconds)
-        self.simulation.forces.add(Effort(*found, effort, period))
+        self.simulation.forces.add(Effort(*found, effort, self._period(seconds)))
 
-    def joint(self, name: str, joint: str) -> Tuple[float, float]:
+    def _period(self, seconds):
+        return Period.after(self.simulation.step, 0.0, seconds)
+
+    def joint(self, name, joint):
         state = self.simulation.models[name].body_of_joint(joint).joint_state(joint)
         return state.position, state.velocity
 
-    def turn_joint(self, name: str, joint: str, position: float) -> None:
+    def turn_joint(self, name, joint, position):
         self.simulation.models[name].configure({joint: position})
 
-    def run(self, seconds: float) -> None:
+    def run(self, seconds):
         self.simulation.run_for(seconds)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Dict, List, Mapping, Sequence
 
 import cv2
 import numpy as np
-from beside_scenarios import DRIVES, PACKAGE, Played
-from beside_table import FAILED, OK, Row, both
+from beside_scenarios import DRIVES, PACKAGE
+from beside_table import FAILED, OK, both
 
 from bullet_lab.core.figures import BLUE, ORANGE, new_figure, plan_axes, save
 
@@ -19,9 +17,7 @@ BEGIN, END = "<!-- table: written by --page -->\n", "<!-- end of table -->\n"
 HEADER = "| scenario | figures within | the farthest one | Gazebo | here | allowed |"
 
 
-def write_page(
-    rows: Sequence[Row], played: Mapping[str, Played], known: Mapping[str, Played], out: Path
-) -> None:
+def write_page(rows, played, known, out):
     """Write the table into the page, and draw its pictures."""
     text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
@@ -32,9 +28,9 @@ def write_page(
         draw_pictures(out / "cam.png", IMAGES / "beside_pictures.png")
 
 
-def short_table(rows: Sequence[Row]) -> str:
+def short_table(rows):
     """Return a line of Markdown for each scenario: how many figures agree, and the farthest."""
-    by_name: Dict[str, List[Row]] = {}
+    by_name = {}
     for row in rows:
         if row.verdict in (OK, FAILED):
             by_name.setdefault(row.scenario, []).append(row)
@@ -42,31 +38,29 @@ def short_table(rows: Sequence[Row]) -> str:
     for name, judged in by_name.items():
         agree = sum(row.verdict == OK for row in judged)
         far = max(judged, key=lambda row: row.apart)
-        count = f"{agree} of {len(judged)}"
-        count = count if agree == len(judged) else f"**{count}**"
+        bold = "" if agree == len(judged) else "**"
+        count = f"{bold}{agree} of {len(judged)}{bold}"
         cells = (name, count, far.quantity, *both(far), far.allowed)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def draw_paths(played: Mapping[str, Played], known: Mapping[str, Played], path: Path) -> None:
+def draw_paths(played, known, path):
     """Draw the paths of all drives, Gazebo's and those here."""
     names = [d.name for d in DRIVES if known[d.name].path and d.name in played]
     columns = 4
-    figure = new_figure(11.0, 2.6 * math.ceil(len(names) / columns))
-    axes = list(figure.subplots(math.ceil(len(names) / columns), columns, squeeze=False).flat)
+    rows = math.ceil(len(names) / columns)
+    figure = new_figure(11.0, 2.6 * rows)
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    sources = ((known, ORANGE, 3.0, "Gazebo"), (played, BLUE, 1.2, "here"))
     for one, name in zip(axes, names):
-        for source, colour, width, word in (
-            (known, ORANGE, 3.0, "Gazebo"),
-            (played, BLUE, 1.2, "here"),
-        ):
-            track = np.array([(0.0, *_start(source[name])), *source[name].path])
+        for source, colour, width, word in sources:
+            points = source[name].path
+            track = np.array([(0.0, 0.0, 0.0, points[0][3]), *points])
             one.plot(track[:, 1], track[:, 2], color=colour, linewidth=width, label=word)
-            end = track[-1]
-            ahead = 0.15 * np.array((math.cos(end[3]), math.sin(end[3])))
-            one.annotate(
-                "", end[1:3] + ahead, end[1:3], arrowprops={"arrowstyle": "->", "color": colour}
-            )
+            _, x, y, yaw = track[-1]
+            tip = x + 0.15 * math.cos(yaw), y + 0.15 * math.sin(yaw)
+            one.annotate("", tip, (x, y), arrowprops={"arrowstyle": "->", "color": colour})
         plan_axes(one, title=name, xlabel="", ylabel="")
     for one in axes[len(names) :]:
         one.set_axis_off()
@@ -75,11 +69,7 @@ def draw_paths(played: Mapping[str, Played], known: Mapping[str, Played], path: 
     save(figure, path)
 
 
-def _start(played: Played) -> Sequence[float]:
-    return 0.0, 0.0, played.path[0][3]
-
-
-def draw_pictures(here: Path, path: Path) -> None:
+def draw_pictures(here, path):
     """Draw Gazebo's picture, that of this simulator, and where they differ by more than 3."""
     pictures = [cv2.imread(str(file)) for file in (PACKAGE / "data/gazebo/cam.png", here)]
     apart = np.abs(pictures[0].astype(int) - pictures[1]).max(axis=2)

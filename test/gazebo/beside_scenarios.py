@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Dict, List, Tuple, Union
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.simulation.world.description import FrameState
 from bullet_lab.simulation.world.urdf import read_urdf_text
 
 PACKAGE = Path(__file__).resolve().parents[2]
-MODELS = Path(__file__).resolve().parent / "models"
+MODELS = "test/gazebo/models"
 SETTLE = 1.0
 """Simulated seconds that a robot stands before its first leg."""
 
@@ -39,45 +38,35 @@ class Played:
 class Stage:
     """A simulator with a level floor. Time passes only in `run`, in whole steps of 1 ms."""
 
-    def spawn(self, text: str, pose: Pose) -> str:
+    def spawn(self, text, pose):
         """Add a model of URDF or SDF text, and return the name that it has got."""
-        raise NotImplementedError
 
-    def clear(self) -> None:
+    def clear(self):
         """Remove all that was spawned."""
-        raise NotImplementedError
 
-    def state(self, name: str) -> FrameState:
-        """Return pose and velocity of a model in the world."""
-        raise NotImplementedError
+    def state(self, name):
+        """Return the FrameState of a model: pose and velocity in the world."""
 
-    def put(self, name: str, state: FrameState) -> None:
+    def put(self, name, state):
         """Place a model in motion."""
-        raise NotImplementedError
 
-    def command(self, name: str, vx: float, vy: float, wz: float) -> None:
+    def command(self, name, vx, vy, wz):
         """Send a robot a velocity command, in m/s and rad/s."""
-        raise NotImplementedError
 
-    def push(self, body: str, push: Push) -> None:
-        """Let a force or torque act on "model::link"."""
-        raise NotImplementedError
+    def push(self, body, push):
+        """Let a force or torque, a `Push`, act on "model::link"."""
 
-    def exert(self, name: str, joint: str, effort: float, seconds: float) -> None:
+    def exert(self, name, joint, effort, seconds):
         """Let a torque (N m) act on a joint."""
-        raise NotImplementedError
 
-    def joint(self, name: str, joint: str) -> Tuple[float, float]:
+    def joint(self, name, joint):
         """Return position and rate of a joint, in rad and rad/s."""
-        raise NotImplementedError
 
-    def turn_joint(self, name: str, joint: str, position: float) -> None:
+    def turn_joint(self, name, joint, position):
         """Place a joint, in rad."""
-        raise NotImplementedError
 
-    def run(self, seconds: float) -> None:
+    def run(self, seconds):
         """Let time pass."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -104,19 +93,11 @@ class Leg:
     seconds: float
 
     @property
-    def stands(self) -> bool:
+    def stands(self):
         return not (self.vx or self.vy or self.wz)
 
-    def __str__(self) -> str:
-        words = [f"{self.vx:g} m/s"] * bool(self.vx) + [f"{self.vy:g} m/s left"] * bool(self.vy)
-        words += [f"{self.wz:g} rad/s"] * bool(self.wz)
-        return f"{', '.join(words) or 'stop'} for {self.seconds:g} s"
 
-
-def stop(seconds: float = 1.0) -> Leg:
-    return Leg(0.0, 0.0, 0.0, seconds)
-
-
+STOP = Leg(0.0, 0.0, 0.0, 1.0)
 # In which way a robot moves.
 SLIDES, ROLLS, SLIPS = "slides", "rolls", "slips"
 
@@ -140,11 +121,11 @@ class Drive:
     judged: int = 99
     turned: Tuple[float, ...] = (0.0,)
 
-    def name_at(self, heading: float) -> str:
+    def name_at(self, heading):
         """Return the name of its figures when its heading is turned by some degrees."""
         return self.name + (f"@{heading:g}" if heading else "")
 
-    def text(self) -> str:
+    def text(self):
         """Return the robot's URDF."""
         text = read_urdf_text(PACKAGE / self.robot)
         for old, new in self.changes:
@@ -154,147 +135,106 @@ class Drive:
         return text
 
 
-def motions(legs: Tuple[Leg, ...]) -> List[Tuple[int, int]]:
+def motions(legs):
     """Return the ranges of legs that are one motion: a leg, with the stop after it."""
-    found: List[Tuple[int, int]] = []
-    for number, leg in enumerate(legs):
-        if leg.stands and found:
-            found[-1] = (found[-1][0], number + 1)
-        else:
-            found.append((number, number + 1))
-    return found
+    begins = [number for number, leg in enumerate(legs) if not (number and leg.stands)]
+    return list(zip(begins, [*begins[1:], len(legs)]))
 
 
-def name_of(first: int, end: int) -> str:
+def name_of(first, end):
     """Return the name of a motion of some legs."""
     return f"legs {first}-{end - 1}" if end - first > 1 else f"leg {first}"
 
 
-def play_drive(drive: Drive, stage: Stage, heading: float, start: Vector = (0, 0, 0)) -> Played:
-    """Play a drive from a place, with the robot's heading turned by some degrees."""
+def play_drive(drive, stage, heading):
+    """Play a drive from the origin, with the robot's heading turned by some degrees."""
     yaw = math.radians(drive.heading + heading)
-    place = Pose.from_rpy((start[0], start[1], drive.height), (0.0, 0.0, yaw))
+    place = Pose.from_rpy((0.0, 0.0, drive.height), (0.0, 0.0, yaw))
     name = stage.spawn(drive.text(), place)
     stage.run(SETTLE)
-    track = _Track(stage.state(name))
     played = Played()
+    # Before the first leg, and after each: the pose, and by how much it has turned in all, in rad.
+    poses, turns = [stage.state(name).pose], [0.0]
+    for leg in drive.legs:
+        pose, turned = poses[-1], turns[-1]
+        stage.command(name, leg.vx, leg.vy, leg.wz)
+        for _ in range(round(leg.seconds / SAMPLE)):
+            stage.run(SAMPLE)
+            before, pose = pose, stage.state(name).pose
+            turned += math.remainder(pose.yaw - before.yaw, math.tau)
+            seconds = round(SAMPLE * (len(played.path) + 1), 3)
+            played.path.append((seconds, *pose.position[:2], pose.yaw))
+        poses.append(pose)
+        turns.append(turned)
     for first, end in motions(drive.legs):
-        begin, turned = track.state, track.turned
-        for number in range(first, end):
-            before, turned_before = track.state, track.turned
-            leg = drive.legs[number]
-            stage.command(name, leg.vx, leg.vy, leg.wz)
-            for _ in range(round(leg.seconds / SAMPLE)):
-                stage.run(SAMPLE)
-                played.path.append(track.go(stage.state(name)))
-            if end - first > 1:
-                _note(played, f"leg {number}", before, track.state, track.turned - turned_before)
-        _note(played, name_of(first, end), begin, track.state, track.turned - turned)
+        legs = [(n, n + 1) for n in range(first, end)] if end - first > 1 else []
+        for part in (*legs, (first, end)):
+            begin, last = (poses[n] for n in part)
+            # By the heading that it had before.
+            flat = Pose.from_rpy(begin.position, (0.0, 0.0, begin.yaw))
+            ahead, left, _ = (flat.inverse() * last).position
+            turned = math.degrees(turns[part[1]] - turns[part[0]])
+            for word, value in (("ahead m", ahead), ("left m", left), ("turned deg", turned)):
+                played.figures[f"{name_of(*part)} {word}"] = value
     stage.clear()
     return played
 
 
-def _note(played: Played, which: str, begin: FrameState, end: FrameState, turned: float) -> None:
-    """Note where something is by the heading that it had before."""
-    yaw = Pose.from_rpy(begin.pose.position, (0.0, 0.0, begin.pose.yaw))
-    ahead, left, _ = (yaw.inverse() * end.pose).position
-    played.figures[f"{which} ahead m"] = ahead
-    played.figures[f"{which} left m"] = left
-    played.figures[f"{which} turned deg"] = math.degrees(turned)
-
-
-class _Track:
-    """Where a robot is, and how far it has turned in all, in rad."""
-
-    def __init__(self, state: FrameState):
-        self.state, self.turned, self.seconds = state, 0.0, 0.0
-
-    def go(self, state: FrameState) -> Tuple[float, float, float, float]:
-        """Take the state of the next sample, and return the point of the path."""
-        self.turned += math.remainder(state.pose.yaw - self.state.pose.yaw, math.tau)
-        self.state = state
-        self.seconds += SAMPLE
-        x, y, _ = state.pose.position
-        return round(self.seconds, 3), x, y, state.pose.yaw
-
-
-_MODELS = "test/gazebo/models"
 _AHEAD = Leg(0.2, 0.0, 0.0, 5.0)
 _TURN = Leg(0.0, 0.0, 0.5, 5.0)
-_USUAL = (_AHEAD, stop(), _TURN, stop())
+_USUAL = (_AHEAD, STOP, _TURN, STOP)
 _TWO = (0.0, 45.0)
 _ALL_ROUND = (0.0, 30.0, 45.0, 90.0)
 _SIDE = Leg(0.2, 0.0, 0.0, 10.0)
 _CORNER = Leg(0.0, 0.0, -0.5236, 3.4)
-_BLOCK = (_SIDE, _CORNER, stop(), Leg(0.2, 0.0, 0.3, 5.0), Leg(0.0, 0.2, 0.0, 2.0), stop())
-_PLAIN = f"{_MODELS}/plain_block.urdf"
+_BACK = Leg(0.0, 0.0, 0.5236, 3.4)
+_BLOCK = (_SIDE, _CORNER, STOP, Leg(0.2, 0.0, 0.3, 5.0), Leg(0.0, 0.2, 0.0, 2.0), STOP)
+_PLAIN = f"{MODELS}/plain_block.urdf"
 _IZZ = 'izz="7.5e-3"'
-_LIFTED = (('xyz="0.15 0 -0.05"', 'xyz="0.15 0 0"'),)
 _TUTORIALS = "test/tutorials/urdf"
-_SOFT = (
-    "</robot>",
-    "".join(
-        f'<gazebo reference="{end}_{side}"><kp>1e6</kp><kd>1</kd></gazebo>'
-        for end in ("front", "back")
-        for side in ("left", "right")
-    )
-    + "</robot>",
+_TAGS = "".join(
+    f'<gazebo reference="{end}_{side}"><kp>1e6</kp><kd>1</kd></gazebo>'
+    for end in ("front", "back")
+    for side in ("left", "right")
 )
-_SQUARE = (_SOFT, ('xyz="0.12 ', 'xyz="0.2 '), ('xyz="-0.12 ', 'xyz="-0.2 '))
+_SOFT = (("</robot>", f"{_TAGS}</robot>"),)
+_SQUARE = (*_SOFT, ('xyz="0.12 ', 'xyz="0.2 '), ('xyz="-0.12 ', 'xyz="-0.2 '))
 
 
-def _four_wheels(name: str, *changes: Tuple[str, str], judged: int = 99) -> Drive:
-    return Drive(
-        name,
-        f"{_TUTORIALS}/four_wheels.urdf.xacro",
-        _USUAL,
-        SLIPS,
-        height=0.1,
-        changes=changes,
-        judged=judged,
-        turned=_ALL_ROUND,
-    )
+def _four_wheels(name, **more):
+    robot = f"{_TUTORIALS}/four_wheels.urdf.xacro"
+    return Drive(name, robot, _USUAL, SLIPS, height=0.1, turned=_ALL_ROUND, **more)
 
 
-def _casters(name: str, *changes: Tuple[str, str]) -> Drive:
-    robot = f"{_MODELS}/casters.urdf.xacro"
-    legs = (_AHEAD,)
-    return Drive(name, robot, legs, ROLLS, 0.0, 0.1, changes, judged=0, turned=_TWO)
+def _casters(name, **more):
+    robot = f"{MODELS}/casters.urdf.xacro"
+    return Drive(name, robot, (_AHEAD,), ROLLS, height=0.1, judged=0, turned=_TWO, **more)
+
+
+def _block(name, *legs, **more):
+    return Drive(name, _PLAIN, legs, SLIDES, **more)
 
 
 DRIVES = (
     # Its turn is the report's, by a tag that Gazebo ignores.
     Drive("block", "urdf/block_robot.urdf", _BLOCK, SLIDES, judged=1),
     # Its arc by planar_move rocks in Gazebo, in a cycle of two steps: chance decides where it ends.
-    Drive("cpmr_block", _PLAIN, _BLOCK, SLIDES, judged=2),
-    Drive(
-        "block45",
-        _PLAIN,
-        (_SIDE, _CORNER, Leg(0.0, 0.0, 0.5236, 3.4)),
-        SLIDES,
-        heading=45.0,
-    ),
-    Drive("block45_fast", _PLAIN, (Leg(0.0, 0.0, 1.5, 3.4),), SLIDES, heading=45.0),
-    Drive(
-        "izz0663", _PLAIN, (_SIDE, _CORNER) * 4, SLIDES, changes=((_IZZ, 'izz="0.0663"'),)
-    ),
-    Drive("izz075", _PLAIN, (_SIDE, _CORNER) * 2, SLIDES, changes=((_IZZ, 'izz="0.075"'),)),
+    _block("cpmr_block", *_BLOCK, judged=2),
+    _block("block45", _SIDE, _CORNER, _BACK, heading=45.0),
+    _block("block45_fast", Leg(0.0, 0.0, 1.5, 3.4), heading=45.0),
+    _block("izz0663", *((_SIDE, _CORNER) * 4), changes=((_IZZ, 'izz="0.0663"'),)),
+    _block("izz075", *((_SIDE, _CORNER) * 2), changes=((_IZZ, 'izz="0.075"'),)),
     Drive("sensor_robot", "urdf/sensor_robot.urdf", _USUAL, SLIDES),
     Drive("camera_robot", "urdf/camera_robot.urdf", _USUAL, ROLLS, turned=_TWO),
-    Drive("burger", f"{_MODELS}/burger.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
+    Drive("burger", f"{MODELS}/burger.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
     Drive("rover", f"{_TUTORIALS}/rover.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
     _four_wheels("four_wheels"),
-    _four_wheels("four_wheels_soft", _SOFT),
+    _four_wheels("four_wheels_soft", changes=_SOFT),
     # Friction along and across balance, so that how far it turns proves nothing.
-    _four_wheels("four_wheels_square", *_SQUARE, judged=1),
+    _four_wheels("four_wheels_square", changes=_SQUARE, judged=1),
     Drive(
-        "husky",
-        f"{_MODELS}/husky.urdf.xacro",
-        _USUAL,
-        SLIPS,
-        height=0.13228,
-        turned=_ALL_ROUND,
+        "husky", f"{MODELS}/husky.urdf.xacro", _USUAL, SLIPS, height=0.13228, turned=_ALL_ROUND
     ),
     _casters("two_casters"),
-    _casters("rear_caster", *_LIFTED),
+    _casters("rear_caster", changes=(('xyz="0.15 0 -0.05"', 'xyz="0.15 0 0"'),)),
 )

@@ -6,13 +6,14 @@ import csv
 import json
 import math
 import re
+from collections import Counter
 from dataclasses import asdict, dataclass
 from io import StringIO
-from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Optional
 
 import numpy as np
-from beside_scenarios import ROLLS, SLIDES, SLIPS, Drive, Figure, Played, motions, name_of
+from beside_scenarios import ROLLS, SLIDES, SLIPS, Figure, Played, motions, name_of
+from beside_trials import SET
 
 WIDEST = 36
 """Characters of a figure in the table."""
@@ -28,7 +29,7 @@ class Allowed:
     share: float = 0.0
     within: float = 0.0
 
-    def __str__(self) -> str:
+    def __str__(self):
         return f"{100 * self.share:g} %" if self.share else f"{self.within:g}"
 
 
@@ -55,72 +56,62 @@ _PERCENT = Allowed(share=0.01)
 _MILLIMETRE = Allowed(within=1e-3)
 _WAY = Allowed(share=0.02)
 _TURN = {SLIDES: Allowed(within=3.0), ROLLS: Allowed(within=3.0), SLIPS: Allowed(share=0.08)}
-_CASTERS = Allowed(share=0.1)
 
 
-def allowed_in_drive(drive: Drive) -> Dict[str, Allowed]:
+def allowed_in_drive(drive):
     """Return the limits of a drive's figures by their names."""
-    found: Dict[str, Allowed] = dict(allowed_by_name(drive.name))
+    found = dict(allowed_by_name(drive.name))
     for number, (first, end) in enumerate(motions(drive.legs)[: drive.judged]):
-        leg, name = drive.legs[first], name_of(first, end)
+        leg = drive.legs[first]
         if leg.wz:
             # How long wheels go on when the robot stops is no measure of how it turns.
             found[f"leg {first} turned deg"] = _TURN[drive.moves]
-        elif leg.vx or leg.vy:
+        elif not leg.stands:
             way = _MILLIMETRE if drive.moves == SLIDES and number == 0 else _WAY
-            found[f"{name} {'ahead' if leg.vx else 'left'} m"] = way
+            found[f"{name_of(first, end)} {'ahead' if leg.vx else 'left'} m"] = way
     return found
 
 
-def _each(limit: Allowed, *names: str) -> Dict[str, Allowed]:
+_PUSHED = (DIGITS, "x m", "y m", "vx m/s", "vy m/s", "wz rad/s", "yaw rad")
+_SLOPE = (DIGITS, "way m", "speed m/s")
+# By the beginning of the scenario's name; the longest counts.
+TRIALS = {
+    "slide": (_MILLIMETRE, *(f"{axis} at {when} s m" for axis in "xy" for when in (0.1, 0.5))),
+    "push_1N_mu0": _PUSHED,
+    # It stands there, and creeps in Gazebo.
+    "push_1N_mu0.5": (Allowed(within=2e-3), "x m", "y m"),
+    "push_6N": (_PERCENT, "x m"),
+    "push_1N_aside": _PUSHED[:-1],
+    "torque_z": _PUSHED,
+    "push_in": _PUSHED,
+    "slope35": _SLOPE,
+    "slope20_mu0": _SLOPE,
+    # Gazebo's box creeps by 5.6 mm.
+    "slope20_mu0.5": (DIGITS,),
+    "drop": (_MILLIMETRE, "rebound m", "end m"),
+    "roll": (DIGITS, "x m", "vx m/s", "wy rad/s"),
+    "turn": (DIGITS, *(f"at {when} s {unit}" for when in (1, 2) for unit in ("rad", "rad/s"))),
+    "pendulum": (DIGITS, *(f"at {when} s rad" for when in range(1, 7))),
+    "push_block": (_PERCENT, "robot x m", "crate x m"),
+    "set_model_state": (
+        DIGITS,
+        *(f"{when} {what}" for when in ("now", "after 1 ms", "after 100 ms") for what in SET),
+    ),
+    "fall": (DIGITS, "z m", "vz m/s"),
+    "two_casters": (Allowed(share=0.1), "leg 0 ahead m"),
+}
+"""A limit, and the figures that it is for."""
+
+
+def allowed_by_name(scenario):
+    """Return the limits of a scenario's figures, from its name."""
+    found = [start for start in TRIALS if scenario.startswith(start)]
+    limit, *names = TRIALS[max(found, key=len)] if found else [None]
     return dict.fromkeys(names, limit)
 
 
-_PUSHED = ("x m", "y m", "vx m/s", "vy m/s", "wz rad/s", "yaw rad")
-_SLID = [f"{axis} at {when} s m" for axis in "xy" for when in ("0.1", "0.5")]
-_TURNED = [f"at {when} s {unit}" for when in (1, 2) for unit in ("rad", "rad/s")]
-_SWUNG = [f"at {when} s rad" for when in range(1, 7)]
-_SET = [
-    f"{when} {what}"
-    for when in ("now", "after 1 ms", "after 100 ms")
-    for what in ("x m", "y m", "z m", "roll rad", "pitch rad", "yaw rad", "vz m/s", "wz rad/s")
-]
-_SLOPE = ("way m", "speed m/s")
-
-# By the beginning of the scenario's name; the longest counts.
-TRIALS: Dict[str, Mapping[str, Allowed]] = {
-    "slide": _each(_MILLIMETRE, *_SLID),
-    "push_1N_mu0": _each(DIGITS, *_PUSHED),
-    # It stands there, and creeps in Gazebo.
-    "push_1N_mu0.5": _each(Allowed(within=2e-3), "x m", "y m"),
-    "push_6N": _each(_PERCENT, "x m"),
-    "push_1N_aside": _each(DIGITS, "x m", "y m", "vx m/s", "vy m/s", "wz rad/s"),
-    "torque_z": _each(DIGITS, *_PUSHED),
-    "push_in": _each(DIGITS, *_PUSHED),
-    "slope35": _each(DIGITS, *_SLOPE),
-    "slope20_mu0": _each(DIGITS, *_SLOPE),
-    # Gazebo's box creeps by 5.6 mm.
-    "slope20_mu0.5": {},
-    "drop": _each(_MILLIMETRE, "rebound m", "end m"),
-    "roll": _each(DIGITS, "x m", "vx m/s", "wy rad/s"),
-    "turn": _each(DIGITS, *_TURNED),
-    "pendulum": _each(DIGITS, *_SWUNG),
-    "push_block": _each(_PERCENT, "robot x m", "crate x m"),
-    "set_model_state": _each(DIGITS, *_SET),
-    "fall": _each(DIGITS, "z m", "vz m/s"),
-    "two_casters": _each(_CASTERS, "leg 0 ahead m"),
-    "rear_caster": {},
-}
-
-
-def allowed_by_name(scenario: str) -> Mapping[str, Allowed]:
-    """Return the limits of a scenario's figures, from its name."""
-    found = [start for start in TRIALS if scenario.startswith(start)]
-    return TRIALS[max(found, key=len)] if found else {}
-
-
 # By patterns in the names of the figures; the first one counts, and None means no limit.
-SENSORS: Sequence[Tuple[str, Optional[Allowed]]] = (
+SENSORS = (
     (r"^(cam|rgb) .* (red|green|blue)$", Allowed(within=3.0)),
     # Software GL was too slow for them; under load, range sensors were late, too.
     (r"(image_raw|camera_info|points|sonar) gap ms$", None),
@@ -151,17 +142,12 @@ SENSORS: Sequence[Tuple[str, Optional[Allowed]]] = (
 )
 
 
-def allowed_of_sensor(name: str) -> Optional[Allowed]:
+def allowed_of_sensor(name):
     """Return the limit of a figure of the scenario with sensors."""
     return next(limit for pattern, limit in SENSORS if re.search(pattern, name))
 
 
-def compare(
-    scenario: str,
-    gazebo: Mapping[str, Figure],
-    here: Mapping[str, Figure],
-    allowed: Callable[[str], Optional[Allowed]],
-) -> List[Row]:
+def compare(scenario, gazebo, here, allowed):
     """Return a row for each figure that one of the two has; `allowed` has the limits by name."""
     rows = []
     for name in dict.fromkeys((*here, *gazebo)):
@@ -176,7 +162,7 @@ def compare(
     return rows
 
 
-def distance(limit: Allowed, gazebo: Figure, here: Optional[Figure]) -> float:
+def distance(limit, gazebo, here):
     """Return how far a figure is from Gazebo's, 1 at its limit.
 
     Text has to be the same; of an array, as many numbers count as are known.
@@ -193,7 +179,7 @@ def distance(limit: Allowed, gazebo: Figure, here: Optional[Figure]) -> float:
     return math.inf if math.isnan(worst) else float(worst)
 
 
-def table(rows: Sequence[Row], with_told: bool) -> str:
+def table(rows, with_told):
     """Return the rows as text, those without a limit only if asked for."""
     shown = [row for row in rows if with_told or row.verdict in (OK, FAILED)]
     cells = [("scenario", "quantity", "Gazebo", "here", "allowed", "verdict")]
@@ -205,7 +191,7 @@ def table(rows: Sequence[Row], with_told: bool) -> str:
     )
 
 
-def both(row: Row) -> Tuple[str, str]:
+def both(row):
     """Return both figures as text; of words, those that only one has, unless they are the same."""
     one, other = row.gazebo, row.here
     if isinstance(one, str) and isinstance(other, str) and one != other:
@@ -215,38 +201,35 @@ def both(row: Row) -> Tuple[str, str]:
     return text_of(one), text_of(other)
 
 
-def summary(rows: Sequence[Row]) -> str:
+def summary(rows):
     """Return how many rows there are of each verdict."""
-    counts = dict.fromkeys((OK, FAILED, TOLD, UNKNOWN), 0)
-    for row in rows:
-        counts[row.verdict] += 1
-    return ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    counts = Counter(row.verdict for row in rows)
+    return ", ".join(f"{counts[verdict]} {verdict}" for verdict in (OK, FAILED, TOLD, UNKNOWN))
 
 
-def text_of(value: Optional[Figure]) -> str:
+def text_of(value):
     """Return a figure as text of at most some characters."""
-    if value is None:
-        return ""
-    if isinstance(value, str):
-        return value if len(value) <= WIDEST else f"…{value[1 - WIDEST :]}"
     if isinstance(value, list):
-        return text_of(" ".join(f"{round(number, 5) + 0.0:.5g}" for number in value))
-    return f"{round(value, 5) + 0.0:.5f}"
+        value = " ".join(f"{round(number, 5) + 0.0:.5g}" for number in value)
+    elif isinstance(value, (int, float)):
+        return f"{round(value, 5) + 0.0:.5f}"
+    value = value or ""
+    return value if len(value) <= WIDEST else f"…{value[1 - WIDEST :]}"
 
 
-def as_csv(rows: Sequence[Row]) -> str:
+def as_csv(rows):
     """Return all rows as CSV, with a header."""
     stream = StringIO()
     writer = csv.DictWriter(stream, list(Row.__dataclass_fields__), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
+    writer.writerows(map(asdict, rows))
     return stream.getvalue()
 
 
 # ---- Figures in files ----
 
 
-def read_figures(path: Path) -> Dict[str, Played]:
+def read_figures(path):
     """Return the figures of a file by scenario."""
     text = json.loads(path.read_text(encoding="utf-8"))
     return {
@@ -255,26 +238,20 @@ def read_figures(path: Path) -> Dict[str, Played]:
     }
 
 
-def write_figures(path: Path, origin: str, played: Mapping[str, Played]) -> None:
+def write_figures(path, origin, played):
     """Write figures to a file, a line for each scenario."""
-    lines = [
-        f"{json.dumps(name)}: {json.dumps(_entry(entry))}" for name, entry in played.items()
-    ]
-    body = ",\n".join(lines)
-    path.write_text(
-        f'{{"origin": {json.dumps(origin)}, "scenarios": {{\n{body}\n}}}}\n', encoding="utf-8"
-    )
+    lines = []
+    for name, here in played.items():
+        entry = {"figures": {key: _short(value) for key, value in here.figures.items()}}
+        if here.path:
+            entry["path"] = [_short(list(row), 5) for row in here.path]
+        lines.append(f"{json.dumps(name)}: {json.dumps(entry)}")
+    scenarios = "{\n" + ",\n".join(lines) + "\n}"
+    text = f'{{"origin": {json.dumps(origin)}, "scenarios": {scenarios}}}\n'
+    path.write_text(text, encoding="utf-8")
 
 
-def _entry(played: Played) -> Dict[str, Any]:
-    figures = {name: _short(value) for name, value in played.figures.items()}
-    path = [[_short(value, 5) for value in row] for row in played.path]
-    return {"figures": figures, **({"path": path} if path else {})}
-
-
-def _short(value: Figure, digits: int = 6) -> Figure:
-    if isinstance(value, str):
-        return value
+def _short(value, digits=6):
     if isinstance(value, list):
-        return [round(number, digits) + 0.0 for number in value]
-    return round(value, digits) + 0.0
+        return [_short(number, digits) for number in value]
+    return value if isinstance(value, str) else round(value, digits) + 0.0

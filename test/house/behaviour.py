@@ -16,7 +16,6 @@ import sys
 import tempfile
 from dataclasses import MISSING
 from pathlib import Path
-from typing import Any, Iterator
 
 import yaml
 
@@ -28,14 +27,14 @@ PACKAGE = Path(__file__).resolve().parents[2]
 CONTRACT = PACKAGE / "test" / "contract"
 
 
-def jobs() -> Iterator[str]:
+def jobs():
     """Yield the arguments of each job with their defaults."""
     for name, job in find_jobs(PACKAGE).items():
         for argument in job.arguments.values():
             yield f"job {name} {argument.name}:={argument.default}"
 
 
-def executables() -> Iterator[str]:
+def executables():
     """Yield each executable's parameters with their defaults and what is allowed."""
     sys.path.insert(0, str(CONTRACT))
     for script in sorted([*(PACKAGE / "scripts").glob("*.py"), CONTRACT / "gazebo_contract.py"]):
@@ -47,7 +46,7 @@ def executables() -> Iterator[str]:
                 yield f"executable {script.name} {entry.name}{default} [{limits}]"
 
 
-def types() -> Iterator[str]:
+def types():
     """Yield the md5 sums of this package's messages, services and actions."""
     for folder, ending in (("msg", ""), ("srv", ""), ("action", "Action")):
         for path in sorted((PACKAGE / folder).glob(f"*.{folder}")):
@@ -57,7 +56,7 @@ def types() -> Iterator[str]:
             yield f"{folder} {path.stem} {kind._md5sum}"
 
 
-def contract() -> Iterator[str]:
+def contract():
     """Yield the rows of the contract, and the files of plugins that are simulated."""
     for path in sorted((CONTRACT / "rows").glob("*.yaml")):
         content = yaml.safe_load(path.read_text())
@@ -66,7 +65,7 @@ def contract() -> Iterator[str]:
     yield from (f"plugin {name}" for name in known_plugins())
 
 
-def live() -> Iterator[str]:
+def live():
     """Yield the topics and services of a running bridge and the nodes around it."""
     import rosgraph
     import rospy
@@ -95,7 +94,7 @@ def live() -> Iterator[str]:
         lab.end()
 
 
-def results(folder: Path) -> Iterator[str]:
+def results(folder):
     """Yield the files of results with the columns of tables and the keys of JSON files."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder)
@@ -108,7 +107,7 @@ def results(folder: Path) -> Iterator[str]:
             yield f"result {name}"
 
 
-def keys_of(value: Any, above: str = "") -> Iterator[str]:
+def keys_of(value, above=""):
     """Yield the keys of nested dictionaries, with those above them; of lists, their first entry."""
     if isinstance(value, dict):
         for key, entry in value.items():
@@ -118,7 +117,7 @@ def keys_of(value: Any, above: str = "") -> Iterator[str]:
         yield from keys_of(value[0], f"{above}[]")
 
 
-def main() -> None:
+def main():
     """Print all lines, sorted within each kind."""
     parser = argparse.ArgumentParser(prog="house.sh behaviour", description=__doc__.splitlines()[0])
     parser.add_argument("--live", action="store_true")

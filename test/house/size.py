@@ -10,13 +10,12 @@ import sys
 import tokenize
 from collections import Counter
 from pathlib import Path
-from typing import Set, Tuple
 
 COUNTED = (tokenize.NAME, tokenize.OP, tokenize.NUMBER, tokenize.STRING)
 COLUMNS = ("tokens", "per line", "lines", "files")
 
 
-def docstrings(text: bytes) -> Set[Tuple[int, int]]:
+def docstrings(text):
     """Return where strings begin that are statements by themselves."""
     return {
         (node.lineno, node.col_offset)
@@ -27,7 +26,7 @@ def docstrings(text: bytes) -> Set[Tuple[int, int]]:
     }
 
 
-def size_of(path: Path) -> Counter:
+def size_of(path):
     """Return the numbers of tokens, lines of code and lines of a file."""
     text = path.read_bytes()
     left_out = docstrings(text)
@@ -40,13 +39,13 @@ def size_of(path: Path) -> Counter:
     return Counter(tokens=len(tokens), code=len(code), lines=text.count(b"\n"), files=1)
 
 
-def show(name: str, size: Counter) -> None:
+def show(name, size):
     """Print a row of the table."""
     density = size["tokens"] / max(1, size["code"])
     print(f"{name:36}{size['tokens']:9}{density:9.2f}{size['lines']:9}{size['files']:9}")
 
 
-def main() -> None:
+def main():
     """Print the table of a folder, of the library by default."""
     root = Path(sys.argv[1]) if sys.argv[1:] else Path(__file__).parents[2] / "src" / "bullet_lab"
     folders = {}

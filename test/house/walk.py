@@ -14,7 +14,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, Set, Tuple
+from typing import Tuple
 
 PACKAGE = Path(__file__).resolve().parents[2]
 LIBRARY = "src/bullet_lab/"
@@ -32,13 +32,13 @@ class Walk:
 
 
 BRIDGE = "pybullet_bridge.py"
-WALKS: Dict[str, Walk] = {
+WALKS = {
     "twist": Walk(("squares", "rtf:=1"), (BRIDGE, "noisy_odom.py", "plot_noise.py"), 8.0),
     "image": Walk(("dock", "rtf:=1", "x:=2"), (BRIDGE, "aruco.py", "dock.py"), 15.0),
 }
 
 
-def files_of(walk: Walk, folder: Path) -> Dict[str, Set[str]]:
+def files_of(walk, folder):
     """Run a job, trace it for a while, and return the files that each executable entered."""
     tracer = str(Path(__file__).parent / "tracer")
     environment = {**os.environ, "LAB_WALK": str(folder), "LAB_WALK_ROOT": LIBRARY}
@@ -57,14 +57,14 @@ def files_of(walk: Walk, folder: Path) -> Dict[str, Set[str]]:
     flag.unlink()
     process.terminate()
     process.wait(START_SECONDS)
-    found: Dict[str, Set[str]] = {name: set() for name in walk.executables}
+    found = {name: set() for name in walk.executables}
     for name, files in found.items():
         for path in folder.glob(f"{name}.*.txt"):
             files.update(line.split(LIBRARY)[-1] for line in path.read_text().split("\n"))
     return found
 
 
-def main() -> None:
+def main():
     """Print the files of each walk and their number."""
     parser = argparse.ArgumentParser(prog="house.sh walk", description=__doc__.splitlines()[0])
     # argparse checks an empty list against choices, too.

@@ -7,14 +7,13 @@ import signal
 import subprocess
 import time
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import LONGEST, PACKAGE
 
 from bullet_lab.jobs.declaration import find_jobs
 
-PACKAGE = Path(__file__).resolve().parents[2]
 JOBS = find_jobs(PACKAGE)
 assert "squares" in JOBS
 # Without a submission there is nothing to grade.
@@ -29,8 +28,6 @@ WAYS = [
     # It fails unless all goals are reached without a contact.
     ("goal", "world:=house", "goals:=20", "seed:=1"),
 ]
-# The longest one, a detection range, takes three minutes on two cores.
-SECONDS = 1800
 INTERRUPTED = 130
 # Wall seconds: while roslaunch starts, or while the job is at work.
 LATEST_SIGNAL = 8.0
@@ -57,7 +54,7 @@ def processes_of(session):
 def test_a_job_runs_and_leaves_its_results(way, tmp_path):
     job, *words = way
     process = start(job, tmp_path, *words)
-    printed, _ = process.communicate(timeout=SECONDS)
+    printed, _ = process.communicate(timeout=LONGEST)
     assert process.returncode == 0, printed
     assert isinstance(json.loads((tmp_path / "summary.json").read_text()), dict)
     assert "Traceback" not in printed

@@ -2,22 +2,12 @@
 
 import csv
 import json
-import subprocess
-from pathlib import Path
 
-SOAK = Path(__file__).resolve().parents[2] / "scripts" / "soak.sh"
-SECONDS = 900
+from programs import printed
 
 
 def soak(folder, hours):
-    done = subprocess.run(
-        [str(SOAK), "--hours", str(hours), "--out", str(folder)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=SECONDS,
-    )
-    assert done.returncode == 0, done.stdout
+    printed("scripts/soak.sh", "--hours", hours, "--out", folder)
     return json.loads((folder / "summary.json").read_text())
 
 

@@ -4,15 +4,13 @@ import json
 import os
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy
 import pytest
+from programs import PACKAGE, printed
 
-PACKAGE = Path(__file__).resolve().parents[2]
 NOTEBOOK = PACKAGE / "docs" / "first_steps.ipynb"
 UV = PACKAGE / "build" / "uv" / "bin" / "uv"
-SECONDS = 900
 # What says where ROS and other Python packages are.
 ROS_NAMES = ("PYTHONPATH", "PYTHONHOME", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH")
 CLEAN = {
@@ -30,17 +28,7 @@ JOBS = {
 
 
 def run(*words, folder, **environment):
-    done = subprocess.run(
-        list(map(str, words)),
-        cwd=folder,
-        env={**CLEAN, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=SECONDS,
-    )
-    assert done.returncode == 0, done.stdout
-    return done.stdout
+    return printed(*words, cwd=folder, env={**CLEAN, **environment})
 
 
 def by_pip(environment, source, versions):
@@ -100,15 +88,15 @@ def assert_same(folder, reference):
 
 
 def test_there_is_no_ros(programs, tmp_path):
-    for name in ("rospy", "roslaunch", "rospkg", "genpy", "catkin_pkg"):
-        code = f"import importlib.util as u; raise SystemExit(u.find_spec({name!r}) is not None)"
-        run(programs / "python", "-c", code, folder=tmp_path)
+    names = ("rospy", "roslaunch", "rospkg", "genpy", "catkin_pkg")
+    code = f"import importlib.util as u; raise SystemExit(any(map(u.find_spec, {names})))"
+    run(programs / "python", "-c", code, folder=tmp_path)
 
 
 @pytest.mark.parametrize("job", JOBS)
 def test_a_job_leaves_the_files_of_the_job_with_ros(job, programs, with_ros, tmp_path):
-    printed = run(programs / "bullet_lab", job, *JOBS[job], folder=tmp_path)
-    assert f"{job}: done after" in printed
+    told = run(programs / "bullet_lab", job, *JOBS[job], folder=tmp_path)
+    assert f"{job}: done after" in told
     ours, theirs = tmp_path / "results" / job, with_ros / job
     # Another numpy rounds the last bits of sums of many numbers otherwise.
     version = run(programs / "python", "-c", "import numpy; print(numpy.__version__)", folder=".")
@@ -130,12 +118,12 @@ def test_the_notebook_runs_and_gives_the_picture_of_the_job(programs, with_ros, 
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     assert len(code) >= 4
     (tmp_path / "cells.py").write_text("\n".join(code))
-    printed = run(programs / "python", "cells.py", folder=tmp_path, MPLBACKEND="agg")
+    told = run(programs / "python", "cells.py", folder=tmp_path, MPLBACKEND="agg")
     said = [
         "".join(output["text"])
         for cell in cells
         for output in cell.get("outputs", ())
         if output["output_type"] == "stream"
     ]
-    assert "".join(said) == printed
+    assert "".join(said) == told
     assert_same(tmp_path / "results/squares", with_ros / "squares")

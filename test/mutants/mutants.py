@@ -1,13 +1,15 @@
 """Puts mistakes into the library, one at a time, and looks whether a unit test fails.
 
 results/mutants/mutants.csv has a row for each; those that no test notices have survived.
+--count N mutants of the library's folders --rooms, --jobs at a time; --known: by the coverage that
+the last run has measured.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import csv
+import itertools
 import os
 import random
 import signal
@@ -22,11 +24,14 @@ from pathlib import Path
 from typing import Dict, List, Set
 
 from coverage import CoverageData
-from mutations import Mutant, mutants_of
+from mutations import mutants_of
 from tqdm import tqdm
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+sys.path.append(str(ROOT / "test"))
+from lab_nodes import parser_of  # noqa: E402
+
 LIBRARY = "src/bullet_lab"
 ROOMS = ("core", "noise", "drive.py", "docking", "vision", "simulation/world")
 UNIT_TESTS = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not long")
@@ -51,7 +56,7 @@ class Tests:
     of_file: Dict[str, List[str]] = field(default_factory=lambda: defaultdict(list))
     seconds: Dict[str, float] = field(default_factory=dict)
 
-    def of(self, mutant: Mutant) -> List[str]:
+    def of(self, mutant):
         """Return the tests that may notice a mutant, in the order in which to run them."""
         lines = self.of_line.get(mutant.file, {})
         covering = set(lines.get(mutant.line, ()))
@@ -62,20 +67,15 @@ class Tests:
         files = {name.split("::")[0] for name in covering}
         near = "/".join(Path(mutant.file).relative_to(LIBRARY).parts[:-1])
 
-        def place(name: str) -> tuple:
+        def place(name):
             return (f"unit/{near}/" not in name, name not in covering, self.seconds[name])
 
-        names = [name for file in files for name in self.of_file[file]]
-        chosen, total = [], 0.0
-        for name in sorted(names, key=place):
-            total += self.seconds[name]
-            if total > LONGEST:
-                break
-            chosen.append(name)
-        return chosen
+        names = sorted((name for file in files for name in self.of_file[file]), key=place)
+        totals = itertools.accumulate(self.seconds[name] for name in names)
+        return [name for name, total in zip(names, totals) if total <= LONGEST]
 
 
-def run_all(folder: Path) -> None:
+def run_all(folder):
     """Run the unit tests once with coverage, into a folder."""
     command = [sys.executable, *UNIT_TESTS, "test/unit", "-n", "auto", "--dist", "loadfile"]
     command += [f"--cov={LIBRARY}", "--cov-context=test", "--cov-report="]
@@ -86,7 +86,7 @@ def run_all(folder: Path) -> None:
         sys.exit("mutants: the unit tests fail without a mutant")
 
 
-def read_tests(folder: Path) -> Tests:
+def read_tests(folder):
     """Read what `run_all` left."""
     tests = Tests()
     for case in ElementTree.parse(str(folder / "tests.xml")).iter("testcase"):
@@ -107,7 +107,7 @@ def read_tests(folder: Path) -> Tests:
     return tests
 
 
-def drawn(rooms: List[str], count: int, seed: int) -> List[Mutant]:
+def drawn(rooms, count, seed):
     """Draw mutants of the modules of some rooms."""
     files = []
     for room in rooms:
@@ -118,14 +118,13 @@ def drawn(rooms: List[str], count: int, seed: int) -> List[Mutant]:
     return random.Random(seed).sample(everything, min(count, len(everything)))
 
 
-def outcome(mutant: Mutant, tests: Tests) -> str:
+def outcome(mutant, tests):
     """Run the tests of a mutant until one fails."""
     names = tests.of(mutant)
     if not names:
         return OUTCOMES[5]
-    module = ".".join(Path(mutant.file).relative_to("src").with_suffix("").parts)
-    if module.endswith(".__init__"):
-        module = module[: -len(".__init__")]
+    *folders, file = Path(mutant.file).relative_to("src").with_suffix("").parts
+    module = ".".join(folders if file == "__init__" else [*folders, file])
     site = f"{module};{ROOT / mutant.file};{mutant.node};{mutant.choice}"
     with tempfile.TemporaryDirectory() as folder:
         chosen = Path(folder) / "tests"
@@ -155,12 +154,12 @@ def outcome(mutant: Mutant, tests: Tests) -> str:
             run.wait()
 
 
-def room_of(mutant: Mutant, rooms: List[str]) -> str:
+def room_of(mutant, rooms):
     """Return the room that a mutant is in."""
     return next(room for room in rooms if mutant.file.startswith(f"{LIBRARY}/{room}"))
 
 
-def show(rows: Dict[Mutant, str], rooms: List[str]) -> None:
+def show(rows, rooms):
     """Print the table, and the mutants that survived."""
     by_room = {room: Counter() for room in rooms}
     for mutant, found in rows.items():
@@ -176,17 +175,18 @@ def show(rows: Dict[Mutant, str], rooms: List[str]) -> None:
             print(f"{mutant.file}:{mutant.line}: {mutant.text}: {found}")
 
 
-def main() -> None:
+def main():
     """Draw mutants, try them, print and write what came of each."""
-    parser = argparse.ArgumentParser(prog="mutants.sh", description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=300, help="number of mutants")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--rooms", default=",".join(ROOMS), help="folders of the library")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="mutants at a time")
-    parser.add_argument(
-        "--known", action="store_true", help="use the coverage that the last run has measured"
+    parser = parser_of(
+        "mutants.sh",
+        __doc__,
+        count=300,
+        seed=1,
+        rooms=",".join(ROOMS),
+        jobs=os.cpu_count(),
+        known=False,
+        out=Path("results/mutants"),
     )
-    parser.add_argument("--out", type=Path, default=Path("results/mutants"))
     wanted = parser.parse_args()
     out = wanted.out.absolute()
     out.mkdir(parents=True, exist_ok=True)

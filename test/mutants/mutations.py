@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 import copy
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Iterator, List, Tuple
 
 COMPARISONS = {
     ast.Lt: (ast.LtE, ast.GtE),
@@ -65,11 +63,11 @@ class Mutant:
     text: str
 
 
-def nodes_of(tree: ast.AST) -> List[ast.AST]:
+def nodes_of(tree):
     """Return the nodes that run: no annotations, decorators, docstrings and texts."""
     found = []
 
-    def visit(node: ast.AST) -> None:
+    def visit(node):
         found.append(node)
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list"):
@@ -82,7 +80,7 @@ def nodes_of(tree: ast.AST) -> List[ast.AST]:
     return found
 
 
-def replaced(node: ast.AST, **fields: object) -> ast.AST:
+def replaced(node, **fields):
     """Return a copy of a node with other fields."""
     new = copy.copy(node)
     for name, value in fields.items():
@@ -90,17 +88,17 @@ def replaced(node: ast.AST, **fields: object) -> ast.AST:
     return new
 
 
-def opposite(test: ast.expr) -> ast.expr:
+def opposite(test):
     """Return the condition that holds when this one does not."""
     return ast.UnaryOp(op=ast.Not(), operand=test)
 
 
-def name_of(kind: type) -> str:
+def name_of(kind):
     """Return the word for a kind of node."""
     return kind.__name__
 
 
-def mutations(node: ast.AST) -> Iterator[Tuple[str, ast.AST]]:
+def mutations(node):
     """Yield what a node may become, each with a description."""
     if isinstance(node, ast.Compare):
         for place, op in enumerate(node.ops):
@@ -127,7 +125,7 @@ def mutations(node: ast.AST) -> Iterator[Tuple[str, ast.AST]]:
         yield from other_functions(node)
 
 
-def other_constants(node: ast.Constant) -> Iterator[Tuple[str, ast.AST]]:
+def other_constants(node):
     """Yield other values of a truth value or number."""
     value = node.value
     if isinstance(value, bool):
@@ -137,7 +135,7 @@ def other_constants(node: ast.Constant) -> Iterator[Tuple[str, ast.AST]]:
         yield f"{value} to {new}", replaced(node, value=new)
 
 
-def other_functions(node: ast.Call) -> Iterator[Tuple[str, ast.AST]]:
+def other_functions(node):
     """Yield a call of another function."""
     field = {ast.Name: "id", ast.Attribute: "attr"}.get(type(node.func))
     name = getattr(node.func, field) if field else ""
@@ -146,14 +144,14 @@ def other_functions(node: ast.Call) -> Iterator[Tuple[str, ast.AST]]:
         yield f"{name} to {FUNCTIONS[name]}", replaced(node, func=func)
 
 
-def mutants_of(root: Path, file: str) -> Iterator[Mutant]:
+def mutants_of(root, file):
     """Yield all mutants of a file below a root."""
     for number, node in enumerate(nodes_of(ast.parse((root / file).read_bytes()))):
         for choice, (text, _) in enumerate(mutations(node)):
             yield Mutant(file, node.lineno, number, choice, text)
 
 
-def mutated(source: bytes, number: int, choice: int) -> ast.Module:
+def mutated(source, number, choice):
     """Return the syntax tree of a source text with one node replaced."""
     tree = ast.parse(source)
     target = nodes_of(tree)[number]
@@ -161,7 +159,7 @@ def mutated(source: bytes, number: int, choice: int) -> ast.Module:
     ast.copy_location(new, target)
 
     class Replacer(ast.NodeTransformer):
-        def visit(self, node: ast.AST) -> ast.AST:
+        def visit(self, node):
             return new if node is target else self.generic_visit(node)
 
     return ast.fix_missing_locations(Replacer().visit(tree))

@@ -5,20 +5,12 @@ import threading
 import time
 
 import rospy
-from gazebo_msgs.srv import (
-    DeleteModel,
-    GetPhysicsProperties,
-    GetPhysicsPropertiesResponse,
-    GetWorldProperties,
-    GetWorldPropertiesResponse,
-    SpawnModel,
-    SpawnModelResponse,
-)
+from gazebo_msgs.srv import DeleteModel, GetPhysicsProperties, GetWorldProperties, SpawnModel
 from geometry_msgs.msg import TransformStamped, Twist
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
-from std_srvs.srv import Empty, EmptyResponse, SetBool
+from std_srvs.srv import Empty, SetBool
 from tf2_msgs.msg import TFMessage
 
 # Simulated seconds per wall second, and of a step.
@@ -54,7 +46,7 @@ class Talker:
         if self.broken != "takes":
             self._ends.append(rospy.Subscriber(f"{space}/cmd_vel", Twist, self.take))
         service = SetBool if self.broken == "offers" else Empty
-        self._ends.append(rospy.Service(f"{space}/calibrate", service, lambda _: EmptyResponse()))
+        self._ends.append(rospy.Service(f"{space}/calibrate", service, lambda _: {}))
 
     def publisher(self, name, kind, **options):
         made = rospy.Publisher(name, kind, queue_size=100, tcp_nodelay=True, **options)
@@ -116,27 +108,29 @@ class StandIn:
         with self.lock:
             self.paused = paused
             self.stands = paused and not broken("silent")
-        return EmptyResponse()
+        return {}
 
     def physics(self, _):
-        return GetPhysicsPropertiesResponse(pause=self.paused, success=True)
+        return {"pause": self.paused, "success": True}
 
     def world(self, _):
-        message = "all is lost" if broken("answers") else "all is well"
-        return GetWorldPropertiesResponse(
-            self.number * STEP, list(self.models), True, True, message
-        )
+        return {
+            "sim_time": self.number * STEP,
+            "model_names": list(self.models),
+            "success": True,
+            "status_message": "all is lost" if broken("answers") else "all is well",
+        }
 
     def spawn(self, request):
         with self.lock:
             talks = "plugin" in request.model_xml
             talker = Talker(f"/{request.robot_namespace}") if talks else None
             self.models[request.model_name] = talker
-        return SpawnModelResponse(True, "")
+        return True, ""
 
     def refuse(self, _):
         if broken("fails"):
-            return SpawnModelResponse(True, "")
+            return True, ""
         raise rospy.ServiceException("no")
 
     def delete(self, request):

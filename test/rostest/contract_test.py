@@ -22,31 +22,13 @@ HERE = PACKAGE / "test" / "rostest"
 PROGRAM = PACKAGE / "test" / "contract" / "gazebo_contract.py"
 
 
-class StandIn:
-    """The stand-in as a process."""
-
-    def __init__(self):
-        self.process = subprocess.Popen([sys.executable, str(HERE / "contract_standin.py")])
-
-    def end(self):
-        # It keeps nothing; asked by SIGTERM, on a busy machine, it did not end within 10 s.
-        self.process.kill()
-        self.process.wait()
-
-
-def is_offered(service):
-    try:
-        rospy.wait_for_service(service, 0.05)
-        return True
-    except rospy.ROSException:
-        return False
-
-
 class BrokenContractTest(unittest.TestCase):
     def setUp(self):
-        standin = StandIn()
-        self.addCleanup(standin.end)
-        wait_for(lambda: is_offered("/gazebo/delete_model"), "the stand-in")
+        standin = subprocess.Popen([sys.executable, str(HERE / "contract_standin.py")])
+        self.addCleanup(standin.wait)
+        # It keeps nothing; asked by SIGTERM, on a busy machine, it did not end within 10 s.
+        self.addCleanup(standin.kill)
+        rospy.wait_for_service("/gazebo/delete_model", PATIENCE)
         self.contract = read_contract(HERE / "contract")
 
     def failed(self, broken):

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Dict, List, Tuple
 
 import psutil
 
@@ -33,13 +31,13 @@ _MEGABYTE = 2.0**20
 class Soaked(Lab):
     """The nodes of a soak, which end with this process."""
 
-    def __init__(self, folder: Path, seed: int):
+    def __init__(self, folder, seed):
         self._folder = folder
         of_bridge = (*NODES["pybullet_bridge"], f"_seed:={seed}", f"_save_folder:={folder}")
         super().__init__(folder, {**NODES, "pybullet_bridge": of_bridge})
-        self._visitors: List[Node] = []
+        self._visitors = []
 
-    def taken(self) -> Dict[str, Tuple[float, int, int]]:
+    def taken(self):
         """Return each node's memory, see `memory_of`, its descriptors and its threads."""
         found = {}
         for name, node in self.nodes.items():
@@ -48,17 +46,17 @@ class Soaked(Lab):
                 found[name] = used
         return found
 
-    def deaths(self) -> List[str]:
+    def deaths(self):
         """Return what is to be said of nodes that have ended."""
         statuses = {name: self.nodes[name].process.returncode for name in self.dead()}
         return [f"{name} has ended with status {status}" for name, status in statuses.items()]
 
-    def visit(self) -> None:
+    def visit(self):
         """Have a node come, as many as there are calls."""
         words = ("_image:=mycamera/image_raw", f"__name:=visitor{len(self._visitors)}")
         self._visitors.append(Node(VISITOR, *words, log=self._folder / f"{VISITOR}.log"))
 
-    def end_visit(self, how: signal.Signals) -> bool:
+    def end_visit(self, how):
         """Send one that has come a signal; return whether there was one."""
         if not self._visitors:
             return False
@@ -70,12 +68,12 @@ class Soaked(Lab):
         visitor.wait()
         return True
 
-    def end(self) -> None:
+    def end(self):
         """End all nodes."""
         end_all(*self._visitors, *self.nodes.values())
 
 
-def memory_of(process: psutil.Process) -> float:
+def memory_of(process):
     """Return what a process has in memory that no file holds, in MB.
 
     Pages of files are in its `uss` for as long as nobody else has them too: 60 MB of a process that

@@ -7,14 +7,11 @@ import math
 import signal
 import time
 from collections import Counter
-from typing import Any, Iterator, List, Sequence, Tuple
 
-import numpy as np
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
 from gazebo_msgs.msg import ModelState, ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion
-from lab import Soaked
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Image, Imu, LaserScan
 from std_srvs.srv import Empty
@@ -27,7 +24,7 @@ from bullet_lab.simulation.world.resources import package_share
 INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
 MODELS = ("beacon", "marker_panel", "docking_station_nested")
 ROBOTS = ("block_robot", "sensor_robot", "camera_robot")
-TOPICS: Tuple[Tuple[str, type], ...] = (
+TOPICS = (
     ("odom", Odometry),
     ("noisy_odom", Odometry),
     ("mycamera/image_raw", Image),
@@ -68,11 +65,11 @@ class Life:
         done: how often what was done.
     """
 
-    def __init__(self, lab: Soaked, random: np.random.Generator):
+    def __init__(self, lab, random):
         self._lab, self._random = lab, random
-        self.done: Counter = Counter()
-        self._models: List[str] = []
-        self._subscribers: List[rospy.Subscriber] = []
+        self.done = Counter()
+        self._models = []
+        self._subscribers = []
         self._guest = False
         self._before, self._seconds = 0.0, 0.0
         proxy = rospy.ServiceProxy
@@ -86,7 +83,7 @@ class Life:
         names = ("pause_physics", "unpause_physics", "reset_world", "reset_simulation")
         self._do = {name: proxy(f"/gazebo/{name}", Empty) for name in names}
 
-    def seconds(self) -> float:
+    def seconds(self):
         """Return the simulated seconds since the beginning, resets or not."""
         now = self._properties().sim_time
         self._seconds += now - self._before
@@ -94,7 +91,7 @@ class Life:
         return self._seconds
 
     @contextlib.contextmanager
-    def at_rest(self) -> Iterator[None]:
+    def at_rest(self):
         """Have only what was there at the beginning, where it was, and time stand meanwhile."""
         while self._no_model() or self._no_robot() or self._no_listen() or self._no_visit():
             pass
@@ -110,59 +107,59 @@ class Life:
         yield
         self._do["unpause_physics"]()
 
-    def _watch(self) -> None:
-        came: List[None] = []
+    def _watch(self):
+        came = []
         camera = rospy.Subscriber("mycamera/image_raw", Image, lambda _: came.append(None))
         end = time.monotonic() + PICTURE_SECONDS
         while len(came) < PICTURES and time.monotonic() < end:
             time.sleep(0.05)
         camera.unregister()
 
-    def go_on(self) -> None:
+    def go_on(self):
         """Do what happens in one second."""
         for name, chance in CHANCES.items():
             if self._random.random() < chance and getattr(self, f"_{name}")():
                 self.done[name] += 1
 
-    def _model(self) -> bool:
+    def _model(self):
         if len(self._models) >= MOST_MODELS:
             return False
         name = f"model{self.done['model']}"
         text = INCLUDE.format(self._drawn(MODELS))
         return self._spawned(self._spawn_sdf, name, text) and not self._models.append(name)
 
-    def _no_model(self) -> bool:
+    def _no_model(self):
         if not self._models:
             return False
         name = self._drawn(self._models)
         self._models.remove(name)
         return self._delete(name).success
 
-    def _move(self) -> bool:
+    def _move(self):
         if not self._models:
             return False
         moved = ModelState(model_name=self._drawn(self._models), pose=self._pose())
         return self._set_state(moved).success
 
-    def _robot(self) -> bool:
+    def _robot(self):
         if self._guest:
             return False
         text = (package_share() / "urdf" / f"{self._drawn(ROBOTS)}.urdf").read_text()
         self._guest = self._spawned(self._spawn_urdf, GUEST, text)
         return self._guest
 
-    def _no_robot(self) -> bool:
+    def _no_robot(self):
         was, self._guest = self._guest, False
         return was and self._delete(GUEST).success
 
-    def _listen(self) -> bool:
+    def _listen(self):
         if len(self._subscribers) >= MOST_SUBSCRIBERS:
             return False
         topic, kind = self._drawn(TOPICS)
         self._subscribers.append(rospy.Subscriber(topic, kind, lambda _: None, queue_size=1))
         return True
 
-    def _no_listen(self) -> bool:
+    def _no_listen(self):
         if not self._subscribers:
             return False
         listener = self._drawn(self._subscribers)
@@ -170,30 +167,30 @@ class Life:
         listener.unregister()
         return True
 
-    def _visit(self) -> bool:
+    def _visit(self):
         self._lab.visit()
         return True
 
-    def _no_visit(self) -> bool:
+    def _no_visit(self):
         return self._lab.end_visit(self._drawn((signal.SIGINT, signal.SIGKILL)))
 
-    def _reset_world(self) -> bool:
+    def _reset_world(self):
         self._do["reset_world"]()
         return True
 
-    def _reset_simulation(self) -> bool:
+    def _reset_simulation(self):
         self.seconds()
         self._do["reset_simulation"]()
         self._before = 0.0
         return True
 
-    def _drawn(self, values: Sequence[Any]) -> Any:
+    def _drawn(self, values):
         return values[self._random.integers(len(values))]
 
-    def _spawned(self, spawn: rospy.ServiceProxy, name: str, text: str) -> bool:
+    def _spawned(self, spawn, name, text):
         return spawn(name, text, name, self._pose(), "").success
 
-    def _pose(self) -> Pose:
+    def _pose(self):
         # Around the square that is driven, and in sight of the camera.
         angle, distance = self._random.uniform(-math.pi, math.pi), self._random.uniform(3.0, 6.0)
         turn = 0.5 * self._random.uniform(-math.pi, math.pi)
@@ -201,7 +198,7 @@ class Life:
         return Pose(where, Quaternion(0.0, 0.0, math.sin(turn), math.cos(turn)))
 
 
-def small_boxes(number: int) -> str:
+def small_boxes(number):
     """Return a model of as many links as the renderer keeps, unlike those of other numbers."""
     links = "".join(
         f"<link name='link{k}'><visual name='box'><geometry>"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -26,7 +26,7 @@ class Slope(NamedTuple):
     high: float
 
 
-def slope(hours: Sequence[float], values: Sequence[float], segments: Sequence[int]) -> Slope:
+def slope(hours, values, segments):
     """Return how much values grow in an hour, alike in all segments, each with a level of its own.
 
     The first quarter of each segment is left out, and so are short segments. Samples near each

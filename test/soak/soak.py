@@ -16,14 +16,13 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Sequence
 
 import numpy as np
 import rospy
 from lab import NODES, Soaked
 from lab_nodes import parser_of
 from life import Life
-from slope import Slope, slope
+from slope import slope
 from tqdm import tqdm
 
 from bullet_lab.core import figures
@@ -31,10 +30,10 @@ from bullet_lab.core.files import write_json
 from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.studies.study import interrupt_once
 
-TAKEN = ("mb", "descriptors", "threads")
 UNITS = {"mb": "memory (MB)", "descriptors": "descriptors", "threads": "threads"}
-MOST_GROWTH = {"mb": 1.0, "descriptors": 1.0, "threads": 1.0}
-"""In an hour of simulated time."""
+TAKEN = tuple(UNITS)
+MOST_GROWTH = 1.0
+"""Of each, in an hour of simulated time."""
 
 COLUMNS = (
     *("segment", "at_rest", "hours", "speed"),
@@ -58,9 +57,9 @@ FLAT, GROWS, OPEN = "flat", "grows", "open"
 class Samples:
     """Rows of samples.csv, those of earlier segments among them."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path):
         self._path = path
-        self.rows: List[Dict[str, float]] = []
+        self.rows = []
         if path.exists():
             with path.open() as file:
                 # The last one may have been cut.
@@ -71,43 +70,43 @@ class Samples:
         self._write("w", [COLUMNS, *(row.values() for row in self.rows)])
 
     @property
-    def hours(self) -> float:
+    def hours(self):
         """How long it has been simulated."""
         return self.rows[-1]["hours"] if self.rows else 0.0
 
     @property
-    def segment(self) -> int:
+    def segment(self):
         """The number of the next segment, from 1 on."""
         return int(self.rows[-1]["segment"]) + 1 if self.rows else 1
 
-    def add(self, *values: float) -> None:
+    def add(self, *values):
         """Append a row."""
         self.rows.append(dict(zip(COLUMNS, values)))
         self._write("a", [values])
 
-    def column(self, name: str) -> np.ndarray:
+    def column(self, name):
         """Return a column."""
         return np.array([row[name] for row in self.rows])
 
-    def resting(self) -> np.ndarray:
+    def resting(self):
         """Return which rows are of a rest."""
         return self.column("at_rest") > 0.0
 
-    def slope(self, values: np.ndarray) -> Slope:
+    def slope(self, values):
         """How much a column grows in an hour, at rest."""
         rows = self.resting()
         return slope(self.column("hours")[rows], values[rows], self.column("segment")[rows])
 
-    def _write(self, mode: str, rows: Sequence[Sequence[Any]]) -> None:
+    def _write(self, mode, rows):
         with self._path.open(mode, newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(rows)
 
 
-def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, Any]:
+def live(samples, hours, seed, folder):
     """Have a lab live until so many hours have been simulated; return what happened."""
     segment, before = samples.segment, samples.hours
     lab = Soaked(folder, seed)
-    failures: List[str] = []
+    failures = []
     life = Life(lab, np.random.default_rng([seed, segment]))
     try:
         for taken in _seconds(life, lab, 3600.0 * (hours - before), failures):
@@ -123,7 +122,7 @@ def live(samples: Samples, hours: float, seed: int, folder: Path) -> Dict[str, A
     return {"done": dict(life.done), "failures": failures + lab.tracebacks()}
 
 
-def _seconds(life: Life, lab: Soaked, most: float, failures: List[str]) -> Iterator[List[float]]:
+def _seconds(life, lab, most, failures):
     """Live second by second; yield samples: at rest or not, seconds, speed, what nodes take."""
     period = min(SAMPLE_SECONDS, most / FEWEST_SAMPLES)
     acted = sampled = rested = life.seconds()
@@ -156,27 +155,22 @@ def _seconds(life: Life, lab: Soaked, most: float, failures: List[str]) -> Itera
             time.sleep(0.05)
 
 
-def judged(found: Slope, most: float) -> str:
-    """Say whether a slope shows growth beyond what is allowed, or that there is none."""
-    if found.high < most:
-        return FLAT
-    return GROWS if found.low > most else OPEN
-
-
-def verdicts(samples: Samples) -> Dict[str, Dict[str, Any]]:
+def verdicts(samples):
     """Judge the memory of all nodes together, and what each of them takes."""
     columns = {f"{n} {w}": samples.column(f"{n}_{w}") for n in NODES for w in TAKEN}
     columns["all mb"] = sum(samples.column(f"{name}_mb") for name in NODES)
     found = {}
     for name, values in columns.items():
-        rise, most = samples.slope(values), MOST_GROWTH[name.split()[1]]
+        rise = samples.slope(values)
         numbers = {k: v if math.isfinite(v) else None for k, v in rise._asdict().items()}
         last = float(values[-1]) if len(values) else None
-        found[name] = {"last": last, "per_hour": numbers, "verdict": judged(rise, most)}
+        # NaN is neither.
+        verdict = GROWS if rise.low > MOST_GROWTH else FLAT if rise.high < MOST_GROWTH else OPEN
+        found[name] = {"last": last, "per_hour": numbers, "verdict": verdict}
     return found
 
 
-def figure(samples: Samples, title: str) -> Any:
+def figure(samples, title):
     """Draw memory, descriptors, threads and speed over time."""
     drawing = figures.new_figure(9.0, 10.0)
     axes = drawing.subplots(4, sharex=True)
@@ -190,9 +184,8 @@ def figure(samples: Samples, title: str) -> Any:
         ax.set(ylabel=UNITS[what])
         ax.set_ylim(bottom=0.0)
     axes[3].plot(hours, samples.column("speed"), color=figures.GREY, lw=0.8)
-    axes[3].set(ylabel="times real time", xlabel="simulated time (h)")
     # Between two resets there may be next to nothing to do.
-    axes[3].set_yscale("log")
+    axes[3].set(ylabel="times real time", xlabel="simulated time (h)", yscale="log")
     for ax in axes:
         ax.grid(alpha=0.3)
         for begin in begins:
@@ -204,7 +197,7 @@ def figure(samples: Samples, title: str) -> Any:
     return drawing
 
 
-def in_words(found: Dict[str, Any]) -> str:
+def in_words(found):
     """Say of a verdict what it is from."""
     value, low, high = found["per_hour"].values()
     if value is None:
@@ -212,7 +205,7 @@ def in_words(found: Dict[str, Any]) -> str:
     return f"{value:+.2f} [{low:+.2f}, {high:+.2f}] in an hour: {found['verdict']}"
 
 
-def main() -> None:
+def main():
     """Soak; status 1 where something grows or fails."""
     out = Path("results/soak")
     wanted = parser_of("soak.sh", __doc__, hours=1.0, seed=1, out=out).parse_args()
@@ -220,7 +213,7 @@ def main() -> None:
     (folder / "log").mkdir(parents=True, exist_ok=True)
     samples = Samples(folder / "samples.csv")
     began = time.monotonic()
-    happened: Dict[str, Any] = {"done": {}, "failures": []}
+    happened = {"done": {}, "failures": []}
     if samples.hours < wanted.hours:
         prepare_master()
         rospy.init_node("soak", disable_signals=True)

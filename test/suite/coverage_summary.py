@@ -10,7 +10,7 @@ from pathlib import Path
 import coverage
 
 
-def main() -> None:
+def main():
     root, folder = (Path(word).resolve() for word in sys.argv[1:])
     config = str(root / "pyproject.toml")
     data = coverage.Coverage(data_file=str(folder / "data"), config_file=config)

@@ -44,12 +44,12 @@ class Rover:
     wheel: dict = field(default_factory=dict)
     torque: float = 20.0
 
-    def places(self) -> np.ndarray:
+    def places(self):
         """Return where the wheels stand, (n, 2), the left one of each row first."""
         rows = np.linspace(0.5 * self.length, -0.5 * self.length, self.rows)
         return np.array([(x, y) for x in rows for y in (0.5 * self.width, -0.5 * self.width)])
 
-    def model(self) -> Model:
+    def model(self):
         shape = Collision(Cylinder(self.radius, 0.05), LYING, **self.wheel)
         rim = self.wheel_mass * self.radius**2
         inertia = Inertia(self.wheel_mass, (0.0, 0.0, 0.0), rim * np.diag((0.3, 0.5, 0.3)))

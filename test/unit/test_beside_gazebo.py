@@ -4,8 +4,8 @@ import math
 
 import pytest
 from beside_direct import DirectStage
-from beside_gazebo import HOLDS, check, known, main, names
-from beside_scenarios import DRIVES, ROLLS, Drive, Leg, Played, Stage, motions, play_drive, stop
+from beside_gazebo import DEVIATE, known, main, names, play, rows_of
+from beside_scenarios import DRIVES, ROLLS, STOP, Drive, Leg, Played, Stage, motions, play_drive
 from beside_table import (
     FAILED,
     OK,
@@ -26,18 +26,14 @@ from beside_table import (
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import FrameState
 
-LEGS = (Leg(0.2, 0.0, 0.0, 5.0), stop(), Leg(0.0, 0.0, 1.0, 5.0), Leg(0.0, 0.1, 0.0, 1.0))
+LEGS = (Leg(0.2, 0.0, 0.0, 5.0), STOP, Leg(0.0, 0.0, 1.0, 5.0), Leg(0.0, 0.1, 0.0, 1.0))
 
 
 class Obedient(Stage):
     """A robot that moves exactly as commanded, and slides on for 0.1 s."""
 
     def spawn(self, text, pose):
-        self.pose, self.twist = pose, (0.0, 0.0, 0.0)
-        return "robot"
-
-    def clear(self):
-        self.pose = None
+        self.pose, self.twist = Pose((3.0, -2.0, 0.0)) * pose, (0.0, 0.0, 0.0)
 
     def state(self, name):
         return FrameState(self.pose)
@@ -55,7 +51,7 @@ class Obedient(Stage):
 @pytest.mark.parametrize("heading", [0.0, 30.0, -170.0])
 def test_legs_are_told_by_the_heading_before_them(heading):
     drive = Drive("one", "urdf/block_robot.urdf", LEGS, ROLLS)
-    played = play_drive(drive, Obedient(), heading, (3.0, -2.0, 0.0))
+    played = play_drive(drive, Obedient(), heading)
     told = {
         "leg 0": (1.0, 0.0, 0.0),
         "leg 1": (0.02, 0.0, 0.0),
@@ -69,9 +65,7 @@ def test_legs_are_told_by_the_heading_before_them(heading):
             assert played.figures[f"{leg} {word}"] == pytest.approx(value, abs=1e-9), (leg, word)
     assert len(played.path) == 120
     assert played.path[0][:2] == pytest.approx((0.1, 3.0 + 0.02 * math.cos(math.radians(heading))))
-
-
-def test_a_leg_and_the_stop_after_it_are_one_motion():
+    # A leg and the stop after it are one motion.
     assert motions(LEGS) == [(0, 2), (2, 3), (3, 4)]
 
 
@@ -120,20 +114,26 @@ def test_figures_are_read_as_they_were_written(tmp_path):
 def test_each_limit_is_of_a_figure_that_gazebo_has():
     figures = known()
     assert set(figures) == set(names())
-    drives = {drive.name_at(turned): drive for drive in DRIVES for turned in drive.turned}
-    for name, drive in drives.items():
-        assert set(allowed_in_drive(drive)) <= set(figures[name].figures)
-    for name in set(names()) - set(drives):
-        assert set(allowed_by_name(name)) <= set(figures[name].figures)
+    limits = {name: allowed_by_name(name) for name in names()}
+    limits.update(
+        {drive.name_at(at): allowed_in_drive(drive) for drive in DRIVES for at in drive.turned}
+    )
+    for name, limited in limits.items():
+        assert limited.keys() <= figures[name].figures.keys()
     assert all(any(name.startswith(start) for name in figures) for start in TRIALS)
     assert sum(allowed_of_sensor(name) is not None for name in figures["sensors"].figures) > 200
 
 
-@pytest.mark.parametrize("name", HOLDS)
-def test_what_agrees_with_gazebo(name):
-    rows = check(name)
+def is_played_here(name):
+    """Whether this plays a scenario: at all headings, robots that skid are for test/long."""
+    skids = name.startswith("four_wheels") and not name.endswith("@45")
+    return not (skids or name.startswith(DEVIATE))
+
+
+def test_what_agrees_with_gazebo_goes_on_to_do_so():
+    rows = rows_of(play(is_played_here), known())
     assert [row for row in rows if row.verdict == FAILED] == []
-    assert OK in {row.verdict for row in rows}
+    assert sum(row.verdict == OK for row in rows) > 130
 
 
 def test_a_figure_that_is_too_far_off_is_an_error(tmp_path, monkeypatch, capsys):

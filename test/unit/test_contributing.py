@@ -1,5 +1,6 @@
 """The worked examples of CONTRIBUTING.md work."""
 
+import contextlib
 import re
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from shared import PACKAGE
 from std_msgs.msg import Header
 
 from bullet_lab.core.trajectory import Trajectory
@@ -22,15 +24,9 @@ from bullet_lab.vision import features
 sys.path.insert(0, str(Path(__file__).parent / "simulation" / "plugins" / "controllers"))
 import control_robots  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[2]
+PAGE = (PACKAGE / "CONTRIBUTING.md").read_text()
 # The code of each file, by its name in the line above it.
-FILES = dict(
-    re.findall(
-        r"`src/bullet_lab/([\w/]+)\.py`\n\n```python\n(.*?)```",
-        (ROOT / "CONTRIBUTING.md").read_text(),
-        flags=re.DOTALL,
-    )
-)
+FILES = dict(re.findall(r"`([\w/]+)\.\w+`\n\n```\w+\n(.*?)```", PAGE, flags=re.DOTALL))
 MAST = """
 <sdf version="1.6"><model name="mast"><pose>0 0 1.5 0 0 0</pose><static>true</static>
 <link name="link"/><plugin name="altimeter" filename="libmy_altimeter.so"/></model></sdf>
@@ -40,15 +36,16 @@ MAST = """
 def named(file, name):
     """Run a file of CONTRIBUTING.md, and return what has a name there."""
     space = {"__name__": "contributed"}
-    exec(FILES[file], space)
+    exec(FILES[f"src/bullet_lab/{file}"], space)
     return space[name]
 
 
 @pytest.fixture(autouse=True)
 def forgotten():
     """What a test makes known is unknown afterwards: plugins, controllers and noise models."""
-    known = (plugins._KINDS, controller.CONTROLLERS, MODELS)
-    with mock.patch.dict(known[0]), mock.patch.dict(known[1]), mock.patch.dict(known[2]):
+    with contextlib.ExitStack() as stack:
+        for known in (plugins._KINDS, controller.CONTROLLERS, MODELS):
+            stack.enter_context(mock.patch.dict(known))
         yield
 
 
@@ -103,11 +100,9 @@ def test_the_job_is_declared_by_its_launch_file(tmp_path):
     pytest.importorskip("roslaunch")
     from bullet_lab.jobs.declaration import read_job
 
-    text = (ROOT / "CONTRIBUTING.md").read_text()
-    (code,) = re.findall(r"`launch/shake.launch`\n\n```xml\n(.*?)```", text, flags=re.DOTALL)
     path = tmp_path / "shake.launch"
-    path.write_text(code)
-    job = read_job(path, ROOT)
+    path.write_text(FILES["launch/shake"])
+    job = read_job(path, PACKAGE)
     assert job.summary == "Records how a robot shakes while it drives a side."
     assert (list(job.arguments), job.smallest) == (["out", "rtf", "side"], "side:=0.2")
     assert job.arguments["side"].help("")[0] == "side:=2"

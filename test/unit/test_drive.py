@@ -1,12 +1,13 @@
 """Squares are driven by the clock and by odometry, and goals are reached."""
 
+import itertools
 import math
 from dataclasses import replace
 
 import pytest
+from shared import EMPTY_WORLD
 
 from bullet_lab.core.parameters import ParameterError, read_parameters
-from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import wrap
 from bullet_lab.drive import (
     CLOSED_LOOP,
@@ -58,13 +59,10 @@ def drive(square, patch, start=(0.0, 0.0, 0.0), odometry=lambda pose: pose):
         pose = integrate(pose, command, patch)
 
 
-def test_an_open_loop_side_is_that_of_listing_9():
+def test_an_open_loop_side_is_that_of_listing_9_by_default():
     commands = list(open_loop_side(Square()))
     assert commands == [(0.2, 0.0)] * 100 + [(0.0, -0.5236)] * 34
-
-
-def test_the_length_and_speed_set_the_number_of_commands():
-    assert Square(side=1.0).side_commands == 50
+    # The length and speed set the number of commands.
     assert Square(speed=0.4).side_commands == 50
     assert Square(side=0.01, speed=1.0).side_commands == 1
     other = Square(side=0.1, turn_speed=0.3, turn_commands=2)
@@ -94,12 +92,6 @@ def test_a_turn_ends_wherever_it_starts_even_without_friction():
         drive(Square(sides=1, side=0.1), ICE, (0.0, 0.0, 0.0001 * offset))
 
 
-def test_errors_of_the_turns_do_not_add_up():
-    corners, _ = drive(Square(sides=40, side=0.1), BLOCK)
-    for number, corner in enumerate(corners):
-        assert abs(wrap(corner[2] + number * 0.5 * math.pi)) < math.radians(0.21)
-
-
 def test_a_turn_that_went_far_too_far_is_turned_back():
     driver = SquareDriver(Square(sides=1), CLOSED_LOOP)
     driver.command((0.0, 0.0, 0.0))
@@ -115,9 +107,18 @@ def test_a_turn_ends_though_the_ticks_of_encoders_step_over_the_tolerance(ticks_
     path = SystematicPath(errors)
     corners, _ = drive(Square(), ICE, odometry=lambda pose: path.update(*pose).pose)
     # Within two ticks of both wheels, in opposite directions.
-    tick = 2.0 / (ticks_per_metre * errors.wheel_base)
+    assert_turned(corners, 4.0 / (ticks_per_metre * errors.wheel_base) + TURN_EXCESS)
+
+
+def test_errors_of_the_turns_do_not_add_up():
+    corners, _ = drive(Square(sides=40, side=0.1), BLOCK)
+    assert_turned(corners, math.radians(0.21))
+
+
+def assert_turned(corners, within):
+    """Each corner's heading is a quarter turn further to the right, within an angle in rad."""
     for number, (_, _, yaw) in enumerate(corners):
-        assert abs(wrap(yaw + 0.5 * math.pi * number)) < 2.0 * tick + TURN_EXCESS
+        assert abs(wrap(yaw + 0.5 * math.pi * number)) < within
 
 
 def test_progress_is_along_the_side():
@@ -164,9 +165,10 @@ def test_an_unknown_mode_is_refused():
 
 
 LIMITS = GoalLimits()
+ORIGIN = (0.0, 0.0, 0.0)
 
 
-def drive_to(goal, start=(0.0, 0.0, 0.0), limits=LIMITS, blur=lambda pose: pose):
+def drive_to(goal, start=ORIGIN, limits=LIMITS, blur=lambda pose: pose):
     """Drive to a goal; return the last pose and all commands."""
     driver, pose, commands = GoalDriver(goal, limits), start, []
     while driver.phase is not DrivePhase.ARRIVED:
@@ -176,23 +178,27 @@ def drive_to(goal, start=(0.0, 0.0, 0.0), limits=LIMITS, blur=lambda pose: pose)
     return pose, commands
 
 
+def assert_at(pose, goal, tolerance=LIMITS.tolerance, yaw_tolerance=LIMITS.yaw_tolerance):
+    """A pose is within tolerances (m, rad) of a goal."""
+    assert math.dist(pose[:2], goal[:2]) <= tolerance
+    assert abs(wrap(pose[2] - goal[2])) <= yaw_tolerance
+
+
 @pytest.mark.parametrize("distance", [0.06, 2.0])
 @pytest.mark.parametrize("direction", range(0, 360, 45))
 def test_arrives_within_the_tolerances_whatever_the_goal(direction, distance):
     angle = math.radians(direction)
-    x, y = distance * math.cos(angle), distance * math.sin(angle)
     for yaw in (-2.0, 3.1):
-        pose, _ = drive_to((x, y, yaw), start=(0.0, 0.0, 0.4))
-        assert math.dist(pose[:2], (x, y)) <= LIMITS.tolerance
-        assert abs(wrap(pose[2] - yaw)) <= LIMITS.yaw_tolerance
+        goal = (distance * math.cos(angle), distance * math.sin(angle), yaw)
+        pose, _ = drive_to(goal, start=(0.0, 0.0, 0.4))
+        assert_at(pose, goal)
 
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.3])
 def test_arrives_within_other_tolerances(tolerance):
-    limits = replace(LIMITS, tolerance=tolerance, yaw_tolerance=tolerance)
-    pose, _ = drive_to((1.0, -0.7, 1.0), limits=limits)
-    assert math.dist(pose[:2], (1.0, -0.7)) <= tolerance
-    assert abs(wrap(pose[2] - 1.0)) <= tolerance
+    goal, limits = (1.0, -0.7, 1.0), replace(LIMITS, tolerance=tolerance, yaw_tolerance=tolerance)
+    pose, _ = drive_to(goal, limits=limits)
+    assert_at(pose, goal, tolerance, tolerance)
 
 
 def test_keeps_within_the_limits_of_speed_and_acceleration():
@@ -214,16 +220,15 @@ def test_keeps_within_the_limits_of_speed_and_acceleration():
 
 def test_the_heading_is_left_alone_where_nobody_wants_it():
     pose, _ = drive_to((1.0, 0.0, 3.0), limits=replace(LIMITS, heading=False))
-    assert abs(pose[2]) < 0.1
-    assert math.dist(pose[:2], (1.0, 0.0)) <= LIMITS.tolerance
+    assert_at(pose, (1.0, 0.0, 0.0), yaw_tolerance=0.1)
 
 
 def test_noisy_poses_do_not_keep_it_from_arriving():
-    flip = [0.004]
+    errors = itertools.cycle((-0.004, 0.004))
 
     def blur(pose):
-        flip[0] = -flip[0]
-        return (pose[0] + flip[0], pose[1] - flip[0], pose[2] + 2.0 * flip[0])
+        error = next(errors)
+        return (pose[0] + error, pose[1] - error, pose[2] + 2.0 * error)
 
     pose, _ = drive_to((1.0, 1.0, 0.0), blur=blur)
     assert math.dist(pose[:2], (1.0, 1.0)) <= LIMITS.tolerance + 0.006
@@ -233,23 +238,22 @@ def test_drives_on_where_a_turn_has_moved_it_off_the_goal():
     driver = GoalDriver((1.0, 0.0, 1.5))
     assert driver.command((0.98, 0.0, 0.0), PERIOD)[1] > 0.0
     assert driver.phase is DrivePhase.TURNING
-    driver.command((0.96, 0.0, 0.3), PERIOD)
-    assert driver.phase is DrivePhase.TURNING
-    driver.command((0.90, 0.0, 0.3), PERIOD)
-    assert driver.phase is DrivePhase.DRIVING
+    for x, phase in ((0.96, DrivePhase.TURNING), (0.90, DrivePhase.DRIVING)):
+        driver.command((x, 0.0, 0.3), PERIOD)
+        assert driver.phase is phase
 
 
 def test_another_goal_on_the_way_starts_from_the_present_speed():
     driver = GoalDriver((-5.0, 0.0, 0.0), command=(0.2, 0.0))
-    v, w = driver.command((0.0, 0.0, 0.0), PERIOD)
+    v, _ = driver.command(ORIGIN, PERIOD)
     assert v == pytest.approx(0.2 - LIMITS.acceleration * PERIOD)
     driver.stopped()
-    assert driver.command((0.0, 0.0, 0.0), PERIOD)[0] == 0.0
+    assert driver.command(ORIGIN, PERIOD)[0] == 0.0
 
 
 def test_what_is_left():
     driver = GoalDriver((3.0, 4.0, 3.0))
-    assert driver.distance((0.0, 0.0, 0.0)) == 5.0
+    assert driver.distance(ORIGIN) == 5.0
     assert driver.turn_left((0.0, 0.0, -3.0)) == pytest.approx(6.0 - math.tau)
 
 
@@ -263,27 +267,25 @@ def test_goals_that_are_none(goal):
     ("robot", "goal"), [("block_robot", (-0.3, 0.0, 0.0)), ("camera_robot", (0.6, 0.4, -1.0))]
 )
 def test_both_robots_of_the_course_stop_at_the_goal(robot, goal):
-    with Simulation.of("package://bullet_lab/worlds/empty.world") as simulation:
+    with Simulation.of(EMPTY_WORLD) as simulation:
         instance = simulation.spawn(f"package://bullet_lab/urdf/{robot}.urdf")
+
+        def pose():
+            found = instance.pose()
+            return (*found.position[:2], found.yaw)
+
         simulation.run_for(0.2)
         driver = GoalDriver(goal)
         for _ in range(1000):
-            pose = planar(instance.pose())
-            v, w = driver.command(pose, PERIOD)
+            v, w = driver.command(pose(), PERIOD)
             instance.command("cmd_vel", PlanarCommand(vx=v, wz=w))
             if driver.phase is DrivePhase.ARRIVED:
                 break
             simulation.run_for(PERIOD)
         assert driver.phase is DrivePhase.ARRIVED
         simulation.run_for(0.5)
-        x, y, yaw = planar(instance.pose())
-    assert math.dist((x, y), goal[:2]) <= LIMITS.tolerance
-    # Coasting wheels turn on by a little.
-    assert abs(wrap(yaw - goal[2])) <= LIMITS.yaw_tolerance + 0.03
-
-
-def planar(pose: Pose):
-    return (*pose.position[:2], pose.yaw)
+        # Coasting wheels turn on by a little.
+        assert_at(pose(), goal, yaw_tolerance=LIMITS.yaw_tolerance + 0.03)
 
 
 def test_a_robot_that_friction_holds_is_turned_faster():

@@ -2,46 +2,47 @@
 
 import subprocess
 import sys
+import textwrap
 
 import pytest
 from rosgraph.network import get_bind_address
 
 from bullet_lab.entry import keep_to_this_machine
 
-INTERRUPT = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
-SWALLOWED = f"try:\n    exec({INTERRUPT!r})\nexcept KeyboardInterrupt:\n    pass\n"
+IMPORTS = "import os, signal\n"
+INTERRUPT = f"{IMPORTS}os.kill(os.getpid(), signal.SIGINT)\n"
+CAUGHT = f"""
+{IMPORTS}
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+except KeyboardInterrupt:
+    print("caught")
+"""
+RUN = "from bullet_lab.entry import run\nrun('job')\n"
+HELD_BACK = f"{IMPORTS}signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}})\n"
 MAIN = "def main():\n    print('started')\n"
 
 
-@pytest.mark.parametrize("imported", [SWALLOWED, f"exec({INTERRUPT!r})\n"])
-def test_an_interrupted_import_ends_it_with_130(tmp_path, imported):
-    (tmp_path / "slow.py").write_text(imported + MAIN)
-    (tmp_path / "program.py").write_text("from bullet_lab.entry import run\nrun('slow')\n")
-    run = subprocess.run(
-        [sys.executable, "-m", "program"], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
+def python(code, folder=None):
+    """Run a program in a folder; return its status and what it prints, errors at the end."""
+    run = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
+    return run.returncode, run.stdout + run.stderr
 
 
-def test_an_interrupt_that_was_held_back_while_python_started_is_answered(tmp_path):
-    block = "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})"
-    program = (
-        f"import os, signal\n{block}\n{INTERRUPT}from bullet_lab.entry import run\nrun('os')\n"
-    )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
-
-
-def test_main_gets_the_interrupt_again(tmp_path):
-    (tmp_path / "job.py").write_text(
-        f"def main():\n    try:\n        exec({INTERRUPT!r})\n"
-        "    except KeyboardInterrupt:\n        print('in order')\n"
-    )
-    (tmp_path / "program.py").write_text("from bullet_lab.entry import run\nrun('job')\n")
-    run = subprocess.run(
-        [sys.executable, "-m", "program"], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert run.stdout == "in order\n", run.stderr
+@pytest.mark.parametrize(
+    ("program", "job", "end"),
+    [
+        (RUN, INTERRUPT + MAIN, (130, "")),
+        (RUN, CAUGHT + MAIN, (130, "")),
+        # From before Python had started.
+        (HELD_BACK + INTERRUPT + RUN, MAIN, (130, "")),
+        # main gets it again.
+        (RUN, f"def main():\n{textwrap.indent(CAUGHT, '    ')}", (0, "caught\n")),
+    ],
+)
+def test_an_interrupt_ends_a_program_that_imports(tmp_path, program, job, end):
+    (tmp_path / "job.py").write_text(job)
+    assert python(program, tmp_path) == end
 
 
 @pytest.mark.parametrize(
@@ -67,10 +68,11 @@ def test_nodes_listen_on_the_loopback_unless_they_are_opened(monkeypatch, given,
     assert get_bind_address() == address
 
 
-LARGE_AMONG_SMALL = """
+MEGABYTES = """
 def megabytes():
     return int(open("/proc/self/statm").read().split()[1]) * 4 // 1024
-
+"""
+LARGE_AMONG_SMALL = """
 # Where it is not told otherwise, glibc takes these sizes for small from here on.
 del bytearray(16 * 2**20)[:]
 before, small, large = megabytes(), [], []
@@ -82,9 +84,6 @@ print(megabytes() - before)
 """
 FREE_AMONG_WHAT_IS_USED = """
 from bullet_lab.entry import trim_memory
-
-def megabytes():
-    return int(open("/proc/self/statm").read().split()[1]) * 4 // 1024
 
 pictures, small = [], []
 for _ in range(50):
@@ -115,19 +114,16 @@ libc.fflush(out)
 
 
 def printed_with_memory_given_back(program):
-    code = f"from bullet_lab.entry import give_memory_back\ngive_memory_back()\n{program}"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-    return run.stdout
+    begin = "from bullet_lab.entry import give_memory_back\ngive_memory_back()\n"
+    status, printed = python(begin + MEGABYTES + program)
+    assert status == 0, printed
+    return printed
 
 
-def test_large_buffers_are_given_back_whatever_small_ones_stay():
+def test_memory_is_given_back():
+    # Large buffers, whatever small ones stay.
     assert int(printed_with_memory_given_back(LARGE_AMONG_SMALL)) < 16
-
-
-def test_what_is_free_among_what_is_used_is_given_back():
+    # What is free among what is used.
     assert int(printed_with_memory_given_back(FREE_AMONG_WHAT_IS_USED)) > 20
-
-
-def test_threads_have_no_heaps_of_their_own():
+    # Threads have no heaps of their own.
     assert printed_with_memory_given_back(HEAPS).count("<heap nr=") == 1

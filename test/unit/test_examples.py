@@ -2,11 +2,11 @@
 
 import doctest
 import importlib
-from pathlib import Path
 
 import pytest
+from shared import PACKAGE
 
-ROOT = Path(__file__).resolve().parents[2] / "src"
+ROOT = PACKAGE / "src"
 EXAMPLES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
     for package in ("core", "noise", "drive", "vision", "markers", "docking", "studies")

@@ -1,11 +1,9 @@
 import re
-from pathlib import Path
 
 import pytest
 import yaml
+from shared import PACKAGE
 
-PACKAGE = Path(__file__).resolve().parents[2]
-LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.launch"))
 CONFIGURATIONS = sorted((PACKAGE / "rviz").glob("*.rviz"))
 # Jobs that have no ROS nodes but one that computes: there is nothing to show.
 WITHOUT = {
@@ -22,11 +20,11 @@ WITHOUT = {
 }
 
 
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.stem)
-def test_each_job_has_a_configuration_of_its_own(path):
-    named = re.findall(r"/rviz/(\w+)\.rviz", path.read_text())
-    assert named == ([] if path.stem in WITHOUT else [path.stem])
-    assert all((PACKAGE / "rviz" / f"{name}.rviz").is_file() for name in named)
+def test_each_job_has_a_configuration_of_its_own():
+    for path in (PACKAGE / "launch").glob("*.launch"):
+        named = re.findall(r"/rviz/(\w+)\.rviz", path.read_text())
+        assert named == ([] if path.stem in WITHOUT else [path.stem])
+        assert all((PACKAGE / "rviz" / f"{name}.rviz").is_file() for name in named)
 
 
 @pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda path: path.stem)

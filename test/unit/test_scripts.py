@@ -13,19 +13,18 @@ from pathlib import Path
 
 import pytest
 import yaml
-
-ROOT = Path(__file__).resolve().parents[2]
+from shared import PACKAGE
 
 
 def test_the_lab_is_found_through_a_link_to_its_scripts(tmp_path):
-    (tmp_path / "scripts").symlink_to(ROOT / "scripts")
+    (tmp_path / "scripts").symlink_to(PACKAGE / "scripts")
     command = f"source {tmp_path}/scripts/environment.sh && echo $LAB_ROOT"
     run = subprocess.run(["bash", "-c", command], stdout=subprocess.PIPE, text=True, check=True)
-    assert run.stdout.strip() == str(ROOT)
+    assert run.stdout.strip() == str(PACKAGE)
 
 
 def of_setup(lines):
-    command = f"source {ROOT}/scripts/setup.sh; {lines}"
+    command = f"source {PACKAGE}/scripts/setup.sh; {lines}"
     return subprocess.run(["bash", "-c", command], capture_output=True, text=True)
 
 
@@ -48,23 +47,26 @@ def test_no_build_leaves_out_the_build_alone():
     assert of_setup("steps_of --no-build --with course").stdout.split() == steps
 
 
-def test_users_who_install_at_the_same_time_wait_for_each_other(tmp_path):
-    # A failure of the update is ignored, that of the installation is not.
-    lines = f"apt_get() {{ [[ $1 == install ]] || mkdir {tmp_path}/busy && sleep 0.1; "
-    lines += f"[[ $1 == update ]] || rmdir {tmp_path}/busy; }}; apt_install"
-    with ThreadPoolExecutor() as pool:
-        runs = list(pool.map(of_setup, [lines] * 4))
-    assert [run.returncode for run in runs] == [0] * 4, runs
+# A failure of the update is ignored, that of the installation is not.
+INSTALL = """
+apt_get() {{
+  [[ $1 == install ]] || mkdir {0}/busy && sleep 0.1; [[ $1 == update ]] || rmdir {0}/busy
+}}
+apt_install"""
+GET_UV = """
+UV_FOLDER={0}/uv UV={0}/uv/bin/uv
+debians_pip() {{ mkdir $5/bin; sleep 0.1; install -m 755 /dev/null $5/bin/uv; }}
+get_uv"""
 
 
-def test_clones_that_install_uv_at_the_same_time_share_one(tmp_path):
-    lines = f"UV_FOLDER={tmp_path}/uv UV={tmp_path}/uv/bin/uv; "
-    lines += "debians_pip() { mkdir $5/bin; sleep 0.1; install -m 755 /dev/null $5/bin/uv; }; "
+@pytest.mark.parametrize(
+    ("lines", "left"), [(INSTALL, []), (GET_UV, ["uv", "uv/bin", "uv/bin/uv"])]
+)
+def test_who_installs_at_the_same_time_waits_for_the_other(tmp_path, lines, left):
     with ThreadPoolExecutor() as pool:
-        runs = list(pool.map(of_setup, [f"{lines} get_uv"] * 4))
+        runs = list(pool.map(of_setup, [lines.format(tmp_path)] * 4))
     assert [run.returncode for run in runs] == [0] * 4, runs
-    assert os.listdir(tmp_path) == ["uv"]
-    assert os.listdir(tmp_path / "uv") == ["bin"]
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")) == left
 
 
 def test_the_python_of_courses_is_made_by_the_set_up(tmp_path):
@@ -89,23 +91,19 @@ def test_the_first_job_needs_only_the_packages_that_come_first():
     assert run.returncode == 0, run.stderr
 
 
-def programs():
-    for path in [*(ROOT / "scripts").iterdir(), *(ROOT / "stand_ins").rglob("*")]:
-        if path.is_file() and path.read_bytes().startswith(b"#!/usr/bin/env python3"):
-            yield path
-
-
-@pytest.mark.parametrize("path", list(programs()), ids=lambda path: path.name)
-def test_what_a_program_imports_and_runs_is_there(path):
-    text = path.read_text()
-    tree = ast.parse(text)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module.startswith("bullet_lab."):
-            module = importlib.import_module(node.module)
-            assert all(hasattr(module, alias.name) for alias in node.names)
-    for name, function in re.findall(r'\b(?:run\(|MAIN = )"([\w.]+):?(\w*)"', text):
-        source = Path(importlib.util.find_spec(name).origin).read_text()
-        assert re.search(rf"^(def )?{function or 'main'}\b", source, re.MULTILINE)
+def test_what_a_program_imports_and_runs_is_there():
+    paths = [*(PACKAGE / "scripts").iterdir(), *(PACKAGE / "stand_ins").rglob("*")]
+    texts = [path.read_bytes() for path in paths if path.is_file()]
+    programs = [text.decode() for text in texts if text.startswith(b"#!/usr/bin/env python3")]
+    assert len(programs) > 30
+    for text in programs:
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("bullet_lab."):
+                module = importlib.import_module(node.module)
+                assert all(hasattr(module, alias.name) for alias in node.names), text
+        for name, function in re.findall(r'\b(?:run\(|MAIN = )"([\w.]+):?(\w*)"', text):
+            source = Path(importlib.util.find_spec(name).origin).read_text()
+            assert re.search(rf"^(def )?{function or 'main'}\b", source, re.MULTILINE), text
 
 
 def test_containers_and_bare_systems_have_the_same_packages():
@@ -114,9 +112,9 @@ def test_containers_and_bare_systems_have_the_same_packages():
         ".github/workflows/ci.yml": r"--no-install-recommends ([\w -]+)",
         "scripts/platform.sh": r"--include=([\w,-]+)",
     }
-    found = [re.search(words, (ROOT / file).read_text())[1] for file, words in listed.items()]
+    found = [re.search(words, (PACKAGE / file).read_text())[1] for file, words in listed.items()]
     assert {frozenset(re.split("[ ,]", names.strip())) for names in found} == {
         frozenset({"git", "sudo", "ca-certificates"})
     }
-    assert json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())["build"]
-    assert yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())["jobs"]
+    assert json.loads((PACKAGE / ".devcontainer/devcontainer.json").read_text())["build"]
+    assert yaml.safe_load((PACKAGE / ".github/workflows/ci.yml").read_text())["jobs"]

@@ -29,8 +29,7 @@ def sawtooth(random, hours, rise, segments=1):
     return map(np.concatenate, zip(*found))
 
 
-@pytest.mark.parametrize("segments", [1, 2])
-@pytest.mark.parametrize("rise", [0.0, 3.0])
+@pytest.mark.parametrize(("segments", "rise"), [(1, 0.0), (2, 3.0)])
 def test_the_interval_holds_the_rise(rise, segments):
     random = np.random.default_rng(3)
     found = [slope(*sawtooth(random, 4.0, rise, segments)) for _ in range(300)]

@@ -49,15 +49,13 @@ class Robot:
             shape = '<mesh filename="wheel.stl"/>'
         wheels = "".join(
             _wheel(side, sign * 0.5 * self.separation, self.radius, 0.03 * self.mass, shape)
+            + f'<gazebo reference="{side}_wheel">{self.wheel_tags}</gazebo>'
             for side, sign in (("left", 1.0), ("right", -1.0))
         )
-        casters = "".join(_caster(n, *place, self.balls) for n, place in enumerate(self.casters))
-        tags = "".join(
-            f'<gazebo reference="{side}_wheel">{self.wheel_tags}</gazebo>'
-            for side in ("left", "right")
-        ) + "".join(
-            f'<gazebo reference="caster{n}">{self.caster_tags}</gazebo>'
-            for n in range(len(self.casters))
+        casters = "".join(
+            _caster(n, *place, self.balls)
+            + f'<gazebo reference="caster{n}">{self.caster_tags}</gazebo>'
+            for n, place in enumerate(self.casters)
         )
         x, y, z = self.centre
         text = (
@@ -67,7 +65,7 @@ class Robot:
             f'<origin xyz="0 0 {2 * self.radius + 0.03}"/><geometry>'
             f'<box size="{size} {size} 0.06"/></geometry></collision></link>'
             '<joint name="up" type="fixed"><parent link="footprint"/><child link="base"/></joint>'
-            f"{wheels}{casters}{tags}<gazebo><plugin name='drive' "
+            f"{wheels}{casters}<gazebo><plugin name='drive' "
             "filename='libgazebo_ros_diff_drive.so'><leftJoint>left</leftJoint>"
             f"<rightJoint>right</rightJoint><wheelSeparation>{self.separation}</wheelSeparation>"
             f"<wheelDiameter>{2 * self.radius}</wheelDiameter><updateRate>30</updateRate>"
@@ -105,10 +103,9 @@ def wheel_mesh(path, radius, width, sides=64):
     """Write a wheel about z as an STL file."""
     angles = np.arange(sides) * math.tau / sides
     rim = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    low, high = -0.5 * width, 0.5 * width
     triangles = []
-    for n in range(sides):
-        (ax, ay), (bx, by) = rim[n], rim[(n + 1) % sides]
-        low, high = -0.5 * width, 0.5 * width
+    for (ax, ay), (bx, by) in zip(rim, np.roll(rim, -1, axis=0)):
         triangles += [
             [(ax, ay, low), (bx, by, low), (bx, by, high)],
             [(ax, ay, low), (bx, by, high), (ax, ay, high)],
@@ -145,30 +142,21 @@ def drive(model, command, seconds, heading=0.0, world=FLOOR):
         samples = []
         robot.listen("odom", samples.append)
         simulation.run_for(0.5)
-        places = _Way(robot.pose()), _Way(samples[-1].pose)
+        places = [(robot.pose(), samples[-1].pose)]
         for part, told in ((seconds, command), (1.0, replace(command, vx=0.0, wz=0.0))):
             robot.command("cmd_vel", told)
             for _ in range(round(part / 0.1)):
                 simulation.run_for(0.1)
-                for way, pose in zip(places, (robot.pose(), samples[-1].pose)):
-                    way.go(pose)
-        return Drive(*places[0].result(), *places[1].result())
+                places.append((robot.pose(), samples[-1].pose))
+        true, reckoned = map(_moved, zip(*places))
+        return Drive(*true, *reckoned)
 
 
-class _Way:
-    """Where something is by its start, with all its turns (degrees)."""
-
-    def __init__(self, start):
-        self._start = self._last = start
-        self._turned = 0.0
-
-    def go(self, pose):
-        self._turned += math.remainder(pose.yaw - self._last.yaw, math.tau)
-        self._last = pose
-
-    def result(self):
-        x, y, _ = (self._start.inverse() * self._last).position
-        return x, y, math.degrees(self._turned)
+def _moved(poses):
+    """Return where something is by its start (m, m), with all its turns (degrees)."""
+    x, y, _ = (poses[0].inverse() * poses[-1]).position
+    turns = [math.remainder(b.yaw - a.yaw, math.tau) for a, b in zip(poses, poses[1:])]
+    return x, y, math.degrees(sum(turns))
 
 
 def straight(model, speed, metres=1.0, **more):
