@@ -8,10 +8,11 @@ from message_fields import message
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.figures import new_figure
-from bullet_lab.core.files import PathSeries
+from bullet_lab.core.files import FileError, PathSeries
 from bullet_lab.reports import Report
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import recorder
+from bullet_lab.ros.record.plots import PlotParameters, plot
 from bullet_lab.ros.record.recorder import GoalRequest, Recorder, TimedParameters
 
 
@@ -159,3 +160,20 @@ def test_a_goal_that_is_not_accepted(tmp_path, receive, monkeypatch):
     with pytest.raises(NodeError, match=r"^server has not accepted the goal within 0\.05 s$"):
         recording.run()
     assert summary_of(tmp_path)["rows"] == 0
+
+
+def test_a_full_disk(tmp_path, receive):
+    (tmp_path / "path.tum").symlink_to("/dev/full")
+    recording = recording_in(tmp_path)
+    receive["odom"](odometry(1))
+    with pytest.raises(FileError, match=r"path\.tum"):
+        recording.run()
+
+
+def test_plot_runs_the_report_that_is_named(tmp_path, receive, monkeypatch):
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
+    plot.__wrapped__(PlotParameters(out=str(tmp_path), report=f"{__name__}:PathReport"))
+    assert summary_of(tmp_path)["rows"] == 0
+    missing = "bullet_lab.reports.nothing:Report"
+    with pytest.raises(NodeError, match=f"~report is '{missing}'"):
+        plot.__wrapped__(PlotParameters(out=str(tmp_path), report=missing))
