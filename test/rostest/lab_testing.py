@@ -172,9 +172,9 @@ class Master:
         return code == 1
 
     def offers(self, service):
-        """Whether a service is registered."""
-        code, _, _ = xmlrpc.client.ServerProxy(self.uri).lookupService("/test", service)
-        return code == 1
+        """The URI of a service; empty if there is none."""
+        code, _, uri = xmlrpc.client.ServerProxy(self.uri).lookupService("/test", service)
+        return uri if code == 1 else ""
 
     def set_parameter(self, name, value):
         """Set a parameter."""

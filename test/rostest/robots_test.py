@@ -133,7 +133,8 @@ class RobotsTest(NodeTest):
         files = {"odom.tum", "noisy_odom.tum", "paths.csv", "paths.png", "summary.json"}
         self.assertEqual(files, {path.name for path in out.iterdir()})
         summary = json.loads((out / "summary.json").read_text())
-        self.assertEqual((0.1, "squares", True), tuple(map(summary.get, ("std", "job", "finished"))))
+        said = {key: summary[key] for key in ("std", "job", "finished")}
+        self.assertEqual({"std": 0.1, "job": "squares", "finished": True}, said)
         # Not in lock step: on a busy machine it drives on for a while.
         self.assertGreater(summary["path_length_m"], 0.08)
     @unittest.skipUnless(KNOWS_PREFIX, WHY_SKIPPED)

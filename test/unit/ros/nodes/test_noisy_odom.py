@@ -7,6 +7,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 import rospy
+from bullet_lab.srv import SetNoiseRequest
 from nav_msgs.msg import Odometry
 from recorded_paths import make_rule
 
@@ -16,7 +17,6 @@ from bullet_lab.noise.systematic import SystematicErrors, SystematicPath
 from bullet_lab.ros.messages.poses import stamped_pose
 from bullet_lab.ros.nodes import noisy_odom
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdometry, NoisyOdomParameters
-from bullet_lab.srv import SetNoiseRequest
 
 NODE = noisy_odom
 PLANAR = np.ix_((0, 1, 5), (0, 1, 5))
