@@ -18,7 +18,7 @@ from geometry_msgs.msg import Twist
 from lab_testing import PATIENCE, Node, Topic
 from nav_msgs.msg import Odometry
 
-SIDES = 2
+SIDES = 1
 # One every 51 ms, for 12 s a side.
 MESSAGES = SIDES * 12_000 // 51
 
