@@ -56,6 +56,12 @@ def advertised(topic):
     return topic in dict(publishers)
 
 
+def offered(service):
+    """Whether the master knows a service."""
+    _, _, services = rosgraph.Master("/test").getSystemState()
+    return service in dict(services)
+
+
 def forget_parameters(node, master):
     """Clear the private parameters that an earlier node of this name has left with a master."""
     with contextlib.suppress(OSError):
