@@ -24,24 +24,11 @@ from bullet_lab.srv import SetRtf
 from lab_testing import PATIENCE, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-
-ARM_ROBOT = """<robot name="arm_robot">
-  <link name="base"><inertial><mass value="1"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="arm"><inertial><mass value="1"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="elbow" type="continuous">
-    <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>
-  <gazebo><plugin name="states" filename="libgazebo_ros_joint_state_publisher.so">
-    <updateRate>50</updateRate></plugin></gazebo>
-</robot>"""
 
 # Joins the lock step, lets time go on to 0.1 s, and then does nothing more.
 SLEEPER = """
@@ -80,9 +67,26 @@ def simulated(commands, period):
 
 
 class BridgeTest(BridgeCase):
-    """Topics, commands, pauses, steps and resets."""
+    """Topics, commands, pauses, steps, resets and lock step."""
 
-    parameters = {"robot": ROBOT}
+    parameters = {"robot": ROBOT, "lock_step": "sleeper"}
+
+    # First, as the sleeper is missing only once.
+    def test_0_time_waits_for_a_member_that_is_late_and_not_for_a_dead_one(self):
+        clock = self.topic("/clock", Clock)
+        call("/gazebo/unpause_physics", Empty)
+        self.assert_stands(0)
+        sleeper = subprocess.Popen([sys.executable, "-c", SLEEPER])
+        self.addCleanup(sleeper.wait)
+        self.addCleanup(sleeper.kill)
+        clock.wait(10)
+        said = self.node.out.count("waits for /sleeper")
+        wait_for(lambda: self.node.out.count("waits for /sleeper") > said, "a report")
+        self.assert_stands(100)
+        sleeper.send_signal(signal.SIGKILL)
+        sleeper.wait()
+        wait_for(lambda: len(clock.messages) > 100, "time to pass 0.1 s")
+        self.assertIn("lock-step member /sleeper has died", self.node.err)
 
     def clock_and_odometry(self):
         return self.topic("/clock", Clock), self.topic("odom", Odometry)
@@ -161,72 +165,12 @@ class BridgeTest(BridgeCase):
         self.assertEqual(2 * [51 * MILLISECOND, 102 * MILLISECOND], odom.stamps())
         self.assertEqual(places(odom.messages[:2]), places(odom.messages[2:]))
 
+    # Lock step: time never passes what its members have granted
 
-class ParametersTest(BridgeCase):
-    """Another world, another place and another rate than by default."""
-
-    parameters = {
-        "robot": ROBOT,
-        "robot_pose": f"1 2 0 0 0 {math.pi / 2}",
-        "world": "package://bullet_lab/worlds/beacons.world",
-        "clock_rate": 30,
-    }
-
-    def test_clock_rate_that_does_not_divide_the_steps(self):
-        clock = self.topic("/clock", Clock)
-        step(1000)
-        clock.wait(30)
-        self.assertEqual([math.ceil(1000 * k / 30) for k in range(1, 31)], clocks(clock))
-
-    def test_robot_pose(self):
-        odom = self.topic("odom", Odometry)
-        step(51)
-        for wanted, found in zip((1.0, 2.0, math.sqrt(0.5)), places(odom.wait(1))[0]):
-            self.assertAlmostEqual(wanted, found, 6)
-
-    def test_world_is_latched(self):
-        step(100)
-        found = self.topic("/bullet_lab/world", MarkerArray).wait(1)[0]
-        beacons = {
-            marker.ns: (marker.pose.position.x, marker.pose.position.y)
-            for marker in found.markers
-            if marker.type == Marker.MESH_RESOURCE
-        }
-        self.assertEqual(
-            {"beacon_0": (1.0, 1.0), "beacon_1": (5.0, 1.0), "beacon_2": (-5.0, 1.0)}, beacons
-        )
-        self.assertEqual({*beacons, "ground_plane"}, {marker.ns for marker in found.markers})
-        self.assertEqual({"world"}, {marker.header.frame_id for marker in found.markers})
-
-
-class DescriptionTest(BridgeCase):
-    """The robot of the parameter server, in a namespace."""
-
-    parameters = {"robot_namespace": "left"}
-
-    def setUp(self):
-        rospy.set_param("robot_description", ARM_ROBOT)
-        self.addCleanup(rospy.delete_param, "robot_description")
-        super().setUp()
-
-    def test_joint_states_name_the_joints(self):
-        joints = self.topic("/left/joint_states", JointState)
-        step(100)
-        messages = joints.wait(5)
-        self.assertEqual([20 * k * MILLISECOND for k in range(1, 6)], joints.stamps())
-        for message in messages:
-            lengths = (len(message.position), len(message.velocity), len(message.effort))
-            self.assertEqual((["elbow"], (1, 1, 0)), (message.name, lengths))
-
-
-class LockStepTest(BridgeCase):
-    """Time never passes what its members have granted."""
-
-    parameters = {"robot": ROBOT, "lock_step": "/bridge_test"}
-
-    def setUp(self):
-        super().setUp()
+    def lock(self):
+        """Take part in the lock step, and let time pass as far as that goes."""
         self.commands = self.sender()
+        self.addCleanup(advance)
         self.epoch = self.join()
         call("/gazebo/unpause_physics", Empty)
 
@@ -245,6 +189,7 @@ class LockStepTest(BridgeCase):
         return thread
 
     def test_time_never_passes_a_grant(self):
+        self.lock()
         clock = self.topic("/clock", Clock)
         for until in range(0, 401, 100):
             answer = self.advance(until)
@@ -256,6 +201,7 @@ class LockStepTest(BridgeCase):
         self.assertEqual([10 * k for k in range(1, len(ticks) + 1)], ticks)
 
     def test_slowest_member_counts(self):
+        self.lock()
         self.addCleanup(advance, node="/other")
         self.advance(0, 0, "/other")
         ahead = self.going(500)
@@ -270,6 +216,7 @@ class LockStepTest(BridgeCase):
             self.advance(0, 0, "/pybullet_bridge")
 
     def test_commands_act_from_exactly_their_step(self):
+        self.lock()
         odom = self.topic("odom", Odometry)
         expected = simulated(SQUIGGLE, 30)
         for rtf in (0, 20):
@@ -284,6 +231,7 @@ class LockStepTest(BridgeCase):
             self.epoch = self.join()
 
     def test_announced_command_is_awaited(self):
+        self.lock()
         odom = self.topic("odom", Odometry)
         self.advance(100)
         going = self.going(200, 1)
@@ -295,10 +243,12 @@ class LockStepTest(BridgeCase):
         self.assertEqual(expected, places(odom.wait(len(expected))))
 
     def test_lost_command_does_not_hold_time_for_ever(self):
+        self.lock()
         self.assertTrue(self.advance(100, 3).success)
         self.assertIn("commands of /bridge_test were lost", self.node.err)
 
     def test_reset_reaches_a_member_that_is_busy(self):
+        self.lock()
         for reset, now in (("world", 100), ("simulation", 0)):
             self.assertTrue(self.advance(100).success)
             call(f"/gazebo/reset_{reset}", Empty)
@@ -311,27 +261,6 @@ class LockStepTest(BridgeCase):
             self.assertTrue(self.advance(now + 50).success)
             call("/gazebo/reset_simulation", Empty)
             self.epoch = self.join()
-
-
-class DeadMemberTest(BridgeCase):
-    """Time waits for a member that is late, and not for one that is dead."""
-
-    parameters = {"paused": False, "lock_step": "sleeper"}
-
-    def test_dead_members_do_not_hold_time(self):
-        clock = self.topic("/clock", Clock)
-        self.assert_stands(0)
-        sleeper = subprocess.Popen([sys.executable, "-c", SLEEPER])
-        self.addCleanup(sleeper.wait)
-        self.addCleanup(sleeper.kill)
-        clock.wait(10)
-        said = self.node.out.count("waits for /sleeper")
-        wait_for(lambda: self.node.out.count("waits for /sleeper") > said, "a report")
-        self.assert_stands(100)
-        sleeper.send_signal(signal.SIGKILL)
-        sleeper.wait()
-        wait_for(lambda: len(clock.messages) > 100, "time to pass 0.1 s")
-        self.assertIn("lock-step member /sleeper has died", self.node.err)
 
 
 # Commands (m/s, rad/s) that make a path in which each of them shows.

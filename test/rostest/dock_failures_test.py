@@ -3,8 +3,6 @@
 
 import math
 import signal
-import tempfile
-from pathlib import Path
 
 import rospy
 import rostest
@@ -23,7 +21,7 @@ APPROACHING = int(DockingState.APPROACHING)
 
 
 class DockFailuresTest(NodeTest):
-    """All tests share one stand-in and one node, but those about the node's own end."""
+    """All tests share one stand-in and one node."""
 
     @classmethod
     def setUpClass(cls):
@@ -214,30 +212,15 @@ class DockFailuresTest(NodeTest):
         self.assertAlmostEqual(4.0, found.pose.position.x, delta=0.05)
         self.assertAlmostEqual(0.0, found.pose.position.y, delta=0.05)
 
-
-class DockNodeTest(NodeTest):
-    """The node's own beginning and end."""
-
-    def test_malformed_database(self):
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "docks.yaml"
-            path.write_text("docks: {dock: {}}")
-            node = self.node("dock.py", "dock_bad", docks=path)
-            self.assert_bad_parameter(node, "~docks", "frame")
-
-    def test_whoever_ends_the_node_the_robot_stops(self):
-        robot = DockStandIn().start()
-        self.addCleanup(robot.end)
-        commands = self.topic("cmd_vel", Twist, False)
-        node = self.node("dock.py")
-        client = SimpleActionClient("dock", DockAction)
-        wait_for(lambda: client.action_client.pub_goal.get_num_connections(), "the server")
-        client.send_goal(DockGoal(dock_id="dock", search=True, max_retries=-1))
-        wait_for(lambda: any(m.linear.x > 0.05 for m in commands.messages), "motion")
-        node.signal(signal.SIGINT)
-        self.assertEqual(0, node.wait(), node.err)
-        wait_for(lambda: not commands.messages[-1].linear.x, "the stop")
-        self.assertEqual(0.0, commands.messages[-1].angular.z)
+    # Last, as the node ends.
+    def test_z_whoever_ends_the_node_the_robot_stops(self):
+        self.send()
+        self.wait_until_approaching()
+        self.shared.signal(signal.SIGINT)
+        self.assertEqual(0, self.shared.wait(), self.shared.err)
+        wait_for(lambda: not self.commands.messages[-1].linear.x, "the stop")
+        self.assertEqual(0.0, self.commands.messages[-1].angular.z)
+        self.dock.stop_tracking_goal()
 
 
 if __name__ == "__main__":

@@ -32,9 +32,6 @@ class DriveSquaresTest(NodeTest):
     def start(self, name="", **parameters):
         return self.node("drive_squares.py", name, **parameters)
 
-    def bridge(self, **parameters):
-        return self.node("pybullet_bridge.py", robot=ROBOT, **parameters)
-
     def robot(self, tick):
         robot = RobotStandIn(tick).start()
         self.addCleanup(robot.end)
@@ -100,15 +97,6 @@ class DriveSquaresTest(NodeTest):
         node.signal()
         self.assertEqual((0, ""), (node.wait(), node.err))
 
-    def test_closed_loop_drives_and_turns_until_the_odometry_says_so(self):
-        robot = self.robot(0.05)
-        node = self.start(mode="closed_loop", sides=1, side=0.1, turn_speed=-1.0)
-        self.assertEqual((0, ""), (node.wait(), node.err))
-        self.assertAlmostEqual(0.1, robot.pose[0], delta=0.02)
-        self.assertAlmostEqual(0.0, robot.pose[1], delta=0.02)
-        self.assertAlmostEqual(-90.0, math.degrees(robot.pose[2]), delta=3.0)
-        self.assert_stopped()
-
     def test_odometry_that_pauses_delays_the_robot_and_its_end_is_an_error(self):
         robot = self.robot(0.05)
         node = self.start(mode="closed_loop", sides=2, side=0.3, turn_speed=-2.0)
@@ -119,6 +107,8 @@ class DriveSquaresTest(NodeTest):
         robot.does.add("odom")
         wait_for(lambda: "side 2" in node.out, "the second side")
         self.assertAlmostEqual(0.3, robot.pose[0], delta=0.03)
+        self.assertAlmostEqual(0.0, robot.pose[1], delta=0.03)
+        self.assertAlmostEqual(-90.0, math.degrees(robot.pose[2]), delta=6.0)
         self.wait_until_driving(node, len(self.commands.messages))
         robot.does.discard("odom")
         wait_for(self.is_stopped, "a stop")
@@ -128,8 +118,8 @@ class DriveSquaresTest(NodeTest):
         self.assertEqual("drive_squares: no odometry on odom for 5 s\n", node.err)
         self.assert_stopped()
 
-    def test_shutdown_by_another_node_at_full_speed(self):
-        self.bridge(rtf=0, lock_step="driver_0")
+    def test_shutdown_by_another_node_and_a_bridge_that_dies_in_lock_step(self):
+        bridge = self.node("pybullet_bridge.py", robot=ROBOT, rtf=0, lock_step="driver_0")
         node = self.start("driver_0", lock_step=True, sides=1000)
         self.wait_until_driving(node, 500)
         uri = rosgraph.Master("/test").lookupNode("/driver_0")
@@ -140,11 +130,8 @@ class DriveSquaresTest(NodeTest):
         # rospy itself may say that it waits for the bridge.
         self.assertNotIn("Traceback", node.err)
         self.assert_stopped()
-
-    def test_bridge_that_dies_in_lock_step(self):
-        bridge = self.bridge(rtf=1, lock_step="drive_squares")
-        node = self.start(lock_step=True)
-        self.wait_until_driving(node)
+        node = self.start(lock_step=True, sides=1000)
+        self.wait_until_driving(node, len(self.commands.messages))
         bridge.signal(signal.SIGKILL)
         self.assertEqual(1, node.wait())
         self.assertEqual(1, len(node.err.splitlines()), node.err)

@@ -2,21 +2,21 @@
 """Drives on the topics that programs for them use: a Kobuki, a tricycle, a car; and an actor."""
 
 import math
-import unittest
 
 import rospy
 import rostest
-from bridge_testing import call, spawn
+from bridge_testing import call, spawn, twist
 from controller_manager_msgs.srv import ListControllers, LoadController, SwitchController
 from gazebo_msgs.srv import GetModelState
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
-from lab_testing import PACKAGE, Topic, publisher, wait_for
+from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
 
-VELOCITY = "mobile_base/commands/velocity"
+# The robots that drive curves, and their odometry.
+CURVES = {"tricycle": "tricycle/odom", "car": "car/drive/odom"}
 
 
 def place(model):
@@ -24,7 +24,7 @@ def place(model):
     return call("/gazebo/get_model_state", GetModelState, model, "world").pose.position
 
 
-class DrivesTest(unittest.TestCase):
+class DrivesTest(NodeTest):
     """Each robot is spawned by the services that launch files use."""
 
     @classmethod
@@ -44,28 +44,18 @@ class DrivesTest(unittest.TestCase):
         switch = (["drive"], [], 2, False, 10.0)
         assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
 
-    def topic(self, name, kind):
-        topic = Topic(name, kind)
-        self.addCleanup(topic.close)
-        return topic
-
-    def publisher(self, name, kind):
-        made = publisher(name, kind)
-        self.addCleanup(made.unregister)
-        return made
-
-    def drive(self, topic, vx, wz, until, what):
-        """Command a velocity until something holds, then stop."""
-        commands = self.publisher(topic, Twist)
-        command, stop = Twist(), Twist()
-        command.linear.x, command.angular.z = vx, wz
+    def drive(self, velocity, until, what, *topics):
+        """Command a velocity on topics until something holds, then stop."""
+        commands = [self.publisher(topic, Twist) for topic in topics]
 
         def holds():
-            commands.publish(command)
+            for one in commands:
+                one.publish(velocity)
             return until()
 
         wait_for(holds, what)
-        commands.publish(stop)
+        for one in commands:
+            one.publish(Twist())
 
     def test_a_kobuki_bumps_into_a_wall(self):
         bumper = self.topic("mobile_base/events/bumper", BumperEvent)
@@ -73,7 +63,8 @@ class DrivesTest(unittest.TestCase):
         imu = self.topic("mobile_base/sensors/imu_data", Imu).wait(1)[0]
         self.assertEqual(("base_link", 0.05), (imu.header.frame_id, imu.orientation_covariance[8]))
         odometry = self.topic("odom", Odometry)
-        self.drive(VELOCITY, 0.3, 0.0, lambda: bumper.messages, "the wall to be touched")
+        touches = (lambda: bumper.messages, "the wall to be touched")
+        self.drive(twist(0.3), *touches, "mobile_base/commands/velocity")
         event = bumper.messages[0]
         self.assertEqual((BumperEvent.CENTER, BumperEvent.PRESSED), (event.bumper, event.state))
 
@@ -93,24 +84,20 @@ class DrivesTest(unittest.TestCase):
         wait_for(lambda: abs(odometry.messages[-1].pose.pose.position.x) < 0.01, "the odometry")
 
     def test_a_tricycle_and_a_car_drive_curves(self):
-        for model, commands, odom in (
-            ("tricycle", "tricycle/cmd_vel", "tricycle/odom"),
-            ("car", "car/drive/cmd_vel", "car/drive/odom"),
-        ):
-            odometry = self.topic(odom, Odometry)
-            odometry.wait(1)
+        odometry = {name: self.topic(topic, Odometry) for name, topic in CURVES.items()}
+        starts = {name: place(name) for name in CURVES}
 
-            def yaw(topic=odometry):
-                turn = topic.messages[-1].pose.pose.orientation
-                return 2.0 * math.atan2(turn.z, turn.w)
+        def have_turned():
+            turns = [topic.wait(1)[-1].pose.pose.orientation for topic in odometry.values()]
+            return all(2.0 * math.atan2(turn.z, turn.w) > 1.5 for turn in turns)
 
-            start = place(model)
-            self.drive(commands, 0.3, 0.5, lambda yaw=yaw: yaw() > 1.5, f"{model} to turn")
+        commands = ("tricycle/cmd_vel", "car/drive/cmd_vel")
+        self.drive(twist(0.3, wz=0.5), have_turned, "both to turn", *commands)
+        for model, start in starts.items():
             end = place(model)
             # On a circle, wherever the command to stop has come.
             radius = 0.6 / math.tan(0.5)
-            centre = start.x, start.y + radius
-            reached = math.hypot(end.x - centre[0], end.y - centre[1])
+            reached = math.hypot(end.x - start.x, end.y - start.y - radius)
             self.assertAlmostEqual(radius, reached, delta=0.2, msg=model)
         (controller,) = call("/car/controller_manager/list_controllers", ListControllers).controller
         claimed = {one.hardware_interface: one.resources for one in controller.claimed_resources}

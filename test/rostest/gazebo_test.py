@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Clients in the manner of Gazebo's find its services and topics, types and habits."""
+"""Clients in the manner of Gazebo's find its services, topics and habits; beacons come and go."""
 
 import math
 import subprocess
@@ -8,10 +8,22 @@ import tempfile
 import threading
 from pathlib import Path
 
+import numpy as np
 import rosgraph
 import rospy
 import rostest
-from bridge_testing import ROBOT, BridgeCase, advance, call, spawn, step, twist, world
+import tf2_ros
+from bridge_testing import (
+    MILLISECOND,
+    ROBOT,
+    BridgeCase,
+    advance,
+    call,
+    spawn,
+    step,
+    twist,
+    world,
+)
 from bullet_lab.srv import SaveWorld, SetRtf
 from gazebo_msgs.msg import (
     LinkStates,
@@ -35,17 +47,31 @@ from gazebo_msgs.srv import (
     SetModelState,
     SetPhysicsProperties,
 )
-from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
-from lab_testing import PACKAGE, PATIENCE, Node, wait_for
+from geometry_msgs.msg import Point, PointStamped, Pose, Quaternion, Twist, Vector3
+from lab_testing import (
+    PACKAGE,
+    PATIENCE,
+    QUARTER_TURN,
+    Node,
+    advertised,
+    publisher,
+    transform,
+    wait_for,
+)
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import ColorRGBA
+from sensor_msgs.msg import JointState, LaserScan, Range
+from std_msgs.msg import ColorRGBA, String
 from std_srvs.srv import Empty
 from visualization_msgs.msg import Marker, MarkerArray
 
+from bullet_lab.core.pose import Pose as PlacedAt
+from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.urdf import read_urdf
 
 BLOCK = (PACKAGE / "urdf" / "block_robot.urdf").read_text()
+BEACONS = "package://bullet_lab/worlds/beacons.world"
 BEACON = '<sdf version="1.6"><include><uri>model://beacon</uri></include></sdf>'
 
 BALL = """<sdf version="1.6"><model name="ball"><pose>0 0 0.5 0 0 0</pose><link name="link">
@@ -63,6 +89,14 @@ PENDULUM = """<robot name="pendulum">
   <joint name="hinge" type="continuous"><origin xyz="0 0 1"/>
     <parent link="foot"/><child link="rod"/><axis xyz="0 0 1"/></joint>
 </robot>"""
+
+ARM_ROBOT = BLOCK.replace(
+    "</robot>",
+    """<link name="arm"><inertial><mass value="0.1"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="elbow" type="continuous">
+    <parent link="base_link"/><child link="arm"/><axis xyz="0 0 1"/></joint></robot>""",
+)
 
 LAMP = """<sdf version="1.6"><light name="bulb" type="point"><pose>0 0 3 0 0 0</pose>
   <diffuse>1 0.5 0.25 1</diffuse><attenuation><range>20</range><constant>0.5</constant>
@@ -90,12 +124,15 @@ def names():
     return world().model_names
 
 
-class GazeboTest(BridgeCase):
-    """The services and topics, on the block robot's world."""
+def click(x, y, frame="world"):
+    """A point that was clicked; its height does not matter."""
+    message = PointStamped(point=Point(x, y, 0.4))
+    message.header.stamp, message.header.frame_id = rospy.Time.now(), frame
+    return message
 
-    files = tempfile.TemporaryDirectory()
-    folder_to_save_in = Path(files.name) / "saved"
-    parameters = {"robot": ROBOT, "states_rate": 50, "save_folder": folder_to_save_in}
+
+class GazeboCase(BridgeCase):
+    """What tests of one bridge or the other share."""
 
     def assert_near(self, expected, found, tolerance=1e-6):
         self.assertLess(math.dist(expected, found), tolerance, f"{found}, expected {expected}")
@@ -103,6 +140,14 @@ class GazeboTest(BridgeCase):
     def assert_refused(self, said, answer):
         self.assertFalse(answer.success)
         self.assertRegex(answer.status_message, said)
+
+
+class GazeboTest(GazeboCase):
+    """The services and topics, on the block robot's world."""
+
+    files = tempfile.TemporaryDirectory()
+    folder_to_save_in = Path(files.name) / "saved"
+    parameters = {"robot": ROBOT, "states_rate": 50, "save_folder": folder_to_save_in}
 
     # Models come and go
 
@@ -227,8 +272,6 @@ class GazeboTest(BridgeCase):
         )
         self.assertEqual((Marker.DELETE, "ball", 0), (gone[0].action, gone[0].ns, gone[0].id))
 
-    # Wrenches and efforts
-
     # What lights, joints and links are like, and how fast it goes
 
     def test_a_light_has_a_name_and_sound_colours(self):
@@ -277,7 +320,6 @@ class GazeboTest(BridgeCase):
         found = call("/gazebo/get_physics_properties", GetPhysicsProperties)
         self.assertEqual((-1.6, 0.0), (found.gravity.z, found.max_update_rate))
 
-
     # The running world as a file
 
     def test_world_is_saved_while_it_runs(self):
@@ -325,6 +367,23 @@ class GazeboTest(BridgeCase):
         self.assertEqual([], list(elsewhere.iterdir()))
         self.assertEqual([folder], list(folder.parent.iterdir()))
 
+    # Last, as the bridge is another one then.
+    def test_z_a_bridge_on_a_saved_world_goes_on(self):
+        state = ModelState("block_robot", at(1.0, 2.0, 0.0, 0.5), Twist(), "")
+        call("/gazebo/set_model_state", SetModelState, state)
+        step(100)
+        path = self.folder() / "saved.world"
+        done = subprocess.run(
+            [sys.executable, str(PACKAGE / "scripts" / "save_world.py"), path.name],
+            cwd=path.parent, timeout=PATIENCE, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        self.assertIn(f"2 models at 0.1 s saved to {path}", done.stdout)
+        self.start(world=path)
+        odom = self.topic("odom", Odometry)
+        step(51)
+        position = odom.wait(1)[0].pose.pose.position
+        self.assert_near((1.0, 2.0), (position.x, position.y), 1e-5)
+
     # populate.py and depopulate.py
 
     def test_beacons_are_placed_and_taken_away(self):
@@ -343,29 +402,153 @@ class GazeboTest(BridgeCase):
         return node.wait(), node.err
 
 
-class SavedWorldTest(BridgeCase):
-    """A bridge that is started with what another has saved."""
+class WorldTest(GazeboCase):
+    """The report's beacons, and a robot of the parameter server in a namespace."""
 
-    parameters = {"robot": ROBOT, "robot_pose": "1 2 0 0 0 0.5"}
+    pose = (1.0, 2.0, 0.0), (0.0, 0.0, math.pi / 2)
+    parameters = {
+        "robot_namespace": "left",
+        "robot_pose": f"1 2 0 0 0 {math.pi / 2}",
+        "world": BEACONS,
+        "clock_rate": 30,
+        "seed": 1,
+        "publish_world_tf": True,
+    }
 
-    def test_a_bridge_on_a_saved_world_goes_on(self):
-        path = self.folder() / "saved.world"
-        step(100)
-        node = Node("save_world.py")
-        self.addCleanup(node.end)
-        self.assertEqual(1, node.wait())
-        self.assertIn("usage: save_world.py FILE", node.err)
-        done = subprocess.run(
-            [sys.executable, str(PACKAGE / "scripts" / "save_world.py"), path.name],
-            cwd=path.parent, timeout=PATIENCE, capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        self.assertIn(f"2 models at 0.1 s saved to {path}", done.stdout)
-        self.start(world=path)
-        odom = self.topic("odom", Odometry)
+    def setUp(self):
+        rospy.set_param("robot_description", ARM_ROBOT)
+        self.addCleanup(rospy.delete_param, "robot_description")
+        super().setUp()
+
+    def test_clock_rate_that_does_not_divide_the_steps(self):
+        clock = self.topic("/clock", Clock)
+        step(1000)
+        stamps = [message.clock.to_nsec() // MILLISECOND for message in clock.wait(30)]
+        self.assertEqual([math.ceil(1000 * k / 30) for k in range(1, 31)], stamps)
+
+    def test_robot_pose(self):
+        odom = self.topic("left/odom", Odometry)
         step(51)
-        position = odom.wait(1)[0].pose.pose.position
-        self.assertAlmostEqual(1.0, position.x, 5)
-        self.assertAlmostEqual(2.0, position.y, 5)
+        pose = odom.wait(1)[0].pose.pose
+        found = (pose.position.x, pose.position.y, pose.orientation.z)
+        self.assert_near((1.0, 2.0, math.sqrt(0.5)), found)
+
+    def test_the_noise_is_that_of_the_seed(self):
+        scans = self.topic("left/scan", LaserScan)
+        step(200)
+        first, second = scans.wait(2)
+        self.assertEqual(("laser_link", 360), (first.header.frame_id, len(first.ranges)))
+        self.assertGreater(sum(map(math.isfinite, first.ranges)), 3)
+        self.assertNotEqual(first.ranges, second.ranges)
+        self.assertEqual(first.ranges, self.simulated(1))
+        self.assertNotEqual(first.ranges, self.simulated(2))
+
+    def simulated(self, seed):
+        """The robot's first scan without ROS."""
+        scans = []
+        with Simulation.of(BEACONS, seed) as simulation:
+            pose = PlacedAt.from_rpy(*self.pose)
+            robot = simulation.add(read_urdf(ARM_ROBOT, "robot"), pose=pose)
+            robot.listen("scan", scans.append)
+            simulation.run_until(100)
+        return tuple(np.float32(scans[0].ranges).tolist())
+
+    def test_joint_states_name_the_joints(self):
+        joints = self.topic("/left/joint_states", JointState)
+        step(100)
+        messages = joints.wait(2)
+        self.assertEqual([50 * MILLISECOND, 100 * MILLISECOND], joints.stamps())
+        for message in messages:
+            lengths = (len(message.position), len(message.velocity), len(message.effort))
+            self.assertEqual((["elbow"], (1, 1, 0)), (message.name, lengths))
+
+    def test_world_is_latched(self):
+        step(100)
+        found = self.topic("/bullet_lab/world", MarkerArray).wait(1)[0]
+        beacons = {
+            marker.ns: (marker.pose.position.x, marker.pose.position.y)
+            for marker in found.markers
+            if marker.type == Marker.MESH_RESOURCE
+        }
+        self.assertEqual(
+            {"beacon_0": (1.0, 1.0), "beacon_1": (5.0, 1.0), "beacon_2": (-5.0, 1.0)}, beacons
+        )
+        self.assertEqual({*beacons, "ground_plane"}, {marker.ns for marker in found.markers})
+        self.assertEqual({"world"}, {marker.header.frame_id for marker in found.markers})
+
+    # place_beacon.py
+
+    def start_placing(self):
+        self.placer = Node("place_beacon.py")
+        self.addCleanup(self.placer.end)
+        self.placed = self.topic("place_beacon/placed", String)
+        self.clicks = publisher("/clicked_point", PointStamped)
+        self.addCleanup(self.clicks.unregister)
+
+    def place(self, *point):
+        """Click, and return the name of the beacon that was placed."""
+        number = len(self.placed.messages) + 1
+        self.clicks.publish(click(*point))
+        return self.placed.wait(number)[-1].data
+
+    def refuse(self, why, *point):
+        """Click until the warning comes: one a second is written."""
+
+        def is_refused():
+            self.clicks.publish(click(*point))
+            rospy.rostime.wallsleep(0.1)
+            return why in self.placer.err
+
+        wait_for(is_refused, f"'{why}' in the warnings")
+
+    def test_a_beacon_for_each_click(self):
+        self.start_placing()
+        self.assertEqual("beacon_3", self.place(2.0, 3.0))
+        self.assertEqual("beacon_4", self.place(-2.0, 3.0))
+        call("/gazebo/delete_model", DeleteModel, "beacon_3")
+        # In another frame, with the first free name.
+        broadcaster = tf2_ros.StaticTransformBroadcaster()
+        self.addCleanup(broadcaster.pub_tf.unregister)
+        broadcaster.sendTransform(transform("world", "map", (1.0, 0.0, 0.0), QUARTER_TURN))
+        self.assertEqual("beacon_3", self.place(3.0, 0.5, "map"))
+        self.assert_near((0.5, 3.0, 0.0), place_of("beacon_3"))
+        self.assert_near((-2.0, 3.0, 0.0), place_of("beacon_4"))
+        before = names()
+        for why, point in {
+            "too near to beacon_0": (1.45, 1.0),
+            "too near to block_robot": (1.3, 2.3),
+            "too near to beacon_4": (-2.0, 3.1),
+            "the point is not finite": (math.nan, 0.0),
+            "no frame_id": (3.0, 3.0, ""),
+            "no transform from 'mars' to 'world'": (3.0, 3.0, "mars"),
+        }.items():
+            self.refuse(why, *point)
+        self.assertEqual(before, names())
+        self.assertNotIn("Traceback", self.placer.err)
+
+    def test_a_robot_is_tracked_from_beacons_that_come_and_go(self):
+        self.start_placing()
+        node = Node("track_robot.py", watch=True, remap={"odom": "left/odom"})
+        self.addCleanup(node.end)
+        known = self.topic("beacon_2", String)
+        labels = self.topic("beacon_markers", MarkerArray)
+        self.assertEqual("beacon_3", self.place(4.0, -2.0))
+        ranges, line = self.topic("beacon_3/range", Range), self.topic("beacon_3", String)
+        step(200)
+        self.assertIn("position: x:-5 y:1,", known.wait(1)[0].data)
+        self.assertAlmostEqual(5.0, ranges.wait(2)[-1].range, 2)
+        said = "source: beacon_3, position: x:4.0 y:-2.0,"
+        self.assertTrue(line.wait(1)[0].data.startswith(said))
+        call("/gazebo/delete_model", DeleteModel, "beacon_3")
+        wait_for(lambda: not advertised("/beacon_3/range"), "the beacon's topic to go")
+        # The configured ones stay, whatever becomes of them.
+        call("/gazebo/delete_model", DeleteModel, "beacon_2")
+        self.addCleanup(spawn, "beacon_2", BEACON, at(-5.0, 1.0, 0.0))
+        count, drawn = len(known.messages), len(labels.messages)
+        step(600)
+        known.wait(count + 10)
+        texts = [m.text for m in labels.wait(drawn + 2)[-1].markers if m.text]
+        self.assertEqual(3, len(texts))
 
 
 def setUpModule():

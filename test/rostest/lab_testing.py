@@ -56,6 +56,12 @@ def advertised(topic):
     return topic in dict(publishers)
 
 
+def offered(service):
+    """Whether the master knows a service."""
+    _, _, services = rosgraph.Master("/test").getSystemState()
+    return service in dict(services)
+
+
 def forget_parameters(node, master):
     """Clear the private parameters that an earlier node of this name has left with a master."""
     with contextlib.suppress(OSError):
@@ -172,9 +178,9 @@ class Master:
         return code == 1
 
     def offers(self, service):
-        """Whether a service is registered."""
-        code, _, _ = xmlrpc.client.ServerProxy(self.uri).lookupService("/test", service)
-        return code == 1
+        """The URI of a service; empty if there is none."""
+        code, _, uri = xmlrpc.client.ServerProxy(self.uri).lookupService("/test", service)
+        return uri if code == 1 else ""
 
     def set_parameter(self, name, value):
         """Set a parameter."""

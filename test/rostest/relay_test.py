@@ -4,8 +4,8 @@
 What it costs in time is measured by `scripts/bench.sh relay`.
 """
 
+import math
 import os
-import signal
 import subprocess
 import sys
 import unittest
@@ -15,10 +15,10 @@ import rospy
 import rostest
 from bridge_testing import ROBOT
 from geometry_msgs.msg import Twist
-from lab_testing import PATIENCE, Node, Topic
+from lab_testing import NodeTest, offered, wait_for
 from nav_msgs.msg import Odometry
 
-SIDES = 2
+SIDES = 1
 # One every 51 ms, for 12 s a side.
 MESSAGES = SIDES * 12_000 // 51
 
@@ -42,12 +42,8 @@ def topic_tool(name):
     raise unittest.SkipTest("topic_tools is not installed")
 
 
-class RelayTest(unittest.TestCase):
+class RelayTest(NodeTest):
     """See the docstring of the module."""
-
-    @classmethod
-    def setUpClass(cls):
-        rospy.init_node("relay_test")
 
     def program(self, *words):
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
@@ -55,51 +51,51 @@ class RelayTest(unittest.TestCase):
         self.addCleanup(process.kill)
         return process
 
-    def drive(self, *detour, mode="closed_loop", meanwhile=lambda: None):
-        """Drive in lock step; return the places of the robot, and the bridge."""
-        bridge = Node("pybullet_bridge.py", robot=ROBOT, rtf=0, lock_step="drive_squares")
-        process = self.program(*detour) if detour else None
-        try:
-            rospy.wait_for_service("/gazebo/reset_simulation", PATIENCE)
-            odom = Topic("odom", Odometry)
-            driver = Node(
-                "drive_squares.py",
-                lock_step=True,
-                mode=mode,
-                sides=SIDES,
-                cmd_vel="wish" if detour else "cmd_vel",
-            )
-            meanwhile()
-            self.assertEqual(0, driver.wait(), driver.err)
-            # The world goes on when the driver has gone.
-            poses = [message.pose.pose.position for message in odom.wait(MESSAGES)[:MESSAGES]]
-            odom.close()
-        finally:
-            bridge.end()
-            if process is not None:
-                process.kill()
-                process.wait()
-        return [(pose.x, pose.y) for pose in poses], bridge
+    def bridge(self):
+        """A bridge whose time waits for the driver."""
+        bridge = self.node("pybullet_bridge.py", robot=ROBOT, rtf=0, lock_step="drive_squares")
+        wait_for(lambda: offered("/gazebo/reset_simulation") or not bridge.runs(), "the bridge")
+        self.odom = self.topic("odom", Odometry)
+        return bridge
+
+    def driver(self, mode, cmd_vel="wish"):
+        return self.node(
+            "drive_squares.py", lock_step=True, mode=mode, sides=SIDES, cmd_vel=cmd_vel
+        )
+
+    def places(self, *driver):
+        """Drive; return the places of the robot."""
+        before, driver = len(self.odom.messages), self.driver(*driver)
+        self.assertEqual(0, driver.wait(), driver.err)
+        # The world goes on when the driver has gone.
+        messages = self.odom.wait(before + MESSAGES)[before : before + MESSAGES]
+        poses = [message.pose.pose.position for message in messages]
+        return [(pose.x, pose.y) for pose in poses]
 
     def test_a_loop_is_closed_through_a_relay(self):
-        straight, _ = self.drive()
-        relayed, bridge = self.drive(sys.executable, "-c", RELAY)
-        self.assertEqual(straight, relayed)
+        bridge = self.bridge()
+        straight = self.places("closed_loop", "cmd_vel")
+        bridge.end()
+        self.program(sys.executable, "-c", RELAY)
+        bridge = self.bridge()
+        self.assertEqual(straight, self.places("closed_loop"))
         self.assertNotIn("lost", bridge.err)
 
-    def test_a_multiplexer_that_drops_the_commands_does_not_stall(self):
-        places, _ = self.drive(topic_tool("mux"), "cmd_vel", "other", "wish", mode="open_loop")
-        self.assertTrue(all(abs(x) < MOVED and abs(y) < MOVED for x, y in places))
-
-    def test_a_relay_that_dies_does_not_hold_time(self):
-        def kill():
-            commands = Topic("cmd_vel", Twist)
-            commands.wait(20)
-            self.relay.send_signal(signal.SIGKILL)
-
-        self.relay = self.program(topic_tool("relay"), "wish", "cmd_vel")
-        self.drive("/bin/sleep", "1000", mode="open_loop", meanwhile=kill)
+    def test_what_loses_the_commands_does_not_hold_time(self):
+        self.bridge()
+        multiplexer = self.program(topic_tool("mux"), "cmd_vel", "other", "wish")
+        for place in self.places("open_loop"):
+            self.assertLess(math.hypot(*place), MOVED)
+        multiplexer.kill()
+        multiplexer.wait()
+        # One that dies on the way.
+        relay = self.program(topic_tool("relay"), "wish", "cmd_vel")
+        driver = self.driver("open_loop")
+        self.topic("cmd_vel", Twist).wait(20)
+        relay.kill()
+        self.assertEqual(0, driver.wait(), driver.err)
 
 
 if __name__ == "__main__":
+    rospy.init_node("relay_test")
     rostest.rosrun("bullet_lab", "relay_test", RelayTest, sys.argv)

@@ -6,6 +6,7 @@ import tempfile
 import unittest
 from pathlib import Path
 
+import rosnode
 import rospkg
 import rospy
 import rostest
@@ -16,8 +17,9 @@ from bridge_testing import Sender, call, spawn, twist
 from bullet_lab.msg import DockAction, DockGoal, TouchedModels
 from bullet_lab.srv import SetNoise
 from geometry_msgs.msg import Point, Pose, Quaternion
-from lab_testing import PACKAGE, Node, Topic, wait_for
+from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan, Range
 from std_msgs.msg import String
@@ -28,7 +30,6 @@ from bullet_lab.ros.node.lock_step import publishers_know_this_node
 # Topic, type and frame of all that has a header.
 TOPICS = (
     ("left/odom", Odometry, "left/odom"),
-    ("left/noisy_odom", Odometry, "left/odom"),
     ("left/scan", LaserScan, "left/laser_link"),
     ("left/beacon_0/range", Range, "left/base_footprint"),
     ("right/odom", Odometry, "right/odom"),
@@ -40,13 +41,8 @@ WHY_SKIPPED = "Debian 11's robot_state_publisher has no tf_prefix: docs/platform
 BLOCK = (PACKAGE / "urdf" / "block_robot.urdf").read_text()
 
 
-class RobotsTest(unittest.TestCase):
+class RobotsTest(NodeTest):
     """The robots left and right, each in a namespace with a tf_prefix."""
-
-    def topic(self, name, kind):
-        topic = Topic(name, kind)
-        self.addCleanup(topic.close)
-        return topic
 
     def drive(self, robot, speed):
         commands = Sender(f"{robot}/cmd_vel")
@@ -107,31 +103,40 @@ class RobotsTest(unittest.TestCase):
             )
 
     def test_nodes_run_in_a_namespace(self):
-        with tempfile.TemporaryDirectory() as name:
-            space = {"__ns": "right"}
-            noise = Node("noisy_odom.py", remap=space)
-            self.addCleanup(noise.end)
-            plot = Node(
-                "plot_noise.py", remap=space, out=name, until="drive_squares/finished"
-            )
-            self.addCleanup(plot.end)
-            pairs = Path(name) / "paths.csv"
-            wait_for(
-                lambda: pairs.is_file() and len(pairs.read_text().splitlines()) > 1, "a recording"
-            )
-            drive = Node(
-                "drive_squares.py", remap=space, mode="closed_loop", side=0.1, sides=1, speed=0.2
-            )
-            self.addCleanup(drive.end)
-            self.assertEqual(0, drive.wait(), drive.err)
-            self.assertEqual(0, plot.wait(), plot.err)
-            summary = json.loads((Path(name) / "summary.json").read_text())
-            self.assertTrue(summary["finished"])
-            # Not in lock step: on a busy machine it drives on for a while.
-            self.assertGreater(summary["path_length_m"], 0.08)
-        answer = call("/left/noisy_odom_node/set_noise", SetNoise, "report", 0.2, [])
-        self.assertTrue(answer.success)
-
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        out, space = Path(folder.name), {"__ns": "right"}
+        noise = self.node("noisy_odom.py", remap=space)
+        about, until = "{std: 0.1, job: squares}", "drive_squares/finished"
+        plot = self.node("plot_noise.py", remap=space, out=out, until=until, about=about)
+        pairs = out / "paths.csv"
+        wait_for(
+            lambda: pairs.is_file() and len(pairs.read_text().splitlines()) > 1, "a recording"
+        )
+        noisy = self.topic("right/noisy_odom", Odometry).wait(1)[0]
+        # Late, and so what is latched.
+        paths = [
+            self.topic(f"right/{path}", PathMessage).wait(1)[0]
+            for path in ("odom_path", "noisy_odom_path")
+        ]
+        self.assertTrue(all(path.poses for path in paths))
+        self.assertEqual({"right/odom"}, {one.header.frame_id for one in (noisy, *paths)})
+        changed = call("/right/noisy_odom_node/set_noise", SetNoise, "report", 0.2, [])
+        self.assertTrue(changed.success, changed.status_message)
+        square = {"mode": "closed_loop", "side": 0.1, "sides": 1, "turn_speed": 2.0}
+        drive = self.node("drive_squares.py", remap=space, **square)
+        for node in (drive, plot):
+            self.assertEqual(0, node.wait(), node.err)
+        noise.signal()
+        self.assertEqual(0, noise.wait(), noise.err)
+        self.assertNotIn("Traceback", noise.err)
+        files = {"odom.tum", "noisy_odom.tum", "paths.csv", "paths.png", "summary.json"}
+        self.assertEqual(files, {path.name for path in out.iterdir()})
+        summary = json.loads((out / "summary.json").read_text())
+        said = {key: summary[key] for key in ("std", "job", "finished")}
+        self.assertEqual({"std": 0.1, "job": "squares", "finished": True}, said)
+        # Not in lock step: on a busy machine it drives on for a while.
+        self.assertGreater(summary["path_length_m"], 0.08)
     @unittest.skipUnless(KNOWS_PREFIX, WHY_SKIPPED)
     def test_docking_finds_the_frames_with_the_prefix(self):
         client = SimpleActionClient("right/dock", DockAction)
@@ -140,6 +145,8 @@ class RobotsTest(unittest.TestCase):
         self.assertTrue(client.wait_for_result(rospy.Duration(60)))
         # The camera was found in the robot's frame, the dock's place in that of the odometry.
         self.assertEqual("the marker is not in sight", client.get_result().message)
+        # Or each picture is drawn and looked at for it until all tests are over.
+        rosnode.kill_nodes(["/right/dock"])
 
     def test_robots_that_share_a_frame_are_warned_about(self):
         log = self.topic("/rosout", Log)

@@ -2,133 +2,398 @@
 """The sensors of Gazebo's robots as an unmodified client sees them."""
 
 import math
+import os
+import struct
+import tempfile
+import unittest.mock
+from pathlib import Path
 
+import cv2
 import numpy as np
 import rospy
 import rostest
-from bridge_testing import ROBOT as BLOCK_ROBOT
-from bridge_testing import BridgeCase, spawn, step
+from bridge_testing import MILLISECOND, BridgeCase, call, spawn, step
+from bullet_lab.srv import SetBias, SetRtf
 from gazebo_msgs.msg import ContactsState
-from sensor_msgs.msg import LaserScan
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3, Vector3Stamped
+from lab_testing import wait_for
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import (
+    CameraInfo,
+    CompressedImage,
+    Image,
+    Imu,
+    LaserScan,
+    NavSatFix,
+    PointCloud,
+    PointCloud2,
+    PointField,
+)
+from sensor_msgs.srv import SetCameraInfo
+from std_msgs.msg import Empty as EmptyMessage
+from std_srvs.srv import Empty
 
-from bullet_lab.simulation.simulation import Simulation
-
-MILLISECOND = 1_000_000
-BEACONS = "package://bullet_lab/worlds/beacons.world"
-
-# A crate on the floor, 2 kg, with a wall 1 m ahead of its middle.
-WALL = """<sdf version="1.6"><model name="wall"><static>true</static><pose>1.1 0 0.5 0 0 0</pose>
+G = 9.8
+WALL = """<sdf version="1.6"><model name="wall"><static>true</static><pose>2.1 0 1 0 0 0</pose>
   <link name="link">
-    <collision name="bricks"><geometry><box><size>0.2 20 1</size></box></geometry></collision>
-    <visual name="paint"><geometry><box><size>0.2 20 1</size></box></geometry></visual>
+    <collision name="c"><geometry><box><size>0.2 20 4</size></box></geometry></collision>
+    <visual name="v"><geometry><box><size>0.2 20 4</size></box></geometry></visual>
   </link></model></sdf>"""
-CRATE = """<robot name="crate">
-  <link name="base"><inertial><origin xyz="0 0 0.1"/><mass value="2"/>
+HEAD = """<camera name="{}"><pose>0 {} 0 0 0 0</pose><horizontal_fov>{}</horizontal_fov>
+  <image><width>80</width><height>60</height><format>{}</format></image></camera>"""
+PAIR = f"{HEAD.format('left', 0.05, 1.2, 'L16')}{HEAD.format('right', -0.05, 1.2, 'BAYER_GRBG8')}"
+SCAN = """<samples>91</samples><min_angle>0</min_angle>
+  <max_angle>1.5707963</max_angle></horizontal>"""
+ROWS = """<samples>3</samples><min_angle>-0.5</min_angle><max_angle>0.5</max_angle></horizontal>
+  <vertical><samples>2</samples><min_angle>0</min_angle><max_angle>0.2</max_angle></vertical>"""
+RAYS = "<ray><scan><horizontal>{}</scan><range><min>0.2</min><max>5</max></range></ray>"
+
+
+def sensor(kind, name, inner, library, tags, rate=10):
+    """A sensor with its plugin."""
+    plugin = f'<plugin name="{name}" filename="libgazebo_ros_{library}.so">{tags}</plugin>'
+    rate = f"<update_rate>{rate}</update_rate>"
+    return f'<sensor type="{kind}" name="{name}">{rate}{inner}{plugin}</sensor>'
+
+
+NAMED = "<topicName>{}</topicName><frameName>base</frameName>"
+CAMERA = "<cameraName>{}</cameraName>"
+CRATE = f"""<robot name="crate">
+  <link name="base"><inertial><mass value="2"/>
     <inertia ixx="0.0133" iyy="0.0133" izz="0.0133"/></inertial>
-    <collision><origin xyz="0 0 0.1"/><geometry><box size="0.2 0.2 0.2"/></geometry></collision>
-  </link>
-  <link name="top"/>
-  <joint name="j" type="fixed"><parent link="base"/><child link="top"/>
-    <origin xyz="0 0 0.1"/></joint>
-  <gazebo reference="top">
-    <sensor type="ray" name="laser"><update_rate>10</update_rate><visualize>true</visualize>
-      <ray><scan><horizontal><samples>91</samples><min_angle>0</min_angle>
-        <max_angle>1.5707963</max_angle></horizontal></scan>
-        <range><min>0.2</min><max>5</max></range></ray>
-      <plugin name="laser" filename="libgazebo_ros_laser.so">
-        <topicName>scan</topicName><frameName>top</frameName></plugin></sensor>
+    <collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
+  <gazebo><plugin name="imu" filename="libhector_gazebo_ros_imu.so"><updateRate>50</updateRate>
+      <topicName>imu/data</topicName><accelOffset>0.1 0.2 0.3</accelOffset>
+      <rateDrift>0.1</rateDrift><rateDriftFrequency>0</rateDriftFrequency>
+      <rateGaussianNoise>0 0 1e-9</rateGaussianNoise>
+    </plugin>
+    <plugin name="gps" filename="libhector_gazebo_ros_gps.so"><updateRate>10</updateRate>
+      <referenceLatitude>45</referenceLatitude><referenceLongitude>9</referenceLongitude>
+      <referenceAltitude>100</referenceAltitude><offset>0 0 5</offset><status>1</status>
+      <service>3</service><frameId>earth</frameId></plugin>
   </gazebo>
   <gazebo reference="base">
-    <sensor type="contact" name="bumper"><update_rate>20</update_rate>
-      <contact><collision>base_collision</collision></contact>
-      <plugin name="bumper" filename="libgazebo_ros_bumper.so">
-        <bumperTopicName>bumper</bumperTopicName><frameName>world</frameName></plugin></sensor>
+    {sensor("ray", "scan", RAYS.format(SCAN), "laser", NAMED.format("scan"))}
+    {sensor("contact", "bumper", "<contact><collision>base_collision</collision></contact>",
+            "bumper", "<bumperTopicName>bumper</bumperTopicName><frameName>world</frameName>", 20)}
+    {sensor("ray", "block", RAYS.format(ROWS), "block_laser", NAMED.format("block"))}
+    {sensor("gpu_ray", "rings", RAYS.format(ROWS), "velodyne_gpu_laser", NAMED.format("rings"))}
+    {sensor("multicamera", "pair", PAIR, "multicamera",
+            f"{CAMERA.format('eyes')}<hackBaseline>0.1</hackBaseline>")}
+    {sensor("camera", "eye", HEAD.format("c", 0, 1.2, "R8G8B8"), "triggered_camera",
+            CAMERA.format("eye"))}
+    {sensor("wideanglecamera", "fish", HEAD.format("f", 0, 3.14, "R8G8B8"), "camera",
+            CAMERA.format("fish"))}
   </gazebo>
 </robot>"""
+FOCAL = 40 / math.tan(0.6)
+IMAGE, INFO = "/mycamera/image_raw", "/mycamera/camera_info"
+# The camera robot before the dock.
+DOCK = {
+    "world": "package://bullet_lab/worlds/docking.world",
+    "robot": "package://bullet_lab/urdf/camera_robot.urdf",
+}
 
 
 class SensorsTest(BridgeCase):
-    """Robots that carry sensors, before a wall."""
+    """A crate that carries sensors stands before a wall; all tests share it."""
 
-    def before_the_wall(self, robot):
-        """Spawn the wall and a robot, whose topics have no namespace, and let it settle."""
-        for name, xml in (("wall", WALL), ("robot", robot)):
-            answer = spawn(name, xml, namespace="/")
+    def empty(self):
+        """Leave the crate where it is."""
+
+    def start(self, **parameters):
+        super().start(**parameters)
+        upright = Pose(Point(0.0, 0.0, 0.1), Quaternion(0.0, 0.0, 0.0, 1.0))
+        for name, xml, pose in (("wall", WALL, None), ("robot", CRATE, upright)):
+            answer = spawn(name, xml, pose, namespace="/")
             self.assertTrue(answer.success, answer.status_message)
-        step(200)
+        step(1000)
 
-    def last_of(self, name, kind, period):
-        """The last message of those that 0.1 s of simulated time bring from now on."""
-        topic = self.topic(name, kind)
-        start = step(0)
+    def last_of(self, *topics):
+        """The last message of each topic, of those that 0.1 s of simulated time bring."""
+        heard = [self.topic(name, kind) for name, kind in topics]
         step(100)
-        messages = topic.wait(100 // period)
-        stamps = [stamp // MILLISECOND - start for stamp in topic.stamps()]
-        self.assertEqual(list(range(period, 101, period)), stamps)
-        return messages[-1]
+        return [topic.wait(1)[-1] for topic in heard]
+
+    def assert_near(self, expected, message, places=3):
+        for axis, value in zip("xyz", expected):
+            self.assertAlmostEqual(value, getattr(message, axis), places)
 
     def test_laser(self):
-        self.before_the_wall(CRATE)
-        scan = self.last_of("scan", LaserScan, 100)
-        self.assertEqual("top", scan.header.frame_id)
-        self.assertEqual((91, 91), (len(scan.ranges), len(scan.intensities)))
-        self.assertAlmostEqual(math.radians(1.0), scan.angle_increment, 6)
-        self.assertAlmostEqual(0.2, scan.range_min, 6)
-        self.assertEqual((5.0, 0.0), (scan.range_max, scan.time_increment))
-        self.assertEqual(0.0, scan.scan_time)
+        (scan,) = self.last_of(("scan", LaserScan))
+        self.assertEqual(("base", 91), (scan.header.frame_id, len(scan.ranges)))
         for degrees in (0, 30, 60):
-            exact = 1.0 / math.cos(math.radians(degrees))
+            exact = 2.0 / math.cos(math.radians(degrees))
             self.assertAlmostEqual(exact, scan.ranges[degrees], 3)
         self.assertEqual(math.inf, scan.ranges[90])
 
     def test_bumper(self):
-        self.before_the_wall(CRATE)
-        states = self.last_of("bumper", ContactsState, 50).states
+        topic, start = self.topic("bumper", ContactsState), step(0)
+        step(100)
+        states = topic.wait(2)[-1].states
+        self.assertEqual([50, 100], [stamp // MILLISECOND - start for stamp in topic.stamps()])
         self.assertEqual(50, len(states), "one for each step since the last message")
         state = states[-1]
-        self.assertEqual("robot::base::base_collision", state.collision1_name)
-        self.assertEqual("ground_plane::link::collision", state.collision2_name)
-        self.assertAlmostEqual(2 * 9.8, state.total_wrench.force.z, 1)
-        forces = [wrench.force.z for wrench in state.wrenches]
-        self.assertAlmostEqual(state.total_wrench.force.z, sum(forces), 9)
+        names = state.collision1_name, state.collision2_name
+        self.assertEqual(("robot::base::base_collision", "ground_plane::link::collision"), names)
+        self.assertAlmostEqual(2 * G, state.total_wrench.force.z, 1)
+
+    def test_imu_and_its_services(self):
+        topics = ("imu/data", Imu), ("imu/data/bias", Imu)
+        imu, bias = self.last_of(*topics)
+        self.assertEqual("base", imu.header.frame_id)
+        self.assert_near((0.1, 0.2, G + 0.3), imu.linear_acceleration, 1)
+        self.assert_near((0.1, 0.2, 0.3), bias.linear_acceleration, 9)
+        drift = bias.angular_velocity
+        self.assertGreater(abs(drift.x) + abs(drift.y) + abs(drift.z), 0.01)
+        self.assert_near((drift.x, drift.y, drift.z), imu.angular_velocity, 2)
+        self.assertAlmostEqual(1e-18, imu.angular_velocity_covariance[8])
+        self.assert_near((0.2 / (2 * G), -0.1 / (2 * G)), imu.orientation)
+        call("imu/data/calibrate", Empty)
+        call("imu/data/set_accel_bias", SetBias, Vector3(1.0, 2.0, 3.0))
+        imu, bias = self.last_of(*topics)
+        self.assert_near((0.0, 0.0, 0.0), bias.angular_velocity, 9)
+        self.assert_near((1.1, 2.2, 3.3), bias.linear_acceleration, 3)
+        call("imu/data/set_rate_bias", SetBias, Vector3(0.5, 0.0, 0.0))
+        call("imu/data/set_accel_bias", SetBias, Vector3(math.nan, 0.0, 0.0))
+        _, bias = self.last_of(*topics)
+        self.assert_near((0.5, 0.0, 0.0), bias.angular_velocity, 9)
+        self.assert_near((1.1, 2.2, 3.3), bias.linear_acceleration, 3)
+        wait_for(lambda: "bias is not finite" in self.node.err, "the refusal of the bias")
+
+    def test_gps(self):
+        fix, velocity = self.last_of(("fix", NavSatFix), ("fix_velocity", Vector3Stamped))
         self.assertEqual(
-            {len(forces)},
-            {len(state.contact_positions), len(state.contact_normals), len(state.depths)},
+            ("earth", 1, 3), (fix.header.frame_id, fix.status.status, fix.status.service)
         )
-        for normal in state.contact_normals:
-            self.assertAlmostEqual(1.0, normal.z, 6)
+        self.assertAlmostEqual(45.0, fix.latitude, 6)
+        self.assertAlmostEqual(9.0, fix.longitude, 6)
+        self.assertAlmostEqual(105.1, fix.altitude, 2)
+        self.assertEqual(NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN, fix.position_covariance_type)
+        self.assert_near((0.0, 0.0, 0.0), velocity.vector, 2)
+        self.assertEqual("earth", velocity.header.frame_id)
 
-    def test_a_sensor_that_makes_no_sense_is_one_line_and_the_rest_works(self):
-        said = "plugin 'laser': <sensor>: <samples>: -5 is not a whole number"
-        self.before_the_wall(CRATE.replace("<samples>91</samples>", "<samples>-5</samples>"))
-        self.last_of("bumper", ContactsState, 50)
-        self.assertEqual(1, self.node.err.count(said), self.node.err)
+    def test_lasers_of_points(self):
+        block, rings = self.last_of(("block", PointCloud), ("rings", PointCloud2))
+        points = [
+            (2.0, 2.0 * math.tan(yaw), 2.0 * math.tan(pitch) / math.cos(yaw))
+            for pitch in (0.0, 0.2)
+            for yaw in (-0.5, 0.0, 0.5)
+        ]
+        self.assertEqual("base", block.header.frame_id)
+        self.assertEqual(6, len(block.points))
+        for expected, point in zip(points, block.points):
+            self.assert_near(expected, point, 2)
+        (channel,) = block.channels
+        self.assertEqual(("", (0.0,) * 6), (channel.name, tuple(channel.values)))
+        layout = [(field.name, field.offset, field.datatype) for field in rings.fields]
+        kinds = 4 * [PointField.FLOAT32] + [PointField.UINT16, PointField.FLOAT32]
+        names = ("x", "y", "z", "intensity", "ring", "time")
+        self.assertEqual(list(zip(names, (0, 4, 8, 12, 16, 18), kinds)), layout)
+        size = (rings.height, rings.width, rings.point_step, rings.row_step, rings.is_dense)
+        self.assertEqual((1, 6, 22, 132, True), size)
+        for number, record in enumerate(struct.iter_unpack("<4fHf", rings.data)):
+            column, ring = divmod(number, 2)
+            self.assert_near(points[3 * ring + column], Vector3(*record[:3]), 2)
+            self.assertEqual((0.0, ring, 0.0), record[3:])
+
+    def test_a_pair_of_cameras(self):
+        topics = [
+            (f"eyes/{side}/{name}", kind)
+            for side in ("left", "right")
+            for name, kind in (("image_raw", Image), ("camera_info", CameraInfo))
+        ]
+        compressed = ("eyes/left/image_raw/compressed", CompressedImage)
+        left, left_info, right, right_info, jpeg = self.last_of(*topics, compressed)
+        self.assertEqual(
+            {left.header.stamp}, {m.header.stamp for m in (left_info, right, right_info)}
+        )
+        self.assertEqual(("mono16", 160, 9600), (left.encoding, left.step, len(left.data)))
+        self.assertEqual(("bayer_grbg8", 80, 4800), (right.encoding, right.step, len(right.data)))
+        self.assertEqual(0.0, left_info.P[3])
+        self.assertAlmostEqual(-FOCAL * 0.1, right_info.P[3], 3)
+        self.assertAlmostEqual(FOCAL, right_info.K[0], 3)
+        self.assertEqual("mono16; jpeg compressed ", jpeg.format)
+        self.assertTrue(bytes(jpeg.data).startswith(b"\xff\xd8"))
+
+    def test_a_trigger_brings_a_picture(self):
+        pictures, infos = (
+            self.topic("eye/image_raw", Image),
+            self.topic("eye/camera_info", CameraInfo),
+        )
+        trigger = self.sender("eye/image_trigger", EmptyMessage)
+        now = step(200)
+        trigger.send(EmptyMessage())
+        step(100)
+        for topic in (pictures, infos):
+            (message,) = topic.wait(1)
+            self.assertEqual(now + 1, message.header.stamp.to_nsec() // MILLISECOND)
+
+    def test_a_wide_angle(self):
+        picture, info = self.last_of(("fish/image_raw", Image), ("fish/camera_info", CameraInfo))
+        self.assertEqual(("rgb8", 80, 60), (picture.encoding, picture.width, picture.height))
+        # A stereographic lens whose 180° fill the width.
+        self.assertAlmostEqual(20.0, info.K[0], 1)
+        self.assertFalse(any(info.D))
 
 
-class SeedTest(BridgeCase):
-    """The noise is that of the seed."""
-
-    parameters = {"world": BEACONS, "robot": BLOCK_ROBOT, "seed": 1}
-
-    def test_the_block_robots_scan_and_the_seed(self):
-        scans = self.topic("scan", LaserScan)
-        step(200)
-        first, second = scans.wait(2)
-        self.assertEqual("laser_link", first.header.frame_id)
-        self.assertEqual(360, len(first.ranges))
-        self.assertGreater(sum(map(math.isfinite, first.ranges)), 3)
-        self.assertNotEqual(first.ranges, second.ranges)
-        self.assertEqual(first.ranges, simulated(1))
-        self.assertNotEqual(first.ranges, simulated(2))
+def milliseconds(topic):
+    return [stamp // MILLISECOND for stamp in topic.stamps()]
 
 
-def simulated(seed):
-    """The block robot's first scan without ROS."""
-    scans = []
-    with Simulation.of(BEACONS, seed) as simulation:
-        simulation.spawn(BLOCK_ROBOT).listen("scan", scans.append)
-        simulation.run_until(100)
-    return tuple(np.float32(scans[0].ranges).tolist())
+def pixels(message):
+    channels = message.step // message.width
+    return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, channels)
+
+
+class CameraTest(BridgeCase):
+    """What the camera says, and what it leaves."""
+
+    parameters = DOCK
+    temporary = tempfile.TemporaryDirectory()
+
+    def start(self, **parameters):
+        with unittest.mock.patch.dict(os.environ, TMPDIR=self.temporary.name):
+            super().start(**parameters)
+
+    def images(self):
+        return self.topic(IMAGE, Image)
+
+    def infos(self):
+        return self.topic(INFO, CameraInfo)
+
+    # First, as what was drawn with stays loaded.
+    def test_0_nothing_is_drawn_without_a_subscriber(self):
+        maps = Path(f"/proc/{self.node.process.pid}/maps")
+        info = self.infos()
+        step(100)
+        info.wait(3)
+        self.assertNotIn("libpanda.so", maps.read_text())
+        image = self.images()
+        step(100)
+        image.wait(3)
+        self.assertIn("libpanda.so", maps.read_text())
+
+    def test_image_and_camera_info(self):
+        image, info = self.images(), self.infos()
+        step(100)
+        picture, geometry = image.wait(3)[0], info.wait(3)[0]
+        self.assertEqual(milliseconds(image)[:3], milliseconds(info)[:3])
+        self.assertEqual(picture.header.frame_id, "camera_optical_frame")
+        self.assertEqual(geometry.header.frame_id, "camera_optical_frame")
+        self.assertEqual((picture.width, picture.height, picture.encoding), (640, 480, "rgb8"))
+        self.assertEqual((geometry.width, geometry.height), (640, 480))
+        # Numbers of a URDF's <sensor> have six digits in Gazebo.
+        focal = 320 / np.tan(round(np.radians(65), 5) / 2)
+        wanted = [focal, 0, 319.5, 0, focal, 239.5, 0, 0, 1]
+        np.testing.assert_allclose(geometry.K, wanted, atol=1e-3)
+        self.assertEqual(list(geometry.D), [0.0] * 5)
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h10)
+        (corners,), ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(pixels(picture))
+        self.assertEqual(ids.ravel().tolist(), [0])
+        # The marker stands 3.84 m before the camera and 0.06 m above it.
+        middle = corners[0].mean(axis=0)
+        np.testing.assert_allclose(middle, (319.5, 239.5 - focal * 0.06 / 3.84), atol=1.0)
+
+    def test_compressed_pictures(self):
+        image, compressed = self.images(), self.topic(f"{IMAGE}/compressed", CompressedImage)
+        step(100)
+        (raw, *_), (small, *_) = image.wait(3), compressed.wait(3)
+        self.assertEqual(raw.header.stamp, small.header.stamp)
+        self.assertEqual(raw.header.frame_id, small.header.frame_id)
+        self.assertEqual("rgb8; jpeg compressed bgr8", small.format)
+        self.assertLess(len(small.data), 0.2 * len(raw.data))
+        self.assert_like(raw, small, 8.0)
+        client = self.reconfigured("mycamera/image_raw/compressed")
+        self.assertEqual(80, client.get_configuration()["jpeg_quality"])
+        self.addCleanup(client.update_configuration, {"format": "jpeg"})
+        client.update_configuration({"format": "png"})
+        step(100)
+        raw, png = image.wait(6)[-1], compressed.wait(6)[-1]
+        self.assertEqual("rgb8; png compressed bgr8", png.format)
+        self.assert_like(raw, png, 0.0)
+
+    def assert_like(self, raw, compressed, tolerance):
+        decoded = cv2.imdecode(np.frombuffer(compressed.data, np.uint8), cv2.IMREAD_COLOR)
+        difference = np.abs(decoded[..., ::-1].astype(float) - pixels(raw))
+        self.assertLessEqual(difference.mean(), tolerance)
+
+    def test_the_rate_can_be_changed(self):
+        info = self.infos()
+        client = self.reconfigured("mycamera")
+        self.assertEqual(30.0, client.get_configuration()["imager_rate"])
+        self.addCleanup(client.update_configuration, {"imager_rate": 30.0})
+        client.update_configuration({"imager_rate": 10.0})
+        step(500)
+        info.wait(5)
+        self.assertEqual([100, 200, 300, 400, 500], milliseconds(info)[:5])
+
+    def test_the_calibration_can_be_set(self):
+        info = self.infos()
+        step(100)
+        before = info.wait(3)[-1]
+        self.addCleanup(call, "mycamera/set_camera_info", SetCameraInfo, before)
+        told = CameraInfo(width=640, height=480, distortion_model="plumb_bob", D=[0.1] * 5)
+        told.K[0] = 500.0
+        answer = call("mycamera/set_camera_info", SetCameraInfo, told)
+        self.assertTrue(answer.success, answer.status_message)
+        step(100)
+        found = info.wait(6)[-1]
+        self.assertEqual((500.0, [0.1] * 5), (found.K[0], list(found.D)))
+        self.assertEqual("camera_optical_frame", found.header.frame_id)
+
+    def test_no_frame_is_lost_at_full_speed_or_in_real_time(self):
+        for rtf in (0.0, 1.0):
+            with self.subTest(rtf=rtf):
+                self.empty()
+                call("/bullet_lab/set_rtf", SetRtf, rtf)
+                image, info = self.images(), self.infos()
+                call("/gazebo/unpause_physics", Empty)
+                # 30 Hz: the first step at or after k/30 s.
+                due = [-(-1000 * k // 30) for k in range(1, 16)]
+                for topic in (image, info):
+                    topic.wait(len(due))
+                    self.assertEqual(due, milliseconds(topic)[: len(due)])
+                    topic.close()
+
+    def test_time_starts_again_with_a_reset(self):
+        image = self.images()
+        step(70)
+        image.wait(2)
+        call("/gazebo/reset_simulation", Empty)
+        step(70)
+        image.wait(4)
+        self.assertEqual(milliseconds(image), [34, 67, 34, 67])
+
+    # Last, as it is the end of the bridge.
+    def test_z_nothing_is_left_by_a_bridge_that_is_killed(self):
+        image = self.images()
+        step(100)
+        image.wait(3)
+        self.node.process.kill()
+        self.node.wait()
+        self.assertEqual([], os.listdir(self.temporary.name))
+
+
+class WithoutDriverTest(BridgeCase):
+    """Nothing can be drawn."""
+
+    parameters = DOCK
+
+    def test_the_camera_says_so_once_and_the_rest_goes_on(self):
+        images, odometry = self.topic(IMAGE, Image), self.topic("odom", Odometry)
+        step(1000)
+        odometry.wait(20)
+        self.assertEqual([], images.messages)
+        said = self.node.out + self.node.err
+        line = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
+        self.assertEqual(said.count(line), 1, said)
+        self.assertTrue(self.node.runs())
+
+    def start(self, **parameters):
+        hidden = {"__EGL_VENDOR_LIBRARY_FILENAMES": os.devnull, "LIBGL_DRIVERS_PATH": os.devnull}
+        with unittest.mock.patch.dict(os.environ, hidden):
+            super().start(**parameters)
 
 
 if __name__ == "__main__":

@@ -78,18 +78,6 @@ class ViewTest(NodeTest):
     def is_still(self):
         return abs(self.odom.messages[-1].twist.twist.linear.x) < 1e-3
 
-    def test_silence_stops_the_robot(self):
-        self.see("/robots/0")
-        with self.looker.driver() as driver:
-
-            def turns():
-                driver.send("0 1")
-                time.sleep(0.1)
-                return self.commands.messages and self.commands.messages[-1].angular.z > 0.0
-
-            wait_for(turns, "the robot to turn")
-            wait_for(lambda: self.commands.messages[-1] == Twist(), "the robot to be stopped")
-
     def test_a_click_on_the_floor_is_a_goal(self):
         goals = self.topic("move_base_simple/goal", PoseStamped, False)
         self.see("/robots/0")

@@ -1,4 +1,4 @@
-"""What the nodes' parameters refuse; that a node then ends with that line is in its rostest."""
+"""What the nodes' parameters refuse; that a node then ends with that line is in bridge_failures."""
 
 import pytest
 import yaml

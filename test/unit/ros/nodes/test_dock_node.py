@@ -163,6 +163,13 @@ def test_a_dock_that_the_database_does_not_have():
         DockParameters(dock="kitchen").database()
 
 
+def test_docks_that_cannot_be_read(tmp_path):
+    path = tmp_path / "docks.yaml"
+    path.write_text("docks: {dock: {}}")
+    with pytest.raises(ParameterError, match="^~docks: .*frame"):
+        DockParameters(docks=str(path)).database()
+
+
 def test_goals_at_the_limits_are_valid():
     for good in (DockGoal(max_retries=-1, dock_id="dock"), UndockGoal(0.0), UndockGoal(10.0)):
         check_goal(good)

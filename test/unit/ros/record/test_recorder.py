@@ -8,10 +8,11 @@ from message_fields import message
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.figures import new_figure
-from bullet_lab.core.files import PathSeries
+from bullet_lab.core.files import FileError, PathSeries
 from bullet_lab.reports import Report
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import recorder
+from bullet_lab.ros.record.plots import PlotParameters, plot
 from bullet_lab.ros.record.recorder import GoalRequest, Recorder, TimedParameters
 
 
@@ -162,3 +163,20 @@ def test_a_goal_that_is_not_accepted(tmp_path, record, monkeypatch):
     with pytest.raises(NodeError, match=r"^server has not accepted the goal within 0\.05 s$"):
         recording.run()
     assert left(tmp_path)[1] == 1
+
+
+def test_a_full_disk(tmp_path, receive):
+    (tmp_path / "path.tum").symlink_to("/dev/full")
+    recording = Recorder(PathReport(tmp_path), recorder.RecordParameters(out=str(tmp_path)))
+    receive["odom"](odometry(1))
+    with pytest.raises(FileError, match=r"path\.tum"):
+        recording.run()
+
+
+def test_plot_runs_the_report_that_is_named(tmp_path, receive, monkeypatch):
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
+    plot.__wrapped__(PlotParameters(out=str(tmp_path), report=f"{__name__}:PathReport"))
+    assert left(tmp_path)[1] == 0
+    missing = "bullet_lab.reports.nothing:Report"
+    with pytest.raises(NodeError, match=f"~report is '{missing}'"):
+        plot.__wrapped__(PlotParameters(out=str(tmp_path), report=missing))

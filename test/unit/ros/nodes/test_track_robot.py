@@ -1,0 +1,103 @@
+"""Each beacon has its own topics, and the report's strings to the letter."""
+
+import math
+
+import pytest
+import rospy
+from message_fields import message
+from nav_msgs.msg import Odometry
+
+from bullet_lab.ros.nodes import track_robot
+from bullet_lab.ros.nodes.track_robot import TrackRobot, TrackRobotParameters, accept_beacons
+
+NODE = track_robot
+THREE = {"beacon_0": (1, 1), "beacon_1": (5, 1), "beacon_2": (-5, 1)}
+
+
+def odometry(seconds, x=0.0, y=0.0, frame="odom"):
+    text = f"""
+        header: {{frame_id: {frame}}}
+        child_frame_id: base_footprint
+        pose: {{pose: {{position: {{x: {x}, y: {y}}}, orientation: {{w: 1.0}}}}}}
+    """
+    made = message(Odometry, text)
+    made.header.stamp = rospy.Time.from_sec(seconds)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "words"),
+    # Distances that every formula gives to the last digit: 3-4-5 and the like.
+    [
+        ((1.0, 2.0), "beacon_0", "x:1 y:1, distance: 1.0"),
+        ((5.0, 4.0), "beacon_1", "x:5 y:1, distance: 3.0"),
+        ((-5.0, -11.0), "beacon_2", "x:-5 y:1, distance: 12.0"),
+    ],
+)
+def test_strings_are_those_of_the_report(published, place, name, words):
+    TrackRobot(TrackRobotParameters()).callback(odometry(1.0, *place))
+    (line,) = published[name]
+    assert line.data == f"source: {name}, position: {words}"
+
+
+def test_beacons_from_the_parameter_whole_or_not(published):
+    beacons = accept_beacons([["lamp", 0.5, -2], ["post", 3, 4.0]])
+    node = TrackRobot(TrackRobotParameters(beacons=beacons))
+    node.callback(odometry(1.0))
+    assert published["post"][0].data == "source: post, position: x:3 y:4.0, distance: 5.0"
+    # A distance that is a root: to the last digit but one.
+    said, at = published["lamp"][0].data.split(" distance: ")
+    assert said == "source: lamp, position: x:0.5 y:-2,"
+    assert float(at) == pytest.approx(math.hypot(0.5, -2), abs=1e-14)
+
+
+def test_ranges_are_the_same_distances_with_the_stamp_of_the_odometry(published):
+    node = TrackRobot(TrackRobotParameters())
+    for k in range(1, 21):
+        node.callback(odometry(0.05 * k, 0.3 * k, -0.2 * k))
+    for name, (x, y) in THREE.items():
+        lines, ranges = published[name], published[f"{name}/range"]
+        assert len(lines) == len(ranges) == 20
+        for k, (line, found) in enumerate(zip(lines, ranges), 1):
+            assert found.header.stamp == rospy.Time.from_sec(0.05 * k)
+            assert found.header.frame_id == "base_footprint"
+            assert found.range == pytest.approx(math.hypot(0.3 * k - x, -0.2 * k - y), abs=1e-5)
+            assert found.min_range <= found.range <= found.max_range
+            assert float(line.data.split()[-1]) == pytest.approx(found.range, abs=1e-5)
+
+
+def test_markers_say_the_distances(published):
+    TrackRobot(TrackRobotParameters()).callback(odometry(1.0, 1.0, 3.0))
+    labels = {m.text: m for m in published["beacon_markers"][0].markers if m.text}
+    assert len(labels) == 3
+    place = labels["beacon_0: 2.00 m"].pose.position
+    assert (place.x, place.y) == (1.0, 1.0)
+
+
+def test_what_cannot_be_used_is_refused(published):
+    node = TrackRobot(TrackRobotParameters())
+    bad = [odometry(2.0, ".nan"), odometry(2.0, frame="map")]
+    for given in [odometry(1.0), *bad, odometry(3.0)]:
+        node.callback(given)
+    assert [m.header.stamp.to_sec() for m in published["beacon_2/range"]] == [1.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        5,
+        [["a", 1]],
+        [["a", 1, 2, 3]],
+        [["a", 1, math.inf]],
+        [["a", 1, "2"]],
+        [["a", True, 2]],
+        [["a b", 1, 2]],
+        [["", 1, 2]],
+        [[7, 1, 2]],
+        [["a", 1, 2], ["a", 3, 4]],
+        {"a": [1, 2]},
+    ],
+)
+def test_bad_beacons(value):
+    with pytest.raises((ValueError, TypeError)):
+        accept_beacons(value)
