@@ -97,6 +97,15 @@ class DriveSquaresTest(NodeTest):
         node.signal()
         self.assertEqual((0, ""), (node.wait(), node.err))
 
+    def test_closed_loop_drives_and_turns_until_the_odometry_says_so(self):
+        robot = self.robot(0.05)
+        node = self.start(mode="closed_loop", sides=1, side=0.1, turn_speed=-1.0)
+        self.assertEqual((0, ""), (node.wait(), node.err))
+        self.assertAlmostEqual(0.1, robot.pose[0], delta=0.02)
+        self.assertAlmostEqual(0.0, robot.pose[1], delta=0.02)
+        self.assertAlmostEqual(-90.0, math.degrees(robot.pose[2]), delta=3.0)
+        self.assert_stopped()
+
     def test_odometry_that_pauses_delays_the_robot_and_its_end_is_an_error(self):
         robot = self.robot(0.05)
         node = self.start(mode="closed_loop", sides=2, side=0.3, turn_speed=-2.0)
@@ -107,8 +116,6 @@ class DriveSquaresTest(NodeTest):
         robot.does.add("odom")
         wait_for(lambda: "side 2" in node.out, "the second side")
         self.assertAlmostEqual(0.3, robot.pose[0], delta=0.03)
-        self.assertAlmostEqual(0.0, robot.pose[1], delta=0.03)
-        self.assertAlmostEqual(-90.0, math.degrees(robot.pose[2]), delta=6.0)
         self.wait_until_driving(node, len(self.commands.messages))
         robot.does.discard("odom")
         wait_for(self.is_stopped, "a stop")

@@ -215,6 +215,9 @@ class SensorsTest(BridgeCase):
         self.assertAlmostEqual(FOCAL, right_info.K[0], 3)
         self.assertEqual("mono16; jpeg compressed ", jpeg.format)
         self.assertTrue(bytes(jpeg.data).startswith(b"\xff\xd8"))
+        call("eyes/right/set_camera_info", SetCameraInfo, CameraInfo(width=1))
+        (changed,) = self.last_of(topics[3])
+        self.assertEqual(1, changed.width)
 
     def test_a_trigger_brings_a_picture(self):
         pictures, infos = (
