@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from bullet_lab.markers.make_marker import main
+from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Mesh
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.sdf import read_world_file
@@ -58,6 +59,12 @@ def check_face(of, bounds):
 
 def close(bounds, lower, upper):
     return np.allclose(bounds, (lower, upper), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ("docking_nested", "docking_backlit", "marker_panel"))
+def test_the_engine_makes_it(name):
+    with Simulation(world(name)) as simulation:
+        assert simulation.models
 
 
 @pytest.mark.parametrize("name", DOCKS)
