@@ -11,9 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import yaml
-from matplotlib.patches import Circle, Rectangle
 
-from bullet_lab.core.figures import BLUE, GREEN, GREY, VERMILION, new_figure, plan_axes, save
 from bullet_lab.core.files import replace_file, write_json
 from bullet_lab.core.parameters import (
     checked,
@@ -294,6 +292,11 @@ def write_grade(
     folder: Path, mark: Mapping[str, Any], exercise: Exercise, records: Sequence[Record]
 ) -> None:
     """Write grade.png, grade.xml and grade.json; raises FileError."""
+    # The process of each run imports this module, and draws nothing.
+    from matplotlib.patches import Circle, Rectangle
+
+    from bullet_lab.core.figures import BLUE, GREEN, GREY, VERMILION, new_figure, plan_axes, save
+
     figure = new_figure(9.0, 5.0)
     axes = figure.add_axes([0.08, 0.11, 0.5, 0.78])
     plan_axes(axes)
