@@ -58,7 +58,8 @@ main() {
     rm -rf "$OVERLAY"/{build,build_isolated,devel,devel_isolated}
     echo "$tool" >"$OVERLAY/built_by"
   fi
-  say "$tool: $(cd "$OVERLAY/src" && echo *)"
+  local packages=("$OVERLAY"/src/*)
+  say "$tool: ${packages[*]##*/}"
   if ! build "$tool" >"$LOG" 2>&1 </dev/null; then
     reasons "$LOG" >&2
     say "$tool failed; the whole log is in $LOG. A package with an empty file CATKIN_IGNORE is left out"
