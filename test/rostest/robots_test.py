@@ -137,6 +137,7 @@ class RobotsTest(NodeTest):
         self.assertEqual({"std": 0.1, "job": "squares", "finished": True}, said)
         # Not in lock step: on a busy machine it drives on for a while.
         self.assertGreater(summary["path_length_m"], 0.08)
+
     @unittest.skipUnless(KNOWS_PREFIX, WHY_SKIPPED)
     def test_docking_finds_the_frames_with_the_prefix(self):
         client = SimpleActionClient("right/dock", DockAction)

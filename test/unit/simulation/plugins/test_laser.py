@@ -278,8 +278,11 @@ def test_a_plugin_outside_a_ray_sensor_is_refused(model):
     check_refusal(model, 'needs a <sensor type="ray">')
 
 
-def test_noise_of_another_kind_is_reported():
-    check_refusal(laser(ray(more="<noise><type>pink</type></noise>")), "'pink' is not simulated")
+def test_noise_of_another_kind_is_reported(world, caplog):
+    with caplog.at_level("WARNING"):
+        world.add(laser(ray(more="<noise><type>pink</type></noise>")))
+    (warning,) = caplog.messages
+    assert "'pink' is not simulated" in warning
 
 
 # The block robot
