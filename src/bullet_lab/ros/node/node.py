@@ -74,6 +74,7 @@ def run_node(
         if not rosgraph.is_master_online():
             raise NodeError(f"no ROS master answers at {rosgraph.get_master_uri()}")
         before()
+        threading.excepthook = functools.partial(_report_error, threading.excepthook)
         rospy.init_node(name, disable_signals=True)
         library = logging.getLogger("bullet_lab")
         library.addHandler(_RosLog(logging.WARNING))
@@ -105,6 +106,18 @@ def run_node(
 def is_ending() -> bool:
     """Return whether the shutdown of the node has been requested."""
     return rospy.core.is_shutdown_requested()
+
+
+def _report_error(report: Callable[[Any], Any], error: threading.ExceptHookArgs) -> None:
+    """Report an error that has ended a thread; while the node ends, only in rospy's log.
+
+    A thread of rospy and the shutdown may close a connection at the same time, which fails.
+    """
+    if is_ending():
+        said = error.exc_type, error.exc_value, error.exc_traceback
+        logging.getLogger("rospy").info("%s was ended", error.thread, exc_info=said)
+    else:
+        report(error)
 
 
 def _set_shutdown_flag(_reason: str) -> None:
