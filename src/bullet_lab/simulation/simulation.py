@@ -30,6 +30,7 @@ from bullet_lab.simulation.models import ModelInstance, SimulationError, check_p
 from bullet_lab.simulation.physics.attached_frame import shape_name
 from bullet_lab.simulation.physics.bodies import Body
 from bullet_lab.simulation.physics.physics import Physics
+from bullet_lab.simulation.physics.rays import RayScene
 from bullet_lab.simulation.plugins import (
     NAMESPACE,
     Mount,
@@ -130,6 +131,11 @@ class Simulation:
     def client(self) -> int:
         """The PyBullet client."""
         return self._physics.client
+
+    @property
+    def rays(self) -> RayScene:
+        """What rays can hit, where it was after the last step."""
+        return self._physics.rays
 
     @property
     def seconds(self) -> float:
@@ -336,6 +342,7 @@ class Simulation:
                 if x - x != 0.0:
                     stop = step
         self.step = step
+        self._physics.rays.moved()
 
     def _cancel_gravity(self, _step: int) -> None:
         for body in self._bodies.values():

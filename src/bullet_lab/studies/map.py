@@ -23,6 +23,7 @@ from bullet_lab.core.files import replace_file
 from bullet_lab.core.parameters import number, text
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, OccupancyMap
 from bullet_lab.simulation.physics import pybullet
+from bullet_lab.simulation.physics.rays import cast
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.studies.study import Settings, Tell, progress, run_from, write_results
@@ -39,7 +40,6 @@ RAYS = 3
 # m between two heights, at most, and behind a surface where its ray goes on.
 HEIGHT_STEP = 0.02
 BEHIND = 1e-3
-RAYS_AT_A_TIME = 16_383
 # A ray gives up behind so many surfaces.
 MOST_SURFACES = 2000
 
@@ -140,11 +140,7 @@ class _Scanner:
         ends[:, axis] += length
         behind = math.copysign(BEHIND, length)
         for _ in range(MOST_SURFACES):
-            hits = []
-            for first in range(0, len(starts), RAYS_AT_A_TIME):
-                part = slice(first, first + RAYS_AT_A_TIME)
-                lines = starts[part].tolist(), ends[part].tolist()
-                hits += pybullet.rayTestBatch(*lines, physicsClientId=self._client)
+            hits = cast(self._client, starts.tolist(), ends.tolist())
             found = np.array([hit[0] >= 0 for hit in hits], dtype=bool)
             if not found.any():
                 return

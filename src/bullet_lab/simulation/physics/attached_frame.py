@@ -1,11 +1,9 @@
-"""Frames that are fixed to a link of a body: their pose, velocity, rays and contacts."""
+"""Frames that are fixed to a link of a body: their pose, velocity and contacts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Iterable, Sequence
-
-import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.physics import pybullet
@@ -13,8 +11,6 @@ from bullet_lab.simulation.physics.bodies import Body, is_contact
 from bullet_lab.simulation.world.description import Collision, Model
 
 ORIGIN = Pose()
-# PyBullet's limit of rays in one call.
-RAYS_AT_A_TIME = 16_383
 
 
 @dataclass(frozen=True)
@@ -92,34 +88,6 @@ class AttachedFrame:
     def centre_of_mass(self) -> Vector:
         """Return the position of the link's centre of mass in the world, in m."""
         return self._principal_pose().position
-
-    def ends(self, directions: np.ndarray, distance: float) -> np.ndarray:
-        """Return the points at a distance (m) from the origin, in the axes that `hits` wants.
-
-        `directions` are unit vectors in the frame; both are of shape (n, 3).
-        """
-        frame = self._in_principal
-        return np.array(frame.position) + distance * (directions @ frame.rotation_matrix().T)
-
-    def hits(self, starts: list, ends: list) -> tuple[np.ndarray, np.ndarray]:
-        """Cast rays between points of `ends`; one does not see a shape that contains its start.
-
-        Returns:
-            Where each ray hits, as a share of its way, 1 without a hit, and the unique id of the
-            body there, -1 without a hit; each of shape (n,).
-        """
-        found: list = []
-        for first in range(0, len(starts), RAYS_AT_A_TIME):
-            part = slice(first, first + RAYS_AT_A_TIME)
-            found += pybullet.rayTestBatch(
-                starts[part],
-                ends[part],
-                numThreads=1,
-                parentObjectUniqueId=self.body.unique_id,
-                parentLinkIndex=self.index,
-                physicsClientId=self.body.client,
-            )
-        return np.array([hit[2] for hit in found]), np.array([hit[0] for hit in found])
 
     def contact_points(self) -> list[ContactPoint]:
         """Return the contact points of the link."""

@@ -27,6 +27,7 @@ from bullet_lab.simulation.physics.bodies import (
     Body,
     BulletLink,
 )
+from bullet_lab.simulation.physics.rays import RayScene
 from bullet_lab.simulation.physics.surfaces import (
     ContactSurface,
     Footing,
@@ -178,6 +179,7 @@ class Physics:
 
     Attributes:
         bodies: all bodies by PyBullet's ids.
+        rays: what rays can hit.
     """
 
     def __init__(self, gravity: Vector, coulomb: bool = False):
@@ -195,6 +197,7 @@ class Physics:
         )
         self._shapes = ShapeMaker(self.client)
         self.bodies: dict[int, Body] = {}
+        self.rays = RayScene(self.client)
 
     def close(self) -> None:
         """Disconnect from PyBullet; the object cannot be used afterwards."""
@@ -226,6 +229,7 @@ class Physics:
         """Take the bodies of a model out of the world."""
         for body in bodies.values():
             del self.bodies[body.unique_id]
+            self.rays.remove(body)
             pybullet.removeBody(body.unique_id, self.client)
 
     def _add_tree(self, model: Model, root: Link) -> Body:
@@ -255,6 +259,7 @@ class Physics:
             raise PhysicsError(what) from error
         body.model = model.name
         self.bodies[body.unique_id] = body
+        self.rays.add(body)
         if slipping:
             body.traction = Traction(body, slipping, self.bodies, self._coulomb)
         if any(link.self_collide for link in links):

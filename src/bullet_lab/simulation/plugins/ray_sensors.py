@@ -66,12 +66,7 @@ class RayScan:
         directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
         self.shape, self.directions = yaw.shape, directions.reshape(-1, 3)
         self._place = tag.place()
-        # The points of the rays at their origin, and at the least and the greatest distance.
-        distances = (0.0, self.least, self.greatest)
-        origins, self._near, self._far = (
-            self._place.ends(self.directions, d) for d in distances
-        )
-        self._whole = (origins.tolist(), self._far.tolist())
+        self._rays = mount.simulation.rays
 
     def distances(self) -> np.ndarray:
         """Return exact distances in m, row by row from below, shape (rays,).
@@ -79,17 +74,18 @@ class RayScan:
         As in REP 117, they are +inf without a hit within the greatest range, and -inf for a hit
         within the least range that is not the robot itself.
         """
-        shares, bodies = self._place.hits(*self._whole)
-        distances = self.greatest * shares
-        near = (bodies >= 0) & (distances <= self.least)
+        pose = self._place.pose()
+        origin, rotation = np.array(pose.position), pose.rotation_matrix()
+        # Without a library for matrices, see `RayScene`.
+        ways = np.sum(self.directions[:, None, :] * rotation, axis=2)
+        distances, bodies = self._rays.cast(origin, ways, 0.0, self.greatest)
+        near = distances <= self.least
         if near.any():
             own = near & np.isin(bodies, self._own)
             distances[near] = -np.inf
             if own.any():
-                ends = (points[own].tolist() for points in (self._near, self._far))
-                shares, _ = self._place.hits(*ends)
-                behind = self.least + (self.greatest - self.least) * shares
-                distances[own] = np.where(behind <= self.least, -np.inf, behind)
+                behind, _ = self._rays.cast(origin, ways[own], self.least, self.greatest)
+                distances[own] = behind
         distances[distances >= self.greatest] = np.inf
         return distances
 

@@ -82,7 +82,8 @@ def test_the_messages(world, robot):
     assert (core[-1].bumpers, core[-1].cliffs, core[-1].wheel_drops) == (0, 0, 0)
 
 
-WALL, PLATE = box("0.1 4 1", "0.4 0 0.5 0 0 0"), box("1 4 0.2", "0 0 0.1 0 0 0")
+# A cliff sensor that leans sees no side of the thin plate below its edge.
+WALL, PLATE = box("0.1 4 1", "0.4 0 0.5 0 0 0"), box("1 4 0.04", "0 0 0.18 0 0 0")
 
 
 @pytest.mark.parametrize("yaw, side, bit", [(0.0, CENTRE, 2), (-1.0, LEFT, 4), (1.0, RIGHT, 1)])

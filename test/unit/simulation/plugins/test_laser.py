@@ -8,7 +8,7 @@ from sensor_worlds import box, carrier, check_refusal, empty, readings, record, 
 from shared import PACKAGE
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.attached_frame import RAYS_AT_A_TIME
+from bullet_lab.simulation.physics.rays import RAYS_AT_A_TIME
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
