@@ -129,7 +129,7 @@ def heading_of(quaternion: Quaternion) -> Tuple[float, float]:
     x, y, z, w = quaternion
     cosine, sine = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)
     # Both are 0 if the x axis points straight up: any heading is right.
-    length = hypot(cosine, sine) or 1.0
+    length = math.sqrt(cosine * cosine + sine * sine) or 1.0
     return cosine / length, sine / length
 
 

@@ -69,6 +69,9 @@ class Timer:
     schedule: Schedule
     produce: Callable[[int], None]
 
+    def prepare(self) -> None:
+        """Do nothing: a function prepares nothing."""
+
 
 class Simulation:
     """Models in a world, advanced in steps of 1 ms.
@@ -281,15 +284,17 @@ class Simulation:
             due = [timer.schedule.next_step for timer in timers]
             self._advance(min([*due, step, self.step + LONGEST_ADVANCE]))
             self._reset_lost_models()
-            for timer in timers:
-                if timer.schedule.next_step <= self.step:
-                    timer.schedule.advance()
-                    try:
-                        timer.produce(self.step)
-                    except LabError as error:
-                        if self._on_failure is None:
-                            raise
-                        self._on_failure(_name_of(timer), error)
+            due = [timer for timer in timers if timer.schedule.next_step <= self.step]
+            for timer in due:
+                timer.prepare()
+            for timer in due:
+                timer.schedule.advance()
+                try:
+                    timer.produce(self.step)
+                except LabError as error:
+                    if self._on_failure is None:
+                        raise
+                    self._on_failure(_name_of(timer), error)
 
     def reset_world(self) -> None:
         """Place all models where they were added; time continues."""
@@ -328,7 +333,7 @@ class Simulation:
             acting.append(self._cancel_gravity)
         acting += [body.traction.before_step for body in bodies if body.traction is not None]
         advance = self._physics.step
-        places = [body.com_place for body in bodies if body.moves]
+        moving = [body for body in bodies if body.moves]
         step = self.step
         while step < stop:
             for act in acting:
@@ -337,8 +342,9 @@ class Simulation:
             step += 1
             # Stop at once at a position that is not finite: in the next step it would spread to
             # all that the body touches.
-            for place in places:
-                x = place()[0][0]
+            for body in moving:
+                body.last_place = place = body.com_place()
+                x = place[0][0]
                 if x - x != 0.0:
                     stop = step
         self.step = step
@@ -353,7 +359,11 @@ class Simulation:
 
         The floor may be among them: Bullet passes NaN on to all that a body touches.
         """
-        lost = {body.model for body in self._bodies.values() if not body.is_finite()}
+        bodies = self._bodies.values()
+        # What cannot move is lost only with something that does.
+        if all(body.is_finite() for body in bodies if body.moves or body.joint_names):
+            return
+        lost = {body.model for body in bodies if not body.is_finite()}
         instances = [self.models[name] for name in sorted(lost)]
         # Static models come last, and are made anew: otherwise Bullet finds no contacts of them.
         for instance in sorted(instances, key=lambda one: one.model.static):

@@ -139,6 +139,7 @@ class Body:
         turned_inertia: whether the root's principal axes differ from its frame's.
         weightless: PyBullet's index and the mass (kg) of the links that gravity does not pull.
         moves: whether its root can move.
+        last_place: `com_place()` after the last step, or after it was placed.
         weight: the share of its mass that gravity pulls.
         settling: the number of steps for which `settle` still limits its speed.
         traction: the `Traction` of wheels whose friction Bullet cannot compute, if it has any.
@@ -160,6 +161,7 @@ class Body:
         self.near_points = partial(pybullet.getContactPoints, unique_id, physicsClientId=client)
         mass, _, self._com = bullet_links[0].mass_properties()
         self.moves = mass > 0.0
+        self.last_place = self.com_place()
         self._com_inverse = self._com.inverse()
         self.turned_inertia = self._com.quaternion != NO_TURN
         self.settling = 0
@@ -211,9 +213,9 @@ class Body:
 
     def is_finite(self) -> bool:
         """Return whether its pose and its joints' positions are finite."""
-        joints = (self.joint_state(name).position for name in self._joints)
-        position, quaternion = self.com_place()
-        return math.isfinite(sum(position) + sum(quaternion) + sum(joints))
+        position, quaternion = self.last_place if self.moves else self.com_place()
+        place = sum(position) + sum(quaternion)
+        return math.isfinite(place + sum(self.joint_state(name).position for name in self._joints))
 
     def place(self, pose: Pose) -> None:
         """Place the body at rest, its joints at zero."""
@@ -234,6 +236,7 @@ class Body:
         """
         com, arm = pose * self._com, pose.rotate(self._com.position)
         self._call(pybullet.resetBasePositionAndOrientation, com.position, com.quaternion)
+        self.last_place = self.com_place()
         self._placed_velocity = (add(linear, cross(angular, arm)), angular)
         self.set_velocity(*self._placed_velocity)
         self._exit_direction = ZERO

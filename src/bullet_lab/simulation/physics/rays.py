@@ -6,7 +6,7 @@ the places are computed, for all rays of a scan at once. Only rays near a mesh a
 
 from __future__ import annotations
 
-from typing import Sequence
+from typing import Any, Callable, NamedTuple, Sequence
 
 import numpy as np
 
@@ -55,11 +55,27 @@ def cast(client: int, starts: Sequence, ends: Sequence) -> list[tuple]:
     return found
 
 
+class Fan(NamedTuple):
+    """Rays from one point; none of them sees a shape that contains its start.
+
+    Attributes:
+        origin: of the rays in the world in m, shape (3,).
+        ways: unit vectors of the rays in the world, shape (3, rays).
+        nearest: distance in m from the origin at which the rays start.
+        farthest: distance at which they end.
+    """
+
+    origin: np.ndarray
+    ways: np.ndarray
+    nearest: float
+    farthest: float
+
+
 class RayScene:
     """What rays can hit: the shapes of bodies, where they are at one moment.
 
-    Arrays have a column for each shape. Results come without matrix libraries, which give other
-    last bits on other processors.
+    Arrays end with a column for each shape. Results come without matrix libraries, which give
+    other last bits on other processors.
     """
 
     def __init__(self, client: int):
@@ -67,6 +83,9 @@ class RayScene:
         # For each body, PyBullet's indices of its links with shapes, and these shapes.
         self._bodies: dict[Body, list[tuple[int, np.ndarray]]] = {}
         self._is_whole = self._is_current = False
+        # What was asked for by somebody, and is known.
+        self._asked: dict[Any, Fan] = {}
+        self._answers: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
 
     def add(self, body: Body) -> None:
         """Let rays see a body; raises LabError if one of its meshes cannot be read."""
@@ -85,75 +104,103 @@ class RayScene:
     def moved(self) -> None:
         """Look for the bodies' places anew before the next rays."""
         self._is_current = False
+        self._asked.clear()
+        self._answers.clear()
 
-    def cast(
-        self, origin: np.ndarray, ways: np.ndarray, nearest: float, farthest: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Cast rays from one point; none of them sees a shape that contains its start.
+    def ask(self, who: Any, fan: Fan) -> None:
+        """Cast a fan of rays for somebody together with others, when the first wants to know."""
+        self._asked[who] = fan
 
-        Args:
-            origin: of the rays in the world in m, shape (3,).
-            ways: unit vectors of the rays in the world, shape (rays, 3).
-            nearest: distance in m from the origin at which the rays start.
-            farthest: distance at which they end.
+    def answer(self, who: Any, fan: Callable[[], Fan]) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `cast` says of the fan that somebody asked for, or asks for now."""
+        if who not in self._answers:
+            self._asked[who] = self._asked.get(who) or fan()
+            self._answers.update(zip(self._asked, self.cast(list(self._asked.values()))))
+            self._asked.clear()
+        return self._answers.pop(who)
+
+    def cast(self, fans: Sequence[Fan]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Cast fans of rays; many at once take little longer than one.
 
         Returns:
-            The distance of what each ray hits from the origin in m, infinite without a hit, and
-            the unique id of the body there, -1 without a hit; each of shape (rays,).
+            For each fan, the distance of what each ray hits from the origin in m, infinite
+            without a hit, and the unique id of the body there, -1 without a hit; of shape (rays,).
         """
         if not self._is_current:
             self._update()
-        distances, bodies = np.full(len(ways), np.inf), np.full(len(ways), -1)
-        for first in range(0, len(ways), PART):
-            some = ways[first : first + PART]
-            rays, shapes, start = self._candidates(origin, some, farthest)
-            enters, leaves = self._crossings(start[:, shapes], some[rays].T, shapes)
-            crossed = (enters <= leaves) & (enters <= farthest) & (leaves >= nearest)
-            is_mesh = self._is_mesh[shapes]
-            seen = np.flatnonzero(crossed & ~is_mesh & (enters > nearest))
-            # From the farthest on, so that the nearest of a ray is written last.
-            seen = seen[np.argsort(-enters[seen], kind="stable")]
-            distances[first + rays[seen]] = enters[seen]
-            bodies[first + rays[seen]] = self._body[shapes[seen]]
-            meshed = first + np.unique(rays[crossed & is_mesh])
-            starts, ends = (origin + limit * ways[meshed] for limit in (nearest, farthest))
-            found = cast(self._client, starts.tolist(), ends.tolist())
-            for ray, (body, _, share, *_) in zip(meshed, found):
-                distance = nearest + share * (farthest - nearest)
-                if body >= 0 and distance < distances[ray]:
-                    distances[ray], bodies[ray] = distance, body
-        return distances, bodies
+        ways = np.concatenate([fan.ways for fan in fans], axis=1)
+        counts = [fan.ways.shape[1] for fan in fans]
+        fan_of = np.repeat(np.arange(len(fans)), counts)
+        origins = np.array([fan.origin for fan in fans]).T
+        limits = np.array([(fan.nearest, fan.farthest) for fan in fans]).T
+        # The origins in the frames of the shapes, (3, fans, shapes).
+        away = origins[:, :, None] - self._positions[:, None]
+        starts = np.sum(self._rotations[:, :, None] * away[:, None], axis=0)
+        rays, shapes = self._candidates(fans, origins, starts)
+        enters, leaves = self._crossings(starts[:, fan_of[rays], shapes], ways[:, rays], shapes)
+        nearest, farthest = limits[:, fan_of[rays]]
+        crossed = (enters <= leaves) & (enters <= farthest) & (leaves >= nearest)
+        is_mesh = self._is_mesh[shapes]
+        seen = np.flatnonzero(crossed & ~is_mesh & (enters > nearest))
+        # From the farthest on, so that the nearest of a ray is written last.
+        seen = seen[np.argsort(-enters[seen], kind="stable")]
+        distances, bodies = np.full(len(fan_of), np.inf), np.full(len(fan_of), -1)
+        distances[rays[seen]] = enters[seen]
+        bodies[rays[seen]] = self._body[shapes[seen]]
+        meshed = np.unique(rays[crossed & is_mesh])
+        nearest, farthest = limits[:, fan_of[meshed]]
+        ends = (origins[:, fan_of[meshed]] + d * ways[:, meshed] for d in (nearest, farthest))
+        found = cast(self._client, *(points.T.tolist() for points in ends))
+        for ray, least, most, (body, _, share, *_) in zip(meshed, nearest, farthest, found):
+            distance = least + share * (most - least)
+            if body >= 0 and distance < distances[ray]:
+                distances[ray], bodies[ray] = distance, body
+        last = np.cumsum(counts)[:-1]
+        return list(zip(np.split(distances, last), np.split(bodies, last)))
 
     def _candidates(
-        self, origin: np.ndarray, ways: np.ndarray, farthest: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pairs of rays and shapes that they may hit, and the origin in the shapes' frames.
+        self, fans: Sequence[Fan], origins: np.ndarray, starts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return pairs of rays and shapes that they may hit.
 
         Such a ray is in the cone around the corners of the shape's box.
+
+        Args:
+            fans: of the rays, which are counted through all of them.
+            origins: of the fans in the world in m, (3, fans).
+            starts: the same in the frames of the shapes, (3, fans, shapes).
         """
-        origin = origin[:, None]
-        start = np.sum(self._rotations * (origin - self._positions)[:, None], axis=0)
-        axes = self._middles - origin
+        axes = self._middles[:, None] - origins[:, :, None]
         lengths = _norm(axes)
         axes /= np.maximum(lengths, LEAST)
-        corners = self._corners - origin[:, None]
+        corners = self._corners[:, :, None] - origins[:, None, :, None]
         cosines = np.sum(corners * axes[:, None], axis=0) / np.maximum(_norm(corners), LEAST)
         least = np.min(cosines, axis=0) - ROUNDING
         # A cone of more than a half space would not contain the rest of the box.
         least[least <= 0.0] = -2.0
+        farthest = np.array([fan.farthest for fan in fans])[:, None]
         planes = self._planes
-        heights = start[2, planes]
-        axes[:, planes] = -np.sign(heights) * self._rotations[:, 2, planes]
-        least[planes] = np.abs(heights) / farthest - ROUNDING
-        seen = np.flatnonzero((lengths - self._reach <= farthest) & ~self._contain(start))
-        rays, places = np.nonzero(ways @ axes[:, seen] >= least[seen])
-        return rays, seen[places], start
+        heights = starts[2, :, planes].T
+        axes[:, :, planes] = -np.sign(heights) * self._rotations[:, 2][:, None, planes]
+        least[:, planes] = np.abs(heights) / farthest - ROUNDING
+        near = (lengths - self._reach <= farthest) & ~self._contain(starts)
+        pairs, first = [], 0
+        for number, fan in enumerate(fans):
+            seen = np.flatnonzero(near[number])
+            cones, widths = axes[:, number, seen], least[number, seen]
+            for some in np.array_split(fan.ways.T, 1 + fan.ways.shape[1] // PART):
+                rays, places = np.nonzero(some @ cones >= widths)
+                pairs.append((first + rays, seen[places]))
+                first += len(some)
+        rays, shapes = (np.concatenate(column) for column in zip(*pairs))
+        return rays, shapes
 
     def _contain(self, points: np.ndarray) -> np.ndarray:
-        """Return which shapes other than meshes contain points in their frames (m), (3, shapes)."""
-        inside = np.all((self._low < points) & (points < self._high), axis=0)
+        """Return which shapes other than meshes contain points in their frames (m), (3, points, shapes)."""
+        low, high, across = (one[:, None] for one in (self._low, self._high, self._across))
+        inside = np.all((low < points) & (points < high), axis=0)
         is_round = self._radius > 0.0
-        apart = np.sum(self._across * points * points, axis=0)
+        apart = np.sum(across * points * points, axis=0)
         return inside & ~self._is_mesh & (~is_round | (apart < self._radius**2))
 
     def _crossings(

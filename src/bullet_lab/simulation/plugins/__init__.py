@@ -307,6 +307,9 @@ class Plugin:
     def before_step(self, step: int) -> None:
         """Act on the model before the physics advances from `step` to `step + 1`."""
 
+    def prepare(self) -> None:
+        """Ask, before anybody produces, for what costs less together with others."""
+
     def produce(self, step: int) -> None:
         """Measure and send, at the simulated time `step`."""
 

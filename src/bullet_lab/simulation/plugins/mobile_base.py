@@ -176,7 +176,7 @@ class PlanarMove(MobileBase):
         command = self._command
         if step >= self._expires:
             command = STANDSTILL
-        (_, _, height), quaternion = self._body.com_place()
+        (_, _, height), quaternion = self._body.last_place
         vx, vy, wz = command.vx, command.vy, command.wz
         if self._patch is not None:
             vx, vy, wz = self._patch.slow_down(vx, vy, wz, self._load_now(height), STEP_SECONDS)

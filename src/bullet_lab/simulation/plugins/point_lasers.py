@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bullet_lab.simulation.plugins import Mount, Sensor, SensorTag
-from bullet_lab.simulation.plugins.ray_sensors import RAY_SENSORS, RayScan
+from bullet_lab.simulation.plugins import Mount, SensorTag
+from bullet_lab.simulation.plugins.ray_sensors import RAY_SENSORS, RayScan, RaySensor
 from bullet_lab.simulation.plugins.samples import BlockSample, RingsSample
 
 # A point of velodyne's drivers. The rays are of one moment: `time` is 0.
@@ -14,7 +14,7 @@ RING_POINT = np.dtype(
 )
 
 
-class BlockLaser(Sensor):
+class BlockLaser(RaySensor):
     """Reports a point for each ray; one without a hit is at the greatest range, without noise.
 
     As in Gazebo, the sensor's noise has no effect, and the plugin's is added to each coordinate and
@@ -42,7 +42,7 @@ class BlockLaser(Sensor):
         return BlockSample(step, self._frame, points, noise[:, 3])
 
 
-class VelodyneLaser(Sensor):
+class VelodyneLaser(RaySensor):
     """Reports the points that are hit, column by column, each from the lowest ring upwards.
 
     With organize_cloud, rays without a point have NaN, and the cloud has a row for each column of

@@ -15,6 +15,7 @@ import numpy as np
 
 from bullet_lab.core.pose import Vector, cross, subtract
 from bullet_lab.simulation.physics.attached_frame import ContactPoint
+from bullet_lab.simulation.physics.rays import Fan
 from bullet_lab.simulation.plugins import Mount, PluginError, Sensor, SensorTag
 from bullet_lab.simulation.plugins.samples import (
     ContactsSample,
@@ -29,6 +30,7 @@ LOG = logging.getLogger(__name__)
 RAY_SENSORS = ("ray", "gpu_ray")
 MOST_RAYS = 100_000
 SIMULATED_NOISE = ("gaussian", "none", "")
+ALL = slice(None)
 # Steps of which a bumper keeps the contacts, as in Gazebo.
 LONGEST_MEMORY = 100
 # The parts that Gazebo's conversion of URDF adds to a shape's name.
@@ -68,26 +70,35 @@ class RayScan:
         self._place = tag.place()
         self._rays = mount.simulation.rays
 
+    def prepare(self) -> None:
+        """Let the rays of the next `distances` be cast together with those of other sensors."""
+        self._rays.ask(self, self._fan())
+
     def distances(self) -> np.ndarray:
         """Return exact distances in m, row by row from below, shape (rays,).
 
         As in REP 117, they are +inf without a hit within the greatest range, and -inf for a hit
         within the least range that is not the robot itself.
         """
-        pose = self._place.pose()
-        origin, rotation = np.array(pose.position), pose.rotation_matrix()
-        # Without a library for matrices, see `RayScene`.
-        ways = np.sum(self.directions[:, None, :] * rotation, axis=2)
-        distances, bodies = self._rays.cast(origin, ways, 0.0, self.greatest)
+        distances, bodies = self._rays.answer(self, self._fan)
         near = distances <= self.least
         if near.any():
             own = near & np.isin(bodies, self._own)
             distances[near] = -np.inf
             if own.any():
-                behind, _ = self._rays.cast(origin, ways[own], self.least, self.greatest)
-                distances[own] = behind
+                ((distances[own], _),) = self._rays.cast([self._fan(self.least, own)])
         distances[distances >= self.greatest] = np.inf
         return distances
+
+    def _fan(self, nearest: float = 0.0, chosen: slice | np.ndarray = ALL) -> Fan:
+        """Return the chosen rays in the world, from a distance (m) on."""
+        pose = self._place.pose()
+        # Term by term, see `RayScene`.
+        ways = sum(
+            column[:, None] * axis[chosen]
+            for column, axis in zip(pose.rotation_matrix().T, self.directions.T)
+        )
+        return Fan(np.array(pose.position), ways, nearest, self.greatest)
 
     def measure(self, random: np.random.Generator) -> np.ndarray:
         """Return distances with noise. As in Gazebo, `<resolution>` does not round them."""
@@ -130,7 +141,17 @@ def _noise(tag: SensorTag) -> tuple[float, float]:
     return tag.number("ray/noise/mean", 0.0), tag.coefficient("ray/noise/stddev", 0.0)
 
 
-class Laser(Sensor):
+class RaySensor(Sensor):
+    """A sensor whose rays are cast together with those of others that are due."""
+
+    _scanner: RayScan
+
+    def prepare(self) -> None:
+        if self._output.wanted:
+            self._scanner.prepare()
+
+
+class Laser(RaySensor):
     """Measures distances around itself, all at one moment.
 
     No ray is cast without a listener. Intensities are 0, as in Gazebo on surfaces without
@@ -154,7 +175,7 @@ class Laser(Sensor):
         return LaserSample(step, self._frame, *seen, ranges, np.zeros(len(ranges)))
 
 
-class RangeSensor(Sensor):
+class RangeSensor(RaySensor):
     """Measures the distance of the nearest hit in a fan of rays.
 
     As in Gazebo, it reads the greatest range, without noise, if there is no hit. A hit nearer

@@ -3,6 +3,7 @@ import pytest
 from sensor_worlds import box
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.physics.rays import Fan
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Collision, Link, Model
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
@@ -46,7 +47,7 @@ def test_a_ray_ends_at_the_first_surface_that_it_meets(seed, nearest):
             model = Model(f"m{number}", (link,), static=True, pose=some_pose(random, 3.0))
             (body,) = world.add(model).bodies.values()
             things[body.unique_id] = shape, (model.pose * place).inverse()
-        distances, bodies = world.rays.cast(origin, ways, nearest, FARTHEST)
+        ((distances, bodies),) = world.rays.cast([Fan(origin, ways.T, nearest, FARTHEST)])
     assert np.isfinite(distances).sum() >= 3
     for way, distance, body in zip(ways, distances, bodies):
         assert np.isinf(distance) == (body == -1)
@@ -76,7 +77,8 @@ def test_what_is_nearer_is_seen_of_a_mesh_and_a_box(tmp_path):
         world.add(Model("roof", (roof,), static=True, pose=Pose((3.0, 0.0, 0.0))))
 
         def seen():
-            distances, bodies = world.rays.cast(np.array((0.0, 0.0, 0.5)), ways, 0.0, FARTHEST)
+            fan = Fan(np.array((0.0, 0.0, 0.5)), ways.T, 0.0, FARTHEST)
+            ((distances, bodies),) = world.rays.cast([fan])
             names = [world._bodies[body].model if body >= 0 else "" for body in bodies]
             return names, distances.tolist()
 
@@ -97,5 +99,5 @@ def test_a_wide_wall_is_seen_from_close_by():
     ways = np.stack((np.cos(angles), np.sin(angles), np.zeros(60)), axis=1)
     with Simulation() as world:
         world.add(box("0.2 100 100", "0.2 20 0 0 0 0", "wall"))
-        distances, _ = world.rays.cast(np.zeros(3), ways, 0.0, FARTHEST)
+        ((distances, _),) = world.rays.cast([Fan(np.zeros(3), ways.T, 0.0, FARTHEST)])
     assert distances == pytest.approx(0.1 / np.cos(angles))
