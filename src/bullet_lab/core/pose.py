@@ -8,7 +8,7 @@ from typing import Tuple
 
 import numpy as np
 
-from bullet_lab.core.se2 import atan2, hypot
+from bullet_lab.core.se2 import atan2
 
 Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]

@@ -20,6 +20,8 @@ from bullet_lab.simulation.world.shapes import Cylinder, Mesh, Plane, Sphere
 RAYS_AT_A_TIME = 16_383
 # Rays for which NumPy computes at once, not to need too much memory among many shapes.
 PART = 4096
+# Of so few rays, Bullet finds faster what they hit.
+FEW = 16
 # How much larger the boxes of meshes are taken, for the margins of shapes in Bullet, in m.
 MARGIN = 1e-3
 # Instead of lengths and components of 0, by which one cannot divide.
@@ -126,11 +128,38 @@ class RayScene:
             For each fan, the distance of what each ray hits from the origin in m, infinite
             without a hit, and the unique id of the body there, -1 without a hit; of shape (rays,).
         """
-        if not self._is_current:
-            self._update()
         ways = np.concatenate([fan.ways for fan in fans], axis=1)
         counts = [fan.ways.shape[1] for fan in fans]
         fan_of = np.repeat(np.arange(len(fans)), counts)
+        distances, bodies = np.full(len(fan_of), np.inf), np.full(len(fan_of), -1)
+        unclear = np.arange(len(fan_of))
+        if len(fan_of) > FEW:
+            unclear = self._find(fans, fan_of, ways, distances, bodies)
+        ends = [
+            (fan.origin + limit * ways[:, ray]).tolist()
+            for ray, fan in ((ray, fans[fan_of[ray]]) for ray in unclear)
+            for limit in (fan.nearest, fan.farthest)
+        ]
+        found = cast(self._client, ends[::2], ends[1::2])
+        for ray, (body, _, share, *_) in zip(unclear, found):
+            _, _, nearest, farthest = fans[fan_of[ray]]
+            distance = nearest + share * (farthest - nearest)
+            if body >= 0 and distance < distances[ray]:
+                distances[ray], bodies[ray] = distance, body
+        last = np.cumsum(counts)[:-1]
+        return list(zip(np.split(distances, last), np.split(bodies, last)))
+
+    def _find(
+        self,
+        fans: Sequence[Fan],
+        fan_of: np.ndarray,
+        ways: np.ndarray,
+        distances: np.ndarray,
+        bodies: np.ndarray,
+    ) -> np.ndarray:
+        """Write what the rays hit but for meshes; return the numbers of rays near meshes."""
+        if not self._is_current:
+            self._update()
         origins = np.array([fan.origin for fan in fans]).T
         limits = np.array([(fan.nearest, fan.farthest) for fan in fans]).T
         # The origins in the frames of the shapes, (3, fans, shapes).
@@ -144,19 +173,9 @@ class RayScene:
         seen = np.flatnonzero(crossed & ~is_mesh & (enters > nearest))
         # From the farthest on, so that the nearest of a ray is written last.
         seen = seen[np.argsort(-enters[seen], kind="stable")]
-        distances, bodies = np.full(len(fan_of), np.inf), np.full(len(fan_of), -1)
         distances[rays[seen]] = enters[seen]
         bodies[rays[seen]] = self._body[shapes[seen]]
-        meshed = np.unique(rays[crossed & is_mesh])
-        nearest, farthest = limits[:, fan_of[meshed]]
-        ends = (origins[:, fan_of[meshed]] + d * ways[:, meshed] for d in (nearest, farthest))
-        found = cast(self._client, *(points.T.tolist() for points in ends))
-        for ray, least, most, (body, _, share, *_) in zip(meshed, nearest, farthest, found):
-            distance = least + share * (most - least)
-            if body >= 0 and distance < distances[ray]:
-                distances[ray], bodies[ray] = distance, body
-        last = np.cumsum(counts)[:-1]
-        return list(zip(np.split(distances, last), np.split(bodies, last)))
+        return np.unique(rays[crossed & is_mesh])
 
     def _candidates(
         self, fans: Sequence[Fan], origins: np.ndarray, starts: np.ndarray
@@ -196,7 +215,10 @@ class RayScene:
         return rays, shapes
 
     def _contain(self, points: np.ndarray) -> np.ndarray:
-        """Return which shapes other than meshes contain points in their frames (m), (3, points, shapes)."""
+        """Return which shapes other than meshes contain points in their frames in m.
+
+        The points are of shape (3, points, shapes), the result is of (points, shapes).
+        """
         low, high, across = (one[:, None] for one in (self._low, self._high, self._across))
         inside = np.all((low < points) & (points < high), axis=0)
         is_round = self._radius > 0.0
