@@ -14,7 +14,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.bodies import ROOT, Body
 from bullet_lab.simulation.world.description import Collision
-from bullet_lab.simulation.world.shapes import Cylinder, Mesh, Plane, Sphere
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
 
 # PyBullet's limit of rays in one call.
 RAYS_AT_A_TIME = 16_383
@@ -28,10 +28,15 @@ MARGIN = 1e-3
 LEAST = 1e-12
 # By how much the cosine of a ray may be rounded.
 ROUNDING = 1e-9
-# The axes across which a shape is round.
-ROUND = {Cylinder: (1.0, 1.0, 0.0), Sphere: (1.0, 1.0, 1.0)}
-# A shape as rays see it, lengths in m: what of a box is within a cylinder or ball, or a mesh
-# somewhere in the box. Its pose is that in the principal frame of its link.
+# The axes across which a shape is round, of shapes that are not left to Bullet.
+COMPUTED = {
+    Box: (0.0, 0.0, 0.0),
+    Plane: (0.0, 0.0, 0.0),
+    Cylinder: (1.0, 1.0, 0.0),
+    Sphere: (1.0, 1.0, 1.0),
+}
+# A shape as rays see it, lengths in m: what of a box is within a cylinder or ball, or a shape
+# somewhere in the box that is left to Bullet. Its pose is in the principal frame of its link.
 TARGET = np.dtype(
     [
         ("body", int),
@@ -43,7 +48,7 @@ TARGET = np.dtype(
         # 1 for each axis across which it is round, and how far.
         ("across", float, 3),
         ("radius", float),
-        ("is_mesh", bool),
+        ("by_bullet", bool),
     ]
 )
 
@@ -169,13 +174,13 @@ class RayScene:
         enters, leaves = self._crossings(starts[:, fan_of[rays], shapes], ways[:, rays], shapes)
         nearest, farthest = limits[:, fan_of[rays]]
         crossed = (enters <= leaves) & (enters <= farthest) & (leaves >= nearest)
-        is_mesh = self._is_mesh[shapes]
-        seen = np.flatnonzero(crossed & ~is_mesh & (enters > nearest))
+        by_bullet = self._by_bullet[shapes]
+        seen = np.flatnonzero(crossed & ~by_bullet & (enters > nearest))
         # From the farthest on, so that the nearest of a ray is written last.
         seen = seen[np.argsort(-enters[seen], kind="stable")]
         distances[rays[seen]] = enters[seen]
         bodies[rays[seen]] = self._body[shapes[seen]]
-        return np.unique(rays[crossed & is_mesh])
+        return np.unique(rays[crossed & by_bullet])
 
     def _candidates(
         self, fans: Sequence[Fan], origins: np.ndarray, starts: np.ndarray
@@ -215,7 +220,7 @@ class RayScene:
         return rays, shapes
 
     def _contain(self, points: np.ndarray) -> np.ndarray:
-        """Return which shapes other than meshes contain points in their frames in m.
+        """Return which of the computed shapes contain points in their frames in m.
 
         The points are of shape (3, points, shapes), the result is of (points, shapes).
         """
@@ -223,7 +228,7 @@ class RayScene:
         inside = np.all((low < points) & (points < high), axis=0)
         is_round = self._radius > 0.0
         apart = np.sum(across * points * points, axis=0)
-        return inside & ~self._is_mesh & (~is_round | (apart < self._radius**2))
+        return inside & ~self._by_bullet & (~is_round | (apart < self._radius**2))
 
     def _crossings(
         self, start: np.ndarray, ways: np.ndarray, shapes: np.ndarray
@@ -280,7 +285,7 @@ class RayScene:
         columns = {
             name: np.ascontiguousarray(np.moveaxis(shapes[name], 0, -1)) for name in TARGET.names
         }
-        self._body, self._is_mesh = columns["body"], columns["is_mesh"]
+        self._body, self._by_bullet = columns["body"], columns["by_bullet"]
         self._across, self._radius = columns["across"], columns["radius"]
         self._places, self._turns = columns["position"], columns["rotation"]
         self._low, self._high = low, high = columns["low"], columns["high"]
@@ -304,11 +309,11 @@ def _targets(body: Body, shapes: Sequence[Collision], principal: Pose) -> np.nda
         if isinstance(geometry, Plane):
             pose = pose * _standing(geometry.normal)
             low[2] = high[2] = 0.0
-        elif isinstance(geometry, Mesh):
-            target["is_mesh"], low, high = True, low - MARGIN, high + MARGIN
+        elif type(geometry) not in COMPUTED:
+            target["by_bullet"], low, high = True, low - MARGIN, high + MARGIN
         target["position"], target["rotation"] = pose.position, pose.rotation_matrix()
         target["low"], target["high"] = low, high
-        target["across"] = ROUND.get(type(geometry), (0.0, 0.0, 0.0))
+        target["across"] = COMPUTED.get(type(geometry), (0.0, 0.0, 0.0))
         target["radius"] = getattr(geometry, "radius", 0.0)
     return found
 
