@@ -22,6 +22,7 @@ RAYS_AT_A_TIME = 16_383
 PART = 4096
 # Of so few rays, Bullet finds faster what they hit.
 FEW = 16
+ALL = slice(None)
 # How much larger the boxes of meshes are taken, for the margins of shapes in Bullet, in m.
 MARGIN = 1e-3
 # Instead of lengths and components of 0, by which one cannot divide.
@@ -133,38 +134,28 @@ class RayScene:
             For each fan, the distance of what each ray hits from the origin in m, infinite
             without a hit, and the unique id of the body there, -1 without a hit; of shape (rays,).
         """
+        found = iter(self._compute([fan for fan in fans if fan.ways.shape[1] > FEW]))
+        return [next(found) if fan.ways.shape[1] > FEW else self._look(fan) for fan in fans]
+
+    def _look(self, fan: Fan, rays: Any = ALL) -> tuple[np.ndarray, np.ndarray]:
+        """Return what rays of a fan hit as Bullet finds it, as `cast`."""
+        limits = fan.nearest, fan.farthest
+        ends = (fan.origin + limit * fan.ways[:, rays].T for limit in limits)
+        found = cast(self._client, *(points.tolist() for points in ends))
+        bodies = np.array([hit[0] for hit in found], dtype=int)
+        shares = np.array([hit[2] for hit in found], dtype=float)
+        distances = fan.nearest + shares * (fan.farthest - fan.nearest)
+        return np.where(bodies < 0, np.inf, distances), bodies
+
+    def _compute(self, fans: Sequence[Fan]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return what the rays of fans hit, as `cast`; what is near a mesh is left to Bullet."""
+        if not fans:
+            return []
+        if not self._is_current:
+            self._update()
         ways = np.concatenate([fan.ways for fan in fans], axis=1)
         counts = [fan.ways.shape[1] for fan in fans]
         fan_of = np.repeat(np.arange(len(fans)), counts)
-        distances, bodies = np.full(len(fan_of), np.inf), np.full(len(fan_of), -1)
-        unclear = np.arange(len(fan_of))
-        if len(fan_of) > FEW:
-            unclear = self._find(fans, fan_of, ways, distances, bodies)
-        ends = [
-            (fan.origin + limit * ways[:, ray]).tolist()
-            for ray, fan in ((ray, fans[fan_of[ray]]) for ray in unclear)
-            for limit in (fan.nearest, fan.farthest)
-        ]
-        found = cast(self._client, ends[::2], ends[1::2])
-        for ray, (body, _, share, *_) in zip(unclear, found):
-            _, _, nearest, farthest = fans[fan_of[ray]]
-            distance = nearest + share * (farthest - nearest)
-            if body >= 0 and distance < distances[ray]:
-                distances[ray], bodies[ray] = distance, body
-        last = np.cumsum(counts)[:-1]
-        return list(zip(np.split(distances, last), np.split(bodies, last)))
-
-    def _find(
-        self,
-        fans: Sequence[Fan],
-        fan_of: np.ndarray,
-        ways: np.ndarray,
-        distances: np.ndarray,
-        bodies: np.ndarray,
-    ) -> np.ndarray:
-        """Write what the rays hit but for meshes; return the numbers of rays near meshes."""
-        if not self._is_current:
-            self._update()
         origins = np.array([fan.origin for fan in fans]).T
         limits = np.array([(fan.nearest, fan.farthest) for fan in fans]).T
         # The origins in the frames of the shapes, (3, fans, shapes).
@@ -178,9 +169,21 @@ class RayScene:
         seen = np.flatnonzero(crossed & ~by_bullet & (enters > nearest))
         # From the farthest on, so that the nearest of a ray is written last.
         seen = seen[np.argsort(-enters[seen], kind="stable")]
+        distances, bodies = np.full(len(fan_of), np.inf), np.full(len(fan_of), -1)
         distances[rays[seen]] = enters[seen]
         bodies[rays[seen]] = self._body[shapes[seen]]
-        return np.unique(rays[crossed & by_bullet])
+        unclear = np.zeros(len(fan_of), dtype=bool)
+        unclear[rays[crossed & by_bullet]] = True
+        last = np.cumsum(counts)[:-1]
+        hits = list(zip(np.split(distances, last), np.split(bodies, last)))
+        for fan, (distances, bodies), here in zip(fans, hits, np.split(unclear, last)):
+            if not here.any():
+                continue
+            found, whose = self._look(fan, here)
+            nearer = found < distances[here]
+            distances[here] = np.where(nearer, found, distances[here])
+            bodies[here] = np.where(nearer, whose, bodies[here])
+        return hits
 
     def _candidates(
         self, fans: Sequence[Fan], origins: np.ndarray, starts: np.ndarray

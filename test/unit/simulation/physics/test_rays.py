@@ -96,6 +96,22 @@ def test_what_is_nearer_is_seen_of_a_mesh_and_a_box(tmp_path, repeat):
         assert seen()[0] == ["", "", ""]
 
 
+def test_rays_hit_the_same_alone_and_beside_others():
+    random = np.random.default_rng(1)
+    with Simulation() as world:
+        for number in range(5):
+            link = Link("link", collisions=(Collision(some_shape(random), name="c"),))
+            world.add(Model(f"m{number}", (link,), static=True, pose=some_pose(random, 2.0)))
+        fans = [
+            Fan(random.uniform(-1.0, 1.0, 3), some_ways(random, number).T, 0.1, FARTHEST)
+            for number in (50, 3, 80)
+        ]
+        together, alone = world.rays.cast(fans), [world.rays.cast([fan])[0] for fan in fans]
+    for one, other in zip(together, alone):
+        assert np.array_equal(one, other)
+        assert np.isfinite(one[0]).any()
+
+
 def test_a_wide_wall_is_seen_from_close_by():
     angles = np.radians(np.linspace(-89.0, 89.0, 60))
     ways = np.stack((np.cos(angles), np.sin(angles), np.zeros(60)), axis=1)
