@@ -18,6 +18,7 @@ from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
 import cv2
 
 from bullet_lab.core.parameters import checked, integer
+from bullet_lab.errors import LabError
 from bullet_lab.studies.study import Settings, Tell, UnfinishedError, progress
 
 SECONDS_FOR_SCHEDULER = 10.0
@@ -134,7 +135,7 @@ def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
                     found = True, TaskLostError(_LOST)
                 done, value = found
                 if not done:
-                    raise UnfinishedError(f"a worker process failed: {value}")
+                    raise UnfinishedError(value)
                 yield number, value
     finally:
         for worker in busy.values():
@@ -189,7 +190,14 @@ def _work(task: Task, pipe: connection.Connection) -> None:
             try:
                 pipe.send((True, task(number)))
             except Exception as error:  # of the task, or of a result that cannot be pickled
-                pipe.send((False, f"{type(error).__name__}: {error}"))
+                pipe.send((False, _reason(error)))
+
+
+def _reason(error: Exception) -> str:
+    """Return why a task failed, in one line."""
+    if isinstance(error, LabError):
+        return str(error)
+    return f"a worker process failed: {type(error).__name__}: {error}"
 
 
 def _end_with_parent() -> None:
@@ -225,8 +233,7 @@ def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
             except CancelledError:
                 raise UnfinishedError("the connection to the Dask scheduler is lost") from None
             except Exception as error:  # of the task, or of a worker without the right libraries
-                kind = type(error).__name__
-                raise UnfinishedError(f"a worker process failed: {kind}: {error}") from error
+                raise UnfinishedError(_reason(error)) from error
             yield number_of[future.key], result
             future.release()
 

@@ -17,6 +17,7 @@ import psutil
 import pytest
 
 from bullet_lab.core.parameters import ParameterError
+from bullet_lab.errors import LabError
 from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.workers import (
     LIVES,
@@ -52,6 +53,10 @@ def dies(folder, number):
 
 def unknown_library(number):
     raise ModuleNotFoundError("No module named 'bullet_lab'")
+
+
+def refusing(number):
+    raise LabError(f"square {number} is too small")
 
 
 def unable_to_travel(number):
@@ -167,6 +172,11 @@ def test_workers_that_cannot_do_it_are_an_error_of_one_line(task):
     with pytest.raises(UnfinishedError, match="a worker process failed: [A-Z]") as caught:
         list(workers(1)(task, range(3)))
     assert "\n" not in str(caught.value)
+
+
+def test_what_the_input_causes_is_said_as_it_is():
+    with pytest.raises(UnfinishedError, match="^square 0 is too small$"):
+        list(workers(1)(refusing, range(2)))
 
 
 KILLED = """
