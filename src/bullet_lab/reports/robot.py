@@ -87,7 +87,8 @@ class Count:
 
     def __init__(self, kind: str, rate: float):
         self.kind = kind
-        self.declared = rate
+        # An event, as of a bumper, comes when something has changed.
+        self.declared = 0.0 if kind.endswith("Event") else rate
         self.messages = 0
         self._first = 0
         self._last = 0

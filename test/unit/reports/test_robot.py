@@ -87,6 +87,10 @@ def test_a_rate_is_that_of_the_stamps():
     assert few.rate() is None
 
 
+def test_events_have_no_rate():
+    assert Count("kobuki_msgs/BumperEvent", 50.0).figures()["declared_hz"] is None
+
+
 @pytest.fixture
 def report(tmp_path):
     return RobotReport(tmp_path, ROBOT, KINDS)
