@@ -215,10 +215,12 @@ class RayScene:
         for number, fan in enumerate(fans):
             seen = np.flatnonzero(near[number])
             cones, widths = axes[:, number, seen], least[number, seen]
-            for some in np.array_split(fan.ways.T, 1 + fan.ways.shape[1] // PART):
-                rays, places = np.nonzero(some @ cones >= widths)
-                pairs.append((first + rays, seen[places]))
-                first += len(some)
+            for start in range(0, fan.ways.shape[1], PART):
+                near_cones = fan.ways[:, start : start + PART].T @ cones >= widths
+                # In one dimension, this is faster than np.nonzero in two.
+                rays, places = np.divmod(np.flatnonzero(near_cones), len(seen))
+                pairs.append((first + start + rays, seen[places]))
+            first += fan.ways.shape[1]
         rays, shapes = (np.concatenate(column) for column in zip(*pairs))
         return rays, shapes
 

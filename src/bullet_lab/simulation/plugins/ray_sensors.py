@@ -67,6 +67,7 @@ class RayScan:
         level = np.cos(pitch)
         directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
         self.shape, self.directions = yaw.shape, directions.reshape(-1, 3)
+        self._axes = np.ascontiguousarray(self.directions.T)
         self._place = tag.place()
         self._rays = mount.simulation.rays
 
@@ -93,11 +94,10 @@ class RayScan:
     def _fan(self, nearest: float = 0.0, chosen: slice | np.ndarray = ALL) -> Fan:
         """Return the chosen rays in the world, from a distance (m) on."""
         pose = self._place.pose()
+        x, y, z = pose.rotation_matrix().T[:, :, None]
+        ahead, left, up = self._axes[:, chosen]
         # Term by term, see `RayScene`.
-        ways = sum(
-            column[:, None] * axis[chosen]
-            for column, axis in zip(pose.rotation_matrix().T, self.directions.T)
-        )
+        ways = x * ahead + y * left + z * up
         return Fan(np.array(pose.position), ways, nearest, self.greatest)
 
     def measure(self, random: np.random.Generator) -> np.ndarray:
