@@ -21,6 +21,7 @@ from bullet_lab.docking.geometry import (
     Viewpoint,
     clearance,
     extent_of,
+    extent_of_walls,
     wall_boxes,
 )
 from bullet_lab.docking.marker_track import MarkerTrack
@@ -86,10 +87,7 @@ class DockParticles:
     ):
         self._rng = rng
         self._boxes = wall_boxes(dock)
-        # Farther from the dock's origin there is no wall, m.
-        self._extent = math.hypot(
-            *np.abs(self._boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0)
-        )
+        self._extent = extent_of_walls(self._boxes)
         # The uncertainty is along the axes of the frame that the pose is given in, which may be
         # any; drawn on a disc and a square it makes little difference.
         position = _MARGIN * dock.uncertainty.position + 0.01

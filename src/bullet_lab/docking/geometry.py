@@ -43,6 +43,11 @@ def wall_boxes(dock: Dock) -> np.ndarray:
     )
 
 
+def extent_of_walls(boxes: np.ndarray) -> float:
+    """Return the distance (m) from the dock's origin beyond which there are no boxes (n, 4)."""
+    return math.hypot(*np.abs(boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0))
+
+
 def clearance(points, boxes: np.ndarray) -> np.ndarray:
     """Return the distance of (..., 2) points from the nearest of (n, 4) boxes, m; inf without any.
 

@@ -177,10 +177,11 @@ class MarkerSearch:
         found = visibility.unobstructed(x, y) & (np.hypot(x, y) < reach * visibility.farthest)
         bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
         aside = visibility.half_angle(distance) - _EDGE
-        shares = [
-            np.mean(found * (np.abs(wrap(bearing - heading)) < aside), axis=1)
-            for heading in _HEADINGS
-        ]
+        shares = []
+        for heading in _HEADINGS:
+            off = np.abs(bearing - heading)
+            ahead = np.minimum(off, np.abs(math.tau - off)) < aside
+            shares.append(np.mean(found & ahead, axis=1))
         return np.stack(shares, axis=1)
 
     def _first_safe(
