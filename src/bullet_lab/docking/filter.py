@@ -227,9 +227,10 @@ def as_known(x: np.ndarray, p: np.ndarray, priors=_PRIORS) -> tuple[np.ndarray, 
     for prior in priors:
         part = prior.where
         wide = p[:, part, part] + prior.known
-        gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
+        solved = np.linalg.solve(wide, np.concatenate([p[:, part], x[:, part, None]], axis=2))
+        gain = solved[..., :-1].transpose(0, 2, 1)
         logs = prior.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
-        logs = logs - 0.5 * squared_distances(x[:, part], wide)
+        logs = logs - 0.5 * np.sum(x[:, part] * solved[..., -1], axis=1)
         logs = np.minimum(np.maximum(logs, -50.0), 50.0)
         right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))
         off = -applied(gain, x[:, part])
