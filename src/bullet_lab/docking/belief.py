@@ -231,6 +231,7 @@ class DockBelief:
             too if the marker is hidden or the detector misses it.
         visibility: from where the marker is visible; None before the first image.
         tracks: of what shows the marker.
+        copy: track of a print where only the dock's back wall can be, by the last image; or None.
         last_image: stamp of the newest image, s.
         images: number of images that were taken in.
     """
@@ -254,6 +255,7 @@ class DockBelief:
         self.visibility: MarkerVisibility | None = None
         self._camera: PinholeCamera | None = None
         self.tracks: list[MarkerTrack] = []
+        self.copy: MarkerTrack | None = None
         self.last_image = -math.inf
         self.images = 0
         # Result of `estimate` for the present tracks: it is called many times at each tick.
@@ -275,10 +277,10 @@ class DockBelief:
         A small marker shows little of its yaw; a larger copy on the same wall shows more.
         """
         if self._estimated is None:
-            best, copy = self.best(), self.copy_on_the_wall()
+            best = self.best()
             estimate = None if best is None else best.estimate()
-            if estimate is not None and copy is not None:
-                estimate = estimate.turned_to(*_wall_yaw(copy))
+            if estimate is not None and self.copy is not None:
+                estimate = estimate.turned_to(*_wall_yaw(self.copy))
             self._estimated = (estimate,)
         return self._estimated[0]
 
@@ -325,8 +327,7 @@ class DockBelief:
         """Return whether a print of the marker was in sight lately."""
         return any(t.frames >= 3 and self.last_image - t.last_seen < 2.0 for t in self.tracks)
 
-    def copy_on_the_wall(self) -> MarkerTrack | None:
-        """Return a copy of the marker where only the dock's back wall can be, or None."""
+    def _copy_on_the_wall(self) -> MarkerTrack | None:
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
                 continue
@@ -371,10 +372,10 @@ class DockBelief:
         view = Viewpoint(camera, self.mount, tuple(se2.between(self.pose, then).tolist()))
         shown = filter(self._shows_marker, observation.sightings)
         self._associate(list(shown), view, observation.stamp)
-        copy = self.copy_on_the_wall()
-        for track in self.tracks if copy is not None else ():
-            if track is not copy:
-                track.adopt_yaw(*_wall_yaw(copy))
+        self.copy = self._copy_on_the_wall()
+        for track in self.tracks if self.copy is not None else ():
+            if track is not self.copy:
+                track.adopt_yaw(*_wall_yaw(self.copy))
 
     def farthest(self, camera: PinholeCamera) -> float:
         """Return from how far (m) a camera should find the marker."""
@@ -394,7 +395,7 @@ class DockBelief:
             self.particles.mix_in(drawn, 0.6)
             self.walls.mix_in(drawn, 0.6)
         self.tracks.remove(track)
-        self._estimated = None
+        self.copy, self._estimated = self._copy_on_the_wall(), None
 
     def _shows_marker(self, sighting: Sighting) -> bool:
         corners = sighting.corners

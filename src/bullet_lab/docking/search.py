@@ -109,7 +109,7 @@ class MarkerSearch:
 
         A copy where only the dock can be is on its wall: the dock fills that place.
         """
-        found = self._belief.copy_on_the_wall()
+        found = self._belief.copy
         if found is None:
             return False
         used, frames = self._cue
@@ -180,14 +180,14 @@ class MarkerSearch:
         flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
         x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
         found = visibility.unobstructed(x, y) & (np.hypot(x, y) < reach * visibility.farthest)
-        bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
-        aside = visibility.half_angle(distance) - _EDGE
-        shares = []
-        for heading in _HEADINGS:
+        shares, some = np.zeros((len(points), len(_HEADINGS))), found.any(axis=1)
+        found, (x, y) = found[some], np.moveaxis(to_dock[some], -1, 0)
+        bearing, aside = np.arctan2(y, x), visibility.half_angle(distance[some]) - _EDGE
+        for index, heading in enumerate(_HEADINGS):
             off = np.abs(bearing - heading)
             ahead = np.minimum(off, np.abs(math.tau - off)) < aside
-            shares.append(np.mean(found & ahead, axis=1))
-        return np.stack(shares, axis=1)
+            shares[some, index] = np.mean(found & ahead, axis=1)
+        return shares
 
     def _first_safe(
         self, points: np.ndarray, costmap: Costmap, worth: np.ndarray
