@@ -12,12 +12,6 @@ import resource
 import tempfile
 from pathlib import Path
 
-from common import options, write
-
-from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.dock_campaign.study import DockCampaignSettings, describe, run_campaign
-from bullet_lab.studies.workers import workers
-
 LEAST_FACTOR = 18.0
 
 
@@ -29,6 +23,13 @@ def of_children() -> float:
 
 def main() -> None:
     """Measure, print and write."""
+    # Here, since each worker imports this module: as with the command, it is to import little.
+    from common import options, write
+
+    from bullet_lab.simulation.rendering.graphics import driver_name
+    from bullet_lab.studies.dock_campaign.study import DockCampaignSettings, describe, run_campaign
+    from bullet_lab.studies.workers import workers
+
     wanted = options(__doc__, dockings=24, seed=1)
     settings = DockCampaignSettings(seed=wanted.seed, dockings=wanted.dockings)
     before = of_children()

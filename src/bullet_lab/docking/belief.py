@@ -21,6 +21,7 @@ from bullet_lab.docking.geometry import (
     Viewpoint,
     clearance,
     extent_of,
+    extent_of_walls,
     wall_boxes,
 )
 from bullet_lab.docking.marker_track import MarkerTrack
@@ -42,6 +43,8 @@ _WALL_PARTICLES = 200
 _WALL_SHARE = 0.05
 # The database may be wrong by somewhat more than its uncertainty.
 _MARGIN = 1.1
+# Way between two looks at what is free, m, and what a turn counts as, m/rad.
+_AGAIN, _LEVER = 0.05, 0.5
 # Relative standard deviation of the size of a copy.
 _SIZE_DEVIATION = 0.05
 # Size in the image at which the marker should be found, px.
@@ -74,8 +77,9 @@ class DockParticles:
     finds nothing again from the same place, be it that the marker is not there or that it is too
     dark.
 
+    Short steps of the robot are made as one, when the poses are asked for.
+
     Attributes:
-        poses: (n, 3).
         weights: (n,).
         reach: (n,) of the light, as `MarkerVisibility.found` takes it.
         mass: share of the prior that is left.
@@ -86,17 +90,17 @@ class DockParticles:
     ):
         self._rng = rng
         self._boxes = wall_boxes(dock)
-        # Farther from the dock's origin there is no wall, m.
-        self._extent = math.hypot(
-            *np.abs(self._boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0)
-        )
+        self._extent = extent_of_walls(self._boxes)
         # The uncertainty is along the axes of the frame that the pose is given in, which may be
         # any; drawn on a disc and a square it makes little difference.
         position = _MARGIN * dock.uncertainty.position + 0.01
         yaw = _MARGIN * dock.uncertainty.yaw + 0.005
         off = rng.uniform(-1.0, 1.0, (count, 3)) * (position, position, yaw)
-        self.poses = np.asarray(rough, dtype=float) + off
-        self.poses[:, 2] = wrap(self.poses[:, 2])
+        self._poses = np.asarray(rough, dtype=float) + off
+        self._poses[:, 2] = wrap(self._poses[:, 2])
+        # What the robot has moved since the poses were; and m since `stands_free` looked at them.
+        self._ahead: MotionStep | None = None
+        self._travelled = math.inf
         self.weights = np.full(count, 1.0 / count)
         self.mass = 1.0
         # Errors of the odometry.
@@ -106,13 +110,28 @@ class DockParticles:
 
     def move(self, motion: MotionStep) -> None:
         """Follow a step of the robot."""
-        roots = _root(motion.covariance)
-        steps = true_steps(motion.step, self._errors)
-        steps = steps + self._rng.standard_normal((len(self.poses), 3)) @ roots.T
-        self.poses = se2.between(steps, self.poses)
+        self._ahead = motion if self._ahead is None else self._ahead.then(motion)
+        dx, dy, turn = motion.step
+        self._travelled += math.hypot(dx, dy) + _LEVER * abs(turn)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Of the dock (n, 3) in the robot's present frame."""
+        if self._ahead is not None:
+            roots = _root(self._ahead.covariance)
+            steps = true_steps(self._ahead.step, self._errors)
+            steps = steps + self._rng.standard_normal((len(steps), 3)) @ roots.T
+            self._poses, self._ahead = se2.between(steps, self._poses), None
+        return self._poses
 
     def stands_free(self, radius: float) -> bool:
-        """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
+        """Drop poses at which the robot, a circle, touches a wall; return whether any is left.
+
+        It looks again when the robot has moved by some centimetres.
+        """
+        if self._travelled < _AGAIN:
+            return True
+        self._travelled = 0.0
         if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._extent + radius) ** 2:
             return True
         free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
@@ -132,14 +151,14 @@ class DockParticles:
 
     def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Move the particles to a pose, with so much more uncertainty to either side, m."""
-        count = len(self.poses)
+        count = len(self.weights)
         # The size of the copy, and so its distance, is known to some per cent only.
         covariance = estimate.covariance + np.diag([0.02, 0.01, 0.012]) ** 2
         covariance[:2, :2] += np.outer(estimate.mean[:2], estimate.mean[:2]) * _SIZE_DEVIATION**2
         drawn = estimate.mean + self._rng.standard_normal((count, 3)) @ _root(covariance).T
         beside = np.zeros((count, 3))
         beside[:, 1] = self._rng.uniform(-margin, margin, count)
-        self.poses = se2.compose(drawn, beside)
+        self._poses, self._ahead = se2.compose(drawn, beside), None
         self.weights = np.full(count, 1.0 / count)
 
     def mix_in(self, poses: np.ndarray, share: float) -> None:
@@ -148,11 +167,11 @@ class DockParticles:
         keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
         drawn = poses[self._rng.integers(len(poses), size=count)]
         self._take(np.concatenate([keep, np.arange(count)]))
-        self.poses[len(keep) :] = drawn
+        self._poses[len(keep) :] = drawn
 
     def _take(self, chosen: np.ndarray) -> None:
         """Keep the particles of these indices (n,), with equal weights."""
-        self.poses, self._errors = self.poses[chosen], self._errors[chosen]
+        self._poses, self._errors = self.poses[chosen], self._errors[chosen]
         self.reach = self.reach[chosen]
         self.weights = np.full(len(chosen), 1.0 / len(chosen))
 
@@ -185,7 +204,7 @@ class DockParticles:
         places = (np.arange(count) + self._rng.uniform()) / count
         chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), count - 1)
         self._take(chosen)
-        self.poses += self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
+        self._poses += self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
@@ -212,6 +231,7 @@ class DockBelief:
             too if the marker is hidden or the detector misses it.
         visibility: from where the marker is visible; None before the first image.
         tracks: of what shows the marker.
+        copy: track of a print where only the dock's back wall can be, by the last image; or None.
         last_image: stamp of the newest image, s.
         images: number of images that were taken in.
     """
@@ -235,6 +255,7 @@ class DockBelief:
         self.visibility: MarkerVisibility | None = None
         self._camera: PinholeCamera | None = None
         self.tracks: list[MarkerTrack] = []
+        self.copy: MarkerTrack | None = None
         self.last_image = -math.inf
         self.images = 0
         # Result of `estimate` for the present tracks: it is called many times at each tick.
@@ -256,10 +277,10 @@ class DockBelief:
         A small marker shows little of its yaw; a larger copy on the same wall shows more.
         """
         if self._estimated is None:
-            best, copy = self.best(), self.copy_on_the_wall()
+            best = self.best()
             estimate = None if best is None else best.estimate()
-            if estimate is not None and copy is not None:
-                estimate = estimate.turned_to(*_wall_yaw(copy))
+            if estimate is not None and self.copy is not None:
+                estimate = estimate.turned_to(*_wall_yaw(self.copy))
             self._estimated = (estimate,)
         return self._estimated[0]
 
@@ -306,8 +327,7 @@ class DockBelief:
         """Return whether a print of the marker was in sight lately."""
         return any(t.frames >= 3 and self.last_image - t.last_seen < 2.0 for t in self.tracks)
 
-    def copy_on_the_wall(self) -> MarkerTrack | None:
-        """Return a copy of the marker where only the dock's back wall can be, or None."""
+    def _copy_on_the_wall(self) -> MarkerTrack | None:
         for track in self.tracks:
             if track.real > _HARDLY_REAL or track.frames < 5 or track.sized < _SURE_OF_SIZE:
                 continue
@@ -352,10 +372,10 @@ class DockBelief:
         view = Viewpoint(camera, self.mount, tuple(se2.between(self.pose, then).tolist()))
         shown = filter(self._shows_marker, observation.sightings)
         self._associate(list(shown), view, observation.stamp)
-        copy = self.copy_on_the_wall()
-        for track in self.tracks if copy is not None else ():
-            if track is not copy:
-                track.adopt_yaw(*_wall_yaw(copy))
+        self.copy = self._copy_on_the_wall()
+        for track in self.tracks if self.copy is not None else ():
+            if track is not self.copy:
+                track.adopt_yaw(*_wall_yaw(self.copy))
 
     def farthest(self, camera: PinholeCamera) -> float:
         """Return from how far (m) a camera should find the marker."""
@@ -375,7 +395,7 @@ class DockBelief:
             self.particles.mix_in(drawn, 0.6)
             self.walls.mix_in(drawn, 0.6)
         self.tracks.remove(track)
-        self._estimated = None
+        self.copy, self._estimated = self._copy_on_the_wall(), None
 
     def _shows_marker(self, sighting: Sighting) -> bool:
         corners = sighting.corners

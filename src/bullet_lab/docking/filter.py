@@ -16,6 +16,7 @@ The motion model moves the first three by the odometry; the measurement model pr
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -86,7 +87,7 @@ class GaussianPose:
         """Standard deviations of x, y (m) and yaw (rad)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
-    @property
+    @functools.cached_property
     def robot(self) -> PlanarPose:
         """Likeliest pose of the robot in the dock's frame."""
         return tuple(se2.inverse(self.mean).tolist())
@@ -125,7 +126,10 @@ class GaussianPose:
 
 
 class DriftingPose:
-    """An earlier estimate of the dock's pose, moved along by odometry with unknown errors."""
+    """An earlier estimate of the dock's pose, moved along by odometry with unknown errors.
+
+    It is asked for rarely, and moved only then.
+    """
 
     def __init__(self, pose: GaussianPose):
         states = _OF_POSE + _OF_ODOMETRY
@@ -133,16 +137,20 @@ class DriftingPose:
         self._x[0, :3] = pose.mean
         self._p[0, :3, :3] = pose.covariance
         self._p[0, 3:, 3:] = np.diag(UNKNOWN_ODOMETRY**2)
+        self._steps: list[MotionStep] = []
 
     @property
     def pose(self) -> GaussianPose:
         """The pose in the robot's present frame; the odometry may well be nominal."""
+        for motion in self._steps:
+            self._x, self._p = carried(self._x, self._p, motion)
+        self._steps.clear()
         x, p = as_known(self._x, self._p, (_DRIFTING_ODOMETRY,))
         return GaussianPose(x[0, :3].copy(), p[0, :3, :3].copy())
 
     def move(self, motion: MotionStep) -> None:
         """Follow a step of the robot."""
-        self._x, self._p = carried(self._x, self._p, motion)
+        self._steps.append(motion)
 
 
 def true_steps(step, errors: np.ndarray) -> np.ndarray:
@@ -219,9 +227,10 @@ def as_known(x: np.ndarray, p: np.ndarray, priors=_PRIORS) -> tuple[np.ndarray, 
     for prior in priors:
         part = prior.where
         wide = p[:, part, part] + prior.known
-        gain = np.linalg.solve(wide, p[:, part]).transpose(0, 2, 1)
+        solved = np.linalg.solve(wide, np.concatenate([p[:, part], x[:, part, None]], axis=2))
+        gain = solved[..., :-1].transpose(0, 2, 1)
         logs = prior.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
-        logs = logs - 0.5 * squared_distances(x[:, part], wide)
+        logs = logs - 0.5 * np.sum(x[:, part] * solved[..., -1], axis=1)
         logs = np.minimum(np.maximum(logs, -50.0), 50.0)
         right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))
         off = -applied(gain, x[:, part])

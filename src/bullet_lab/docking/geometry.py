@@ -43,6 +43,11 @@ def wall_boxes(dock: Dock) -> np.ndarray:
     )
 
 
+def extent_of_walls(boxes: np.ndarray) -> float:
+    """Return the distance (m) from the dock's origin beyond which there are no boxes (n, 4)."""
+    return math.hypot(*np.abs(boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0))
+
+
 def clearance(points, boxes: np.ndarray) -> np.ndarray:
     """Return the distance of (..., 2) points from the nearest of (n, 4) boxes, m; inf without any.
 
@@ -50,12 +55,12 @@ def clearance(points, boxes: np.ndarray) -> np.ndarray:
     array([0., 5.])
     """
     x, y = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
-    nearest = np.full(x.shape, np.inf)
+    squares = np.full(x.shape, np.inf)
     for x_min, x_max, y_min, y_max in boxes:
         dx = np.maximum(np.maximum(x_min - x, x - x_max), 0.0)
         dy = np.maximum(np.maximum(y_min - y, y - y_max), 0.0)
-        nearest = np.minimum(nearest, np.hypot(dx, dy))
-    return nearest
+        squares = np.minimum(squares, dx * dx + dy * dy)
+    return np.sqrt(squares)
 
 
 @dataclass(frozen=True, eq=False)

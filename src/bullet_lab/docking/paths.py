@@ -7,7 +7,7 @@ touch. `bullet_lab.navigation.paths` finds the cheapest paths on it.
 from __future__ import annotations
 
 import math
-from typing import Sequence
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
-from bullet_lab.docking.geometry import QUIET_ZONE, clearance, wall_boxes
+from bullet_lab.docking.geometry import QUIET_ZONE, clearance, extent_of_walls, wall_boxes
 from bullet_lab.docking.types import TURNING_RADIUS, Point
 from bullet_lab.navigation.paths import CostGrid, along
 
@@ -78,24 +78,28 @@ class Costmap(CostGrid):
         x = low[0] + cell * np.arange(shape[0])
         y = low[1] + cell * np.arange(shape[1])
         self.points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        self.touch, near = self._risks(docks, boxes, obstacles, radius)
+        self.touch, near = self._risks(docks, boxes, obstacles, radius, cell)
         free = np.hypot(*(self.points - robot[:2]).transpose(2, 0, 1)) < 1.2 * cell
         self.touch[free] = 0.0
         super().__init__(low, cell, 1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near, robot)
 
-    def _risks(self, docks, boxes, obstacles, radius: float):
+    def _risks(self, docks, boxes, obstacles, radius: float, cell: float):
         """Return the shares of docks that a robot in a cell would touch, and come near to."""
         shape = self.points.shape[:2]
         touch, near = np.zeros(shape), np.zeros(shape)
         flat = np.zeros((*shape, 3))
         flat[..., :2] = self.points
 
-        def add(away: np.ndarray, weight: float) -> None:
-            touch[away < radius] += weight
-            near[away < radius + _NEAR] += weight
+        def add(away: np.ndarray, weight: float, cells: Any = ...) -> None:
+            touch[cells][away < radius] += weight
+            near[cells][away < radius + _NEAR] += weight
 
+        reach = extent_of_walls(boxes) + radius + _NEAR
         for dock in docks if len(boxes) else ():
-            add(clearance(se2.between(dock, flat)[..., :2], boxes), 1.0 / len(docks))
+            low = np.maximum((dock[:2] - reach - flat[0, 0, :2]) / cell, 0.0).astype(int).tolist()
+            cells = tuple(slice(first, first + 3 + int(2.0 * reach / cell)) for first in low)
+            away = clearance(se2.between(dock, flat[cells])[..., :2], boxes)
+            add(away, 1.0 / len(docks), cells)
         for x, y, size, weight in obstacles:
             add(np.hypot(self.points[..., 0] - x, self.points[..., 1] - y) - size, weight)
         return touch, near

@@ -222,7 +222,7 @@ class DockingProgress:
         """
         if track.real >= _SURE or (self._rejections >= _MOST_REJECTIONS and track.real > 0.2):
             return False
-        copy, walls = self.belief.copy_on_the_wall(), self.belief.dock.walls
+        copy, walls = self.belief.copy, self.belief.dock.walls
         if track.real > 0.5 and copy is not None and walls is not None:
             # If real, it is on the back wall, where a larger copy is.
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))

@@ -13,7 +13,7 @@ from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.geometry import MarkerVisibility
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.paths import Costmap, PathPlanner
-from bullet_lab.docking.types import Point
+from bullet_lab.docking.types import Odometry, Point
 
 _HEADINGS = np.arange(36) * (math.tau / 36.0)
 # Strides over the costmap's cells. The finer one is used if the coarse one finds no view, as
@@ -69,14 +69,19 @@ class MarkerSearch:
         self._ahead = belief.mount.x
         self._far_looks, self._far_range = 0, _FAR
         self._far_visibility: MarkerVisibility | None = None
+        # Result of `chance_to_see`, which is asked for several times, and the odometry then.
+        self._chance: tuple[Odometry | None, float] = (None, 0.0)
         # The copy that narrowed the belief last, and in how many images it was then.
         self._cue: tuple[MarkerTrack | None, int] = (None, 0)
 
     def chance_to_see(self) -> float:
         """Return the probability that an image taken now would show the marker, or its copy."""
-        particles = self._belief.particles
-        visibility = self._far_visibility or self._belief.visibility
-        return float(particles.weights @ visibility.visible(self._cameras(particles.poses)))
+        odometry, particles = self._belief.odometry.last, self._belief.particles
+        if self._chance[0] is not odometry:
+            visibility = self._far_visibility or self._belief.visibility
+            visible = visibility.visible(self._cameras(particles.poses))
+            self._chance = odometry, float(particles.weights @ visible)
+        return self._chance[1]
 
     def expects_marker(self) -> bool:
         """Return whether an image taken now should show the marker that was seen before."""
@@ -104,7 +109,7 @@ class MarkerSearch:
 
         A copy where only the dock can be is on its wall: the dock fills that place.
         """
-        found = self._belief.copy_on_the_wall()
+        found = self._belief.copy
         if found is None:
             return False
         used, frames = self._cue
@@ -175,13 +180,14 @@ class MarkerSearch:
         flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
         x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
         found = visibility.unobstructed(x, y) & (np.hypot(x, y) < reach * visibility.farthest)
-        bearing = np.arctan2(to_dock[..., 1], to_dock[..., 0])
-        aside = visibility.half_angle(distance) - _EDGE
-        shares = [
-            np.mean(found * (np.abs(wrap(bearing - heading)) < aside), axis=1)
-            for heading in _HEADINGS
-        ]
-        return np.stack(shares, axis=1)
+        shares, some = np.zeros((len(points), len(_HEADINGS))), found.any(axis=1)
+        found, (x, y) = found[some], np.moveaxis(to_dock[some], -1, 0)
+        bearing, aside = np.arctan2(y, x), visibility.half_angle(distance[some]) - _EDGE
+        for index, heading in enumerate(_HEADINGS):
+            off = np.abs(bearing - heading)
+            ahead = np.minimum(off, np.abs(math.tau - off)) < aside
+            shares[some, index] = np.mean(found & ahead, axis=1)
+        return shares
 
     def _first_safe(
         self, points: np.ndarray, costmap: Costmap, worth: np.ndarray

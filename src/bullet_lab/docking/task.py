@@ -24,6 +24,7 @@ from bullet_lab.docking.types import (
     DockingResult,
     DockingSettings,
     DockingState,
+    MotionStep,
     Observation,
     Odometry,
     Point,
@@ -63,12 +64,10 @@ class StuckWatch:
         # Seconds, distance and turn by the command, distance and turn by the odometry.
         self._past: deque[tuple[float, float, float, float, float]] = deque()
 
-    def add(self, command: Command, before: Odometry, after: Odometry) -> None:
-        """Take two messages of odometry, and the command (m/s, rad/s) in between."""
-        distance, _, turn = np.abs(se2.between(before.pose, after.pose)).tolist()
-        seconds = after.stamp - before.stamp
+    def add(self, command: Command, step: PlanarPose, seconds: float) -> None:
+        """Take a step of the odometry, how long it took, and the command (m/s, rad/s) then."""
         v, w = (abs(part) * seconds for part in command)
-        self._past.append((seconds, v, w, distance, turn))
+        self._past.append((seconds, v, w, abs(step[0]), abs(step[2])))
         while sum(entry[0] for entry in self._past) > _SECONDS:
             self._past.popleft()
 
@@ -107,13 +106,20 @@ class WatchedTask(ABC):
         if self.result is not None:
             return
         last = self._belief.odometry.last
-        trouble = self._find_trouble(last, odometry)
-        if trouble:
-            self._end(DockingError.ODOMETRY_LOST, trouble)
+        if not all(map(math.isfinite, odometry.pose)):
+            self._end(DockingError.ODOMETRY_LOST, "odometry is not finite")
         elif last is None:
             self._move(odometry)
-        elif odometry.stamp > last.stamp:
-            self._stuck.add(self._command, last, odometry)
+        else:
+            self._follow(motion_step(last, odometry), odometry, odometry.stamp - last.stamp)
+
+    def _follow(self, step: MotionStep, odometry: Odometry, seconds: float) -> None:
+        """Take the next message of odometry, which is a step and some seconds after the last."""
+        trouble = self._find_trouble(step, seconds)
+        if trouble:
+            self._end(DockingError.ODOMETRY_LOST, trouble)
+        elif seconds > 0.0:
+            self._stuck.add(self._command, step.step, seconds)
             self._move(odometry)
 
     @abstractmethod
@@ -154,14 +160,10 @@ class WatchedTask(ABC):
         """Follow odometry that was accepted."""
         self._belief.add_odometry(odometry)
 
-    def _find_trouble(self, before: Odometry | None, odometry: Odometry) -> str:
-        """Return why a message of odometry is impossible; empty if it is not."""
-        if not all(map(math.isfinite, odometry.pose)):
-            return "odometry is not finite"
-        seconds = 0.0 if before is None else odometry.stamp - before.stamp
+    def _find_trouble(self, step: MotionStep, seconds: float) -> str:
+        """Return why a step of the odometry is impossible; empty if it is not."""
         if seconds <= 0.0:
             return "odometry went back in time" if seconds < -0.5 else ""
-        step = motion_step(before, odometry)
         distance, turn = math.hypot(step.step[0], step.step[1]), abs(step.step[2])
         spread = 6.0 * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
         farthest = 1.5 * self._settings.drive_speed * seconds + 0.08 + spread[0] + spread[1]

@@ -92,6 +92,11 @@ class MotionStep:
     step: tuple[float, float, float]
     covariance: np.ndarray
 
+    def then(self, after: MotionStep) -> MotionStep:
+        """Return this step and the next one as one, for short ones: the covariances are added."""
+        step = tuple(se2.compose(self.step, after.step).tolist())
+        return MotionStep(step, self.covariance + after.covariance)
+
 
 def motion_step(before: Odometry, after: Odometry) -> MotionStep:
     """Return the step between two messages of odometry.

@@ -428,14 +428,14 @@ class _Judged:
         _, values, vectors = cv2.eigen(np.ascontiguousarray(inverse[_SHAPE, _SHAPE]))
         scales = np.sqrt(np.maximum(values, 1e-12 * values.max()))
         pulls = (vectors / scales) @ inverse[_SHAPE] @ rows[:-1]
-        products = pulls[:, None] * rows
         squares = []
         for labels in sets:
             order = np.argsort(labels, kind="stable")[np.count_nonzero(labels < 0) :]
             starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
-            sums = np.add.reduceat(products[..., order], starts, axis=2)
+            pulling = pulls[:, order]
+            sums = np.add.reduceat(pulling[:, None] * rows[:, order], starts, axis=2)
             taken = sums[:, :-1]
-            expected = np.square(pulls[:, order]).sum() - ((inverse @ taken) * taken).sum()
+            expected = np.square(pulling).sum() - ((inverse @ taken) * taken).sum()
             squares.append(float(np.square(sums[:, -1]).sum() / max(expected, 1.0)))
         return squares
 

@@ -332,5 +332,5 @@ def _cells_around(pattern: ndarray, first: ndarray, count: int) -> ndarray:
 
 def _normal_at(places: ndarray) -> tuple[ndarray, ndarray]:
     """Return the normal distribution function and density at places."""
-    index = np.clip(_FINE * places + (_FAR * _FINE + 0.5), 0.0, 2.0 * _FAR * _FINE).astype(np.intp)
-    return _BELOW.take(index), _DENSITY.take(index)
+    index = (_FINE * places + (_FAR * _FINE + 0.5)).astype(np.intp)
+    return _BELOW.take(index, mode="clip"), _DENSITY.take(index, mode="clip")

@@ -2,6 +2,7 @@
 
 import docking_standin as standin
 import numpy as np
+import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.docking.belief import DockBelief
@@ -96,3 +97,13 @@ def test_a_print_that_a_wall_begins_to_hide_stays_the_same_track():
     lookout = Lookout((0.9, 0.3, -0.1))
     assert lookout.look(large, times=12)[0].sized < 0.5
     assert len(lookout.look(large, times=8, step=(-0.05, 0.0, 0.0), changes=(cut,))) == 1
+
+
+def test_short_steps_move_the_particles_as_one_long_step_does():
+    belief = Lookout().belief
+    before = belief.particles.poses
+    for count in range(1, 41):
+        belief.add_odometry(Odometry(0.05 * count, (1.5 + 0.01 * count, 0.0, 0.0)))
+    moved = belief.particles.poses - before
+    assert np.mean(moved, axis=0) == pytest.approx((-0.4, 0.0, 0.0), abs=0.01)
+    assert np.all(np.std(moved, axis=0) > 0.002)

@@ -133,7 +133,9 @@ def _run_missing(
         return f"docked {results[True]}, failed {results[False]}"
 
     start = time.monotonic()
-    found = run(functools.partial(trial, settings), missing)
+    # A worker that gets these imports no more than a docking needs, without figures.
+    drawn = DrawSettings(**settings.drawn_from())
+    found = run(functools.partial(trial, drawn), missing)
     for index, result in progress(found, "dockings", count, tell, done, counts):
         if isinstance(result, TaskLostError):
             result = crashed_record(settings, index, str(result))

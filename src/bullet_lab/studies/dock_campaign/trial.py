@@ -22,7 +22,7 @@ from bullet_lab.docking.database import (
     largest_errors,
     read_docks,
 )
-from bullet_lab.docking.types import CameraMount, DockingResult, Observation, Odometry, Sighting
+from bullet_lab.docking.types import CameraMount, DockingResult, Observation, Odometry
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.simulation.plugins.camera import Camera
@@ -42,10 +42,10 @@ from bullet_lab.studies.dock_campaign.stress import (
     stress_columns,
     world_under,
 )
+from bullet_lab.studies.dock_campaign.watch import MarkerWatch
 from bullet_lab.studies.study import MOST_SEED, Record, Settings
 from bullet_lab.studies.worlds import LIGHTS, ROBOT, lit_world, read_world
 from bullet_lab.vision.dictionaries import dictionary_named
-from bullet_lab.vision.images import grey
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 
 MARKER_POSE: PlanarPose = (4.0, 0.0, 0.0)
@@ -261,7 +261,8 @@ class _SimulatedDocking:
         self._reported = StressedOdometry(stress, np.random.default_rng((stress.seed, 1)))
         self._mount = self._known_mount()
         name = dictionary_named(dock.marker.dictionary).name
-        self._detector = MarkerDetector(DetectorSettings(name, ids=(dock.marker.id,)))
+        detector = MarkerDetector(DetectorSettings(name, ids=(dock.marker.id,)))
+        self._watch = MarkerWatch(self._camera, detector, dock.marker.dictionary)
         self._task = CONTROLLERS[scenario.controller](
             stress.known_dock(dock), dock.pose, self._mount, seed=scenario.odometry_seed
         )
@@ -309,17 +310,13 @@ class _SimulatedDocking:
 
     def _take_image(self) -> None:
         """Take an image, and keep what is detected in it until its delay is over."""
-        simulation, camera, stress = self._simulation, self._camera, self._stress
+        simulation, stress = self._simulation, self._stress
         # Both are drawn for each image, so that one stress does not change the draws of another.
         delay, lost = stress.latest_image_s * self._rng.uniform(), self._rng.uniform()
         self._images += 1
         if lost < stress.dropped:
             return
-        image = camera.take(simulation.step)
-        found = self._detector.detect(grey(image, "rgb8"), camera.camera).markers
-        sightings = tuple(
-            Sighting(m.id, self._dock.marker.dictionary, m.corners, m.deviations) for m in found
-        )
+        sightings = self._watch.look(simulation.step)
         # The same object for all images, as it is one camera.
         observation = Observation(simulation.seconds, self._known_camera, sightings)
         self._delayed.append((simulation.seconds + delay, observation))

@@ -1,0 +1,69 @@
+"""Tests of the parts of pictures in which a campaign looks for markers."""
+
+import numpy as np
+import pytest
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.studies.dock_campaign.watch import MarkerWatch
+from bullet_lab.studies.worlds import ROBOT, read_world
+from bullet_lab.vision.images import grey
+from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
+
+
+class Watched:
+    """A robot before the dock, and the widths of the pictures that its camera takes."""
+
+    def __init__(self, simulation):
+        self.robot = simulation.spawn(ROBOT, pose=Pose((2.0, 0.1, 0.0)))
+        self.camera = next(one for one in self.robot.plugins if isinstance(one, Camera))
+        self.detector = MarkerDetector(DetectorSettings(ids=(0,)))
+        self.watch = MarkerWatch(self.camera, self.detector, "apriltag_36h10")
+        self.widths, take = [], self.camera.take
+
+        def noted(step):
+            self.widths.append(self.camera.camera.width)
+            return take(step)
+
+        self.camera.take = noted
+
+    def look(self):
+        """Return the corners of the marker that the watch finds."""
+        (marker,) = self.watch.look(0)
+        return marker.corners
+
+    def whole(self):
+        """Return the corners of the marker in a whole picture."""
+        (marker,) = self.detector.detect(grey(self.camera.take(0), "rgb8")).markers
+        self.widths.pop()
+        return marker.corners
+
+
+@pytest.fixture
+def watched():
+    with Simulation(read_world("docking"), 1) as simulation:
+        yield Watched(simulation)
+
+
+def test_a_part_shows_what_the_whole_picture_shows(watched):
+    for _ in range(6):
+        assert watched.look() == pytest.approx(watched.whole(), abs=0.05)
+    assert watched.widths[0] == watched.widths[5] == 640
+    assert max(watched.widths[1:5]) <= 192
+
+
+def test_a_part_follows_a_marker_that_moves_on(watched):
+    for turn in np.arange(4) * 0.04:
+        watched.robot.place(Pose.from_rpy((2.0, 0.1, 0.0), (0.0, 0.0, turn)))
+        assert watched.look() == pytest.approx(watched.whole(), abs=0.05)
+    assert max(watched.widths[-2:]) <= 192
+
+
+def test_a_marker_that_is_not_in_the_part_is_looked_for_in_the_whole_picture(watched):
+    watched.look()
+    watched.robot.place(Pose.from_rpy((2.0, 0.1, 0.0), (0.0, 0.0, 0.4)))
+    assert watched.look() == pytest.approx(watched.whole(), abs=0.05)
+    watched.robot.place(Pose.from_rpy((2.0, 0.1, 0.0), (0.0, 0.0, 3.0)))
+    assert watched.watch.look(0) == watched.watch.look(0) == ()
+    assert watched.widths[-1] == watched.widths[-2] == 640
