@@ -89,6 +89,8 @@ class Canvas:
             self.cameras.append(core.NodePath(core.Camera("camera")))
             buffer.make_display_region(*sides).set_camera(self.cameras[-1])
         buffer.set_active(False)
+        # A buffer that must exist as long as this one.
+        self.sharer: Any = None
         # Panda3D's own picture, and a numpy view of it.
         self._seen: tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
 
@@ -168,14 +170,26 @@ class Graphics:
             core, is_depth = panda3d(), samples == DEPTHS
             properties = core.FrameBufferProperties()
             properties.set_rgba_bits(*((32, 0, 0, 0) if is_depth else (8, 8, 8, 0)))
-            properties.set_depth_bits(32 if is_depth else 24)
             properties.set_float_color(is_depth)
-            properties.set_float_depth(is_depth)
+            properties.set_depth_bits(32)
+            properties.set_float_depth(True)
             properties.set_multisamples(samples if samples > 1 else 0)
             kept = self._target(core.Texture("picture"), properties, (width, height))
             kept.buffer.set_clear_color_active(True)
+            if samples > 1:
+                self._leave_depths(kept, properties)
         self._kept[(width, height, samples)] = kept
         return kept
+
+    def _leave_depths(self, target: Canvas, properties: Any) -> None:
+        """Let Panda3D average only the colours of a target's samples, not their depths.
+
+        It leaves out the depths that a buffer shares, unless its place in the order is 0.
+        """
+        target.sharer = self._buffer(properties, (target.size, target.buffer.get_y_size()))
+        target.buffer.share_depth_buffer(target.sharer)
+        target.buffer.set_sort(1)
+        self._with_context(self._engine.remove_window, target.sharer)
 
     def shadow_target(self, size: int, tiles: Size) -> Canvas:
         """Return a new target for columns and rows of square shadow maps; raise RendererError."""
