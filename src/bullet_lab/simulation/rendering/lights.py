@@ -267,7 +267,7 @@ class Lighting:
         """
         for position in self._positions:
             hulls = np.zeros((len(boxes), 16, 4))
-            hulls[:, :8] = np.insert(boxes, 3, 1.0, axis=2)
+            hulls[:, :8, :3], hulls[:, :8, 3] = boxes, 1.0
             hulls[:, 8:, :3] = position[3] * boxes - position[:3]
             yield hulls
 

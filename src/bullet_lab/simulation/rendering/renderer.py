@@ -271,11 +271,15 @@ def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
         return True
     local = (hulls[..., :3] - hulls[..., 3:] * pose.position) @ (pose * AHEAD).rotation_matrix()
     clip = np.concatenate((local, hulls[..., 3:]), axis=2) @ projection(shot).T
-    # Points beyond `near`, and those where an edge of the hull crosses it.
-    ahead = clip[..., 2] + clip[..., 3]
-    beyond, before = np.maximum(ahead, 0.0)[:, None, :, None], np.minimum(ahead, 0.0)
-    kept = beyond * clip[:, :, None] - (beyond > 0.0) * before[:, :, None, None] * clip[:, None]
     # A little wider than the view: shadows have soft edges.
-    edge = 1.01 * kept[..., 3:]
-    inside = np.concatenate((edge + kept[..., :2], edge - kept[..., :2]), axis=3) > 0.0
-    return bool(inside.any(axis=(1, 2)).all(axis=1).any())
+    edge = 1.01 * clip[..., 3:]
+    sides = np.concatenate((edge + clip[..., :2], edge - clip[..., :2]), axis=2)
+    # A side's distances of the points beyond `near`, and of those before it, by their distances
+    # from `near`: where the sum of two is positive, so is the point of their edge at `near`.
+    ahead = clip[..., 2:3] + clip[..., 3:]
+    ratios = sides / np.maximum(np.abs(ahead), 1e-12)
+    beyond, before = (
+        np.where(there, ratios, -np.inf).max(axis=1) for there in (ahead >= 0.0, ahead < 0.0)
+    )
+    inside = np.maximum(beyond, beyond + before) > 0.0
+    return bool(inside.all(axis=1).any())
