@@ -76,6 +76,5 @@ void main() {
   vec3 lit = ambient_light;
 LIGHTS
   vec4 paint = PAINT;
-  // Panda3D hands pixels out with blue first.
-  drawn = vec4(((exposure * lit * colour.rgb + given_off) * paint.rgb).bgr, colour.a * paint.a);
+  drawn = vec4((exposure * lit * colour.rgb + given_off) * paint.rgb, colour.a * paint.a);
 }

@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Mapping
 
+import cv2
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
@@ -151,7 +152,8 @@ class Renderer:
         background = np.clip(exposure * self._background, 0.0, 1.0)
         target = self._aimed(pose, shot, shot.samples, background)
         self._graphics.draw([*self._shadow_maps(pose, shot), target])
-        return target.pixels(np.uint8, 3)
+        # Panda3D gives blue first.
+        return cv2.cvtColor(target.pixels(np.uint8, 4), cv2.COLOR_BGRA2RGB)
 
     def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
         """Return the depth along the view at the centre of each pixel.
@@ -162,8 +164,7 @@ class Renderer:
         target = self._aimed(pose, shot, DEPTHS, np.zeros(3))
         self._graphics.draw([target])
         depths = target.pixels(np.float32, 1)[..., 0]
-        depths[depths == 0.0] = np.inf
-        return depths
+        return np.where(depths == 0.0, np.float32(np.inf), depths)
 
     def relight(self, world: World) -> None:
         """Use the lights of a world from now on."""
@@ -181,8 +182,7 @@ class Renderer:
     def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Canvas:
         self._update()
         target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
-        # Blue first: Panda3D returns red and blue exchanged.
-        target.buffer.set_clear_color((*background[::-1], 1.0))
+        target.buffer.set_clear_color((*background, 1.0))
         target.aim(self._root, self._states[samples], BITS[PICTURE], [projection(shot)])
         set_pose(target.cameras[0], pose * AHEAD)
         return target
