@@ -89,6 +89,8 @@ class Canvas:
             self.cameras.append(core.NodePath(core.Camera("camera")))
             buffer.make_display_region(*sides).set_camera(self.cameras[-1])
         buffer.set_active(False)
+        # A buffer that must exist as long as this one.
+        self.sharer: Any = None
         # Panda3D's own picture, and a numpy view of it.
         self._seen: tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
 
@@ -104,13 +106,13 @@ class Canvas:
             node.set_camera_mask(core.BitMask32.bit(bit))
 
     def pixels(self, kind: type, channels: int) -> np.ndarray:
-        """Return a copy of the result, (height, width, channels)."""
+        """Return the result, (height, width, channels), until the next picture."""
         image = self.texture.get_ram_image()
         # Panda3D uses the same memory again, and leaks 32 bytes with each view of it.
         if image != self._seen[0]:
             self._seen = (image, np.frombuffer(image, np.uint8))
         shape = (self.texture.get_y_size(), self.texture.get_x_size(), channels)
-        return self._seen[1].view(kind).reshape(shape).copy()
+        return self._seen[1].view(kind).reshape(shape)
 
 
 class Graphics:
@@ -165,23 +167,31 @@ class Graphics:
         if kept is None:
             if len(self._kept) >= KEPT_BUFFERS:
                 self.remove(self._kept.pop(next(iter(self._kept))))
-            core, is_depth = panda3d(), samples == DEPTHS
-            properties = core.FrameBufferProperties()
-            properties.set_rgba_bits(*((32, 0, 0, 0) if is_depth else (8, 8, 8, 0)))
-            properties.set_depth_bits(32 if is_depth else 24)
+            properties, is_depth = _properties(), samples == DEPTHS
+            properties.set_rgba_bits(*((32, 0, 0, 0) if is_depth else (8, 8, 8, 8)))
             properties.set_float_color(is_depth)
-            properties.set_float_depth(is_depth)
             properties.set_multisamples(samples if samples > 1 else 0)
-            kept = self._target(core.Texture("picture"), properties, (width, height))
+            kept = self._target(panda3d().Texture("picture"), properties, (width, height))
             kept.buffer.set_clear_color_active(True)
+            if samples > 1:
+                self._leave_depths(kept, properties)
         self._kept[(width, height, samples)] = kept
         return kept
+
+    def _leave_depths(self, target: Canvas, properties: Any) -> None:
+        """Let Panda3D average only the colours of a target's samples, not their depths.
+
+        It leaves out the depths that a buffer shares, unless its place in the order is 0.
+        """
+        target.sharer = self._buffer(properties, (target.size, target.buffer.get_y_size()))
+        target.buffer.share_depth_buffer(target.sharer)
+        target.buffer.set_sort(1)
+        self._with_context(self._engine.remove_window, target.sharer)
 
     def shadow_target(self, size: int, tiles: Size) -> Canvas:
         """Return a new target for columns and rows of square shadow maps; raise RendererError."""
         core = panda3d()
-        properties, texture = core.FrameBufferProperties(), core.Texture("shadow")
-        properties.set_depth_bits(24)
+        properties, texture = _properties(), core.Texture("shadow")
         # A look-up compares with a depth, and interpolates the results.
         texture.minfilter = texture.magfilter = core.SamplerState.FT_shadow
         texture.wrap_u = texture.wrap_v = core.SamplerState.WM_clamp
@@ -259,6 +269,14 @@ class Graphics:
                 if display:
                     self._current = (display, surface, surface, egl.eglGetCurrentContext())
                     egl.eglMakeCurrent(display, None, None, None)
+
+
+def _properties() -> Any:
+    """Return those of a buffer of depths; Mesa's software is fastest with floats."""
+    properties = panda3d().FrameBufferProperties()
+    properties.set_depth_bits(32)
+    properties.set_float_depth(True)
+    return properties
 
 
 @functools.lru_cache(maxsize=None)

@@ -45,6 +45,9 @@ BITS = {PICTURE: 0, STILL: 1, MOVING: 2}
 PIXEL = {STILL: 0.0025, MOVING: 0.006}
 SIZES = {STILL: (256, 512, 1024, 2048, 4096), MOVING: (64, 128, 256, 512)}
 SPOT_SIZE = {STILL: 2048, MOVING: 512}
+# So many lights hand their colour to the pixels as an output of the corners: Mesa's software reads
+# that many times as fast as a uniform. With more, the outputs may not suffice for all shadow maps.
+FLAT_LIGHTS = 2
 # The axes across and ahead in the maps of a point light.
 LAMP_AXES = np.eye(3)[np.array([[1, 2, 0], [0, 2, 1], [0, 1, 2]])]
 # A surface is lifted out of its own shadow by so many pixels of the map.
@@ -72,6 +75,9 @@ DECLARED = """uniform vec3 LIGHT_diffuse, LIGHT_specular, LIGHT_along, LIGHT_con
 uniform vec4 LIGHT_position, LIGHT_attenuation;
 INOUT float LIGHT_cosine;
 """
+# Of the first lights.
+FLAT_DECLARED = "flat INOUT vec3 LIGHT_flat_diffuse;\n"
+FLAT_LINE = "  LIGHT_flat_diffuse = LIGHT_diffuse;\n"
 MAP_DECLARED = """uniform sampler2DShadow LIGHT_MAP;
 uniform mat4 LIGHT_into_MAP;
 uniform float LIGHT_lift_MAP;
@@ -103,18 +109,22 @@ def picture_programs(lights: Sequence[Lit], paint: str) -> tuple[str, str]:
 
     The uniforms of the lights are named `light<number>_…`.
     """
-    declared = _each(lights, DECLARED, MAP_DECLARED)
+    first = lights[:FLAT_LIGHTS]
+    declared = _each(lights, DECLARED, MAP_DECLARED) + _each(first, FLAT_DECLARED)
     vertex, fragment = program_text("picture.vert"), program_text("picture.frag")
     vertex = vertex.replace("DECLARED", declared.replace("INOUT", "out"))
     fragment = fragment.replace("DECLARED", declared.replace("INOUT", "in"))
     for name, value in (("NEAREST", NEAREST), ("HALF_A_PIXEL", 0.5 / LAMP_SIZE)):
         fragment = fragment.replace(name, str(value))
-    vertex = vertex.replace("LIGHTS", _each(lights, CORNER_LINE, CORNER_MAP_LINE))
+    corner_lines = _each(lights, CORNER_LINE, CORNER_MAP_LINE) + _each(first, FLAT_LINE)
+    vertex = vertex.replace("LIGHTS", corner_lines)
     lines = _each(lights, "  lit += LIGHT_diffuse * TAKEN", "REACH", ";\n")
+    for number in range(len(first)):
+        lines = lines.replace(f"light{number}_diffuse", f"light{number}_flat_diffuse")
     return vertex, fragment.replace("LIGHTS", lines).replace("PAINT", PAINT[paint])
 
 
-def _each(lights: Sequence[Lit], of_light: str, of_map: str, end: str = "") -> str:
+def _each(lights: Sequence[Lit], of_light: str, of_map: str = "", end: str = "") -> str:
     """Return a text for each light, each with a text for each of its maps."""
     texts = ""
     for number, (kind, maps) in enumerate(lights):
@@ -257,7 +267,7 @@ class Lighting:
         """
         for position in self._positions:
             hulls = np.zeros((len(boxes), 16, 4))
-            hulls[:, :8] = np.insert(boxes, 3, 1.0, axis=2)
+            hulls[:, :8, :3], hulls[:, :8, 3] = boxes, 1.0
             hulls[:, 8:, :3] = position[3] * boxes - position[:3]
             yield hulls
 

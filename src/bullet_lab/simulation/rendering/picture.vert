@@ -2,6 +2,7 @@
 // Draws corners. lights.py fills in what is in capitals.
 uniform mat4 p3d_ModelViewProjectionMatrix, p3d_ModelMatrix, p3d_ViewMatrixInverse;
 uniform float exposure;
+uniform vec3 ambient;
 in vec4 p3d_Vertex;
 in vec3 p3d_Normal;
 in vec4 p3d_Color;
@@ -10,6 +11,7 @@ in vec3 glow;
 in float shine;
 out vec3 place, normal, given_off;
 flat out vec4 colour;
+flat out vec3 ambient_light;
 out vec2 picture;
 DECLARED
 // Where a corner is in a shadow map. A place that is a little above a surface does not lie in the
@@ -26,6 +28,7 @@ void main() {
   place = (p3d_ModelMatrix * p3d_Vertex).xyz;
   normal = mat3(p3d_ModelMatrix) * p3d_Normal;
   colour = p3d_Color;
+  ambient_light = ambient;
   given_off = exposure * glow;
   vec3 to_camera = normalize(p3d_ViewMatrixInverse[3].xyz - place);
   picture = p3d_MultiTexCoord0;

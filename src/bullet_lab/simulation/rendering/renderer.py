@@ -8,6 +8,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Mapping
 
+import cv2
 import numpy as np
 
 from bullet_lab.core.pinhole import PinholeCamera
@@ -151,7 +152,8 @@ class Renderer:
         background = np.clip(exposure * self._background, 0.0, 1.0)
         target = self._aimed(pose, shot, shot.samples, background)
         self._graphics.draw([*self._shadow_maps(pose, shot), target])
-        return target.pixels(np.uint8, 3)
+        # Panda3D gives blue first.
+        return cv2.cvtColor(target.pixels(np.uint8, 4), cv2.COLOR_BGRA2RGB)
 
     def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
         """Return the depth along the view at the centre of each pixel.
@@ -162,8 +164,7 @@ class Renderer:
         target = self._aimed(pose, shot, DEPTHS, np.zeros(3))
         self._graphics.draw([target])
         depths = target.pixels(np.float32, 1)[..., 0]
-        depths[depths == 0.0] = np.inf
-        return depths
+        return np.where(depths == 0.0, np.float32(np.inf), depths)
 
     def relight(self, world: World) -> None:
         """Use the lights of a world from now on."""
@@ -181,8 +182,7 @@ class Renderer:
     def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Canvas:
         self._update()
         target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
-        # Blue first: Panda3D returns red and blue exchanged.
-        target.buffer.set_clear_color((*background[::-1], 1.0))
+        target.buffer.set_clear_color((*background, 1.0))
         target.aim(self._root, self._states[samples], BITS[PICTURE], [projection(shot)])
         set_pose(target.cameras[0], pose * AHEAD)
         return target
@@ -271,11 +271,15 @@ def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
         return True
     local = (hulls[..., :3] - hulls[..., 3:] * pose.position) @ (pose * AHEAD).rotation_matrix()
     clip = np.concatenate((local, hulls[..., 3:]), axis=2) @ projection(shot).T
-    # Points beyond `near`, and those where an edge of the hull crosses it.
-    ahead = clip[..., 2] + clip[..., 3]
-    beyond, before = np.maximum(ahead, 0.0)[:, None, :, None], np.minimum(ahead, 0.0)
-    kept = beyond * clip[:, :, None] - (beyond > 0.0) * before[:, :, None, None] * clip[:, None]
     # A little wider than the view: shadows have soft edges.
-    edge = 1.01 * kept[..., 3:]
-    inside = np.concatenate((edge + kept[..., :2], edge - kept[..., :2]), axis=3) > 0.0
-    return bool(inside.any(axis=(1, 2)).all(axis=1).any())
+    edge = 1.01 * clip[..., 3:]
+    sides = np.concatenate((edge + clip[..., :2], edge - clip[..., :2]), axis=2)
+    # A side's distances of the points beyond `near`, and of those before it, by their distances
+    # from `near`: where the sum of two is positive, so is the point of their edge at `near`.
+    ahead = clip[..., 2:3] + clip[..., 3:]
+    ratios = sides / np.maximum(np.abs(ahead), 1e-12)
+    beyond, before = (
+        np.where(there, ratios, -np.inf).max(axis=1) for there in (ahead >= 0.0, ahead < 0.0)
+    )
+    inside = np.maximum(beyond, beyond + before) > 0.0
+    return bool(inside.all(axis=1).any())
