@@ -174,19 +174,14 @@ class Graphics:
             kept = self._target(panda3d().Texture("picture"), properties, (width, height))
             kept.buffer.set_clear_color_active(True)
             if samples > 1:
-                self._leave_depths(kept, properties)
+                # Panda3D then averages only the colours of samples: it leaves out the depths that
+                # a buffer shares, unless its place in the order is 0.
+                kept.sharer = self._buffer(properties, (width, height))
+                kept.buffer.share_depth_buffer(kept.sharer)
+                kept.buffer.set_sort(1)
+                self._with_context(self._engine.remove_window, kept.sharer)
         self._kept[(width, height, samples)] = kept
         return kept
-
-    def _leave_depths(self, target: Canvas, properties: Any) -> None:
-        """Let Panda3D average only the colours of a target's samples, not their depths.
-
-        It leaves out the depths that a buffer shares, unless its place in the order is 0.
-        """
-        target.sharer = self._buffer(properties, (target.size, target.buffer.get_y_size()))
-        target.buffer.share_depth_buffer(target.sharer)
-        target.buffer.set_sort(1)
-        self._with_context(self._engine.remove_window, target.sharer)
 
     def shadow_target(self, size: int, tiles: Size) -> Canvas:
         """Return a new target for columns and rows of square shadow maps; raise RendererError."""

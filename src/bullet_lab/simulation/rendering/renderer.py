@@ -38,8 +38,6 @@ from bullet_lab.simulation.rendering.lights import (
 from bullet_lab.simulation.world.description import Mesh, World
 from bullet_lab.simulation.world.meshes import file_version
 
-# With more hulls, checking whether any is in view takes too long.
-MOST_HULLS = 64
 # From axes with x ahead and z up to those of Panda3D's camera, y ahead and z up.
 AHEAD = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, -0.5 * math.pi))
 # Below this cosine between a surface's normal and the view, textures are filtered better and more
@@ -262,13 +260,11 @@ def projection(shot: Shot) -> np.ndarray:
 
 
 def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
-    """Return whether any of several convex hulls may be visible; True if in doubt.
+    """Return whether any of several convex hulls may be visible.
 
     Hulls are (n, m, 4): homogeneous points of each in the world, with a last value of 0 for
     directions. A hull is invisible if its part beyond `near` is outside one side of the view.
     """
-    if len(hulls) > MOST_HULLS:
-        return True
     local = (hulls[..., :3] - hulls[..., 3:] * pose.position) @ (pose * AHEAD).rotation_matrix()
     clip = np.concatenate((local, hulls[..., 3:]), axis=2) @ projection(shot).T
     # A little wider than the view: shadows have soft edges.
