@@ -1,15 +1,13 @@
-"""Tasks of a study on processes of this machine, or on the workers of a Dask scheduler."""
+"""Tasks of a study on processes of this machine."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import os
-import re
 import signal
 import threading
 from collections import Counter
-from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import connection, get_context, parent_process, resource_tracker
@@ -17,15 +15,12 @@ from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple
 
 import cv2
 
-from bullet_lab.core.parameters import checked, integer
+from bullet_lab.core.parameters import integer
 from bullet_lab.errors import LabError
 from bullet_lab.studies.study import Settings, Tell, UnfinishedError, progress
 
-SECONDS_FOR_SCHEDULER = 10.0
-SECONDS_FOR_WORKERS = 30.0
+# Number of processes that may die on a task; another task may have been the cause.
 LIVES = 3
-"""Number of processes that may die on a task; another task may have been the cause."""
-
 MOST_WORKERS = 1024
 
 _SPAWN = get_context("spawn")
@@ -40,7 +35,6 @@ If every process that ran the task has died, the result is a TaskLostError, whic
 """
 
 
-
 class TaskLostError(UnfinishedError):
     """Every process that ran a task has died."""
 
@@ -50,22 +44,6 @@ class WorkerSettings(Settings):
     """Number of processes on this machine."""
 
     workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
-
-
-def _address(value: Any) -> str:
-    # Dask would take other text for a host name, and log much about it.
-    if value and not re.fullmatch(r"\w+://\S+:\d+", value, re.ASCII):
-        raise ValueError
-    return value
-
-
-@dataclass(frozen=True)
-class ClusterSettings(WorkerSettings):
-    """Number of processes on this machine, or a scheduler of others."""
-
-    scheduler: str = checked(
-        "", "Dask scheduler to use instead", "an address such as tcp://host:8786", _address
-    )
 
 
 def this_process(task: Task, numbers: Sequence[int]) -> Results:
@@ -94,18 +72,16 @@ def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> list
     return [results[number] for number in range(count)]
 
 
-def workers(count: int = 0, scheduler: str = "") -> Run:
-    """Return a function that runs tasks.
+def workers(count: int = 0) -> Run:
+    """Return a function that runs tasks on processes of this machine.
 
     If a process dies, another one runs its task again. The function raises UnfinishedError if the
-    tasks cannot be run or no worker is left.
+    tasks cannot be run. The processes share nothing, and end with this one, however it ends.
 
     Args:
-        count: processes of this machine; 0 for one per core. They share nothing, and end with
-            this process, however it ends.
-        scheduler: address, such as tcp://host:8786, of a Dask cluster to use instead.
+        count: of processes; 0 for one per core.
     """
-    return partial(_on_dask, scheduler) if scheduler else partial(_on_processes, count)
+    return partial(_on_processes, count)
 
 
 def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
@@ -204,55 +180,3 @@ def _end_with_parent() -> None:
     parent: Any = parent_process()
     parent.join()
     os._exit(1)
-
-
-_TURN = threading.Lock()
-
-
-def _in_turn(task: Task, number: int) -> Any:
-    """Run a task while no other runs in this process: simulation and rendering need that."""
-    with _TURN:
-        cv2.setNumThreads(1)
-        return task(number)
-
-
-def _on_dask(scheduler: str, task: Task, numbers: Sequence[int]) -> Results:
-    """Run the tasks on the workers of a cluster, whose scheduler counts the lives of a task."""
-    from distributed import as_completed
-    from distributed.scheduler import KilledWorker
-
-    with _dask_client(scheduler) as client:
-        # Not pure: the scheduler must not reuse the results of another study.
-        futures = client.map(partial(_in_turn, task), numbers, pure=False)
-        number_of = dict(zip((future.key for future in futures), numbers))
-        for future in as_completed(futures, loop=client.loop):
-            try:
-                result = future.result()
-            except KilledWorker:
-                result = TaskLostError(_LOST)
-            except CancelledError:
-                raise UnfinishedError("the connection to the Dask scheduler is lost") from None
-            except Exception as error:  # of the task, or of a worker without the right libraries
-                raise UnfinishedError(_reason(error)) from error
-            yield number_of[future.key], result
-            future.release()
-
-
-@contextlib.contextmanager
-def _dask_client(scheduler: str) -> Iterator[Any]:
-    from distributed import Client, TimeoutError
-
-    # Errors are raised, so that its logs are not needed.
-    for name in ("distributed", *logging.root.manager.loggerDict):
-        if name.split(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-    try:
-        client = Client(scheduler, timeout=SECONDS_FOR_SCHEDULER, set_as_default=False)
-    except (OSError, ValueError, TimeoutError):
-        raise UnfinishedError(f"no Dask scheduler answers at {scheduler}") from None
-    with contextlib.closing(client):
-        try:
-            client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
-        except TimeoutError:
-            raise UnfinishedError(f"the Dask scheduler at {scheduler} has no workers") from None
-        yield client

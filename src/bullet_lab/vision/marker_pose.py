@@ -177,7 +177,7 @@ class _SquareFit(PoseFit):
         before, its covariance is too small by 15 to 30 %: it is right in the mean over the angles,
         not at each. Hence the prior: Student's t of both tilts, two degrees of freedom, as wide as
         the tilt that hardly shows. With it, the mean NEES (Bar-Shalom, Li and Kirubarajan 2001,
-        5.4) over 6 is 0.8 to 1.05 at distances of 0.5 to 10 m, tilts to 60° and noise of 1 px.
+        5.4) over 6 is 0.8 to 1.1 at distances of 0.5 to 10 m, tilts to 60° and noise of 1 px.
 
         Args:
             pose: its covariance is the inverse of the curvature.

@@ -53,7 +53,6 @@ REFUSED = [
     ("dock_campaign", "--worlds kitchen", "--worlds is 'kitchen'"),
     ("dock_campaign", "--lights candle", "--lights is 'candle'"),
     ("dock_campaign", "--odometry gps", "--odometry is 'gps'"),
-    ("dock_campaign", "--scheduler somewhere", "tcp://host:8786"),
     ("noise_study", "--levels -0.1", "it must be different numbers >= 0 and <= 10"),
     ("noise_study", "--rates 0", "--rates is '0': it must be different numbers > 0"),
     ("noise_study", "--models magic", "it must be different words of report"),

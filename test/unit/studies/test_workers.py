@@ -1,11 +1,9 @@
-"""Tasks on processes of this machine and on somebody else's cluster."""
+"""Tasks on processes of this machine."""
 
-import contextlib
 import functools
 import multiprocessing
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,16 +14,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bullet_lab.core.parameters import ParameterError
 from bullet_lab.errors import LabError
 from bullet_lab.studies.study import UnfinishedError
-from bullet_lab.studies.workers import (
-    LIVES,
-    ClusterSettings,
-    TaskLostError,
-    run_tasks,
-    workers,
-)
+from bullet_lab.studies.workers import LIVES, TaskLostError, run_tasks, workers
 
 PATIENCE = 300.0
 """Longest that anything here takes, s, on whatever machine."""
@@ -76,41 +67,12 @@ def interrupting(folder, number):
     endless(folder, number)
 
 
-BUSY = threading.Lock()
-
-
-def overlapping(number):
-    """Whether another task runs in this process at the same time."""
-    alone = BUSY.acquire(blocking=False)
-    # Others would begin by then.
-    time.sleep(0.05)
-    if alone:
-        BUSY.release()
-    return not alone
-
-
 @pytest.fixture(autouse=True, scope="module")
 def ctrl_c():
     # Whoever runs the tests may have told this process to pass over it.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
-
-
-@contextlib.contextmanager
-def in_process_cluster(workers, **options):
-    # Every worker process imports this file, and nearly none needs Dask.
-    import dask
-    from distributed import LocalCluster
-
-    address = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
-    # Dask would leave a folder in the system's directory for temporary files.
-    with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory())
-        stack.enter_context(dask.config.set(temporary_directory=folder))
-        yield stack.enter_context(
-            LocalCluster(n_workers=workers, processes=False, **address, **options)
-        )
 
 
 def test_without_numbers_there_are_no_results():
@@ -208,47 +170,3 @@ def test_killed_it_leaves_no_worker_and_no_file(tmp_path):
     _, alive = psutil.wait_procs(children, timeout=PATIENCE)
     assert alive == []
     assert list(temporary.iterdir()) == []
-
-
-# ---- Elsewhere ----
-
-
-def test_a_cluster_of_somebody_else():
-    with in_process_cluster(1, threads_per_worker=2) as cluster:
-        run = workers(scheduler=cluster.scheduler_address)
-        assert dict(run(square, range(9))) == {n: n * n for n in range(9)}
-        assert not any(dict(run(overlapping, range(6))).values())
-        # It is not ours to end.
-        assert len(cluster.scheduler.workers) == 1
-
-
-def test_a_cluster_that_goes_away_is_an_error(monkeypatch):
-    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_SCHEDULER", PATIENCE)
-    with in_process_cluster(1) as cluster:
-        results = workers(scheduler=cluster.scheduler_address)(square, range(100))
-        next(results)
-        cluster.close()
-        with pytest.raises(UnfinishedError, match="connection to the Dask scheduler is lost"):
-            list(results)
-
-
-@pytest.mark.parametrize("scheduler", ["somewhere", "tcp://", "tcp://host", "127.0.0.1:8786"])
-def test_what_is_no_address_is_refused(scheduler):
-    with pytest.raises(ParameterError, match="tcp://host:8786"):
-        ClusterSettings(scheduler=scheduler)
-    assert ClusterSettings(scheduler="tcp://host:8786").scheduler == "tcp://host:8786"
-
-
-def test_nobody_at_the_address(monkeypatch):
-    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_SCHEDULER", 0.5)
-    with contextlib.closing(socket.socket()) as taken:
-        taken.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(UnfinishedError, match="no Dask scheduler answers"):
-            list(workers(scheduler=address)(square, [1]))
-
-
-def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr("bullet_lab.studies.workers.SECONDS_FOR_WORKERS", 0.5)
-    with in_process_cluster(0) as cluster, pytest.raises(UnfinishedError, match="no workers"):
-        list(workers(scheduler=cluster.scheduler_address)(square, [1]))

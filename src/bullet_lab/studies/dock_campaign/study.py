@@ -2,7 +2,6 @@
 
 Example:
     bullet_lab dock_campaign n:=200 seed:=1
-    bullet_lab dock_campaign scheduler:=tcp://host:8786
     bullet_lab dock_campaign stress:=each
 """
 
@@ -49,7 +48,7 @@ from bullet_lab.studies.study import (
     run_from,
     write_results,
 )
-from bullet_lab.studies.workers import ClusterSettings, Run, TaskLostError, workers
+from bullet_lab.studies.workers import Run, TaskLostError, WorkerSettings, workers
 
 MOST_DOCKINGS = 1_000_000
 
@@ -201,7 +200,7 @@ def run_each(
 def _run(
     folder: Path,
     settings: DockCampaignSettings,
-    cluster: ClusterSettings,
+    work: WorkerSettings,
     comparison: ComparisonSettings,
     tell: Tell,
 ) -> list[str]:
@@ -211,7 +210,7 @@ def _run(
         if EACH in settings.stress:
             raise ParameterError("beside: it takes the campaign under one stress, not under each")
         read_log(Path(comparison.beside))
-    run = workers(cluster.workers, cluster.scheduler)
+    run = workers(work.workers)
     if EACH in settings.stress:
         return run_each(folder, settings, run, tell=tell)
     lines = describe(run_campaign(folder, settings, run, tell=tell))
@@ -220,5 +219,5 @@ def _run(
     return lines
 
 
-SETTINGS = (DockCampaignSettings, ClusterSettings, ComparisonSettings)
+SETTINGS = (DockCampaignSettings, WorkerSettings, ComparisonSettings)
 main = functools.partial(run_from, "dock_campaign", __doc__, SETTINGS, _run)
