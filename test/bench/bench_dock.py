@@ -12,7 +12,7 @@ import resource
 import tempfile
 from pathlib import Path
 
-LEAST_FACTOR = 18.0
+LEAST_FACTOR = 25.0
 
 
 def of_children() -> float:
