@@ -15,6 +15,8 @@
 #   processors        which results have other bits on an older processor
 #   view              cost of the view in a browser: --robots N, --seconds S, --rounds N
 # Prints a table and writes results/bench/bridge.json, noise.json and so on. Not part of the tests.
+# --flame as the first option: py-spy looks 100 times a second in which functions all processes are,
+# and draws bridge.svg and so on beside the JSON. The table's figures are somewhat worse then.
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
@@ -38,4 +40,10 @@ if [[ ! -f $program ]]; then
 fi
 "$LAB_ROOT/scripts/setup.sh" --with test
 enter_lab
-exec python "$program" "results/bench/$bench.json" "$@"
+watch=()
+if [[ ${1-} == --flame ]]; then
+  shift
+  mkdir -p results/bench
+  watch=(py-spy record --subprocesses --nonblocking --function -o "results/bench/$bench.svg" --)
+fi
+exec "${watch[@]}" python "$program" "results/bench/$bench.json" "$@"
