@@ -8,7 +8,6 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from numpy import ndarray
-from scipy.special import ndtr
 
 from bullet_lab.vision.images import UNIT_SQUARE, homography, unmapped
 
@@ -25,7 +24,7 @@ _SEEN = 3.0
 _FAR = 5
 _FINE = 512
 _TABLE = np.linspace(-_FAR, _FAR, 2 * _FAR * _FINE + 1)
-_BELOW = ndtr(_TABLE)
+_BELOW = np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in _TABLE.tolist()])
 _DENSITY = np.exp(-0.5 * _TABLE**2) / np.sqrt(2.0 * np.pi)
 
 

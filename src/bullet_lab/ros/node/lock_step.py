@@ -212,6 +212,13 @@ def time_held_at(when: rospy.Time) -> Iterator[None]:
     _leave()
 
 
+def grant(until: rospy.Time) -> None:
+    """In lock step, let time advance up to a moment; do nothing if the bridge does not answer."""
+    if in_lock_step():
+        with contextlib.suppress(NodeError, rospy.ROSInterruptException):
+            member().advance(until)
+
+
 def _leave() -> None:
     wait_until(publishers_know_this_node, "the publishers to connect to this node")
     member().leave()

@@ -10,6 +10,7 @@ from nav_msgs.msg import Odometry
 from bullet_lab.core.figures import new_figure
 from bullet_lab.core.files import FileError, PathSeries
 from bullet_lab.reports import Report
+from bullet_lab.ros.node.lock_step import END_OF_TIME
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import recorder
 from bullet_lab.ros.record.plots import PlotParameters, plot
@@ -110,6 +111,18 @@ def test_what_cannot_be_used_is_counted_and_the_end_is_where_it_was_announced(
     assert summary["sim_time_s"] == pytest.approx(0.1)
     assert rows == 3
     assert (tmp_path / "path.png").is_file()
+
+
+def test_time_stands_still_while_the_figures_are_drawn(tmp_path, receive, record, monkeypatch):
+    def grant(until):
+        granted.append((until, (tmp_path / "summary.json").exists()))
+
+    granted = []
+    monkeypatch.setattr(recorder, "grant", grant)
+    recording = record()
+    receive["over"](end_at(1))
+    recording.run()
+    assert granted == [(rospy.Time(0), False), (END_OF_TIME, True)]
 
 
 def test_an_end_that_nothing_comes_up_to_is_one_all_the_same(
