@@ -430,7 +430,8 @@ def test_the_known_plugins_are_named_once(caplog):
         simulation.add(model)
         simulation.add(model, "another")
     first, second = caplog.messages
-    what = "2 plugins are not simulated and skipped (libfly.so, libswim.so)"
+    listed = "2 plugins are not simulated and skipped (libfly.so, libswim.so)"
+    what = f"{listed}; no other plugin moves the model"
     assert first.startswith(f"model 'm': {what}; known are lib")
     assert second == f"model 'another': {what}"
 
