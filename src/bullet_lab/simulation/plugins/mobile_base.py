@@ -236,8 +236,7 @@ class ForceBasedMove(PlanarMove):
     """Pushes the robot towards the commanded velocity; otherwise as planar_move.
 
     A force and a torque act on its first link, in proportion to the velocity that is missing. So
-    it falls, leans and slides as other bodies do, and its wheels should have no friction. The
-    odometry counts from where the robot was spawned or last reset.
+    it falls, leans and slides as other bodies do, and its wheels should have no friction.
     """
 
     filenames = (
@@ -267,14 +266,6 @@ class ForceBasedMove(PlanarMove):
         left = self._left * (cosine * y - sine * x)
         pushes = _in_world(ahead, left, self._turn * (angular[2] - spin[2]), place.quaternion)
         self._body.push(self._body.links[0].name, *pushes, place.position)
-
-    def reset(self, step: int) -> None:
-        self._start = Pose()
-        self._start = self._pose().inverse()
-        super().reset(step)
-
-    def _pose(self) -> Pose:
-        return self._start * super()._pose()
 
 
 def _in_world(

@@ -59,10 +59,10 @@ def test_copies_forget_a_command_and_may_send_no_transform(world, name):
     assert [output.topic for output in plugin.outputs] == ["odom"]
 
 
-def test_odometry_counts_from_where_it_was_spawned(world):
+def test_odometry_is_the_true_pose(world):
     robot = world.add(slider(), "", Pose.from_rpy((3.0, 2.0, 0.0), (0.0, 0.0, 1.0)))
     samples = record(robot, "odom")
     drive(world, robot, 2.0, vx=0.2)
     x, y, _ = samples[-1].pose.position
-    assert (x, y) == pytest.approx((0.4, 0.0), abs=0.02)
+    assert (x, y) == pytest.approx((3.0 + 0.4 * math.cos(1.0), 2.0 + 0.4 * math.sin(1.0)), abs=0.02)
     assert samples[-1].velocity.vx == pytest.approx(0.2, abs=1e-3)
