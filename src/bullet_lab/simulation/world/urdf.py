@@ -184,7 +184,8 @@ def _model(root: UrdfTag) -> Model:
             if material.element.find("color") is not None:
                 colours[material.name] = material.colour()
     for child in (*element, *element.iterfind("link/*")):
-        if child.tag not in ROBOT_PARTS + LINK_PARTS:
+        # Others have a namespace, as xacro's own.
+        if "}" not in child.tag and child.tag not in ROBOT_PARTS + LINK_PARTS:
             why = f"if it is a macro of xacro, it is called <xacro:{child.tag}>"
             root.document.report(f"{source}: <{child.tag}> is not known and left out; {why}")
     links = tuple(_link(root.named(link), colours) for link in element.findall("link"))
