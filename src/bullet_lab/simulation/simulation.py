@@ -36,7 +36,6 @@ from bullet_lab.simulation.plugins import (
     Mount,
     Plugin,
     kind_of,
-    known_plugins,
     namespace_of,
 )
 from bullet_lab.simulation.plugins.missing import skipped_line
@@ -99,7 +98,6 @@ class Simulation:
         self._timers: list[Timer] = []
         self._on_failure: Callable[[str, LabError], None] | None = None
         self.forces = Forces()
-        self._has_listed_plugins = False
         # Wall time (s) of the last warning that a model was reset, by its name.
         self._warned_of_reset: dict[str, float] = {}
         for model in self.world.models:
@@ -407,9 +405,7 @@ class Simulation:
             for unread in plugin.mount.unread_tags():
                 LOG.warning("%s is not known and skipped", plugin.mount.where(unread))
         if skipped:
-            known = "" if self._has_listed_plugins else f"; known are {', '.join(known_plugins())}"
-            self._has_listed_plugins = True
-            LOG.warning("%s%s", skipped_line(model.name, skipped, plugins), known)
+            LOG.warning("%s", skipped_line(model.name, skipped, plugins))
         return tuple(plugins)
 
 

@@ -44,7 +44,7 @@ TAG_ROW = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
 
 # Of other packages than gazebo_ros_pkgs, or not in the contract: test/unit/simulation/plugins
 # compares them with closed forms.
-WITHOUT_ROWS = re.compile("velodyne|block_laser|multicamera|triggered|kobuki|tricycle")
+WITHOUT_ROWS = re.compile("velodyne|block_laser|multicamera|triggered|kobuki|tricycle|force_based")
 
 
 PLUGINS = [

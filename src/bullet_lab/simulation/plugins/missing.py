@@ -19,7 +19,9 @@ PHYSICS = {
     "slip of wheels": "wheel_?slip",
     "tracks": "track(ed)?_?vehicle",
     "a harness": "harness",
-    "grasping": "gripper|grasp|vacuum",
+    "grasping": "gripper|grasp|vacuum|sticky",
+    "a framework of its own for joints": "fetch_gazebo|ros_controller_manager|baxter_gazebo",
+    "motion of an obstacle (docs/plugins/path.md has one)": "obstacle",
 }
 
 
@@ -42,5 +44,6 @@ def skipped_line(model: str, tags: Sequence[PluginTag], others: Iterable[Plugin]
         what = f"{len(tags)} plugins are not simulated and skipped ({', '.join(counted)})"
     needs = missing_physics(files)
     drives = any(plugin.acts and not isinstance(plugin, Sensor) for plugin in others)
-    idle = "" if drives else ", and no other plugin moves the model"
-    return f"model '{model}': {what}" + (f"; missing: {', '.join(needs)}{idle}" if needs else "")
+    missing = f"; missing: {', '.join(needs)}" if needs else ""
+    idle = "" if drives else "; no other plugin moves the model"
+    return f"model '{model}': {what}{missing}{idle}"

@@ -1,6 +1,7 @@
-"""Robots that take velocity commands and send odometry: the base, and planar_move.
+"""Robots that take velocity commands and send odometry: the base, planar_move and force_based_move.
 
-libgazebo_ros_planar_move.so. The drives on wheels are in `wheel_drives`.
+libgazebo_ros_planar_move.so, libgazebo_ros_force_based_move.so and copies of the latter. The drives
+on wheels are in `wheel_drives`.
 """
 
 from __future__ import annotations
@@ -182,8 +183,7 @@ class PlanarMove(MobileBase):
             vx, vy, wz = self._patch.slow_down(vx, vy, wz, self._load_now(height), STEP_SECONDS)
         if self._turned:
             quaternion = self._body.pose().quaternion
-        cosine, sine = heading_of(quaternion)
-        self._set_velocity((cosine * vx - sine * vy, sine * vx + cosine * vy, 0.0), (0.0, 0.0, wz))
+        self._set_velocity(*_in_world(vx, vy, wz, quaternion))
 
     def _load_now(self, height: float) -> float:
         """Return the load (N) on the floor, with the centre of mass at a height (m)."""
@@ -198,10 +198,8 @@ class PlanarMove(MobileBase):
     def _commanded_velocity(self) -> tuple[Vector, Vector]:
         """Return the velocity that the body gets before friction acts, in the world."""
         command = STANDSTILL if self._now >= self._expires else self._command
-        cosine, sine = heading_of(self._body.pose().quaternion)
-        ahead, left = command.vx, command.vy
-        linear = (cosine * ahead - sine * left, sine * ahead + cosine * left, 0.0)
-        return linear, (0.0, 0.0, command.wz)
+        quaternion = self._body.pose().quaternion
+        return _in_world(command.vx, command.vy, command.wz, quaternion)
 
     def produce(self, step: int) -> None:
         pose = self._pose()
@@ -232,6 +230,50 @@ class PlanarMove(MobileBase):
         return PlanarCommand(
             (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
         )
+
+
+class ForceBasedMove(PlanarMove):
+    """Pushes the robot towards the commanded velocity; otherwise as planar_move.
+
+    A force and a torque act on its first link, in proportion to the velocity that is missing. So
+    it falls, leans and slides as other bodies do, and its wheels should have no friction.
+    """
+
+    filenames = (
+        "libgazebo_ros_force_based_move.so",
+        "libridgeback_ros_force_based_move.so",
+        "libnexus_ros_force_based_move.so",
+    )
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        # N for each m/s ahead and to the left; N m for each rad/s.
+        self._ahead = mount.number("x_velocity_p_gain", 1e4)
+        self._left = mount.number("y_velocity_p_gain", 1e4)
+        self._turn = mount.number("yaw_velocity_p_gain", 100.0)
+        self._timeout = STEPS_PER_SECOND * mount.number("cmdVelTimeOut", 1e6)
+        if not mount.boolean("publishOdometryTf", True):
+            self.outputs = (self.odometry,)
+        self._body.commanded_velocity = None
+        self._set_velocity = self._push
+
+    def _push(self, linear: Vector, angular: Vector) -> None:
+        """Push towards a velocity in the world (m/s, rad/s)."""
+        place, (now, spin) = self._body.com_pose(), self._body.velocity()
+        cosine, sine = heading_of(place.quaternion)
+        x, y = linear[0] - now[0], linear[1] - now[1]
+        ahead = self._ahead * (cosine * x + sine * y)
+        left = self._left * (cosine * y - sine * x)
+        pushes = _in_world(ahead, left, self._turn * (angular[2] - spin[2]), place.quaternion)
+        self._body.push(self._body.links[0].name, *pushes, place.position)
+
+
+def _in_world(
+    ahead: float, left: float, wz: float, quaternion: tuple[float, ...]
+) -> tuple[Vector, Vector]:
+    """Return velocities or forces of a robot, linear and angular, turned into the world."""
+    cosine, sine = heading_of(quaternion)
+    return (cosine * ahead - sine * left, sine * ahead + cosine * left, 0.0), (0.0, 0.0, wz)
 
 
 def _support_patch(mount: Mount) -> SupportPatch | None:

@@ -154,7 +154,7 @@ class JointSample:
 
     step: int
     names: tuple[str, ...]
-    positions: tuple[float, ...]
+    positions: tuple[float, ...] = ()
     velocities: tuple[float, ...] = ()
     efforts: tuple[float, ...] = ()
     # Joints have no frame, but a Kobuki names one.

@@ -157,9 +157,17 @@ class ResourceFinder:
         return _search(folders, path, uri)
 
     def _absolute(self, uri: str, path: Path) -> Path:
-        """Allow an absolute path only below the document, a model folder or a ROS package."""
+        """Allow an absolute path only below the document, a model folder or a ROS package.
+
+        One of another machine, as in worlds that were saved there, is searched in the package here
+        that has the name of a folder in it.
+        """
         if any(is_below(path, root) for root in (*self._models, *self._own, *_package_above(path))):
             return _existing(path, uri)
+        for holder in path.parents:
+            package = ros_package_folder(holder.name)
+            if package is not None:
+                return _search((package,), str(path.relative_to(holder)), uri)
         raise ResourceError(f"'{uri}': outside the folders of the document and of all packages")
 
 

@@ -59,6 +59,9 @@ SENSOR_DIGITS = 6
 # Stands between the names of a link and of a shape that had another name.
 LUMP = "_fixed_joint_lump__"
 SIMULATED_JOINTS = ("fixed", "revolute", "continuous", "prismatic")
+# The elements of a robot and of a link.
+ROBOT_PARTS = ("link", "joint", "gazebo", "material", "transmission")
+LINK_PARTS = ("inertial", "visual", "collision")
 # Gazebo makes no joint of these: their child links are free.
 LOOSE_JOINTS = ("floating", "planar")
 
@@ -180,6 +183,11 @@ def _model(root: UrdfTag) -> Model:
         with leaving_out(root.document.report):
             if material.element.find("color") is not None:
                 colours[material.name] = material.colour()
+    for child in (*element, *element.iterfind("link/*")):
+        # Others have a namespace, as xacro's own.
+        if "}" not in child.tag and child.tag not in ROBOT_PARTS + LINK_PARTS:
+            why = f"if it is a macro of xacro, it is called <xacro:{child.tag}>"
+            root.document.report(f"{source}: <{child.tag}> is not known and left out; {why}")
     links = tuple(_link(root.named(link), colours) for link in element.findall("link"))
     joints = tuple(_joint(root.named(joint)) for joint in element.findall("joint"))
     check_tree(links, joints, source)

@@ -71,6 +71,9 @@ controller_manager_msgs:
   ReloadControllerLibraries: 40e8c411fd1797d2e2c486018f846040
   SwitchController: b29a7abc673b2c54c14b54e50f8d06a5
   UnloadController: 647e5c54b8d6468952d8d31f1efe96c0
+ackermann_msgs:
+  AckermannDrive: 3512e91b48d69674a0e86fadf1ea8231
+  AckermannDriveStamped: 1fd5d7f58889cefd44d29f6653240d0c
 # For Noetic.
 kobuki_msgs:
   BumperEvent: ffe360cd50f14f9251d9844083e72ac5

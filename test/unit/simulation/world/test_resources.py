@@ -78,8 +78,18 @@ def test_what_may_not_be_found_is_one_line(finder, uri, message):
 
 def test_absolute_paths_do_not_leave_by_dots_or_links(finder, files):
     for path in ("pkg/../secret/s.stl", "pkg/meshes/link.stl", "secret/s.stl"):
-        with pytest.raises(ResourceError, match="outside the folders"):
+        with pytest.raises(ResourceError, match="outside the folders|leaves its folder"):
             finder.find(f"{files}/{path}")
+
+
+@pytest.mark.parametrize("scheme", ["", "file://"])
+def test_a_path_of_another_machine_is_searched_in_the_package_that_it_names(finder, files, scheme):
+    elsewhere = f"{scheme}/home/student/catkin_ws/src/pkg"
+    assert finder.find(f"{elsewhere}/urdf/a.urdf") == files / "pkg/urdf/a.urdf"
+    with pytest.raises(ResourceError, match="no such file .*pkg/meshes/nix.stl"):
+        finder.find(f"{elsewhere}/meshes/nix.stl")
+    with pytest.raises(ResourceError, match="leaves its folder"):
+        finder.find(f"{elsewhere}/../../secret/s.stl")
 
 
 def test_a_text_lies_in_no_folder(files):

@@ -3,7 +3,6 @@ from shared import PACKAGE, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Attenuation, Cone, Light, Mesh, Plane
 from bullet_lab.simulation.world.sdf import DEFAULT_COLOUR, read_spawned, read_world_file
 
@@ -421,18 +420,6 @@ def test_worlds(read_world, tmp_path, caplog):
         f"{path}: <world>: plugin 'wind' (libwind.so) is not simulated",
         f"{path}: <world>: <road> is not simulated",
     ]
-
-
-def test_the_known_plugins_are_named_once(caplog):
-    plugins = "".join(f'<plugin name="{n}" filename="lib{n}.so"/>' for n in ("fly", "swim"))
-    model = read_spawned(model_text(model=plugins), "text")
-    with Simulation() as simulation:
-        simulation.add(model)
-        simulation.add(model, "another")
-    first, second = caplog.messages
-    what = "2 plugins are not simulated and skipped (libfly.so, libswim.so)"
-    assert first.startswith(f"model 'm': {what}; known are lib")
-    assert second == f"model 'another': {what}"
 
 
 def test_a_model_that_is_included_often_is_told_of_once(read_world, save_model, caplog):

@@ -123,6 +123,16 @@ def test_joints():
     assert plain.axis == (1, 0, 0)
 
 
+def test_what_xacro_has_not_expanded_is_named_once(caplog):
+    link = f'<link name="a">{INERTIAL}<box_inertia mass="1"/><collision><geometry>'
+    shape = '<box size="1 1 1"/></geometry></collision></link>'
+    read_urdf(robot(f'<my_body/>{link}{shape}<my_body/><x:a xmlns:x="n"/>'), "text")
+    left_out = "text: <{0}> is not known and left out; if it is a macro of xacro, it is called"
+    assert caplog.messages == [
+        f"{left_out} <xacro:{{0}}>".format(name) for name in ("my_body", "box_inertia")
+    ]
+
+
 def test_plugins_stand_in_gazebo_tags_and_in_their_sensors():
     text = robot(
         '<link name="a"/>'

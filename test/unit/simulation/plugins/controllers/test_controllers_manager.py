@@ -32,6 +32,14 @@ def test_joint_states_of_some_joints_and_of_some_that_nobody_reads(world, manage
     assert (samples[-1].positions[1], samples[-1].efforts[1]) == (0.3, 2.0)
 
 
+def test_joint_states_of_a_robot_whose_joints_have_no_known_transmission_are_empty(world):
+    _, manager = spawn(world, interface="own/Interface", turntable="own/Interface")
+    controller = run(manager, "states", publish_rate=50, **STATES)
+    samples = listen(controller.states)
+    world.run_for(0.1)
+    assert (samples[-1].names, samples[-1].positions) == ((), ())
+
+
 @pytest.mark.parametrize("told", [{}, {"publish_rate": 50, "joints": ["tail"]}])
 def test_joint_states_that_cannot_be(manager, told):
     with pytest.raises(ControlError, match=r"publish_rate is missing|no joint 'tail'"):
