@@ -183,7 +183,7 @@ def mean_side(quads: ndarray) -> ndarray:
     >>> float(mean_side(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0]])))
     2.0
     """
-    return lengths_of(quads[..., NEXT, :] - quads).mean(axis=-1)
+    return 0.25 * lengths_of(quads[..., NEXT, :] - quads).sum(axis=-1)
 
 
 def homography(corners: ndarray) -> ndarray:
@@ -193,16 +193,17 @@ def homography(corners: ndarray) -> ndarray:
     >>> homography(corners) @ [0.5, 0.5, 1.0]
     array([3., 2., 1.])
     """
-    first, second, third, fourth = np.moveaxis(corners, (-2, -1), (0, 1))
-    rest = first - second + third - fourth
+    first, second, third, fourth = (corners[..., k, :] for k in range(4))
     right, left = second - third, fourth - third
-    determinant = right[0] * left[1] - left[0] * right[1]
-    by_x = (rest[0] * left[1] - left[0] * rest[1]) / determinant
-    by_y = (right[0] * rest[1] - rest[0] * right[1]) / determinant
-    x_column = second - first + by_x * second
-    y_column = fourth - first + by_y * fourth
-    columns = ((*x_column, by_x), (*y_column, by_y), (*first, np.ones_like(by_x)))
-    return np.ascontiguousarray(np.moveaxis(np.array(columns), (0, 1), (-1, -2)))
+    rest = first - second - left
+    determinant = cross(right, left)
+    to_image = np.ones((*corners.shape[:-2], 3, 3))
+    to_image[..., 2, 0] = by_x = cross(rest, left) / determinant
+    to_image[..., 2, 1] = by_y = cross(right, rest) / determinant
+    to_image[..., :2, 0] = second - first + by_x[..., None] * second
+    to_image[..., :2, 1] = fourth - first + by_y[..., None] * fourth
+    to_image[..., :2, 2] = first
+    return to_image
 
 
 def mapped(places: ndarray, to_image: ndarray) -> ndarray:

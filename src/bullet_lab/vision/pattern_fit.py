@@ -8,6 +8,7 @@ out.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Tuple
 
@@ -267,7 +268,7 @@ class _Linearised:
         of_light = self._columns_of_light()
         columns, levels = pixels.seen(of_light, shared, value), pixels.seen_levels(value)
         if light is None:
-            light = _Equations(columns, levels, np.ones(columns.shape[1])).solution()
+            light = _Equations(_squares_of(columns, levels)).solution()
         self.light = light
         self.residuals = levels - light @ columns
         if pixels.flooded is None:
@@ -291,12 +292,15 @@ class _Linearised:
     def _weigh(self, contrast: ndarray, spread: ndarray) -> None:
         """Find the pixels that are the marker's, and the residuals' weights."""
         pixels, model = self.pixels, self.model
-        self._steepness = pixels.own(model.steepness(contrast))
-        self._beyond = pixels.own(model.beyond(contrast))
+        margin, steepness = model.margin(), pixels.own(model.steepness(contrast))
+        self._steep = steepness > _median(steepness)
+        slope = _median(steepness[self._steep]) if self._steep.any() else 1.0
+        self._steeper = np.square(steepness / max(slope, 1e-9))
+        self._beyond = np.square(pixels.own(model.beyond(contrast, margin)))
         noise = self.noise(self.residuals)
         # Blur brings in what lies beyond the quiet zone.
         reach = 2.0 * math.sqrt(max(spread[:2])) + _BLURRED_IN
-        own = pixels.own((model.margin() > reach) | (model.outside() < LEAST_AROUND))
+        own = pixels.own((margin > reach) | (model.outside() < LEAST_AROUND))
         self.own = own & pixels.valid
         shown = _shown(pixels, model.value, contrast, noise)
         weights = shown * _tukey(self.residuals / noise) / (noise * noise)
@@ -309,17 +313,15 @@ class _Linearised:
         the model does not know, such as an edge that was drawn from few samples; and where blur
         brings in what is beyond the quiet zone.
         """
-        sizes, valid = np.abs(residuals), self.pixels.valid
-        steep = self._steepness > _median(self._steepness)
-        even = _scale(sizes[valid & ~steep])
-        more = max(0.0, _scale(sizes[valid & steep]) ** 2 - even * even)
-        slope = _median(self._steepness[steep]) if steep.any() else 1.0
-        steeper = self._steepness / max(slope, 1e-9)
-        return np.sqrt(even * even + more * steeper * steeper + self._beyond * self._beyond)
+        sizes, valid, steep = np.abs(residuals), self.pixels.valid, self._steep
+        even = _scale(sizes[valid & ~steep]) ** 2
+        more = max(0.0, _scale(sizes[valid & steep]) ** 2 - even)
+        return np.sqrt(even + more * self._steeper + self._beyond)
 
     def step(self) -> ndarray:
         """Return the step (m,) of least squares."""
-        equations = _Equations(self.columns, self.residuals, self.weights, _BLUR_PRIOR)
+        squares = _squares_of(self.columns, self.residuals, np.sqrt(self.weights))
+        equations = _Equations(squares, _BLUR_PRIOR)
         equations.right[_BEND] -= _BLUR_PRIOR[_BEND] * self._bend
         return equations.solution()
 
@@ -343,42 +345,45 @@ def _shown(pixels: Pixels, value: ndarray, contrast: ndarray, noise: ndarray) ->
 class _Judged:
     """The residuals after the last step, and how certain they make the corners.
 
-    Residuals and columns are in standard deviations of the noise.
+    `_rows` (m + 1, n) are the columns and the residuals, in standard deviations of the noise; 0 for
+    pixels that do not match the pattern.
     """
 
     def __init__(self, linear: _Linearised, step: ndarray, corners: ndarray):
         residuals = linear.residuals - step @ linear.columns
         noise = linear.noise(residuals)
         used = linear.own & (linear.weights > 0.0)
-        self._residuals = np.where(used, residuals / noise, _TUKEY)
-        self._columns = linear.columns / noise
-        self._own = np.abs(self._residuals) < _OUTLYING
+        own = used & (np.abs(residuals) < _OUTLYING * noise)
+        self._count = np.count_nonzero(own)
+        self._rows = np.concatenate((linear.columns, residuals[None])) * (own / noise)
+        self._equations = _Equations(cv2.mulTransposed(self._rows, False), _BLUR_PRIOR)
         self._linear, self._corners = linear, corners
 
     def fit(self) -> PatternFit | None:
         """Return the fit with its covariance, or None if the pattern explains too few pixels."""
         pixels, to_corners = self._linear.pixels, self._linear.to_corners
-        valid, count = int(pixels.valid.sum()), int(self._own.sum())
-        if count < max(_LEAST_PIXELS, LEAST_SHARE * valid):
+        valid = np.count_nonzero(pixels.valid)
+        if self._count < max(_LEAST_PIXELS, LEAST_SHARE * valid):
             return None
-        inverse = self._equations(self._own).inverse()
+        inverse = self._equations.inverse()
         own, of_lines = self._mean_squares(inverse)
         alike = of_lines > _TOGETHER * own
         self._square = of_lines if alike else own
         square = _ALIKE * self._square if alike else self._square
         covariance = square * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
-        return PatternFit(self._corners, 0.5 * (covariance + covariance.T), 1.0 - count / valid)
+        hidden = 1.0 - self._count / valid
+        return PatternFit(self._corners, 0.5 * (covariance + covariance.T), hidden)
 
     def odd_sides(self) -> tuple[_OddSide, ...]:
         """Return the sides that are not where all other edges have them, after `fit`."""
         odd: list[_OddSide] = []
         to_corners = self._linear.to_corners.reshape(4, 2, 8)
         along = self._corners[NEXT] - self._corners
+        outward = right_of(along) / lengths_of(along)[:, None]
         for side, points in enumerate(self._linear.model.sides()):
             at_side = self._linear.pixels.own(points)
-            others = self._equations(self._own & ~at_side)
-            across = right_of(along[side]) / lengths_of(along[side])
-            to_ends = across @ to_corners[[side, NEXT[side]]]
+            others = self._equations.less(cv2.mulTransposed(self._rows[:, at_side], False))
+            to_ends = outward[side] @ to_corners[[side, NEXT[side]]]
             inverse = others.inverse()[_SHAPE]
             off = np.abs(to_ends @ (inverse @ others.right))
             variances = self._square * ((to_ends @ inverse[:, _SHAPE]) * to_ends).sum(axis=1)
@@ -387,10 +392,7 @@ class _Judged:
                 odd.append((float(deviations.max()), at_side))
         return tuple(sorted(odd, key=lambda one: -one[0]))
 
-    def _equations(self, used: ndarray) -> _Equations:
-        return _Equations(self._columns, self._residuals, used.astype(float), _BLUR_PRIOR)
-
-    def _mean_squares(self, inverse: ndarray) -> list[float]:
+    def _mean_squares(self, inverse: ndarray) -> tuple[float, float]:
         """Return the mean squares of the residuals of two kinds of pixels that may err together.
 
         These are the pixels of each group: what the model does not know, a blur that is no
@@ -400,44 +402,36 @@ class _Judged:
         not tell: there may be something before a side. Of independent residuals both are 1, so that
         of lines counts only if it is clearly larger.
 
-        Args:
-            inverse: (m, m) of the fit's normal equations.
-        """
-        pixels, lines = self._linear.pixels, self._linear.model.lines()
-        lines = pixels.own(lines)
-        if pixels.group == 1:
-            squares = float(np.square(self._residuals[self._own]).sum())
-            own = squares / max(1.0, np.count_nonzero(self._own) - len(self._columns))
-            return [own, *self._squares_of(inverse, lines)]
-        groups = np.arange(len(lines) // pixels.group)
-        lines = lines.reshape(pixels.group, -1)[pixels.group // 2]
-        sets = (np.tile(labels, pixels.group) for labels in (groups, lines))
-        return self._squares_of(inverse, *sets)
-
-    def _squares_of(self, inverse: ndarray, *sets: ndarray) -> list[float]:
-        """Return the mean square of what the residuals of a set together move the corners by.
-
-        The sum of squares is divided by its expectation for independent residuals of 1, less what
-        the fit took.
+        What counts is how residuals move the corners together: their sum of squares is divided by
+        its expectation for independent residuals of 1, less what the fit took.
 
         Args:
             inverse: (m, m) of the fit's normal equations.
-            sets: (n,) each, the number of each pixel's set; -1: none.
         """
-        rows = np.concatenate((self._columns, self._residuals[None])) * self._own
+        pixels, rows = self._linear.pixels, self._rows
         _, values, vectors = cv2.eigen(np.ascontiguousarray(inverse[_SHAPE, _SHAPE]))
         scales = np.sqrt(np.maximum(values, 1e-12 * values.max()))
         pulls = (vectors / scales) @ inverse[_SHAPE] @ rows[:-1]
-        squares = []
-        for labels in sets:
-            order = np.argsort(labels, kind="stable")[np.count_nonzero(labels < 0) :]
-            starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
-            pulling = pulls[:, order]
-            sums = np.add.reduceat(pulling[:, None] * rows[:, order], starts, axis=2)
-            taken = sums[:, :-1]
-            expected = np.square(pulling).sum() - ((inverse @ taken) * taken).sum()
-            squares.append(float(np.square(sums[:, -1]).sum() / max(expected, 1.0)))
-        return squares
+
+        def mean_square(sums: ndarray, pulls: ndarray) -> float:
+            """Return that of sets with these sums of products (k, 8, m + 1) of pulls and rows."""
+            taken = sums[:, :, :-1].reshape(-1, len(inverse))
+            expected = np.square(pulls).sum() - np.vdot(taken @ inverse, taken)
+            return float(np.square(sums[:, :, -1]).sum() / max(expected, 1.0))
+
+        lines = pixels.own(self._linear.model.lines())
+        lines = np.tile(lines.reshape(pixels.group, -1)[pixels.group // 2], pixels.group)
+        order = np.argsort(lines, kind="stable")[np.count_nonzero(lines < 0) :]
+        starts = np.flatnonzero(np.diff(lines[order], prepend=-1)).tolist()
+        pulled, ordered = pulls[:, order], rows[:, order].T
+        sums = [pulled[:, a:b] @ ordered[a:b] for a, b in zip(starts, (*starts[1:], None))]
+        of_lines = mean_square(np.array(sums).reshape(-1, 8, len(rows)), pulled)
+        if pixels.group == 1:
+            squares = float(np.square(rows[-1]).sum())
+            return squares / max(1.0, self._count - len(inverse)), of_lines
+        pulls = np.ascontiguousarray(pulls.reshape(8, pixels.group, -1).T)
+        rows = np.ascontiguousarray(rows.reshape(len(rows), pixels.group, -1).T)
+        return mean_square(pulls.swapaxes(1, 2) @ rows, pulls), of_lines
 
 
 def _without_odd_side(first: _Fitted, picture: Picture, pattern: ndarray) -> PatternFit:
@@ -460,14 +454,14 @@ def _without_odd_side(first: _Fitted, picture: Picture, pattern: ndarray) -> Pat
 
 
 class _Equations:
-    """Normal equations of weighted least squares of columns (m, n) to levels (n,)."""
+    """Normal equations of least squares.
 
-    def __init__(
-        self, columns: ndarray, levels: ndarray, weights: ndarray, prior: float | ndarray = 0.0
-    ):
-        rows = np.concatenate((columns, levels[None]))
-        rows *= np.sqrt(weights)
-        squares = cv2.mulTransposed(rows, False)
+    Args:
+        squares: (m + 1, m + 1) sums of products of m columns and, the last, of the levels.
+        prior: certainty beforehand of the blur's numbers.
+    """
+
+    def __init__(self, squares: ndarray, prior: float | ndarray = 0.0):
         self._normal, self.right = squares[:-1, :-1].copy(), squares[:-1, -1]
         diagonal = np.einsum("ii->i", self._normal)
         diagonal[-_SPREAD:] += prior
@@ -475,6 +469,13 @@ class _Equations:
         self._size = 1.0 / np.sqrt(np.maximum(diagonal, 1e-9))
         self._normal *= self._size[:, None] * self._size
         diagonal += 1e-9
+
+    def less(self, squares: ndarray) -> _Equations:
+        """Return the equations without some of the rows, which have these sums of products."""
+        fewer = copy(self)
+        fewer.right = self.right - squares[:-1, -1]
+        fewer._normal = self._normal - self._size[:, None] * squares[:-1, :-1] * self._size
+        return fewer
 
     def solution(self) -> ndarray:
         """Return the numbers (m,); NaN if there are none."""
@@ -484,6 +485,11 @@ class _Equations:
     def inverse(self) -> ndarray:
         """Return the inverse (m, m) of the equations' matrix."""
         return cv2.invert(self._normal)[1] * (self._size[:, None] * self._size)
+
+
+def _squares_of(columns: ndarray, levels: ndarray, scales: float | ndarray = 1.0) -> ndarray:
+    """Return the sums of products (m + 1, m + 1) of columns (m, n) and levels (n,), both scaled."""
+    return cv2.mulTransposed(scales * np.concatenate((columns, levels[None])), False)
 
 
 def _median(values: ndarray) -> float:

@@ -100,7 +100,7 @@ class PatternModel:
         """Return which pixels are at each side, (4, n): the upper one, then clockwise."""
         right, below = self._away
         inner = 0.5 - 0.75 / self._cells
-        return np.stack((below < -inner, right > inner, below > inner, right < -inner))
+        return np.array((below < -inner, right > inner, below > inner, right < -inner))
 
     def lines(self) -> ndarray:
         """Return the number (n,) of the line between cells nearest to each pixel; outline: -1."""
@@ -116,9 +116,9 @@ class PatternModel:
         within = self._cells * (0.5 - np.abs(self._away)) + 1.0
         return (within / self._finest).min(axis=0)
 
-    def beyond(self, contrast: ndarray) -> ndarray:
+    def beyond(self, contrast: ndarray, margin: ndarray) -> ndarray:
         """Return the grey levels (n,) that blur may add from beyond the quiet zone."""
-        tail, _ = _normal_at(self.margin() / -self._deviation)
+        tail, _ = _normal_at(margin / -self._deviation)
         return np.abs(contrast) * tail
 
     def steepness(self, contrast: ndarray) -> ndarray:
@@ -257,7 +257,7 @@ def _parts(places: ndarray, by_pixel: ndarray, spread: ndarray, pattern: ndarray
     (xu, xv), (yu, yv) = by_pixel
     covariance = (spread[0] + _BOX) * xu * yu + (spread[1] + _BOX) * xv * yv
     covariance += spread[2] * (xu * yv + xv * yu)
-    return np.stack((value + covariance * twist, slope_x, slope_y, bend_x, bend_y, twist))
+    return np.array((value + covariance * twist, slope_x, slope_y, bend_x, bend_y, twist))
 
 
 def _by_blur(bends: ndarray, by_pixel: ndarray) -> ndarray:
@@ -267,7 +267,7 @@ def _by_blur(bends: ndarray, by_pixel: ndarray) -> ndarray:
     """
     (xu, xv), (yu, yv) = by_pixel
     bend_x, bend_y, twist = bends
-    return np.stack(
+    return np.array(
         (
             bend_x * xu * xu + bend_y * yu * yu + twist * xu * yu,
             bend_x * xv * xv + bend_y * yv * yv + twist * xv * yv,
@@ -304,7 +304,7 @@ def _edge_profiles(
     first = np.clip(np.floor(places), -1.0, float(cells))
     away = (places - first + (reach - 1))[:, None] - np.arange(2.0 * reach)[:, None]
     widths, deviations = widths[:, None], deviations[:, None]
-    ends = away + np.stack((0.5 * widths, -0.5 * widths))
+    ends = away + np.array((0.5 * widths, -0.5 * widths))
     ends /= deviations
     below, density = _normal_at(ends)
     ends *= below
