@@ -8,7 +8,6 @@ out.
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Tuple
 
@@ -356,7 +355,7 @@ class _Judged:
         own = used & (np.abs(residuals) < _OUTLYING * noise)
         self._count = np.count_nonzero(own)
         self._rows = np.concatenate((linear.columns, residuals[None])) * (own / noise)
-        self._equations = _Equations(cv2.mulTransposed(self._rows, False), _BLUR_PRIOR)
+        self._squares = cv2.mulTransposed(self._rows, False)
         self._linear, self._corners = linear, corners
 
     def fit(self) -> PatternFit | None:
@@ -365,14 +364,13 @@ class _Judged:
         valid = np.count_nonzero(pixels.valid)
         if self._count < max(_LEAST_PIXELS, LEAST_SHARE * valid):
             return None
-        inverse = self._equations.inverse()
+        inverse = _Equations(self._squares, _BLUR_PRIOR).inverse()
         own, of_lines = self._mean_squares(inverse)
         alike = of_lines > _TOGETHER * own
         self._square = of_lines if alike else own
         square = _ALIKE * self._square if alike else self._square
-        covariance = square * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
-        hidden = 1.0 - self._count / valid
-        return PatternFit(self._corners, 0.5 * (covariance + covariance.T), hidden)
+        covariance = 0.5 * square * (to_corners @ inverse[_SHAPE, _SHAPE] @ to_corners.T)
+        return PatternFit(self._corners, covariance + covariance.T, 1.0 - self._count / valid)
 
     def odd_sides(self) -> tuple[_OddSide, ...]:
         """Return the sides that are not where all other edges have them, after `fit`."""
@@ -382,7 +380,8 @@ class _Judged:
         outward = right_of(along) / lengths_of(along)[:, None]
         for side, points in enumerate(self._linear.model.sides()):
             at_side = self._linear.pixels.own(points)
-            others = self._equations.less(cv2.mulTransposed(self._rows[:, at_side], False))
+            of_side = cv2.mulTransposed(self._rows[:, at_side], False)
+            others = _Equations(self._squares - of_side, _BLUR_PRIOR)
             to_ends = outward[side] @ to_corners[[side, NEXT[side]]]
             inverse = others.inverse()[_SHAPE]
             off = np.abs(to_ends @ (inverse @ others.right))
@@ -427,8 +426,7 @@ class _Judged:
         sums = [pulled[:, a:b] @ ordered[a:b] for a, b in zip(starts, (*starts[1:], None))]
         of_lines = mean_square(np.array(sums).reshape(-1, 8, len(rows)), pulled)
         if pixels.group == 1:
-            squares = float(np.square(rows[-1]).sum())
-            return squares / max(1.0, self._count - len(inverse)), of_lines
+            return self._squares[-1, -1] / max(1.0, self._count - len(inverse)), of_lines
         pulls = np.ascontiguousarray(pulls.reshape(8, pixels.group, -1).T)
         rows = np.ascontiguousarray(rows.reshape(len(rows), pixels.group, -1).T)
         return mean_square(pulls.swapaxes(1, 2) @ rows, pulls), of_lines
@@ -469,13 +467,6 @@ class _Equations:
         self._size = 1.0 / np.sqrt(np.maximum(diagonal, 1e-9))
         self._normal *= self._size[:, None] * self._size
         diagonal += 1e-9
-
-    def less(self, squares: ndarray) -> _Equations:
-        """Return the equations without some of the rows, which have these sums of products."""
-        fewer = copy(self)
-        fewer.right = self.right - squares[:-1, -1]
-        fewer._normal = self._normal - self._size[:, None] * squares[:-1, :-1] * self._size
-        return fewer
 
     def solution(self) -> ndarray:
         """Return the numbers (m,); NaN if there are none."""
