@@ -26,7 +26,7 @@ NEWEST = (1, 7)
 # The children of each SDF element that are simulated.
 SDF_READ = {
     "sdf": "world model light include",
-    "world": "model light include actor gravity scene state physics",
+    "world": "model light include actor gravity scene state physics frame",
     "actor": "script pose link plugin",
     "model": "link joint plugin pose static frame include model",
     "link": "pose inertial visual collision sensor plugin self_collide gravity",
