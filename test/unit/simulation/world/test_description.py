@@ -59,7 +59,7 @@ LEANING = Pose.from_rpy((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
     ("world", "below", "count"),
     [
         (world_of(box(), box()), 1.0, 2),
-        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.0, 0),
+        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.75, 0),
         (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.8, 1),
         (world_of(Collision(Sphere(1.0))), 1.0, 0),
         (world_of(box(), static=False), 1.0, 0),
