@@ -4,12 +4,10 @@ A change that means to read something otherwise renews the text beside the file.
 """
 
 import re
-from dataclasses import is_dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element, tostring
 
-import numpy as np
 import pytest
+from alike import lines_of, shown
 from shared import PACKAGE
 
 from bullet_lab.simulation.world.description import Mesh, ModelState, Snapshot
@@ -19,33 +17,6 @@ from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 HERE = Path(__file__).parent
-
-
-def shown(value):
-    return f"{round(value, 12) + 0.0:.9g}" if isinstance(value, float) else str(value)
-
-
-def is_made_of_parts(value):
-    return is_dataclass(value) or isinstance(value, (tuple, np.ndarray))
-
-
-def lines_of(value, name):
-    """Yield a line for each value in data classes and what they hold, numbers to nine digits."""
-    if is_dataclass(value):
-        value = {"": type(value).__name__, **vars(value)}
-    if isinstance(value, np.ndarray):
-        value = value.ravel().tolist()
-    if isinstance(value, Element):
-        value = tostring(value, "unicode").split()
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from lines_of(inner, f"{name}.{key}")
-    elif isinstance(value, (tuple, list)) and any(map(is_made_of_parts, value)):
-        for number, inner in enumerate(value):
-            yield from lines_of(inner, f"{name}.{number}")
-    else:
-        words = value if isinstance(value, (tuple, list)) else [value]
-        yield f"{name}: {' '.join(map(shown, words))}"
 
 
 def parts_of(path):
