@@ -14,6 +14,7 @@ from marker_images import BENT, CAMERA, Layer, View, image_of, marker, noisy
 from bullet_lab.vision.candidates import CandidateSearch
 from bullet_lab.vision.dictionaries import may_be_markers
 from bullet_lab.vision.images import Picture
+from bullet_lab.vision.marker_bundles import observe_bundles, read_bundles
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_pose import MarkerObserver
 
@@ -34,7 +35,7 @@ def image_in(made, camera):
 
 
 def found(made):
-    """Of the report, and of each marker: what is exact, and standard deviations."""
+    """Of the report, each marker and each bundle: what is exact, and standard deviations."""
     camera = BENT if made.get("bent") else CAMERA
     observer = MarkerObserver(DetectorSettings(**made.get("settings", {})))
     seen = observer.observe(image_in(made, camera), camera)
@@ -45,6 +46,10 @@ def found(made):
         place = one.id, one.likeness, best.error, *best.translation, *other.rotation[2]
         deviations = *one.deviations.ravel(), *np.sqrt(np.diag(best.covariance))
         yield [*place, *one.corners.ravel()], [*deviations]
+    for one in observe_bundles(read_bundles(made.get("bundles", ())), seen.markers, camera):
+        best, other = one.pose.best, one.pose.alternative
+        place = len(one.seen), best.error, one.pose.ambiguous, *other.rotation[2]
+        yield [*place, *best.translation], [*np.sqrt(np.diag(best.covariance))]
 
 
 @pytest.mark.parametrize("name", PICTURES)

@@ -29,8 +29,8 @@ def samples_of(path):
     return samples
 
 
-def test_samples_are_as_before(caplog):
-    told = [*caplog.messages]
+def test_samples_are_as_before():
+    told = []
     for topic, samples in samples_of(HERE / "plugins.world").items():
         told += [f"{topic}: {len(samples)}", *lines_of(samples[-1:], topic)]
     assert "\n".join(told) == (HERE / "plugins.txt").read_text()
