@@ -46,6 +46,7 @@ def test_the_empty_world_has_a_floor_and_a_sun(package):
     assert (sun.kind, sun.casts_shadows, sun.diffuse) == ("directional", True, (0.8, 0.8, 0.8, 1))
     assert sun.direction[2] < -0.8
     assert world.gravity == (0, 0, -9.8)
+    assert world.ambient == (0.4, 0.4, 0.4, 1.0)
 
 
 def test_the_beacons_stand_where_the_report_has_them(package):
