@@ -199,6 +199,7 @@ def test_a_bad_mesh_is_one_line_that_names_the_file(load, tmp_path, name):
         ("0.991445 0.130526 -1", "nan 0.130526 -1", "a number is not finite"),
         ("0.991445 0.130526 -1", "x 0.130526 -1", "not a readable mesh"),
         ("48 49 78 ", "48 49 7800 ", "not a readable mesh"),
+        ("48 49 78 ", "-48 49 78 ", "a triangle has an unknown corner"),
         ("triangles", "polygon_soup", "no triangles"),
         ('url="#beacon-mesh"', 'url="#nix"', "no triangles"),
         ('meter="1"', 'meter="long"', "<unit>: 'long' is not a finite number"),
@@ -209,6 +210,8 @@ def test_a_broken_collada_file_is_one_line(load, beacon_text, tmp_path, old, new
     broken = beacon_text.replace(old, new)
     with pytest.raises(LabError, match=message) as caught:
         load("b.dae", broken)
+    with pytest.raises(LabError, match=message):
+        mesh_parts(Mesh(tmp_path / "b.dae", ""))
     assert str(tmp_path / "b.dae") in str(caught.value)
     assert "\n" not in str(caught.value)
 
