@@ -141,6 +141,7 @@ def test_a_part_of_two_materials(tmp_path):
 )
 def test_stl_and_obj(load, name, content):
     triangles = load(name, content, (1.0, 2.0, 1.0))
+    assert not (triangles.vertices.flags.writeable or triangles.faces.flags.writeable)
     corners = triangles.vertices[triangles.faces[0]]
     assert corners == pytest.approx(np.array(CORNERS) * (1, 2, 1))
 

@@ -4,13 +4,14 @@ A change that means to read something otherwise renews the text beside the file.
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from alike import lines_of, shown
 from shared import PACKAGE
 
-from bullet_lab.simulation.world.description import Mesh, ModelState, Snapshot
+from bullet_lab.simulation.world.description import Mesh, ModelState, PluginTag, Snapshot
 from bullet_lab.simulation.world.mesh_parts import mesh_parts
 from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.simulation.world.sdf_writer import world_text
@@ -28,7 +29,11 @@ def parts_of(path):
 def saved(path):
     """A world as it is written again after 1.234 s."""
     world = read_world_file(path)
-    models = [(one, world.states.get(one.name, ModelState(one.pose))) for one in world.models]
+    made, state = PluginTag("libmade.so", "made", {"speed": "3"}), world.states.get
+    models = [
+        (replace(one, plugins=(*one.plugins, made)), state(one.name, ModelState(one.pose)))
+        for one in world.models
+    ]
     text, notes = world_text(Snapshot(world, 1234, models), HERE)
     text = re.sub(r"-?\d+\.\d+(e-\d+)?", lambda found: shown(float(found[0])), text)
     return dict(enumerate(text.split("\n") + notes))
