@@ -54,7 +54,8 @@ class Texture:
 
     def coordinates(self, surface: np.ndarray) -> np.ndarray:
         """Return points in the picture, (…, 2) from its lower left, for points of a surface."""
-        if (self.scale, self.scroll, self.rotation) == ((1.0, 1.0), (0.0, 0.0), 0.0):
+        usual = Texture.scale, Texture.scroll, Texture.rotation
+        if (self.scale, self.scroll, self.rotation) == usual:
             return surface
         # In OGRE, the origin is the upper left.
         offset = ((surface - 0.5) * (1.0, -1.0)) / self.scale + self.scroll
