@@ -20,7 +20,7 @@ from bullet_lab.vision.marker_pose import MarkerObserver
 
 PICTURES = yaml.safe_load((Path(__file__).parent / "detections.yaml").read_text())
 # Share, and px, m or so, by which places and deviations may differ: other processors round others.
-WITHIN = ((0.0, 2e-3), (0.01, 0.0))
+WITHIN = ((0.0, 2e-4), (2e-3, 0.0))
 
 
 def image_in(made, camera):
