@@ -1,6 +1,7 @@
-"""Whether what was written and read again is the same."""
+"""Whether what was written and read again, or what is found, is the same as before."""
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from xml.etree.ElementTree import Element, tostring
@@ -69,3 +70,11 @@ def lines_of(value, name):
     else:
         words = value if isinstance(value, (tuple, list)) else [value]
         yield f"{name}: {' '.join(map(shown, words))}"
+
+
+def assert_as_before(lines, path):
+    """Compare lines with those in a file; with LAB_RENEW_TEXTS=1 in the environment, write them."""
+    text = "\n".join(lines) + "\n"
+    if os.environ.get("LAB_RENEW_TEXTS"):
+        path.write_text(text)
+    assert text == path.read_text()

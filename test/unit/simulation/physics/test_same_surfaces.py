@@ -1,13 +1,13 @@
 """Which wheels skid, which directions turn with them, and all surfaces are as before.
 
-A change that means to find others renews wheels.txt.
+A change that means to find others renews the text: see `assert_as_before`.
 """
 
 import math
 from pathlib import Path
 
 import numpy as np
-from alike import lines_of
+from alike import assert_as_before, lines_of
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
@@ -63,4 +63,4 @@ def test_surfaces_are_as_before():
     models = read_world_file(HERE / "wheels.world").models
     told = [line for model in models for line in surfaces_of(model)]
     told += [line for seed in range(40) for line in limits_of(seed)]
-    assert "\n".join(told) == (HERE / "wheels.txt").read_text()
+    assert_as_before(told, HERE / "wheels.txt")

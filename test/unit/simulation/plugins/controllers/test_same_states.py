@@ -1,12 +1,12 @@
 """Controllers send the same samples, and move their joints alike, as before.
 
-A change that means to send others renews controllers.txt.
+A change that means to send others renews the text: see `assert_as_before`.
 """
 
 from pathlib import Path
 
 import yaml
-from alike import lines_of
+from alike import assert_as_before, lines_of
 from arm_robots import arm_controller, trajectory
 from control_robots import listen, run, spawn
 from shared import PACKAGE
@@ -49,4 +49,4 @@ def test_states_are_as_before():
         told += lines_of(joints, name)
         for topic, found in samples.items():
             told += [f"{topic}: {len(found)}", *lines_of(found[-1:], topic)]
-    assert "\n".join(told) == (HERE / "controllers.txt").read_text()
+    assert_as_before(told, HERE / "controllers.txt")
