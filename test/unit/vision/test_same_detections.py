@@ -31,7 +31,7 @@ def image_in(made, camera):
     image = cv2.blur(image, (made.get("motion", 1), 1))
     left, right = made.get("sun", (1.0, 1.0))
     image = np.where(np.arange(camera.width) < 330, left, right) * image
-    return noisy(image, 2.0, np.random.default_rng(0))
+    return noisy(image, made.get("noise", 2.0), np.random.default_rng(0))
 
 
 def found(made):
