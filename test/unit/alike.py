@@ -1,9 +1,11 @@
-"""Whether what was written and read again is the same."""
+"""Whether what was written and read again, or what is found, is the same as before."""
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from xml.etree.ElementTree import Element
+from pathlib import Path
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 import pytest
@@ -42,3 +44,40 @@ def assert_alike(one, other, *besides, within=TOLERANCE):
         assert other.get("type") == one.get("type")
     elif one not in OPEN:
         assert other == one
+
+
+def shown(value):
+    if isinstance(value, Path):
+        return value.name
+    return f"{round(value, 8) + 0.0:.7g}" if isinstance(value, float) else str(value)
+
+
+def is_made_of_parts(value):
+    return is_dataclass(value) or isinstance(value, (tuple, np.ndarray))
+
+
+def lines_of(value, name):
+    """Yield a line for each value in data classes and what they hold, numbers to seven digits."""
+    if is_dataclass(value):
+        value = {"": type(value).__name__, **vars(value)}
+    if isinstance(value, np.ndarray):
+        value = value.ravel().tolist()
+    if isinstance(value, Element):
+        value = tostring(value, "unicode").split()
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from lines_of(inner, f"{name}.{key}")
+    elif isinstance(value, (tuple, list)) and any(map(is_made_of_parts, value)):
+        for number, inner in enumerate(value):
+            yield from lines_of(inner, f"{name}.{number}")
+    else:
+        words = value if isinstance(value, (tuple, list)) else [value]
+        yield f"{name}: {' '.join(map(shown, words))}"
+
+
+def assert_as_before(lines, path):
+    """Compare lines with those in a file; with LAB_RENEW_TEXTS=1 in the environment, write them."""
+    text = "\n".join(lines) + "\n"
+    if os.environ.get("LAB_RENEW_TEXTS"):
+        path.write_text(text)
+    assert text == path.read_text()

@@ -1,4 +1,4 @@
-"""The examples in the docstrings of numeric modules give what they say."""
+"""The examples in docstrings give what they say."""
 
 import doctest
 import importlib
@@ -9,14 +9,15 @@ from shared import PACKAGE
 ROOT = PACKAGE / "src"
 EXAMPLES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    for package in ("core", "noise", "drive", "vision", "markers", "docking", "studies")
-    for path in sorted((ROOT / "bullet_lab" / package).rglob("*.py"))
+    for path in sorted((ROOT / "bullet_lab").rglob("*.py"))
     if ">>>" in path.read_text()
 ]
 
 
 @pytest.mark.parametrize("module", EXAMPLES)
 def test_examples_are_right(module):
+    if ".ros." in module:
+        pytest.importorskip("rospy")
     found = doctest.testmod(importlib.import_module(module))
     assert found.attempted > 0
     assert found.failed == 0

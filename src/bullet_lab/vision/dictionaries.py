@@ -144,7 +144,6 @@ def _load(name: str) -> MarkerDictionary:
     products[each, 4 * each] = -bits.shape[1]
     distance = int(round((bits.shape[1] - float(products.max())) / 2.0))
     codes = np.pad(data, ((0, 0), (1, 1), (1, 1)))
-    codes.flags.writeable = False
     packed = np.ascontiguousarray(np.packbits(bits, axis=1).T)
     return MarkerDictionary(name, cells, codes, packed, distance)
 
@@ -398,7 +397,7 @@ def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
 
 @lru_cache(maxsize=None)
 def _plane_terms(side: int) -> tuple[ndarray, ndarray]:
-    """Return 1, row, column (3, side²), from the middle, and their products (9, side²)."""
-    row, column = np.indices((side, side), dtype=float).reshape(2, -1) - (side - 1) / 2.0
+    """Return 1, row, column (3, side²), and their products (9, side²)."""
+    row, column = np.indices((side, side), dtype=float).reshape(2, -1)
     terms = np.stack((np.ones_like(row), row, column))
     return terms, (terms[:, None] * terms).reshape(9, -1)

@@ -367,7 +367,7 @@ def noise_level(grey: ndarray) -> float:
     up, row, down = (grey[k : last + k : 12].astype(np.int16) for k in (0, 1, 2))
     vertical = up - 2 * row + down
     both = np.abs(vertical[:, :-2] - 2 * vertical[:, 1:-1] + vertical[:, 2:]).ravel()
-    counts = np.cumsum(np.bincount(both, minlength=2))
+    counts = np.cumsum(np.bincount(both))
     middle = int(np.searchsorted(counts, 0.5 * both.size))
     if middle == 0:
         return 0.0

@@ -188,27 +188,27 @@ def _fit(pixels: Pixels, picture: Picture, corners: ndarray, pattern: ndarray) -
     """Return the fit to a set of pixels, starting at corners."""
     start, most_moved = corners, _MOST_MOVED * mean_side(corners) / len(pattern)
     spread, light = np.array(_FIRST_SPREAD), None
-    for left in reversed(range(_MOST_ROUNDS)):
+    for done in range(_MOST_ROUNDS):
         linear = _Linearised(pixels, corners, spread, light, pattern)
         step = linear.step()
         light = linear.light + step[: len(linear.light)]
         moved = linear.to_corners @ step[_SHAPE]
         corners = corners + moved.reshape(4, 2)
-        is_late = left < _MOST_ROUNDS - _FULL_STEPS
+        is_late = done >= _FULL_STEPS
         before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.group > 1, is_late)
         blur = float(spread[:2].max())
         if not np.abs(corners - start).max() <= most_moved:
             return _Fitted(None, blur)
         if np.abs(moved).max() < _STILL and _is_same_blur(before, spread):
             break
-        if left and pixels.group > 1 and spread.max() > _SOFT:
+        if pixels.group > 1 and spread.max() > _SOFT:
             # In so much blur the few pixels across each edge see little of it.
             pixels, light = all_pixels(picture, corners, len(pattern), pixels.cut_off), None
     judged = _Judged(linear, step, corners)
-    fit = judged.fit()
-    if fit is None or pixels.cut_off or pixels.any_flooded:
+    fit, used = judged.fit(), linear.pixels
+    if fit is None or used.cut_off or used.any_flooded:
         return _Fitted(fit, blur)
-    return _Fitted(fit, blur, pixels, judged.odd_sides())
+    return _Fitted(fit, blur, used, judged.odd_sides())
 
 
 def _next_spread(spread: ndarray, step: ndarray, grouped: bool, is_late: bool) -> ndarray:

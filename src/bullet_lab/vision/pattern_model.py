@@ -300,7 +300,7 @@ def _edge_profiles(
     # A pixel that lies aslant has slanting flanks, which act like blur.
     deviations = np.sqrt(variances + flat / 12.0)
     widths = np.sqrt(np.maximum(steep, 1e-12))
-    reach = max(1, math.ceil(min(float(cells), (0.5 * widths + _SEEN * deviations).max())))
+    reach = math.ceil(min(float(cells), (0.5 * widths + _SEEN * deviations).max()))
     first = np.clip(np.floor(places), -1.0, float(cells))
     away = (places - first + (reach - 1))[:, None] - np.arange(2.0 * reach)[:, None]
     widths, deviations = widths[:, None], deviations[:, None]

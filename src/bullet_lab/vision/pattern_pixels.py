@@ -434,7 +434,7 @@ def _moved(corners: ndarray, coefficients: ndarray) -> ndarray:
 
 def _edges_seen(picture: Picture, corners: ndarray, pattern: ndarray) -> _Edges | None:
     """Return the edges that are seen near to where they should be; None if they are few."""
-    reach = max(1, math.floor(min(_FARTHEST, _SEARCHED * (mean_side(corners) / len(pattern)))))
+    reach = math.floor(min(_FARTHEST, _SEARCHED * (mean_side(corners) / len(pattern))))
     to_image = homography(corners)
     places, points, across = _edges_of(pattern, to_image)
     offsets = np.arange(-reach - 2.0, reach + 3.0)[:, None, None]

@@ -18,7 +18,7 @@ from marker_images import (
 )
 from scipy.stats import chi2
 
-from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.images import UNIT_SQUARE, VisionError
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_pose import MarkerObserver, ObservedMarker, PoseMemory, estimate_pose
 
@@ -144,13 +144,15 @@ def test_covariance_is_large_enough_at_each_tilt(distance, tilt, sigma):
         (np.zeros((3, 2)), 0.2, 0.1),
         (np.full((4, 2), np.nan), 0.2, 0.1),
         (true_corners(View(1.0)), 0.0, 0.1),
+        (true_corners(View(1.0)), np.inf, 0.1),
         (true_corners(View(1.0)), 0.2, 0.0),
-        (np.zeros((4, 2)), 0.2, 0.1),
+        # A square of 0.99 px.
+        (300.0 + 0.99 * UNIT_SQUARE, 0.2, 0.1),
     ],
-    ids=["three", "nan", "size", "sigma", "point"],
+    ids=["three", "nan", "no size", "size", "sigma", "point"],
 )
 def test_what_makes_no_pose_is_refused(corners, size, sigma):
-    with pytest.raises(VisionError):
+    with pytest.raises(VisionError, match="four finite|must be above 0|span less"):
         estimate_pose(corners, size, CAMERA, sigma)
 
 
@@ -202,12 +204,14 @@ def test_an_ambiguous_marker_keeps_the_pose_that_it_had():
     memory, near = PoseMemory(), observed(View(1.0, yaw=20.0), 0.01)
     # A clear image decides whatever was before.
     chosen(memory, observed(View(1.0, yaw=-20.0), 0.01), 0.9)
-    assert chosen(memory, near, 1.0) is near.pose.best
+    another = observed(View(3.0, yaw=-20.0), 0.01)
+    assert memory.choose([near, another], 1.0) == [near.pose.best, another.pose.best]
     far = observed(View(1.1, yaw=20.0), 5.0)
     assert far.pose.ambiguous
-    assert chosen(memory, flipped(far), 1.1) is far.pose.best
-    # Long after, nothing is left of it.
-    assert chosen(memory, flipped(far), 5.0) is far.pose.alternative
+    for stamp in (1.0, 2.0):
+        assert chosen(memory, flipped(far), stamp) is far.pose.best
+    # More than a second later, nothing is left of it.
+    assert chosen(memory, flipped(far), 3.01) is far.pose.alternative
 
 
 def test_markers_of_one_id_do_not_lend_each_other_their_pose():

@@ -259,13 +259,4 @@ def test_occlusion_is_found_also_where_a_part_is_in_the_sun():
 
 
 def test_no_marker_is_none():
-    found = fit(np.random.default_rng(1).integers(0, 255, (480, 640)))
-    assert found is None or found.covariance.max() > 0.05
-
-
-def test_blur_that_shows_in_the_last_round_is_no_reason_to_begin_again(monkeypatch):
-    view = View(0.8, yaw=25.0)
-    image = picture(view, blur=4.0)
-    for rounds in range(1, 6):
-        monkeypatch.setattr("bullet_lab.vision.pattern_fit._MOST_ROUNDS", rounds)
-        fit(image, view)
+    assert fit(np.random.default_rng(1).integers(0, 255, (480, 640))) is None

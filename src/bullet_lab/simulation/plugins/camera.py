@@ -157,7 +157,7 @@ class Camera(Plugin):
         self.encoding = self.encodings[tag.choice("camera/image/format", tuple(self.encodings))]
         self.settings = _settings(mount, tag)
         self._shot()
-        self._baseline = mount.number("hackBaseline", 0.0)
+        self._baseline = mount.number("hackBaseline")
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
         self._table: tuple[tuple, SensorNoise] | None = None
@@ -166,7 +166,7 @@ class Camera(Plugin):
         self.image = self._output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
         info = f"{self.prefix}camera_info"
         self.info = self._output("cameraInfoTopicName", info, CameraInfoSample)
-        rates = (tag.number("update_rate", 0.0), mount.number("updateRate", 0.0))
+        rates = (tag.number("update_rate"), mount.number("updateRate"))
         given = [rate for rate in rates if rate != 0.0]
         try:
             # The slower of the two; 0 stands for the other one.
@@ -268,7 +268,7 @@ def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
         allowed = "0 … 2 pi" if is_wide else "0 … pi"
         raise PluginError(f"{tag.where('camera/horizontal_fov')}: {fov:g} is not within {allowed}")
     for name in GEOMETRY_TAGS:
-        if mount.number(name, 0.0) != 0.0:
+        if mount.number(name) != 0.0:
             LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
     distortion = _distortion(mount, tag)
     if is_wide:
@@ -281,8 +281,8 @@ def _distortion(mount: Mount, tag: SensorTag) -> tuple[float, ...]:
 
     Gazebo draws with the sensor's and publishes the plugin's.
     """
-    plugin = tuple(mount.number(f"distortion{key}", 0.0) for key in DISTORTION_TAGS)
-    sensor = tuple(tag.number(f"camera/distortion/{key}", 0.0) for key in DISTORTION_TAGS.values())
+    plugin = tuple(mount.number(f"distortion{key}") for key in DISTORTION_TAGS)
+    sensor = tuple(tag.number(f"camera/distortion/{key}") for key in DISTORTION_TAGS.values())
     if any(plugin) and any(sensor) and plugin != sensor:
         where = mount.where("distortionK1")
         raise PluginError(f"{where}: the coefficients differ from those of the sensor")
@@ -294,7 +294,7 @@ def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
     kind = tag.text("camera/noise/type", "gaussian")
     if kind == "gaussian":
         for key in ("mean", "stddev"):
-            given[f"noise_{key}"] = tag.number(f"camera/noise/{key}", 0.0)
+            given[f"noise_{key}"] = tag.number(f"camera/noise/{key}")
     elif kind != "none":
         raise PluginError(f"{tag.where('camera/noise/type')}: '{kind}' is not gaussian or none")
     # Samples of each pixel: the plugin's own tag, or SDF's `<anti_aliasing>`.

@@ -161,7 +161,7 @@ def _function(tag: SensorTag, half: float, fov: float) -> tuple[Callable, Callab
     if kind == "custom":
         custom = "camera/lens/custom_function"
         first, second, factor = (tag.positive(f"{custom}/{key}", 1.0) for key in ("c1", "c2", "f"))
-        shift = tag.number(f"{custom}/c3", 0.0)
+        shift = tag.number(f"{custom}/c3")
         name = tag.choice(f"{custom}/fun", tuple(FUNCTIONS))
     function, inverse = FUNCTIONS[name]
     if tag.boolean("camera/lens/scale_to_hfov", True):

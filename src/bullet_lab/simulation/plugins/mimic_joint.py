@@ -30,9 +30,9 @@ class MimicJoint(Plugin):
         super().__init__(mount)
         self._leader, self._follower = self._joint("joint"), self._joint("mimicJoint")
         self._multiplier = mount.number("multiplier", 1.0)
-        self._offset = mount.number("offset", 0.0)
+        self._offset = mount.number("offset")
         self._most = mount.number("maxEffort", 1.0)
-        self._least = mount.number("sensitiveness", 0.0)
+        self._least = mount.number("sensitiveness")
         # As in Gazebo's older plugin, the tag alone says yes.
         has_pid = mount.boolean("hasPID", "hasPID" in mount.plugin.tags)
         self._pid: Optional[Pid] = None

@@ -285,5 +285,5 @@ def _support_patch(mount: Mount) -> SupportPatch | None:
         return None
     masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
     friction = min((c.friction for c in root.collisions), default=1.0)
-    radius = mount.coefficient("supportRadius", 0.0)
+    radius = mount.coefficient("supportRadius")
     return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))

@@ -69,12 +69,12 @@ def _axis_noise(mount: Mount, tag: SensorTag, quantity: str) -> tuple[np.ndarray
     random = mount.noise(f"/{quantity}").at(0)
     offsets, deviations = [], []
     for path in (f"imu/{quantity}/{axis}/noise" for axis in AXES):
-        spread = tag.coefficient(f"{path}/bias_stddev", 0.0)
-        bias = random.normal(tag.number(f"{path}/bias_mean", 0.0), spread)
+        spread = tag.coefficient(f"{path}/bias_stddev")
+        bias = random.normal(tag.number(f"{path}/bias_mean"), spread)
         # As in Gazebo, a bias is as likely to be negative.
         sign = 1.0 if random.random() < 0.5 else -1.0
-        offsets.append(tag.number(f"{path}/mean", 0.0) + sign * bias)
-        deviations.append(tag.coefficient(f"{path}/stddev", 0.0))
+        offsets.append(tag.number(f"{path}/mean") + sign * bias)
+        deviations.append(tag.coefficient(f"{path}/stddev"))
     return np.array(offsets), np.array(deviations)
 
 
@@ -101,7 +101,7 @@ class InertialUnit(Sensor):
     def __init__(self, mount: Mount, frame: str, topic: str):
         super().__init__(mount, topic, ImuSample)
         self._frame = frame
-        self._deviation = mount.coefficient("gaussianNoise", 0.0)
+        self._deviation = mount.coefficient("gaussianNoise")
         self.axis_noise: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._accelerometer = Accelerometer()
         self._step = 0
@@ -214,7 +214,7 @@ class TruePose(Sensor):
         self._frames = (mount.frame(frame), mount.frame(body))
         self._reference = None if frame in WORLD_FRAMES else mount.attached(frame)
         self._offset = mounting_offset(mount)
-        self._deviation = mount.coefficient("gaussianNoise", 0.0)
+        self._deviation = mount.coefficient("gaussianNoise")
         self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
 
     def measure(self, step: int) -> MotionSample:

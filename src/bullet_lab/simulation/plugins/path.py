@@ -32,7 +32,7 @@ class Path(Plugin):
         self._body = mount.body
         self._loops = mount.boolean("loop", True)
         self._starts = mount.boolean("auto_start", True)
-        self._delay = mount.coefficient("delay_start", 0.0)
+        self._delay = mount.coefficient("delay_start")
         mount.text("trajectory")
         self._times, table, tension = _waypoints(mount)
         self._places, self._angles = table[:, :3], np.unwrap(table[:, 3:], axis=0)

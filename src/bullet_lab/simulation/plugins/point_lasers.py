@@ -27,7 +27,7 @@ class BlockLaser(RaySensor):
         tag = SensorTag(mount, RAY_SENSORS)
         super().__init__(mount, mount.text("topicName", "/world"), BlockSample)
         self._frame = mount.frame(mount.text("frameName", "/world"))
-        self._deviation = mount.coefficient("gaussianNoise", 0.0)
+        self._deviation = mount.coefficient("gaussianNoise")
         for without_effect in ("hokuyoMinIntensity", "updateRate"):
             mount.text(without_effect)
         self._scanner = RayScan(mount, tag)
@@ -58,11 +58,11 @@ class VelodyneLaser(RaySensor):
         is_prefix = space and not frame.startswith("/")
         self._frame = f"{space}/{frame}" if is_prefix else mount.frame(frame)
         self._scanner = scan = RayScan(mount, tag)
-        self._least = max(scan.least, mount.coefficient("min_range", 0.0))
+        self._least = max(scan.least, mount.coefficient("min_range"))
         self._greatest = min(scan.greatest, mount.number("max_range", scan.greatest))
         # Without laser_retro, the intensity of all points is 0.
         self._is_blind = mount.number("min_intensity", -1.0) > 0.0
-        self._deviation = mount.coefficient("gaussianNoise", 0.0)
+        self._deviation = mount.coefficient("gaussianNoise")
         self._is_organised = mount.boolean("organize_cloud", False)
         self.schedule = tag.schedule("update_rate", 0.0)
 

@@ -58,8 +58,8 @@ class RayScan:
         vertical, rows = _angles(tag, "ray/scan/vertical")
         if columns * rows > MOST_RAYS:
             raise PluginError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
-        self.least = tag.coefficient("ray/range/min", 0.0)
-        self.greatest = tag.coefficient("ray/range/max", 0.0)
+        self.least = tag.coefficient("ray/range/min")
+        self.greatest = tag.coefficient("ray/range/max")
         if self.greatest <= self.least:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
         self._mean, self._deviation = _noise(tag)
@@ -118,8 +118,8 @@ def _angles(tag: SensorTag, path: str) -> tuple[Vector, int]:
     resolution = tag.positive(f"{path}/resolution", 1.0)
     # As in Gazebo, there is at least one.
     number = max(1, round(samples * resolution))
-    least = tag.number(f"{path}/min_angle", 0.0)
-    greatest = tag.number(f"{path}/max_angle", 0.0)
+    least = tag.number(f"{path}/min_angle")
+    greatest = tag.number(f"{path}/max_angle")
     if greatest < least:
         raise PluginError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
     increment = (greatest - least) / (number - 1) if number > 1 else 0.0
@@ -138,7 +138,7 @@ def _noise(tag: SensorTag) -> tuple[float, float]:
         LOG.warning("%s: noise '%s' is not simulated and skipped", tag.where("type"), kind)
     if kind != "gaussian":
         return 0.0, 0.0
-    return tag.number("ray/noise/mean", 0.0), tag.coefficient("ray/noise/stddev", 0.0)
+    return tag.number("ray/noise/mean"), tag.coefficient("ray/noise/stddev")
 
 
 class RaySensor(Sensor):
@@ -190,7 +190,7 @@ class RangeSensor(RaySensor):
         super().__init__(mount, mount.text("topicName", "/range"), RangeSample)
         infrared = mount.text("radiation", "ultrasound") != "ultrasound"
         self._kind = (frame, infrared, mount.number("fov", 0.05))
-        self._deviation = mount.coefficient("gaussianNoise", 0.0)
+        self._deviation = mount.coefficient("gaussianNoise")
         self._scanner = RayScan(mount, tag)
         self.schedule = tag.slower("updateRate", 0.0)
 

@@ -34,7 +34,7 @@ class TricycleDrive(DiffDrive):
         self._radius = 0.5 * mount.positive("actuatedWheelDiameter", 0.15)
         self._torque = mount.coefficient("wheelTorque", 5.0)
         self._deceleration = mount.coefficient("wheelDeceleration", self._acceleration)
-        self._steering_speed = mount.coefficient("steeringSpeed", 0.0)
+        self._steering_speed = mount.coefficient("steeringSpeed")
         self._tolerance = mount.coefficient("steeringAngleTolerance", 0.01)
         # Of no use here: the last step to a speed is as large as the others.
         mount.text("wheelSpeedTolerance")

@@ -235,7 +235,7 @@ class DiffDrive(WheelDrive):
             raise PluginError(f"{where}: '{right.name}' is the left one already")
         self._joints: tuple[Joint, ...] = (left, right)
         torque = mount.coefficient("wheelTorque", 5.0)
-        self._acceleration = mount.coefficient("wheelAcceleration", 0.0)
+        self._acceleration = mount.coefficient("wheelAcceleration")
         tags = ("leftWheelDiameter", "rightWheelDiameter")
         self.radii = tuple(
             0.5 * mount.positive(tag, 2.0 * radius) for tag, radius in zip(tags, self.radii)

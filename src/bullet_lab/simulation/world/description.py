@@ -54,7 +54,8 @@ class Texture:
 
     def coordinates(self, surface: np.ndarray) -> np.ndarray:
         """Return points in the picture, (…, 2) from its lower left, for points of a surface."""
-        if (self.scale, self.scroll, self.rotation) == ((1.0, 1.0), (0.0, 0.0), 0.0):
+        usual = Texture.scale, Texture.scroll, Texture.rotation
+        if (self.scale, self.scroll, self.rotation) == usual:
             return surface
         # In OGRE, the origin is the upper left.
         offset = ((surface - 0.5) * (1.0, -1.0)) / self.scale + self.scroll
@@ -373,7 +374,7 @@ def footprints(world: World, below: float = math.inf) -> tuple[Footprint, ...]:
     shapes = [(m, k, shape) for m in static for k in m.links for shape in k.collisions]
     for model, link, shape in shapes:
         pose, box = model.pose * link.pose * shape.pose, shape.geometry
-        is_upright = pose.rotate((0.0, 0.0, 1.0))[2] > math.cos(UPRIGHT)
+        is_upright = pose.rotation_matrix()[2, 2] > math.cos(UPRIGHT)
         x, y, z = pose.position
         if isinstance(box, Box) and is_upright and z - 0.5 * box.size[2] < below:
             found.append(Footprint(model.name, (x, y), pose.yaw, box.size[:2]))

@@ -32,10 +32,9 @@ def package_share() -> Path:
         ResourceError: these folders are neither in the source tree nor installed.
     """
     library = Path(__file__).resolve().parents[2]
-    source_tree = library.parents[1]
-    install_space = library.parents[3] / "share" / PACKAGE if len(library.parents) > 3 else None
-    for folder in (source_tree, install_space):
-        if folder is not None and (folder / "package.xml").is_file():
+    source_tree, *above = list(library.parents)[1:4]
+    for folder in (source_tree, *(prefix / "share" / PACKAGE for prefix in above[1:])):
+        if (folder / "package.xml").is_file():
             return folder
     raise ResourceError(f"the shared files of {PACKAGE} are neither in {source_tree} nor installed")
 

@@ -290,18 +290,18 @@ def _visual(tag: SdfTag, geometry: Shape) -> Visual:
     element, document = tag.element.find("material"), tag.document
     inner = None if element is None else tag.other(element, f"{tag.source}: visual '{tag.name}'")
     colour, look = document.materials.of_tag(inner, document.finder, default)
-    colour = (*colour[:3], colour[3] * (1.0 - tag.number("transparency", 0.0)))
+    colour = (*colour[:3], colour[3] * (1.0 - tag.number("transparency")))
     casts = tag.boolean("cast_shadows", True)
     return Visual(geometry, tag.pose(), colour, tag.name, casts, look)
 
 
 def _collision(tag: SdfTag, geometry: Shape) -> Collision:
     friction, contact = "surface/friction/ode", "surface/contact/ode"
-    mu, mu2 = tag.friction(f"{friction}/mu", 1.0), f"{friction}/mu2"
+    mu, mu2 = tag.friction(f"{friction}/mu"), f"{friction}/mu2"
     # Stiffness and damping of its contacts.
     paths = (f"{contact}/kp", f"{contact}/kd")
-    spring = [tag.coefficient(path, 0.0) if tag.text(path) else None for path in paths]
-    across = tag.friction(mu2, 1.0) if tag.text(mu2) else None
+    spring = [tag.coefficient(path) if tag.text(path) else None for path in paths]
+    across = tag.friction(mu2) if tag.text(mu2) else None
     direction = tag.friction_direction(f"{friction}/fdir1")
     return Collision(geometry, tag.pose(), mu, tag.name, *spring, across, direction)
 
@@ -423,8 +423,8 @@ def _joint(tag: SdfTag, frames: Frames, links: Collection[str], model: str) -> J
         frames.pose(parent).inverse() * frames.pose(child),
         _axis(tag, frames, place, frames.pose(child)),
         {key: value for key, value in limits.items() if abs(value) < NO_BOUND},
-        tag.number("axis/dynamics/damping", 0.0),
-        tag.number("axis/dynamics/friction", 0.0),
+        tag.number("axis/dynamics/damping"),
+        tag.number("axis/dynamics/friction"),
         place.position,
     )
 

@@ -374,7 +374,7 @@ def _model_state(element: Element, model: Model, source: str) -> ModelState:
     if WORLD_LINK in present:
         links[WORLD_LINK] = FrameState(model.pose)
     positions = {
-        name: ElementReader(child, source).number("angle", 0.0)
+        name: ElementReader(child, source).number("angle")
         for name, child in _in_state(element, "joint")
     }
     joints = {}

@@ -125,7 +125,7 @@ class Plane(Shape):
     tag = "plane"
 
     def bounds(self) -> np.ndarray:
-        return np.outer((-math.inf, math.inf), (1.0, 1.0, 1.0))
+        return np.outer((-math.inf, math.inf), np.ones(3))
 
     def _gaps(self, point: Vector) -> Sequence[float]:
         along = sum(p * n for p, n in zip(point, self.normal))

@@ -26,7 +26,7 @@ NEWEST = (1, 7)
 # The children of each SDF element that are simulated.
 SDF_READ = {
     "sdf": "world model light include",
-    "world": "model light include actor gravity scene state physics",
+    "world": "model light include actor gravity scene state physics frame",
     "actor": "script pose link plugin",
     "model": "link joint plugin pose static frame include model",
     "link": "pose inertial visual collision sensor plugin self_collide gravity",
@@ -101,12 +101,12 @@ class Frames:
         return pose
 
     def carrier(self, name: str) -> str:
-        """Return the frame at the end of the chain of carriers; empty for an unknown frame."""
+        """Return the name at the end of the chain of carriers, which may be unknown."""
         seen = set()
         while name in self._frames and self._frames[name][2] and name not in seen:
             seen.add(name)
             name = self._frames[name][2]
-        return name if name in self._frames or name in OUTERMOST else ""
+        return name
 
 
 @dataclass(frozen=True)

@@ -235,7 +235,7 @@ def _link(tag: UrdfTag, colours: Mapping[str, Colour]) -> Link:
     inner = None if inertial is None else tag.other(inertial)
     return Link(
         tag.name,
-        inertia=inner and inner.inertia(inner.coefficient("mass/value", 0.0), 0.0),
+        inertia=inner and inner.inertia(inner.coefficient("mass/value"), 0.0),
         visuals=tag.shapes("visual", visual),
         collisions=tag.shapes("collision", collision),
     )
@@ -261,8 +261,8 @@ def _joint(tag: UrdfTag) -> Joint:
         tag.pose(),
         tag.direction("axis/xyz", "1 0 0"),
         {key: tag.bound(f"limit/{key}") for key in given if key in LIMITS},
-        tag.number("dynamics/damping", 0.0),
-        tag.number("dynamics/friction", 0.0),
+        tag.number("dynamics/damping"),
+        tag.number("dynamics/friction"),
     )
 
 
@@ -295,11 +295,11 @@ class _LinkTag(ElementReader):
 
 # The tags in `<gazebo reference=…>`, what they describe, and how they are read.
 LINK_TAGS: dict[str, tuple[str, Callable[[_LinkTag], Any]]] = {
-    "mu1": ("friction", lambda tag: tag.friction("value", 1.0)),
-    "mu2": ("cross_friction", lambda tag: tag.friction("value", 1.0)),
+    "mu1": ("friction", lambda tag: tag.friction("value")),
+    "mu2": ("cross_friction", lambda tag: tag.friction("value")),
     "fdir1": ("direction", lambda tag: tag.friction_direction("value")),
-    "kp": ("stiffness", lambda tag: tag.coefficient("value", 0.0)),
-    "kd": ("damping", lambda tag: tag.coefficient("value", 0.0)),
+    "kp": ("stiffness", lambda tag: tag.coefficient("value")),
+    "kd": ("damping", lambda tag: tag.coefficient("value")),
     "selfCollide": ("self_collide", _LinkTag.truth),
     "gravity": ("gravity", _LinkTag.truth),
     "turnGravityOff": ("gravity", lambda tag: not tag.truth()),

@@ -205,7 +205,7 @@ class TagReader(ABC):
             self.doubt(error)
             return numbers(default, count, self.where(key))
 
-    def number(self, key: str, default: float) -> float:
+    def number(self, key: str, default: float = 0.0) -> float:
         """Return a finite number."""
         return self.numbers(key, 1, repr(default))[0]
 
@@ -222,11 +222,11 @@ class TagReader(ABC):
         """
         return max(-LARGEST_NUMBER, min(LARGEST_NUMBER, self._any_number(key, 0.0)))
 
-    def coefficient(self, key: str, default: float) -> float:
+    def coefficient(self, key: str, default: float = 0.0) -> float:
         """Return a number that is not negative."""
         return self.numbers(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
 
-    def friction(self, key: str, default: float) -> float:
+    def friction(self, key: str, default: float = 1.0) -> float:
         """Return a coefficient of friction; larger or negative ones become NO_SLIP, as in ODE."""
         value = self._any_number(key, default)
         return value if 0.0 <= value < NO_SLIP else NO_SLIP

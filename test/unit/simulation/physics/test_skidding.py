@@ -9,10 +9,6 @@ from wheeled_robots import Robot, wheel_mesh
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
-    LEAST_RIM,
-    RoundWheel,
-    directed_wheels,
-    heavy_enough,
     skidding_wheels,
 )
 from bullet_lab.simulation.physics.traction import wheel_mobility
@@ -128,24 +124,3 @@ def test_what_hangs_on_a_joint_adds_less_than_what_is_fixed(kind):
     fixed = wheel_mobility(links, (*rover.joints, replace(hinge, kind="fixed")), told)
     for more, less in ((bare, loose), (loose, fixed)):
         assert np.linalg.eigvalsh(more - less).min() > -1e-9
-
-
-def test_no_wheel_is_too_light():
-    rover = Rover(wheel_mass=1e-4).model()
-    told = skidding_wheels(rover.links, rover.joints)
-    assert told == [RoundWheel(f"w{n}", Y, 0.1) for n in range(4)]
-    base, *fitted = heavy_enough(rover.links, told)
-    assert base is rover.links[0]
-    for link in fitted:
-        assert link.inertia.matrix[1, 1] == pytest.approx(LEAST_RIM * 8.0004 / 4 * 0.1**2)
-
-
-@pytest.mark.parametrize(
-    ("direction", "found"),
-    [((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), ((0.0, 0.0, 1.0), None), (None, None)],
-)
-def test_a_direction_across_the_axle_turns_with_the_wheel(direction, found):
-    shape = replace(ROUND, direction=direction)
-    links, joints = wheels((0.0, 0.2, 0.0), (0.0, -0.2, 0.0), shape=shape)
-    told = directed_wheels(place_links((Link("base"), *links), joints), joints)
-    assert [wheel.direction for wheel in told] == ([found, found] if found else [])

@@ -10,11 +10,8 @@ from rovers import LYING, G, Y, even_inertia
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
     RIM,
-    SINKING,
-    SINKING_SPEED,
     TREAD,
     ContactSurface,
-    Footing,
     on_treads,
 )
 from bullet_lab.simulation.simulation import Simulation
@@ -22,11 +19,9 @@ from bullet_lab.simulation.world.description import (
     Box,
     Collision,
     Cylinder,
-    Joint,
     Link,
     Model,
     Plane,
-    Sphere,
     World,
 )
 
@@ -91,39 +86,6 @@ def test_a_lone_wheel_gets_a_tread_and_a_rim():
     *treads, rim = on_treads((WHEEL,), Y, skids=True)
     assert [tread.geometry for tread in treads] == 2 * [Cylinder(0.1, TREAD)]
     assert [round(tread.pose.position[1], 6) for tread in treads] == [0.019, -0.019]
-
-
-@pytest.mark.parametrize(
-    ("shapes", "axle"),
-    [
-        ((WHEEL,), None),
-        ((WHEEL,), (1.0, 0.0, 0.0)),
-        ((replace(WHEEL, geometry=Cylinder(0.1, 0.001)),), Y),
-        ((Collision(Sphere(0.1)),), Y),
-        ((WHEEL, Collision(Sphere(0.1))), Y),
-    ],
-)
-def test_what_is_no_lone_wheel_stays_as_it_is(shapes, axle):
-    assert on_treads(shapes, axle, skids=True) == list(shapes)
-
-
-# Springs
-
-
-def test_hard_shapes_are_springs_that_the_load_compresses():
-    soft = Collision(Box((1.0, 1.0, 1.0)), stiffness=1e4, damping=3.0)
-    base = Link("base", inertia=even_inertia(2.0, 0.1), collisions=(soft,))
-    wheel = Link("wheel", inertia=even_inertia(1.0, 0.1), collisions=(WHEEL,))
-    joint = Joint("j", "continuous", "base", "wheel", Pose(), Y)
-    footing = Footing.of((base, wheel), (joint,), set())
-    one = footing.surface(base, ContactSurface.of(soft, None))
-    other = footing.surface(wheel, ContactSurface.of(WHEEL, Y))
-    assert (one.stiffness, one.damping) == (1e4, 3.0)
-    # ODE gives a wheel two contacts, Bullet one.
-    assert other.stiffness == pytest.approx(2.0 * 3.0 * G / SINKING)
-    assert other.damping == pytest.approx(2.0 * 3.0 * G / SINKING_SPEED)
-    ball = replace(base, collisions=(Collision(Sphere(0.1)),))
-    assert Footing.of((ball,), (), set()).load == 0.0
 
 
 def test_friction_has_a_limit_along_each_axis_of_the_world_or_for_all_directions():

@@ -1,6 +1,8 @@
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bullet_lab.core.pose import Pose
@@ -10,6 +12,7 @@ from bullet_lab.simulation.world.description import (
     Link,
     Model,
     Sphere,
+    Texture,
     World,
     footprints,
 )
@@ -28,12 +31,20 @@ def box(size=(2.0, 1.0, 0.5), pose=HERE):
 
 
 def test_a_box_is_where_model_and_shape_put_it():
-    pose = Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, math.pi / 2))
+    pose = Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, 0.5))
     (found,) = footprints(world_of(box(pose=Pose((0.5, 0.0, 0.25))), pose=pose))
     assert found.name == "thing"
-    assert found.centre == pytest.approx((1.0, 2.5))
-    corners = sorted((round(x, 9), round(y, 9)) for x, y in found.corners())
-    assert corners == [(0.5, 1.5), (0.5, 3.5), (1.5, 1.5), (1.5, 3.5)]
+    places = [pose.inverse() * Pose((*point, 0.0)) for point in (found.centre, *found.corners())]
+    wanted = [(0.5, 0.0), (1.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (1.5, -0.5)]
+    assert np.array([place.position[:2] for place in places]) == pytest.approx(np.array(wanted))
+
+
+def test_a_picture_is_scaled_scrolled_and_turned():
+    """About its middle, in OGRE's order, with the origin at the upper left."""
+    texture = Texture(Path(), (2.0, 0.5), (0.1, 0.3), math.radians(30.0))
+    found = texture.coordinates(np.array([[0.5, 0.5], [0.9, 0.4]]))
+    wanted = np.array([[0.436603, 0.190192], [0.509808, -0.083013]])
+    assert found == pytest.approx(wanted, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +70,7 @@ LEANING = Pose.from_rpy((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
     ("world", "below", "count"),
     [
         (world_of(box(), box()), 1.0, 2),
-        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.0, 0),
+        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.75, 0),
         (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.8, 1),
         (world_of(Collision(Sphere(1.0))), 1.0, 0),
         (world_of(box(), static=False), 1.0, 0),

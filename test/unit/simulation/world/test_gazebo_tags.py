@@ -2,10 +2,8 @@ import pytest
 from sensor_worlds import carrier, empty
 from shared import EMPTY_WORLD, complains
 
-from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Collision
 from bullet_lab.simulation.world.sdf import read_spawned
 
 CUBE = "<geometry><box size='0.2 0.2 0.2'/></geometry>"
@@ -20,11 +18,6 @@ def tagged(tags):
 
 
 # Materials
-
-
-def test_a_named_material_paints_the_link():
-    model = tagged("<material>Gazebo/Orange</material>")
-    assert model.links[0].visuals[0].colour == (1.0, 0.5088, 0.0468, 1)
 
 
 def test_an_unknown_material_is_reported_and_the_colour_stays(caplog):
@@ -61,51 +54,12 @@ def test_friction(tags, mu):
     assert tagged(tags).links[0].collisions[0].friction == mu
 
 
-def test_tags_of_several_elements_and_merged_links():
-    links = (
-        "<link name='nose'><collision><geometry><sphere radius='0.1'/></geometry></collision>"
-        "</link><joint name='j' type='fixed'><parent link='base'/><child link='nose'/></joint>"
-    )
-    model = carrier(
-        "<gazebo reference='base'><mu1>0.3</mu1><selfCollide>true</selfCollide></gazebo>"
-        "<gazebo reference='base'><kp>1e5</kp><kd>50</kd></gazebo>"
-        "<gazebo reference='nose'><mu1>0.7</mu1></gazebo>",
-        collision=f"<collision>{CUBE}</collision>",
-        links=links,
-    )
-    base, nose = model.links[0].collisions
-    assert (base.friction, base.stiffness, base.damping) == (0.3, 1e5, 50.0)
-    assert (nose.friction, nose.stiffness) == (0.7, None)
-    assert model.links[0].self_collide
-
-
-def test_one_coefficient_only_is_said_once(caplog):
-    tagged("<mu1>1</mu1><mu2>0.5</mu2><mu2>0.5</mu2>")
-    (message,) = caplog.messages
-    said = "without <fdir1>, friction has one coefficient here, <mu1>: 1"
-    assert f"<mu2> of 'base': {said}" in message
-
-
 def test_a_direction_of_friction(caplog):
     (shape,) = tagged("<mu1>1</mu1><mu2>0.5</mu2><fdir1>0 2 0</fdir1>").links[0].collisions
     assert (shape.friction, shape.cross_friction) == (1.0, 0.5)
     assert shape.direction == (0.0, 1.0, 0.0)
     assert tagged("<fdir1>0 0 0</fdir1>").links[0].collisions[0].direction is None
     assert caplog.messages == []
-
-
-def test_the_same_in_sdf():
-    ode = "<mu>0.8</mu><mu2>0.2</mu2><fdir1>0 0 3</fdir1>"
-    soft = "<contact><ode><kp>5e4</kp><kd>7</kd></ode></contact>"
-    surface = f"<surface><friction><ode>{ode}</ode></friction>{soft}</surface>"
-    (link,) = sdf(collision=surface, link="<self_collide>true</self_collide>").links
-    (shape,), (plain,) = link.collisions, sdf().links
-    wanted = Collision(
-        shape.geometry, Pose(), 0.8, "c", 5e4, 7.0, cross_friction=0.2, direction=(0.0, 0.0, 1.0)
-    )
-    assert shape == wanted
-    assert plain.collisions == (Collision(shape.geometry, name="c"),)
-    assert (link.self_collide, plain.self_collide) == (True, False)
 
 
 # What is not known
@@ -133,12 +87,6 @@ def test_what_is_for_the_eye_alone_is_not_reported(caplog):
         "<gazebo><static>false</static></gazebo>"
     )
     assert caplog.messages == []
-
-
-def test_a_reference_to_nothing_is_reported(caplog):
-    carrier("<gazebo reference='bose'><mu1>1</mu1></gazebo>")
-    (message,) = caplog.messages
-    assert "<gazebo reference='bose'>: unknown link or joint" in message
 
 
 def test_tags_of_a_plugin_that_it_does_not_know_are_reported(caplog):

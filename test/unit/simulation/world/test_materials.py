@@ -9,7 +9,7 @@ from PIL import Image
 from sensor_worlds import carrier
 
 from bullet_lab.simulation.world import resources
-from bullet_lab.simulation.world.description import Material, Texture
+from bullet_lab.simulation.world.description import Texture
 from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -132,29 +132,6 @@ def test_a_picture_by_its_alias(shop):
     assert visual_of(script("Shop/Relabelled")).material.texture.path.name == "crate.png"
 
 
-def test_gazebos_ambient_and_emissive_colours(shop):
-    assert visual_of(script("Gazebo/Grey")).material.ambient == (0.3, 0.3, 0.3, 1.0)
-    assert visual_of(script("Gazebo/RedGlow")).material.emissive == (1.0, 0.0, 0.0, 1.0)
-
-
-def test_what_the_material_tag_says_goes_over_the_script(shop):
-    own = "<diffuse>0 1 0 1</diffuse><emissive>1 0 0 1</emissive>"
-    visual = visual_of(script("Shop/Crate", more=own))
-    assert visual.colour == (0, 1, 0, 1)
-    assert visual.material.ambient == (0.1, 0.2, 0.3, 1.0)
-    assert visual.material.emissive == (1, 0, 0, 1)
-    assert visual.material.texture is not None
-
-
-def test_colours_without_a_script(shop):
-    both = "<ambient>1 0 0</ambient><diffuse>0 1 0 0.5</diffuse><lighting>0</lighting>"
-    visual = visual_of(both, more="<transparency>0.5</transparency>")
-    assert visual.colour == (0, 1, 0, 0.25)
-    assert visual.material == Material((1, 0, 0, 1), lit=False, covers=True)
-    assert visual_of("<ambient>1 0 0 1</ambient>").colour == (1, 0, 0, 1)
-    assert visual_of("<specular>1 0 0 1</specular>").material == Material()
-
-
 @pytest.mark.parametrize(
     ("material", "message"),
     [
@@ -179,21 +156,6 @@ def test_what_is_missing_is_said_once_and_the_rest_is_drawn(shop, material, mess
     assert len(model.links[0].visuals) == 3
     (line,) = caplog.messages
     assert message in line
-
-
-def test_a_colour_that_is_none_is_said(shop, caplog):
-    assert visual_of("<diffuse>green</diffuse><ambient>1 0 0</ambient>").colour[0] == 1.0
-    message = "visual 'v': <diffuse>: 'green' is not 4 finite numbers; the default is used"
-    assert message in caplog.text
-
-
-def test_a_script_that_breaks_off_keeps_what_was_before(shop, caplog):
-    scripts = shop / "shop" / "materials" / "scripts"
-    (scripts / "z.material").write_text(
-        "material Z/A { technique { pass { diffuse 0 0 1 } } }\nmaterial Z/B { technique {"
-    )
-    assert visual_of(script("Z/A")).colour == (0, 0, 1, 1)
-    assert "z.material: 'technique ' is not closed" in caplog.text
 
 
 def test_imports_and_parents_in_other_files(shop):

@@ -149,7 +149,7 @@ def test_children_go_over_the_blocks_of_their_parents(name, key, words):
     ("text", "mistake", "kept"),
     [
         ("material A { }\nmaterial B {\n technique {", "'technique ' is not closed", ["A"]),
-        ("material A { } }\nmaterial B { }", "line 1: a '}' that closes nothing", ["A"]),
+        ("\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", ["A"]),
         ("material A { }\n" + "a {\n" * 30, "more than 20 blocks", ["A"]),
         ('material A { technique { name "open\n } }', "", ["A"]),
         ("material A { /* open", "'material A' is not closed", []),

@@ -194,13 +194,6 @@ def test_meshes_are_named_so_that_they_are_found(tmp_path, package):
         assert "own mesh.dae lies outside all packages" in note
 
 
-def test_names_that_occur_twice_in_a_link_get_numbers(tmp_path, world):
-    shape = re.search("<visual.*?</visual>", MACHINE, re.DOTALL).group()
-    world.add(read_spawned(MACHINE.replace(shape, 3 * shape), "machine"))
-    path, _ = save(world, tmp_path)
-    assert re.findall('<visual name="(v.?.?)">', path.read_text()) == ["v", "v_1", "v_2"]
-
-
 def test_the_state_of_a_world_that_gazebo_has_saved(tmp_path):
     """Gazebo says where links are and leaves the joints to whoever reads it."""
     with Simulation.of(EMPTY_WORLD) as simulation:
@@ -215,57 +208,3 @@ def test_the_state_of_a_world_that_gazebo_has_saved(tmp_path):
         path.write_text(text)
         with Simulation(read_world_file(path)) as again:
             assert_alike(states(simulation), states(again))
-
-
-LOOKS = """<sdf version="1.6"><world name="w"><model name="m"><static>1</static><link name="l">
-{}</link></model></world></sdf>"""
-LOOK = "<visual name='{}'><geometry>{}</geometry>{}</visual>"
-CUBE = "<box><size>1 1 1</size></box>"
-SCRIPTED = "<material><script><uri>scripts</uri><name>{}</name></script>{}</material>"
-SCRIPT = """material A { technique { pass { diffuse 1 0 0
-  ambient 0 1 0
-  emissive 0 0 1
-  texture_unit { texture a.png
-    scale 0.5 0.5 } } } }"""
-
-
-def test_looks_of_visuals(tmp_path):
-    (tmp_path / "scripts").mkdir()
-    (tmp_path / "scripts" / "a.material").write_text(SCRIPT)
-    (tmp_path / "scripts" / "a.png").write_bytes(b"")
-    (tmp_path / "own.obj").write_text("usemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    (tmp_path / "bare.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    part = "<mesh><uri>bare.obj</uri><submesh><name>a</name><center>1</center></submesh></mesh>"
-    own, bare = (f"<mesh><uri>{n}.obj</uri></mesh>" for n in ("own", "bare"))
-    colours = "<material><ambient>1 0 0 1</ambient><diffuse>0 1 0 .5</diffuse></material>"
-    unlit = "<material><diffuse>0 1 0 1</diffuse><lighting>0</lighting></material>"
-    visuals = (
-        (CUBE, SCRIPTED.format("A", "")),
-        (CUBE, SCRIPTED.format("A", "<diffuse>0 0 1 1</diffuse>")),
-        (CUBE, SCRIPTED.format("Gazebo/RedTransparent", "")),
-        (CUBE, SCRIPTED.format("Nobodys", "")),
-        (CUBE, colours),
-        (CUBE, unlit),
-        (own, ""),
-        (own, "<transparency>0.25</transparency>"),
-        (own, colours),
-        (bare, ""),
-        (part, ""),
-    )
-    text = "".join(LOOK.format(n, *visual) for n, visual in enumerate(visuals))
-    world = tmp_path / "w.world"
-    world.write_text(LOOKS.format(text))
-    with Simulation.of(str(world)) as simulation:
-        path, notes = save(simulation, tmp_path)
-        before = simulation.models["m"].model.links[0].visuals
-    assert notes == []
-    after = read_world_file(path).models[0].links[0].visuals
-    assert (after[-1].geometry.submesh, after[-1].geometry.centred) == ("a", True)
-    assert before[0].material.texture.scale == (0.5, 0.5)
-    assert_alike(before, after, "covers", "scripts", "name")
-    for one, other in zip(before, after):
-        assert (one.material.ambient or one.colour) == (other.material.ambient or other.colour)
-        assert one.material.name == other.material.name
-        is_bare = "bare" in getattr(one.geometry, "uri", "box bare")
-        assert is_bare or one.material.covers == other.material.covers
-    assert "<uri>scripts</uri>" in path.read_text()

@@ -98,9 +98,10 @@ def test_a_static_robot_needs_no_mass(world):
     assert instance.frame("wheel").pose().position == pytest.approx((0, 0.15, 1))
 
 
-def test_a_robot_that_is_only_the_world_is_refused(world):
-    with pytest.raises(LabError, match="link 'world' moves and has no mass"):
-        world.add(read_spawned('<robot name="r"><link name="world"/></robot>', "robot"))
+@pytest.mark.parametrize("name", ["world", "base"])
+def test_a_robot_of_one_link_without_mass_is_refused(world, name):
+    with pytest.raises(LabError, match=f"link '{name}' moves and has no mass"):
+        world.add(read_spawned(f'<robot name="r"><link name="{name}"/></robot>', "robot"))
 
 
 # What no model can be

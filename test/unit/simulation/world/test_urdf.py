@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from shared import complains
 
-from bullet_lab.simulation.world.description import WHITE, Box, Cylinder, Mesh, Sphere
+from bullet_lab.simulation.world.description import Box, Cylinder
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -65,40 +65,6 @@ def test_names_of_shapes_are_gazebos(package):
     assert [shape.name for shape in beacon.links[0].collisions] == ["base_link_collision"]
 
 
-def test_shapes_origins_colours_and_names(package):
-    model = read_urdf(
-        robot(
-            '<material name="red"><color rgba="1 0 0 0.5"/></material>'
-            '<link name="a">'
-            '<visual name="v"><origin xyz="1 2 3" rpy="0 0 1"/>'
-            '<geometry><sphere radius="0.3"/></geometry><material name="red"/></visual>'
-            '<visual><geometry><box size="1 2 3"/></geometry>'
-            '<material name="own"><color rgba="0 1 0 1"/></material></visual>'
-            '<visual><geometry><mesh filename="package://bullet_lab/meshes/beacon.dae"'
-            ' scale="1 2 -3"/></geometry></visual></link>'
-        ),
-        "s",
-    )
-    ball, box, mesh = model.links[0].visuals
-    assert (ball.name, ball.geometry, ball.colour) == ("v", Sphere(0.3), (1, 0, 0, 0.5))
-    assert ball.pose.position == (1, 2, 3)
-    assert ball.pose.yaw == pytest.approx(1.0)
-    assert box.colour == (0, 1, 0, 1)
-    uri = "package://bullet_lab/meshes/beacon.dae"
-    assert mesh.geometry == Mesh(package / "meshes/beacon.dae", uri, (1, 2, -3))
-    assert mesh.colour == WHITE
-
-
-def test_the_inertia_is_turned_into_the_frame_of_the_link():
-    text = robot(
-        '<link name="a"><inertial><origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>'
-        '<mass value="1"/><inertia ixx="1" iyy="2" izz="2.5"/></inertial></link>'
-    )
-    inertia = read_urdf(text, "s").links[0].inertia
-    assert inertia.centre == (1, 0, 0)
-    assert inertia.matrix == pytest.approx(np.diag([2, 1, 2.5]), abs=1e-12)
-
-
 def test_the_axes_of_an_inertial_are_kept(package):
     # As Gazebo's get_link_properties tells them of the camera robot's wheel, in kg m².
     wheel = read_urdf_file(package / "urdf" / "camera_robot.urdf")
@@ -106,21 +72,6 @@ def test_the_axes_of_an_inertial_are_kept(package):
     own = inertia.elements(inertia.axes)
     found = [own[key] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
     assert found == pytest.approx([0.002467, 0.002467, 0.0049, 0, 0, 0], abs=1e-6)
-
-
-def test_joints():
-    parts = (
-        '<origin xyz="0 0 1"/><axis xyz="0 3 4"/><limit lower="-1" upper="2"/>'
-        '<dynamics damping="0.1" friction="0.2"/>'
-    )
-    (joint,) = read_urdf(robot(ARM + JOINT.format("revolute", parts)), "s").joints
-    assert (joint.kind, joint.parent, joint.child) == ("revolute", "a", "b")
-    assert joint.pose.position == (0, 0, 1)
-    assert joint.axis == pytest.approx((0, 0.6, 0.8))
-    assert joint.limits == {"lower": -1, "upper": 2}
-    assert (joint.damping, joint.friction) == (0.1, 0.2)
-    (plain,) = read_urdf(robot(ARM + JOINT.format("continuous", "")), "s").joints
-    assert plain.axis == (1, 0, 0)
 
 
 def test_what_xacro_has_not_expanded_is_named_once(caplog):
@@ -131,24 +82,6 @@ def test_what_xacro_has_not_expanded_is_named_once(caplog):
     assert caplog.messages == [
         f"{left_out} <xacro:{{0}}>".format(name) for name in ("my_body", "box_inertia")
     ]
-
-
-def test_plugins_stand_in_gazebo_tags_and_in_their_sensors():
-    text = robot(
-        '<link name="a"/>'
-        '<gazebo><plugin name="p" filename="libp.so"><x> 1 </x><y/></plugin></gazebo>'
-        '<gazebo reference="a"><sensor type="camera" name="eye"><update_rate>30</update_rate>'
-        "<pose>0 0 1.23456789</pose><ray><max>inf</max></ray>"
-        '<plugin name="q" filename="libq.so"><x>1.23456789</x></plugin></sensor></gazebo>'
-    )
-    outer, inner = read_urdf(text, "s").plugins
-    assert (outer.name, outer.filename, outer.link) == ("p", "libp.so", "")
-    assert outer.tags == {"x": "1", "y": ""}
-    assert outer.sensor is None
-    assert (inner.name, inner.filename, inner.link) == ("q", "libq.so", "a")
-    # Of the numbers of a sensor, Gazebo's conversion to SDF keeps six digits.
-    told = [inner.sensor.findtext(path) for path in ("update_rate", "pose", "ray/max", "plugin/x")]
-    assert told == ["30", "0 0 1.23457", "inf", "1.23456789"]
 
 
 BAD = [

@@ -3,7 +3,6 @@ from pathlib import Path
 
 import pytest
 
-from bullet_lab.simulation.world import xml as xml_input
 from bullet_lab.simulation.world.xml import (
     ElementReader,
     XmlError,
@@ -79,13 +78,17 @@ def test_half_a_surrogate_is_refused():
         parse_text("<a>\ud800</a>", "here")
 
 
-def test_a_huge_text_is_refused(monkeypatch, tmp_path):
-    monkeypatch.setattr(xml_input, "MAXIMUM_BYTES", 100)
-    with pytest.raises(XmlError, match="^here: larger than 100 bytes$"):
-        parse_text("<a>" + 100 * " " + "</a>", "here")
-    (tmp_path / "huge").write_text(101 * " ")
-    with pytest.raises(XmlError, match="huge: larger than 100 bytes$"):
-        read_text(tmp_path / "huge")
+def test_a_huge_text_is_refused(tmp_path):
+    most, path = 20_000_000, tmp_path / "huge"
+    path.touch()
+    os.truncate(path, most)
+    text = read_text(path)
+    assert len(text) == most
+    with pytest.raises(XmlError, match="^here: larger than 20000000 bytes$"):
+        parse_text(text + " ", "here")
+    os.truncate(path, most + 1)
+    with pytest.raises(XmlError, match="huge: larger than 20000000 bytes$"):
+        read_text(path)
 
 
 def test_nobody_is_waited_for_where_a_file_should_be(tmp_path):

@@ -145,7 +145,7 @@ def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint
     if tag.element.find("limit") is not None:
         soft = None
         if tag.element.find("safety_controller") is not None:
-            soft = SoftLimits(*(tag.number(f"safety_controller/{key}", 0.0) for key in SOFT_LIMITS))
+            soft = SoftLimits(*(tag.number(f"safety_controller/{key}") for key in SOFT_LIMITS))
         limits = JointLimits(**{key: tag.bound(f"limit/{key}") for key in LIMITS}, soft=soft)
         if kind == "continuous":
             limits = replace(limits, lower=-math.inf, upper=math.inf)

@@ -1,0 +1,55 @@
+"""All that can be said in worlds, URDFs and meshes, with some of what cannot, is read as before.
+
+A change that means to read something otherwise renews the text: see `assert_as_before`.
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from alike import assert_as_before, lines_of, shown
+from shared import PACKAGE
+
+from bullet_lab.simulation.world.description import Mesh, ModelState, PluginTag, Snapshot
+from bullet_lab.simulation.world.mesh_parts import mesh_parts
+from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.sdf_writer import world_text
+from bullet_lab.simulation.world.urdf import read_urdf_file
+
+HERE = Path(__file__).parent
+
+
+def parts_of(path):
+    """What is seen of a mesh, mirrored; versions of trimesh order parts and corners otherwise."""
+    parts = mesh_parts(Mesh(path, "", (1.0, 2.0, -3.0)))
+    return dict(enumerate(sorted([(part.corners, *part[2:]) for part in parts], key=str)))
+
+
+def saved(path):
+    """A world as it is written again after 1.234 s."""
+    world = read_world_file(path)
+    made, state = PluginTag("libmade.so", "made", {"speed": "3"}), world.states.get
+    models = [
+        (replace(one, plugins=(*one.plugins, made)), state(one.name, ModelState(one.pose)))
+        for one in world.models
+    ]
+    text, notes = world_text(Snapshot(world, 1234, models), HERE)
+    text = re.sub(r"-?\d+\.\d+(e-\d+)?", lambda found: shown(float(found[0])), text)
+    return dict(enumerate(text.split("\n") + notes))
+
+
+@pytest.mark.parametrize(
+    "file, read",
+    [
+        ("whole.world", read_world_file),
+        ("whole.world", saved),
+        ("whole.urdf", read_urdf_file),
+        ("whole.obj", parts_of),
+        ("whole.dae", parts_of),
+    ],
+)
+def test_whole_files_are_read_as_before(file, read, caplog):
+    told = [*lines_of(read(HERE / file), file), *caplog.messages]
+    told = [line.replace(str(PACKAGE), "") for line in told]
+    assert_as_before(told, HERE / f"{file}.{read.__name__}.txt")
