@@ -85,6 +85,24 @@ def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
     assert only.frames > 6
 
 
+def test_of_many_prints_those_seen_often_stay():
+    lookout = Lookout()
+    (marker,) = lookout.look(MARKER, times=3)
+    others = [standin.Print((0.0, 0.25 * place, 0.0), size=0.13) for place in range(-4, 5)]
+    tracks = lookout.look(*others, changes=[np.copy] * 9)
+    assert len(tracks) == 8
+    assert marker in tracks
+
+
+def test_the_image_cuts_a_marker_off_with_its_white_border():
+    lookout = Lookout((2.8, 0.0, 0.0))
+    (track,) = lookout.look(MARKER, times=8, step=(0.03, 0.0, 0.0))
+    # Its upper edge leaves the image 0.335 m before the camera, the border's half 0.026 m before.
+    for distance, cut in ((0.37, False), (0.35, True)):
+        lookout.belief.add_odometry(Odometry(9.0, (3.84 - distance, 0.0, 0.0)))
+        assert lookout.belief.cut_off(track) == cut
+
+
 def test_a_print_that_a_wall_begins_to_hide_stays_the_same_track():
     def cut(corners):
         """The left edge is the wall's: a fortieth of the marker is hidden."""

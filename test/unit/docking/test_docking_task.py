@@ -189,6 +189,7 @@ def test_a_marker_that_vanishes_is_searched_again():
     feed.stand = replace(feed.stand, dropout=0.0)
     feed.run(120.0)
     check_docked(feed)
+    assert feed.moved == pytest.approx(3.603809, abs=1e-6)
 
 
 def test_shares_no_random_numbers_with_noise_of_the_same_seed():
@@ -209,19 +210,22 @@ def undocking(distance, start=DOCKED, mount=None):
 
 
 @pytest.mark.parametrize(
-    ("feed", "images", "x", "most"),
+    ("feed", "images", "x", "most", "moved"),
     [
-        (undocking(0.8), True, 2.64, 0.01),
+        (undocking(0.8), True, 2.64, 0.01, 0.799598),
         # Straight back it would be 0.13 m off the axis; the marker told it where that is.
-        (undocking(0.0, (3.44, 0.02, math.radians(3.0)), standin.MOUNT), True, 1.0, 0.03),
-        (undocking(0.0), False, 1.0, 0.2),
+        (undocking(0.0, (3.44, 0.02, math.radians(3.0)), standin.MOUNT), True, 1.0, 0.03, 2.499023),
+        (undocking(0.0), False, 1.0, 0.2, 2.599598),
     ],
 )
-def test_backs_out_by_a_distance_or_until_it_stands_before_the_dock(feed, images, x, most):
+def test_backs_out_by_a_distance_or_until_it_stands_before_the_dock(
+    feed, images, x, most, moved
+):
     feed.images = images
     feed.run(60.0)
     assert feed.task.result.success
     assert feed.task.remaining == 0.0
+    assert feed.moved == pytest.approx(moved, abs=1e-6)
     assert feed.pose[:2] == pytest.approx((x, 0.0), abs=most)
 
 

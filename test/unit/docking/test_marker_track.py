@@ -239,3 +239,11 @@ def test_a_late_image_tells_of_the_way_up_to_it(since, real):
     test.travel(-0.3, 0.0, 1e-6)
     test.see(2.3 if real else 2.4, 0.005)
     assert (np.argmax(test.logs) == 0) == real
+
+
+def test_a_change_of_the_range_tells_of_the_size_as_far_as_both_ways_are_known():
+    test = SizeTest(3.0, 0.02)
+    test.travel(-0.4, 0.1, 1e-4)
+    test.see(2.7, 0.03)
+    expected = (-2.512302, -8.0, -0.749105, -3.448473)
+    assert test.logs[[0, 3, 6, 7]] == pytest.approx(expected, abs=1e-6)

@@ -41,6 +41,11 @@ def test_states_that_follow_each_other_without_end_stand_still(monkeypatch):
     monkeypatch.setattr(LookForMarker, "step", lambda *_: Outcome("found"))
     monkeypatch.setitem(TRANSITIONS, LookForMarker, {"found": LookForMarker})
     assert task._ask_states() == STANDSTILL
+    # Nothing is known of the place yet, nor planned.
+    assert (task.dock_pose, task.plan) == (None, ())
+    assert all(map(math.isnan, task.place))
+    task._state = states.DriveAlong([(0.0, 0.0), (1.0, 2.0)])
+    assert task.plan == ((1.0, 2.0),)
 
 
 TOLERANCE = DockTolerance(0.005, 0.003, math.radians(0.4))
@@ -144,6 +149,29 @@ def test_a_yaw_that_a_way_in_did_not_tell_is_looked_at_from_aside(
     monkeypatch.setattr(docking.paths, "way_aside", lambda *_: way)
     assert states.Approach().step(docking).name == said
     assert docking._stagings == 1
+
+
+@pytest.mark.parametrize(
+    ("robot", "said"),
+    [
+        ((-0.95, 0.024, 0.0), ""),
+        ((-0.95, -0.026, 0.0), "26 mm beside the axis"),
+        ((-0.97, -0.026, 0.0), ""),
+        ((-0.79, 0.0, -math.radians(6.1)), "6.1 degrees against the axis"),
+        ((-0.79, 0.0, math.radians(5.9)), ""),
+        ((-0.81, 0.0, math.radians(6.1)), ""),
+        ((-2.3, 0.19, 0.0), "too near the walls"),
+        ((-2.4, 0.19, 0.0), ""),
+    ],
+)
+def test_an_approach_is_given_up_where_it_would_not_end_well(robot, said):
+    docking = docking_at(robot)
+    docking.reject_track = lambda *_: False
+    assert docking.axis.check_gate(robot) == said
+    step = states.Approach().step(docking)
+    assert (name_of(step) == "failed") == bool(said)
+    # Back to 0.6 m before where it was.
+    assert not said or step.arguments == pytest.approx((-robot[0] - DOCKED + 0.6,))
 
 
 def at_the_dock(unseen, left=0.0):
