@@ -85,6 +85,18 @@ def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
     assert only.frames > 6
 
 
+def test_three_images_make_a_track_that_two_seconds_keep_in_sight():
+    lookout = Lookout()
+    for times, known in ((2, False), (1, True)):
+        lookout.look(MARKER, times=times)
+        belief = lookout.belief
+        found = belief.best() is not None, belief.copies_seen(), belief.pending()
+        assert found == (known, known, not known)
+    for times, seen in ((9, True), (2, False)):
+        lookout.look(times=times)
+        assert lookout.belief.copies_seen() == seen
+
+
 def test_of_many_prints_those_seen_often_stay():
     lookout = Lookout()
     (marker,) = lookout.look(MARKER, times=3)

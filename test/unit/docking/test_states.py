@@ -212,6 +212,27 @@ def test_a_marker_that_is_lost_near_the_dock_is_not_searched_anew(left, certain,
     assert docking.lost_at_the_end == (said != "lost")
 
 
+@pytest.mark.parametrize(
+    ("left", "along", "beside", "lost", "cut_off", "blind"),
+    [
+        (0.11, 0.004, 0.002, True, False, True),
+        (0.11, 0.004, 0.002, False, True, True),
+        (0.11, 0.004, 0.002, False, False, False),
+        (0.11, 0.006, 0.002, True, True, False),
+        (0.11, 0.004, 0.004, True, True, False),
+        (0.13, 0.004, 0.002, True, True, False),
+    ],
+)
+def test_the_last_part_is_driven_blind_where_the_place_is_known(
+    left, along, beside, lost, cut_off, blind
+):
+    docking = docking_at((-DOCKED - left, 0.0, 0.0))
+    estimate = docking.belief.estimate()
+    estimate.deviations[0], estimate.lateral_deviation = along, beside
+    docking.lost_at_the_end, docking.belief.cut_off = lost, lambda track: cut_off
+    assert docking.may_drive_blind(docking.track) == blind
+
+
 def test_a_retreat_begins_where_the_marker_is_not_found():
     docking, state = at_the_dock(5.0), states.Retreat(0.6)
     assert state.step(docking)[0] < -0.05
