@@ -98,11 +98,37 @@ def name_of(kind):
     return kind.__name__
 
 
-def mutations(node):
-    """Yield what a node may become, each with a description."""
+def is_real(node, reals):
+    """Return whether an expression has a real number in it, 0 aside; `reals` are names of some."""
+    return any(
+        part.id in reals
+        if isinstance(part, ast.Name)
+        else isinstance(part, ast.Constant) and isinstance(part.value, float) and part.value != 0.0
+        for part in ast.walk(node)
+    )
+
+
+def reals_of(tree):
+    """Return the names of a module's real numbers."""
+    found = set()
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and is_real(node.value, found):
+            names = (part for target in node.targets for part in ast.walk(target))
+            found |= {part.id for part in names if isinstance(part, ast.Name)}
+    return found
+
+
+def mutations(node, reals):
+    """Yield what a node may become, each with a description; `reals` are the module's.
+
+    Whether `<` or `<=` stands before a real number shows only where both sides are equal to the
+    last bit, which no measured number is.
+    """
     if isinstance(node, ast.Compare):
+        sides = [is_real(side, reals) for side in (node.left, *node.comparators)]
         for place, op in enumerate(node.ops):
-            for kind in COMPARISONS[type(op)]:
+            kinds = COMPARISONS[type(op)]
+            for kind in kinds[-1:] if any(sides[place : place + 2]) else kinds:
                 ops = node.ops[:place] + [kind()] + node.ops[place + 1 :]
                 yield f"{name_of(type(op))} to {name_of(kind)}", replaced(node, ops=ops)
     elif isinstance(node, (ast.BinOp, ast.AugAssign, ast.BoolOp, ast.UnaryOp)):
@@ -146,8 +172,10 @@ def other_functions(node):
 
 def mutants_of(root, file):
     """Yield all mutants of a file below a root."""
-    for number, node in enumerate(nodes_of(ast.parse((root / file).read_bytes()))):
-        for choice, (text, _) in enumerate(mutations(node)):
+    tree = ast.parse((root / file).read_bytes())
+    reals = reals_of(tree)
+    for number, node in enumerate(nodes_of(tree)):
+        for choice, (text, _) in enumerate(mutations(node, reals)):
             yield Mutant(file, node.lineno, number, choice, text)
 
 
@@ -155,7 +183,7 @@ def mutated(source, number, choice):
     """Return the syntax tree of a source text with one node replaced."""
     tree = ast.parse(source)
     target = nodes_of(tree)[number]
-    _, new = list(mutations(target))[choice]
+    _, new = list(mutations(target, reals_of(tree)))[choice]
     ast.copy_location(new, target)
 
     class Replacer(ast.NodeTransformer):
