@@ -99,6 +99,10 @@ def test_a_turn_that_went_far_too_far_is_turned_back():
     assert driver.sides_done == 0
     assert ahead == 0.0
     assert turn > 0.0
+    # Past its goal for the second time, it is done.
+    for beyond, turns in ((-0.1, True), (0.1, False)):
+        command = driver.command((2.0, 0.0, -0.5 * math.pi - beyond))
+        assert (command != STANDSTILL) == turns
 
 
 @pytest.mark.parametrize("ticks_per_metre", [50, 300, 1000])
@@ -144,6 +148,11 @@ def test_what_cannot_be_driven_is_refused(kind, values):
     given = {f"~{name}": value for name, value in values.items()}
     with pytest.raises(ParameterError):
         read_parameters(kind, given.get)
+
+
+def test_what_can_be_driven_is_read():
+    given = {"~sides": 1, "~turn_speed": 1}
+    assert read_parameters(Square, given.get) == Square(sides=1, turn_speed=1.0)
 
 
 def test_open_loop_sends_the_commands_of_all_sides_and_counts_them():
@@ -234,6 +243,14 @@ def test_noisy_poses_do_not_keep_it_from_arriving():
     assert math.dist(pose[:2], (1.0, 1.0)) <= LIMITS.tolerance + 0.006
 
 
+def test_turns_on_the_spot_from_60_degrees_on_until_6_are_left():
+    driver = GoalDriver((1.0, 0.0, 0.0))
+    for degrees, ahead in ((59.5, 1), (60.5, 0), (6.5, 0), (5.5, 1), (6.5, 1), (59.5, 1)):
+        off = math.radians(degrees)
+        command = driver.command((0.0, 0.0, -off), 10.0)
+        assert command == pytest.approx((0.2 * ahead * math.cos(off), min(0.8, 2.0 * off)))
+
+
 def test_drives_on_where_a_turn_has_moved_it_off_the_goal():
     driver = GoalDriver((1.0, 0.0, 1.5))
     assert driver.command((0.98, 0.0, 0.0), PERIOD)[1] > 0.0
@@ -289,9 +306,7 @@ def test_both_robots_of_the_course_stop_at_the_goal(robot, goal):
 
 
 def test_a_robot_that_friction_holds_is_turned_faster():
-    slowest, left = SlowestTurn(), 0.05
-    for _ in range(60):
-        speed = slowest.now(left)
-        left -= PERIOD * max(0.0, speed - 0.2)
-    assert 0.2 < slowest.speed < 0.25
-    assert left < 0.02
+    slowest = SlowestTurn()
+    held = [slowest.now(0.05) for _ in range(7)]
+    assert held == pytest.approx([0.1] * 5 + [0.11, 0.121])
+    assert [slowest.now(left) for left in (0.04, 0.0394)] == [slowest.speed] * 2

@@ -32,7 +32,7 @@ docks:
     staging_distance: 3.0
     docked_distance: 0.4
     tolerance: {distance: 0.005, lateral: 0.005, yaw_deg: 0.5}
-    uncertainty: {position: 0.3, yaw_deg: 10}
+    uncertainty: {position: 0, yaw_deg: 180}
 """
 
 
@@ -43,7 +43,7 @@ def test_reads_a_dock():
     assert (dock.marker.id, dock.marker.size) == (3, 0.1)
     assert dock.walls.depth == 2.0
     assert dock.tolerance.yaw == pytest.approx(math.radians(0.5))
-    assert dock.uncertainty.yaw == pytest.approx(math.radians(10.0))
+    assert dock.uncertainty == DockUncertainty(0.0, math.pi)
 
 
 def test_the_shipped_database_is_good():

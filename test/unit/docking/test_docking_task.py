@@ -121,19 +121,21 @@ def check_ended(feed, error, moved=None):
     assert moved is None or feed.moved == moved
 
 
-STOPPED = [
-    ({"images": False}, DockingError.CAMERA_LOST),
-    ({"odometry": False}, DockingError.ODOMETRY_LOST),
-    ({"blocked": True}, DockingError.BLOCKED),
-]
-
-
-@pytest.mark.parametrize(("changes", "error"), STOPPED)
-def test_what_stops_is_noticed(changes, error):
+@pytest.mark.parametrize(
+    ("changes", "error", "seconds"),
+    [
+        ({"images": False}, DockingError.CAMERA_LOST, 3.05),
+        ({"odometry": False}, DockingError.ODOMETRY_LOST, 1.05),
+        ({"blocked": True}, DockingError.BLOCKED, 1.5),
+    ],
+)
+def test_what_stops_is_noticed(changes, error, seconds):
     feed = approaching()
     vars(feed).update(changes)
     start = feed.pose.copy()
+    before = feed.now
     check_ended(feed, error)
+    assert feed.now - before == pytest.approx(seconds)
     # Unseen, it does not go on for long.
     assert math.dist(start[:2], feed.pose[:2]) < 0.5
 
@@ -147,7 +149,9 @@ def test_odometry_that_jumps_is_noticed(jump):
 
 
 def test_gives_up_when_its_time_is_over():
-    check_ended(fed(time_limit=2.0), DockingError.TIMED_OUT)
+    feed = fed(time_limit=2.0)
+    check_ended(feed, DockingError.TIMED_OUT)
+    assert feed.task.result.message == "not docked after 2 s"
 
 
 def test_no_camera_at_all():
@@ -200,7 +204,7 @@ def test_shares_no_random_numbers_with_noise_of_the_same_seed():
     assert first != np.random.default_rng(1).random()
 
 
-DOCKED = (3.44, 0.0, 0.0)
+DOCKED, ASIDE = (3.44, 0.0, 0.0), (3.44, 0.02, math.radians(3.0))
 
 
 def undocking(distance, start=DOCKED, mount=None):
@@ -210,29 +214,36 @@ def undocking(distance, start=DOCKED, mount=None):
 
 
 @pytest.mark.parametrize(
-    ("feed", "images", "x", "most", "moved"),
+    ("feed", "images", "x", "most", "ended"),
     [
-        (undocking(0.8), True, 2.64, 0.01, 0.799598),
+        (undocking(0.8), True, 2.64, 0.01, (3.75, 0.799598)),
         # Straight back it would be 0.13 m off the axis; the marker told it where that is.
-        (undocking(0.0, (3.44, 0.02, math.radians(3.0)), standin.MOUNT), True, 1.0, 0.03, 2.499023),
-        (undocking(0.0), False, 1.0, 0.2, 2.599598),
+        (undocking(0.0, ASIDE, standin.MOUNT), True, 1.0, 0.03, (10.8, 2.499023)),
+        (undocking(0.0, DOCKED, standin.MOUNT), False, 1.0, 0.2, (11.8, 2.439003)),
     ],
 )
 def test_backs_out_by_a_distance_or_until_it_stands_before_the_dock(
-    feed, images, x, most, moved
+    feed, images, x, most, ended
 ):
     feed.images = images
     feed.run(60.0)
     assert feed.task.result.success
     assert feed.task.remaining == 0.0
-    assert feed.moved == pytest.approx(moved, abs=1e-6)
+    assert (feed.now, feed.moved) == pytest.approx(ended, abs=1e-6)
     assert feed.pose[:2] == pytest.approx((x, 0.0), abs=most)
 
 
-@pytest.mark.parametrize(("changes", "error"), STOPPED[1:])
-def test_what_stops_is_noticed_on_the_way_out(changes, error):
+@pytest.mark.parametrize(
+    ("changes", "error", "seconds"),
+    [
+        ({"odometry": False}, DockingError.ODOMETRY_LOST, 2.0),
+        ({"blocked": True}, DockingError.BLOCKED, 2.45),
+    ],
+)
+def test_what_stops_is_noticed_on_the_way_out(changes, error, seconds):
     feed = undocking(1.0)
     feed.run(1.0)
     vars(feed).update(changes)
     feed.run(20.0)
     assert feed.task.result.error == error
+    assert feed.now == pytest.approx(seconds)
