@@ -100,12 +100,10 @@ def name_of(kind):
 
 def is_real(node, reals):
     """Return whether an expression has a real number in it, 0 aside; `reals` are names of some."""
-    return any(
-        part.id in reals
-        if isinstance(part, ast.Name)
-        else isinstance(part, ast.Constant) and isinstance(part.value, float) and part.value != 0.0
-        for part in ast.walk(node)
-    )
+    parts = list(ast.walk(node))
+    values = [part.value for part in parts if isinstance(part, ast.Constant)]
+    names = {part.id for part in parts if isinstance(part, ast.Name)}
+    return bool(names & reals) or any(value and isinstance(value, float) for value in values)
 
 
 def reals_of(tree):

@@ -15,7 +15,6 @@ from bullet_lab.core.se2 import (
     line,
     logarithm,
     quaternion_from_yaw,
-    straightening,
     wrap,
     yaw_from_quaternion,
 )
@@ -65,13 +64,6 @@ SPECIAL = (-math.inf, -1.0, -0.0, 0.0, 1.0, math.inf, math.nan)
 @pytest.mark.parametrize("x", SPECIAL)
 def test_the_angles_of_the_axes_are_exact(y, x):
     assert se2.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=0.0, abs=0.0, nan_ok=True)
-
-
-def test_steps_lead_along_the_path():
-    paths = random_poses(4, 7)
-    moves = se2.steps(paths)
-    assert moves.shape == (4, 6, 3)
-    assert_allclose(se2.compose(paths[:, :-1], moves), paths[:, 1:], atol=1e-12)
 
 
 BELOW_PI = float(np.nextafter(math.pi, 0.0))
@@ -138,11 +130,6 @@ def test_it_is_the_inverse_of_the_matrix_exponential(coordinates):
     # A turn more is the same pose.
     turned = (*pose[:2], pose[2] + math.tau)
     assert_allclose(logarithm(turned), coordinates, atol=1e-10)
-
-
-def test_where_the_series_ends_nothing_jumps():
-    below, above = straightening(np.array([1.9999999e-4, 2.0000001e-4]))
-    assert abs(below - above) < 1e-10
 
 
 def test_a_line_and_a_grid_which_fills_row_by_row():

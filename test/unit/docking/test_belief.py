@@ -62,17 +62,6 @@ def test_a_place_where_the_marker_was_missed_may_have_walls():
     assert 0.01 < np.mean(walls_to_the_left) < 0.05
 
 
-def test_two_prints_are_two_tracks():
-    tracks = Lookout().look(MARKER, COPY, times=20, step=(0.03, 0.0, 0.0))
-    assert [track.real > 0.9 for track in tracks] == [True, False]
-
-
-def test_what_is_seen_elsewhere_is_another_track():
-    lookout = Lookout()
-    lookout.look(MARKER, times=5)
-    assert len(lookout.look(standin.Print((0.0, 0.6, 0.0)), times=5)) == 2
-
-
 def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
     def white_border(corners):
         middle = corners.mean(axis=0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
-from bullet_lab.docking.database import DockTolerance, DockUncertainty
+from bullet_lab.docking.database import DockUncertainty
 from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import DockingError, DockingSettings, DockingState
 
@@ -154,12 +154,6 @@ def test_gives_up_when_its_time_is_over():
     assert feed.task.result.message == "not docked after 2 s"
 
 
-def test_no_camera_at_all():
-    feed = fed()
-    feed.images = False
-    check_ended(feed, DockingError.CAMERA_LOST, moved=0.0)
-
-
 def test_without_search_only_what_is_in_sight_counts():
     check_ended(fed((1.0, 0.0, 3.0), search=False), DockingError.NOT_DETECTED, moved=0.0)
 
@@ -174,16 +168,6 @@ def test_a_docked_distance_from_where_the_marker_is_not_seen_is_refused_at_once(
     check_ended(feed, DockingError.NOT_VALID, moved=0.0)
     assert feed.now < 0.2
     assert "the nearest distance possible is 0.35 m" in feed.task.result.message
-
-
-@pytest.mark.long
-def test_gives_up_after_its_retries():
-    # A tolerance that nothing meets.
-    tolerance = DockTolerance(0.005, 1e-9, math.radians(0.4))
-    feed = fed((1.5, 0.0, 0.0), {"tolerance": tolerance}, max_retries=1)
-    feed.run(120.0)
-    assert feed.task.result.error == DockingError.CONTROL_FAILED
-    assert feed.task.result.retries == 1
 
 
 def test_a_marker_that_vanishes_is_searched_again():

@@ -110,6 +110,13 @@ def test_docked_is_what_is_within_tolerance_with_half_of_it_to_spare(
     assert docking.retries == retries + (said == "failed")
 
 
+def test_eight_corrections_have_to_do():
+    robot = np.array([-DOCKED, 0.0, math.radians(0.3)])
+    docking, state = docking_at(robot), Confirm()
+    said = [name_of(state._judge(docking, robot)) for _ in range(9)]
+    assert said == [STANDSTILL] * 8 + ["failed"]
+
+
 def test_a_way_in_that_brings_nothing_new_is_not_tried_again():
     docking = docking_at((-2.56, 0.0, 0.0))
     assert states._back_out(docking, 0.5).name == "bad start"
@@ -156,9 +163,8 @@ def test_a_yaw_that_a_way_in_did_not_tell_is_looked_at_from_aside(
     [
         ((-0.95, 0.024, 0.0), ""),
         ((-0.95, -0.026, 0.0), "26 mm beside the axis"),
-        ((-0.97, -0.026, 0.0), ""),
+        ((-0.97, 0.026, 0.0), ""),
         ((-0.79, 0.0, -math.radians(6.1)), "6.1 degrees against the axis"),
-        ((-0.79, 0.0, math.radians(5.9)), ""),
         ((-0.81, 0.0, math.radians(6.1)), ""),
         ((-2.3, 0.19, 0.0), "too near the walls"),
         ((-2.4, 0.19, 0.0), ""),

@@ -15,7 +15,6 @@ from bullet_lab.noise.systematic import (
     SystematicErrors,
     SystematicPath,
     SystematicSpread,
-    arcs,
     chords,
     end_of,
 )
@@ -77,12 +76,6 @@ def test_whole_paths_and_pose_by_pose_agree():
     assert_allclose(made - true, errors, rtol=0.0, atol=1e-14)
     composed = se2.compose(poses[0], end_of(made))
     assert_allclose(composed[:2], steps[-1].pose[:2], rtol=0.0, atol=1e-12)
-
-
-def test_arcs_lead_where_steps_do():
-    steps = se2.steps(wandering())
-    assert_allclose(chords(arcs(steps)), steps, rtol=0.0, atol=1e-15)
-    assert_allclose(arcs([0.0, 0.2, np.pi]), (0.1 * np.pi, 0.0, np.pi), atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["scale_error", "base_error", "diameter_error", "wheel_base"])
