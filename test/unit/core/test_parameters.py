@@ -16,12 +16,6 @@ from bullet_lab.core.parameters import (
 )
 
 
-def odd(value):
-    if value % 2 == 0:
-        raise ValueError
-    return value
-
-
 @dataclass(frozen=True)
 class Sample:
     ratio: float = parameters.number(0.5, "a ratio", minimum=0.0, maximum=1.0)
@@ -33,7 +27,7 @@ class Sample:
     nodes: Tuple[str, ...] = parameters.name_list("who")
     pose: Tuple[float, ...] = parameters.number_list((0.0, 1.0, 2.0), "place")
     about: Mapping[str, Any] = parameters.mapping("notes")
-    special: int = parameters.checked(3, "a number", "an odd number", odd)
+    special: int = parameters.odd(3, "a number", 1, 7)
 
 
 def read(**given):
@@ -94,8 +88,8 @@ def test_values_are_taken_over_and_converted(given):
         ("pose", 5, "3 finite numbers"),
         ("pose", [1, 2, 10**400], "3 finite numbers"),
         ("about", "text", "~about is 'text': it must be a dictionary"),
-        ("special", 4, "~special is 4: it must be an odd number"),
-        ("special", "x", "an odd number"),
+        ("special", 4, "~special is 4: it must be an odd number from 1 to 7"),
+        ("special", 9, "an odd number"),
     ],
 )
 def test_values_that_are_not_allowed(name, value, message):
@@ -133,6 +127,8 @@ def test_declarations_say_what_is_asked():
     assert (ratio.default, ratio.doc) == (0.5, "a ratio")
     assert ratio.allowed == "a number >= 0 and <= 1"
     assert declared["about"].default == {}
+    whole = parameters.integer(0, "any").metadata["allowed"]
+    assert whole == "a whole number from -2147483648 to 2147483647"
 
 
 def test_values_made_in_python_are_checked():
@@ -162,8 +158,8 @@ def test_options_of_a_command_line():
     given = ("--every-light", "--levels", "0", "1e-1", "--lights=bright dark", "--std=2")
     assert options(*given) == Settings(2.0, True, (0.0, 0.1), ("bright", "dark"))
     assert options("--std=", "--levels=", "--lights=", "--every-light=", "--path=") == Settings()
-    assert options("--every-light=true").every_light
-    assert not options("--every-light=false").every_light
+    for text, value in (("true", True), ("1", True), ("false", False), ("0", False)):
+        assert options(f"--every-light={text}").every_light == value
 
 
 @pytest.mark.parametrize(

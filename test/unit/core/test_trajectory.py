@@ -122,23 +122,17 @@ REFERENCE = Trajectory([0, 1, 2, 3], [[0, 0, 0], [1, 0, 0], [2, 0, 3.1], [2, 2, 
 
 def test_errors_by_hand():
     estimate = Trajectory(
-        REFERENCE.stamps, REFERENCE.poses + [[0, 0, 0], [0.3, 0.4, 0], [0, -1, 0.1], [2, 0, -0.2]]
+        REFERENCE.stamps, REFERENCE.poses + [[0, 0, 0], [0.3, 0.4, 0], [0, -1, 0.1], [2, 0, 6.0]]
     )
     error = path_error(REFERENCE, estimate)
     assert_allclose(error.error, [0.0, 0.5, 1.0, 2.0])
-    assert_allclose(error.heading_error, [0.0, 0.0, 0.1, -0.2])
+    last = 6.0 - math.tau
+    assert_allclose(error.heading_error, [0.0, 0.0, 0.1, last])
     assert_allclose(error.travelled, [0.0, 1.0, 2.0, 4.0])
     assert error.ape_rmse_m == pytest.approx(math.sqrt(5.25 / 4))
     assert error.ape_max_m == error.final_error_m == pytest.approx(2.0)
-    assert math.radians(error.heading_rmse_deg) == pytest.approx(math.sqrt(0.05 / 4))
-    assert math.radians(error.final_heading_error_deg) == pytest.approx(-0.2)
-
-
-def test_heading_errors_are_wrapped():
-    turned = REFERENCE.poses * [1, 1, -1]
-    error = path_error(REFERENCE, Trajectory(REFERENCE.stamps, turned))
-    assert error.final_heading_error_deg == pytest.approx(math.degrees(6.2) - 360.0)
-    assert error.ape_max_m == 0.0
+    assert math.radians(error.heading_rmse_deg) == pytest.approx(math.sqrt((0.01 + last**2) / 4))
+    assert math.radians(error.final_heading_error_deg) == pytest.approx(last)
 
 
 def test_other_stamps_are_refused():

@@ -1,5 +1,7 @@
 """Tests of what becomes of sightings: one thing in the world is one track."""
 
+from types import SimpleNamespace
+
 import docking_standin as standin
 import numpy as np
 import pytest
@@ -72,6 +74,14 @@ def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
     assert len(lookout.look(MARKER, MARKER, changes=(np.copy, white_border))) > 1
     (only,) = lookout.look(MARKER, times=3)
     assert only.frames > 6
+
+
+@pytest.mark.parametrize(("real", "share"), [(0.95, 1.0), (0.7, 0.7), (0.3, 0.5)])
+def test_as_many_of_the_docks_are_elsewhere_as_a_track_is_doubtful(monkeypatch, real, share):
+    belief = Lookout().belief
+    track = SimpleNamespace(real=real, samples=lambda rng, count: np.full((count, 3), 50.0))
+    monkeypatch.setattr(belief, "best", lambda: track)
+    assert np.mean(belief.samples(100)[:, 1] > 20.0) == share
 
 
 def test_three_images_make_a_track_that_two_seconds_keep_in_sight():

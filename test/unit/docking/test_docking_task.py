@@ -215,19 +215,3 @@ def test_backs_out_by_a_distance_or_until_it_stands_before_the_dock(
     assert feed.task.remaining == 0.0
     assert (feed.now, feed.moved) == pytest.approx(ended, abs=1e-6)
     assert feed.pose[:2] == pytest.approx((x, 0.0), abs=most)
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "seconds"),
-    [
-        ({"odometry": False}, DockingError.ODOMETRY_LOST, 2.0),
-        ({"blocked": True}, DockingError.BLOCKED, 2.45),
-    ],
-)
-def test_what_stops_is_noticed_on_the_way_out(changes, error, seconds):
-    feed = undocking(1.0)
-    feed.run(1.0)
-    vars(feed).update(changes)
-    feed.run(20.0)
-    assert feed.task.result.error == error
-    assert feed.now == pytest.approx(seconds)

@@ -253,5 +253,7 @@ def test_a_yaw_that_is_not_well_known_is_measured_twice_more(degrees, retries, u
 def test_a_retreat_begins_where_the_marker_is_not_found():
     docking, state = at_the_dock(5.0), states.Retreat(0.6)
     assert state.step(docking)[0] < -0.05
-    docking.now = 4.0
+    docking.now = 2.3
+    assert state.step(docking)[0] < -0.05
+    docking.now = 2.5
     assert state.step(docking).name == "lost"

@@ -20,7 +20,6 @@ from bullet_lab.noise.odometry_noise import (
     ReportRule,
     decompose,
     decompose_steps,
-    derived_seed,
 )
 
 
@@ -109,11 +108,3 @@ def test_restart_begins_anew_but_draws_on():
     assert not first.covariance.flags.writeable
     assert second.covariance[2, 2] == second.motion_covariance[2, 2]
     assert np.abs(np.subtract(last.pose, before[-1].pose)).max() > 1e-4
-
-
-def test_derived_seeds_differ_from_each_other():
-    seeds = {derived_seed(seed, index) for seed in range(20) for index in range(50)}
-    assert len(seeds) == 1000
-    # As far as a parameter of type int goes.
-    assert min(seeds) >= 0
-    assert max(seeds) < 2**31
