@@ -88,16 +88,6 @@ def replaced(node, **fields):
     return new
 
 
-def opposite(test):
-    """Return the condition that holds when this one does not."""
-    return ast.UnaryOp(op=ast.Not(), operand=test)
-
-
-def name_of(kind):
-    """Return the word for a kind of node."""
-    return kind.__name__
-
-
 def is_real(node, reals):
     """Return whether an expression has a real number in it, 0 aside; `reals` are names of some."""
     parts = list(ast.walk(node))
@@ -128,16 +118,16 @@ def mutations(node, reals):
             kinds = COMPARISONS[type(op)]
             for kind in kinds[-1:] if any(sides[place : place + 2]) else kinds:
                 ops = node.ops[:place] + [kind()] + node.ops[place + 1 :]
-                yield f"{name_of(type(op))} to {name_of(kind)}", replaced(node, ops=ops)
+                yield f"{type(op).__name__} to {kind.__name__}", replaced(node, ops=ops)
     elif isinstance(node, (ast.BinOp, ast.AugAssign, ast.BoolOp, ast.UnaryOp)):
         kind = OPERATORS.get(type(node.op))
         if kind:
-            text = f"{name_of(type(node.op))} to {name_of(kind)}"
-            yield text, replaced(node, op=kind())
+            yield f"{type(node.op).__name__} to {kind.__name__}", replaced(node, op=kind())
     elif isinstance(node, ast.Constant):
         yield from other_constants(node)
     elif isinstance(node, (ast.If, ast.IfExp)):
-        yield "condition to its opposite", replaced(node, test=opposite(node.test))
+        opposite = ast.UnaryOp(op=ast.Not(), operand=node.test)
+        yield "condition to its opposite", replaced(node, test=opposite)
     elif isinstance(node, ast.Return) and node.value is not None:
         if not (isinstance(node.value, ast.Constant) and node.value.value is None):
             yield "return value to None", replaced(node, value=ast.Constant(None))

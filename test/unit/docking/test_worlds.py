@@ -72,15 +72,6 @@ def test_the_dock_is_a_u_of_three_static_boxes(name):
     assert not walls
 
 
-def test_the_panel_bears_the_marker_where_the_dock_does():
-    panel = model("marker_panel", world("marker_panel"))
-    assert panel.static
-    parts = boxes(panel)
-    assert close(parts["plate"], (4.0, -0.125, 0.375), (4.02, 0.125, 0.625))
-    check_face(panel, parts["plate"])
-    assert close(parts["post"], (4.0, -0.02, 0.0), (4.02, 0.02, 0.375))
-
-
 @pytest.mark.parametrize("name", LIGHTS)
 def test_the_lights_are_all_that_differs(name):
     plain, other = world("docking"), world(name)

@@ -1,16 +1,17 @@
 """Exact moments against samples, and against a quadrature over the noise of three steps.
 
 Confidence: 99.9 % for the family of comparisons as a whole, shared out evenly (Bonferroni). Means
-and covariances have 3 + 6 entries for 4 models, 2 levels, 2 poses and 2 kinds of coordinates, 288
-in all, so each is two-sided at 0.001 / 288, 4.6 standard deviations. The sampling error of a
-covariance is taken from the fourth moments, as the errors are not Gaussian at high levels.
+and covariances have 3 + 6 entries for 4 models, 10 levels with noise, 2 paths and 2 kinds of
+coordinates, 1,440 in all: each is two-sided at 0.001 / 1,440, 5.0 standard deviations. The
+sampling error of a covariance is taken from the fourth moments, as the errors are not Gaussian at
+high levels.
 """
 
 import math
 
 import numpy as np
 import pytest
-from noise_paths import assert_moments, composed, line, square, wandering
+from noise_paths import assert_moments, composed, line, square
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.testing import assert_allclose
 from scipy import stats
@@ -29,7 +30,10 @@ from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_genera
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.regions import BOUNDS, METHODS, level_rule
 from bullet_lab.studies.noise_study.statistics import study_case
+from bullet_lab.studies.noise_study.study import StudySettings
 
+# Those of the study, and noise in which nothing of the path is left.
+LEVELS = (*StudySettings().levels, 10.0)
 PATHS = 10_000
 FAMILY = 0.001
 
@@ -42,13 +46,26 @@ def quantile(comparisons):
 PATHS_BY_NAME = {"square": square(), "line": line(4.0, 40)}
 
 
-def drawn_errors(steps, generator, at=-1):
-    """Return the errors of x, y and heading of `PATHS` paths at one or more poses."""
+def drawn_errors(steps, generator):
+    """Return the errors of x, y and heading at the end of `PATHS` paths."""
     errors = []
     for block in noisy_blocks(steps, generator, PATHS):
-        off = block.position[:, at] - steps.position[at]
-        errors.append(np.stack([off.real, off.imag, block.heading_error[:, at]], axis=-1))
+        off = block.position[:, -1] - steps.position[-1]
+        errors.append(np.column_stack((off.real, off.imag, block.heading_error[:, -1])))
     return np.concatenate(errors)
+
+
+@pytest.mark.parametrize("name", PATHS_BY_NAME)
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("std", LEVELS)
+def test_sample_moments_are_the_exact_ones(name, model, std):
+    steps = noisy_steps(PATHS_BY_NAME[name], level_rule(model, std))
+    errors = drawn_errors(steps, study_generator(50, model, std, 1.0))
+    limit = quantile(2 * 9 * len(MODELS) * (len(LEVELS) - 1) * len(PATHS_BY_NAME))
+    exact, exponential = exact_moments(steps), exponential_moments(steps, [len(steps)])
+    assert_moments(errors, exact.mean[-1], exact.covariance[-1], limit)
+    coordinates = se2.logarithm(errors)
+    assert_moments(coordinates, exponential.mean[0], exponential.covariance[0], limit)
 
 
 def test_the_quadratic_share_is_that_of_the_worst_direction():
@@ -120,9 +137,6 @@ def test_moments_are_those_by_quadrature(model, std, length):
 
 
 def test_no_noise_is_no_error():
-    steps = noisy_steps(wandering(60), level_rule("report", 0.0))
-    found = exponential_moments(steps, [60])
-    assert not found.mean.any() and not found.covariance.any()
     case = case_of("square", 0.0, "report", 10)
     assert case.rms_distance.max() < 1e-12
     assert case.metrics["ape_rmse_m"]["p95"] < 1e-12
@@ -166,19 +180,3 @@ def test_an_ellipse_holds_95_percent_of_a_gaussian():
     points = ellipse_points(covariance)
     lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance[:2, :2]), points)
     assert_allclose(lengths, stats.chi2.ppf(0.95, 2))
-
-
-# Beyond half a turn; and noise in which nothing of the path is left.
-@pytest.mark.parametrize("std", [1.0, 10.0])
-@pytest.mark.parametrize("model", MODELS)
-def test_sample_moments_are_the_exact_ones(model, std):
-    steps, at = noisy_steps(wandering(60), level_rule(model, std)), [25, 60]
-    errors = drawn_errors(steps, np.random.default_rng(71), at)
-    exact, exponential = exact_moments(steps), exponential_moments(steps, at)
-    # Mean 3, covariance 6 entries, at two poses and in two kinds of coordinates.
-    limit = quantile(9 * 2 * 2 * 2 * len(MODELS))
-    for k, pose in enumerate(at):
-        found = errors[:, k]
-        assert_moments(found, exact.mean[pose], exact.covariance[pose], limit)
-        found = se2.logarithm(found)
-        assert_moments(found, exponential.mean[k], exponential.covariance[k], limit)
