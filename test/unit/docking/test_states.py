@@ -239,17 +239,6 @@ def test_the_last_part_is_driven_blind_where_the_place_is_known(
     assert docking.may_drive_blind(docking.track) == blind
 
 
-@pytest.mark.parametrize(
-    ("degrees", "retries", "unsure"), [(0.15, 0, False), (0.17, 1, True), (0.17, 2, False)]
-)
-def test_a_yaw_that_is_not_well_known_is_measured_twice_more(degrees, retries, unsure):
-    docking = docking_at((-DOCKED, 0.0, 0.0))
-    yaw = SimpleNamespace(deviation=math.radians(degrees))
-    docking.track.learned = lambda: SimpleNamespace(yaw=yaw)
-    docking.retries = retries
-    assert docking.is_yaw_unsure() == unsure
-
-
 def test_a_retreat_begins_where_the_marker_is_not_found():
     docking, state = at_the_dock(5.0), states.Retreat(0.6)
     assert state.step(docking)[0] < -0.05
