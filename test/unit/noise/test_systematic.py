@@ -114,3 +114,4 @@ def test_without_spread_it_is_the_systematic_path_bit_for_bit():
 def test_the_seed_decides_the_errors():
     first, same, other = (end(SpreadPath(ALL, SPREAD, seed)) for seed in (4, 4, 5))
     assert first == same != other
+    assert first[0] == pytest.approx(2.2731480, abs=1e-6)
