@@ -163,7 +163,6 @@ def test_options_of_a_command_line():
         (("--levels", "1", "1"), "--levels is '1 1': it must be different numbers >= 0 and <= 10"),
         (("--levels", "11"), "different numbers >= 0 and <= 10"),
         (("--lights", "green"), "--lights is 'green': it must be different words of dark, bright"),
-        (("--lights", "dark", "dark"), "different words"),
         (("--every-light=yes",), "--every-light is 'yes': it must be true or false"),
     ],
 )

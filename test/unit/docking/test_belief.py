@@ -77,10 +77,10 @@ def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
 
 
 @pytest.mark.parametrize(("real", "share"), [(0.95, 1.0), (0.7, 0.7), (0.3, 0.5)])
-def test_as_many_of_the_docks_are_elsewhere_as_a_track_is_doubtful(monkeypatch, real, share):
+def test_as_many_of_the_docks_are_elsewhere_as_a_track_is_doubtful(real, share):
     belief = Lookout().belief
     track = SimpleNamespace(real=real, samples=lambda rng, count: np.full((count, 3), 50.0))
-    monkeypatch.setattr(belief, "best", lambda: track)
+    belief.best = lambda: track
     assert np.mean(belief.samples(100)[:, 1] > 20.0) == share
 
 

@@ -32,7 +32,6 @@ from bullet_lab.noise.odometry_noise import (
     rule_of,
 )
 from bullet_lab.noise.presets import NONE, PRESETS, with_preset
-from bullet_lab.studies import squares
 from bullet_lab.studies.squares import SquaresSettings
 
 
@@ -154,11 +153,6 @@ def test_in_a_start_of_noisy_odom(noisy_odom, checks, model, as_published):
     robots = [noisy_odom.NoisyOdometry(own, name) for name, own in every]
     assert [robot.std for robot in robots] == [STD, STD]
     assert len(checks) == 1
-
-
-def test_settings_made_in_python_are_checked(tmp_path):
-    with pytest.raises(ParameterError, match="std"):
-        squares.run_squares(tmp_path, SquaresSettings(std=-1.0))
 
 
 @pytest.mark.parametrize("model", MODELS)
