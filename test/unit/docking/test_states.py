@@ -232,7 +232,7 @@ def test_a_marker_that_is_lost_near_the_dock_is_not_searched_anew(left, certain,
     [
         (0.11, 0.004, 0.002, True, False, True),
         (0.11, 0.004, 0.002, False, True, True),
-        (-0.11, 0.004, 0.002, False, False, False),
+        (0.11, 0.004, 0.002, False, False, False),
         (0.11, 0.006, 0.002, True, True, False),
         (0.11, 0.004, 0.004, True, True, False),
         (0.13, 0.004, 0.002, True, True, False),
