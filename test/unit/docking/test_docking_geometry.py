@@ -22,9 +22,7 @@ VISIBILITY = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z)
         ((-1.0, 0.2), BOXES, 0.3),
         ((-0.1, 0.0), BOXES, 0.1),
         ((-3.0, 0.6), BOXES, 1.0),
-        ((-1.0, -0.9), BOXES, 0.2),
         ((-1.0, 0.6), BOXES, 0.0),
-        ((-2.3, 0.1), BOXES, 0.5),
         ((0.0, 0.0), np.empty((0, 4)), math.inf),
     ],
 )
