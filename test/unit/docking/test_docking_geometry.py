@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
+from bullet_lab.core.pose import Pose
 from bullet_lab.docking.geometry import MarkerVisibility, clearance, misfit, wall_boxes
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.0, dropout=0.0, tilt=0.0)
@@ -57,6 +58,11 @@ def test_the_nearer_edges_of_the_image_count(cx, cy):
     assert visibility.half_angle(1e9) == pytest.approx(math.atan(179.5 / standin.CAMERA.fx))
     seen = visibility.unobstructed((-0.72, -0.71), 0.0)
     assert seen.tolist() == [True, False]
+
+
+def test_a_camera_is_turned_about_fixed_axes():
+    turned = Pose.from_rpy((0, 0, 0), (0.3, -0.4, 0.5)).rotation_matrix()
+    assert replace(standin.MOUNT, roll=0.3, pitch=-0.4, yaw=0.5).rotation == pytest.approx(turned)
 
 
 UP, DOWN = math.atan(233.5 / standin.CAMERA.fy), math.radians(3.0)
