@@ -11,6 +11,7 @@ from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import rule_of
 from bullet_lab.noise.prediction import (
     INSIDE,
+    LENGTHS,
     judged,
     parameter_variances,
     path_of,
@@ -39,7 +40,7 @@ def halves_of(pairs):
         problem = Problem(StepPairs(pairs.true[own], pairs.odometry[:, own]), "random_walk", NAMES)
         found = fit(problem)
         others = StepPairs(pairs.true[~own], pairs.odometry[:, ~own])
-        for length in (1.0, 5.0):
+        for length in LENGTHS[:2]:
             ends = predicted(problem, found, others, every[~own], length)
             yield ends, parameter_variances(problem, found)
 
