@@ -63,12 +63,14 @@ class Tests:
         if not covering:
             # It runs when the module is imported.
             covering = set().union(*lines.values())
-        # What runs in a fixture counts for the first test only that uses it.
+        # What runs in a fixture counts for the first test only that uses it, and what runs when
+        # a module of tests is imported for none.
+        near = f"unit/{'/'.join(Path(mutant.file).relative_to(LIBRARY).parts[:-1])}/"
         files = {name.split("::")[0] for name in covering}
-        near = "/".join(Path(mutant.file).relative_to(LIBRARY).parts[:-1])
+        files |= {file for file in self.of_file if near in file}
 
         def place(name):
-            return (f"unit/{near}/" not in name, name not in covering, self.seconds[name])
+            return (near not in name, name not in covering, self.seconds[name])
 
         names = sorted((name for file in files for name in self.of_file[file]), key=place)
         totals = itertools.accumulate(self.seconds[name] for name in names)

@@ -88,32 +88,46 @@ def replaced(node, **fields):
     return new
 
 
-def opposite(test):
-    """Return the condition that holds when this one does not."""
-    return ast.UnaryOp(op=ast.Not(), operand=test)
+def is_real(node, reals):
+    """Return whether an expression has a real number in it, 0 aside; `reals` are names of some."""
+    parts = list(ast.walk(node))
+    values = [part.value for part in parts if isinstance(part, ast.Constant)]
+    names = {part.id for part in parts if isinstance(part, ast.Name)}
+    return bool(names & reals) or any(value and isinstance(value, float) for value in values)
 
 
-def name_of(kind):
-    """Return the word for a kind of node."""
-    return kind.__name__
+def reals_of(tree):
+    """Return the names of a module's real numbers."""
+    found = set()
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and is_real(node.value, found):
+            names = (part for target in node.targets for part in ast.walk(target))
+            found |= {part.id for part in names if isinstance(part, ast.Name)}
+    return found
 
 
-def mutations(node):
-    """Yield what a node may become, each with a description."""
+def mutations(node, reals):
+    """Yield what a node may become, each with a description; `reals` are the module's.
+
+    Whether `<` or `<=` stands before a real number shows only where both sides are equal to the
+    last bit, which no measured number is.
+    """
     if isinstance(node, ast.Compare):
+        sides = [is_real(side, reals) for side in (node.left, *node.comparators)]
         for place, op in enumerate(node.ops):
-            for kind in COMPARISONS[type(op)]:
+            kinds = COMPARISONS[type(op)]
+            for kind in kinds[-1:] if any(sides[place : place + 2]) else kinds:
                 ops = node.ops[:place] + [kind()] + node.ops[place + 1 :]
-                yield f"{name_of(type(op))} to {name_of(kind)}", replaced(node, ops=ops)
+                yield f"{type(op).__name__} to {kind.__name__}", replaced(node, ops=ops)
     elif isinstance(node, (ast.BinOp, ast.AugAssign, ast.BoolOp, ast.UnaryOp)):
         kind = OPERATORS.get(type(node.op))
         if kind:
-            text = f"{name_of(type(node.op))} to {name_of(kind)}"
-            yield text, replaced(node, op=kind())
+            yield f"{type(node.op).__name__} to {kind.__name__}", replaced(node, op=kind())
     elif isinstance(node, ast.Constant):
         yield from other_constants(node)
     elif isinstance(node, (ast.If, ast.IfExp)):
-        yield "condition to its opposite", replaced(node, test=opposite(node.test))
+        opposite = ast.UnaryOp(op=ast.Not(), operand=node.test)
+        yield "condition to its opposite", replaced(node, test=opposite)
     elif isinstance(node, ast.Return) and node.value is not None:
         if not (isinstance(node.value, ast.Constant) and node.value.value is None):
             yield "return value to None", replaced(node, value=ast.Constant(None))
@@ -146,8 +160,10 @@ def other_functions(node):
 
 def mutants_of(root, file):
     """Yield all mutants of a file below a root."""
-    for number, node in enumerate(nodes_of(ast.parse((root / file).read_bytes()))):
-        for choice, (text, _) in enumerate(mutations(node)):
+    tree = ast.parse((root / file).read_bytes())
+    reals = reals_of(tree)
+    for number, node in enumerate(nodes_of(tree)):
+        for choice, (text, _) in enumerate(mutations(node, reals)):
             yield Mutant(file, node.lineno, number, choice, text)
 
 
@@ -155,7 +171,7 @@ def mutated(source, number, choice):
     """Return the syntax tree of a source text with one node replaced."""
     tree = ast.parse(source)
     target = nodes_of(tree)[number]
-    _, new = list(mutations(target))[choice]
+    _, new = list(mutations(target, reals_of(tree)))[choice]
     ast.copy_location(new, target)
 
     class Replacer(ast.NodeTransformer):

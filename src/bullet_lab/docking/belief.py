@@ -193,8 +193,6 @@ class DockParticles:
     def _learn(self, likelihood: np.ndarray, counts: bool) -> None:
         weights = self.weights * likelihood
         total = float(np.sum(weights))
-        if total <= 0.0:
-            return
         if counts:
             self.mass *= total
         self.weights = weights / total

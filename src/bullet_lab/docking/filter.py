@@ -94,7 +94,14 @@ class GaussianPose:
 
     @property
     def lateral_deviation(self) -> float:
-        """Standard deviation of the robot's distance from the dock's axis, m."""
+        """Standard deviation of the robot's distance from the dock's axis, m.
+
+        >>> covariance = np.array([[0.0, 0.0, 0.0], [0.0, 0.09, -0.04], [0.0, -0.04, 0.04]])
+        >>> round(GaussianPose(np.array([2.0, 0.0, 0.0]), covariance).lateral_deviation, 9)
+        0.3
+        >>> round(GaussianPose(np.array([0.0, 2.0, np.pi / 2.0]), covariance).lateral_deviation, 9)
+        0.4
+        """
         x, y, yaw = self.mean
         away = np.array([math.sin(yaw), -math.cos(yaw), -(x * math.cos(yaw) + y * math.sin(yaw))])
         return math.sqrt(max(float(away @ self.covariance @ away), 0.0))

@@ -174,13 +174,10 @@ class MarkerTrack:
         """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
         real = self._scale == 0
         weights = self._weights[real]
-        total = float(np.sum(weights))
-        if total <= 0.0:
-            return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
         if self._known is None:
             x, p = as_known(self._x[real], self._p[real])
             self._known = x[:, :3].copy(), p[:, :3, :3].copy()
-        return (*self._known, weights / total)
+        return (*self._known, weights / float(np.sum(weights)))
 
     def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw (count, 3) poses of the dock, if it is real."""
@@ -341,11 +338,7 @@ class MarkerTrack:
         shares[present] = np.exp(logs - np.max(logs))[present]
         for index in present:
             of_size = self._scale == index
-            total = float(self._within[of_size].sum())
-            if total > 1e-280:
-                self._within[of_size] /= total
-            else:
-                self._within[of_size] = 1.0 / np.count_nonzero(of_size)
+            self._within[of_size] /= float(self._within[of_size].sum())
         self._weights = self._within * shares[self._scale] / np.sum(shares)
         self.real = float(np.sum(self._weights[self._scale == 0]))
 

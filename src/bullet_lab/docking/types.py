@@ -140,7 +140,7 @@ class OdometryBuffer:
         if not 0 < after < len(self._past):
             return self._past[max(after, 1) - 1].pose
         before, after = self._past[after - 1], self._past[after]
-        part = min(max((stamp - before.stamp) / (after.stamp - before.stamp), 0.0), 1.0)
+        part = max((stamp - before.stamp) / (after.stamp - before.stamp), 0.0)
         step = se2.between(before.pose, after.pose)
         return tuple(se2.compose(before.pose, part * step).tolist())
 

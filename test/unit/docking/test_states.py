@@ -41,6 +41,11 @@ def test_states_that_follow_each_other_without_end_stand_still(monkeypatch):
     monkeypatch.setattr(LookForMarker, "step", lambda *_: Outcome("found"))
     monkeypatch.setitem(TRANSITIONS, LookForMarker, {"found": LookForMarker})
     assert task._ask_states() == STANDSTILL
+    # Nothing is known of the place yet, nor planned.
+    assert (task.dock_pose, task.plan) == (None, ())
+    assert all(map(math.isnan, task.place))
+    task._state = states.DriveAlong([(0.0, 0.0), (1.0, 2.0)])
+    assert task.plan == ((1.0, 2.0),)
 
 
 TOLERANCE = DockTolerance(0.005, 0.003, math.radians(0.4))
@@ -105,6 +110,23 @@ def test_docked_is_what_is_within_tolerance_with_half_of_it_to_spare(
     assert docking.retries == retries + (said == "failed")
 
 
+def test_eight_corrections_have_to_do():
+    robot = np.array([-DOCKED, 0.0, math.radians(0.3)])
+    docking, state = docking_at(robot), Confirm()
+    said = [name_of(state._judge(docking, robot)) for _ in range(9)]
+    assert said == [STANDSTILL] * 8 + ["failed"]
+
+
+def test_a_correction_takes_six_seconds_at_most():
+    docking, state = docking_at((-DOCKED, 0.0, math.radians(0.3))), Confirm()
+    docking.is_settled = lambda: True
+    # It begins to measure, has measured, corrects, and measures again.
+    for now, said in ((0.0, STANDSTILL), (0.0, STANDSTILL), (5.9, (0.0, -0.05)), (6.1, STANDSTILL)):
+        docking.now = now
+        docking.track.frames += 15
+        assert state.step(docking) == said
+
+
 def test_a_way_in_that_brings_nothing_new_is_not_tried_again():
     docking = docking_at((-2.56, 0.0, 0.0))
     assert states._back_out(docking, 0.5).name == "bad start"
@@ -146,6 +168,27 @@ def test_a_yaw_that_a_way_in_did_not_tell_is_looked_at_from_aside(
     assert docking._stagings == 1
 
 
+@pytest.mark.parametrize(
+    ("robot", "said"),
+    [
+        ((-0.95, 0.024, 0.0), ""),
+        ((-0.95, -0.026, 0.0), "26 mm beside the axis"),
+        ((-0.97, 0.026, 0.0), ""),
+        ((-0.79, 0.0, -math.radians(6.1)), "6.1 degrees against the axis"),
+        ((-0.81, 0.0, math.radians(6.1)), ""),
+        ((-2.3, 0.19, 0.0), "too near the walls"),
+    ],
+)
+def test_an_approach_is_given_up_where_it_would_not_end_well(robot, said):
+    docking = docking_at(robot)
+    docking.reject_track = lambda *_: False
+    assert docking.axis.check_gate(robot) == said
+    step = states.Approach().step(docking)
+    assert (name_of(step) == "failed") == bool(said)
+    # Back to 0.6 m before where it was.
+    assert not said or step.arguments == pytest.approx((-robot[0] - DOCKED + 0.6,))
+
+
 def at_the_dock(unseen, left=0.0):
     """A docking of a robot in the dock that waits for images, its yaw not well known."""
     docking = docking_at((-DOCKED - left, 0.0, 0.0))
@@ -184,8 +227,31 @@ def test_a_marker_that_is_lost_near_the_dock_is_not_searched_anew(left, certain,
     assert docking.lost_at_the_end == (said != "lost")
 
 
+@pytest.mark.parametrize(
+    ("left", "along", "beside", "lost", "cut_off", "blind"),
+    [
+        (0.11, 0.004, 0.002, True, False, True),
+        (0.11, 0.004, 0.002, False, True, True),
+        (0.11, 0.004, 0.002, False, False, False),
+        (0.11, 0.006, 0.002, True, True, False),
+        (0.11, 0.004, 0.004, True, True, False),
+        (0.13, 0.004, 0.002, True, True, False),
+    ],
+)
+def test_the_last_part_is_driven_blind_where_the_place_is_known(
+    left, along, beside, lost, cut_off, blind
+):
+    docking = docking_at((-DOCKED - left, 0.0, 0.0))
+    estimate = docking.belief.estimate()
+    estimate.deviations[0], estimate.lateral_deviation = along, beside
+    docking.lost_at_the_end, docking.belief.cut_off = lost, lambda track: cut_off
+    assert docking.may_drive_blind(docking.track) == blind
+
+
 def test_a_retreat_begins_where_the_marker_is_not_found():
     docking, state = at_the_dock(5.0), states.Retreat(0.6)
     assert state.step(docking)[0] < -0.05
-    docking.now = 4.0
+    docking.now = 2.3
+    assert state.step(docking)[0] < -0.05
+    docking.now = 2.5
     assert state.step(docking).name == "lost"

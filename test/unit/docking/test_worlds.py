@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 from bullet_lab.markers.make_marker import main
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Mesh
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.sdf import read_world_file
@@ -61,12 +60,6 @@ def close(bounds, lower, upper):
     return np.allclose(bounds, (lower, upper), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ("docking_nested", "docking_backlit", "marker_panel"))
-def test_the_engine_makes_it(name):
-    with Simulation(world(name)) as simulation:
-        assert simulation.models
-
-
 @pytest.mark.parametrize("name", DOCKS)
 def test_the_dock_is_a_u_of_three_static_boxes(name):
     station = model("docking_station", world(name))
@@ -77,29 +70,6 @@ def test_the_dock_is_a_u_of_three_static_boxes(name):
     assert close(walls.pop("left_wall"), (2.0, 0.5, 0.0), (4.2, 0.7, 1.0))
     assert close(walls.pop("right_wall"), (2.0, -0.7, 0.0), (4.2, -0.5, 1.0))
     assert not walls
-
-
-def test_the_panel_bears_the_marker_where_the_dock_does():
-    panel = model("marker_panel", world("marker_panel"))
-    assert panel.static
-    parts = boxes(panel)
-    assert close(parts["plate"], (4.0, -0.125, 0.375), (4.02, 0.125, 0.625))
-    check_face(panel, parts["plate"])
-    assert close(parts["post"], (4.0, -0.02, 0.0), (4.02, 0.02, 0.375))
-
-
-def test_the_decoy_stands_outside_of_where_robots_start_and_in_nobodys_way():
-    of = world("docking_decoy")
-    lower, upper = boxes(model("decoy", of))["plate"]
-    assert np.allclose(upper - lower, (0.02, 0.35 * 10 / 8, 0.35 * 10 / 8))
-    # More than the robot's radius beyond the sector of 60 degrees about the axis.
-    before, aside = 4.0 - lower[0], lower[1]
-    assert np.hypot(before, aside) * np.sin(np.arctan2(aside, before) - np.radians(60.0)) > 0.05
-    # No gap beside the dock that a robot could be caught in, and none too narrow to pass.
-    assert lower[1] - 0.7 > 2.0 * 0.285
-    # Seen from the origin past the wall.
-    assert lower[1] / lower[0] > 0.7 / 2.0
-    assert np.degrees(np.arctan2(lower[1], lower[0])) < 32.5
 
 
 @pytest.mark.parametrize("name", LIGHTS)

@@ -53,6 +53,14 @@ def test_the_profile_ends_the_interval():
     ends = intervals(problem, found)[0]
     for name, pair in zip(found.names, ends):
         assert_allclose(profile(problem, found, name, pair), 3.84, atol=0.05)
+    # As on the day when 95 of 100 held the truth.
+    expected = [
+        (0.0129160438, 0.0232275114),
+        (0.0069416464, 0.0112247265),
+        (0.0166757292, 0.0321446528),
+        (0.0024464180, 0.0051502490),
+    ]
+    assert_allclose(ends, expected, rtol=1e-7)
 
 
 def test_nothing_is_an_estimate_that_an_interval_begins_at():
@@ -122,6 +130,13 @@ def test_without_noise_to_speak_of_systematic_errors_are_exact():
         assert found[name] == pytest.approx(getattr(WRONG, name), abs=2e-5)
 
 
+def test_a_little_noise_leaves_the_intervals_of_systematic_errors_small():
+    problem = Problem(drawn(RateInvariantRule(0.02), 1, errors=WRONG), "rate_invariant", SYSTEMATIC)
+    widths = np.diff(intervals(problem, fit(problem))[0])[:, 0]
+    expected = [0.002608778, 0.045467654, 0.050278817, 0.004001950, 0.046184279, 0.028579830]
+    assert_allclose(widths, expected, atol=1e-8)
+
+
 def judged(rule, model, errors=None, seed=11):
     return goodness_of(Problem(drawn(rule, 1, seed, errors=errors), model))
 
@@ -130,11 +145,20 @@ def goodness_of(problem):
     return goodness(problem, fit(problem), np.ones(len(drive()), dtype=bool), 1)
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_the_right_model_fits(rule):
+@pytest.mark.parametrize(
+    ("rule", "figures"),
+    [
+        (RULES[0], (0.036166556, 0.885, 0.281003075, 0.380088849)),
+        (RULES[1], (0.043372344, 0.425, 0.300391041, 1.0)),
+        (RULES[2], (0.040206139, 0.420, 0.862059050, 1.0)),
+    ],
+)
+def test_the_right_model_fits(rule, figures):
     found = judged(rule, rule.name)
     assert found.fits and found.words() == []
     assert found.nees == pytest.approx(1.0, abs=0.1)
+    each = found.distance, found.shape_p, found.size_p, found.neighbours_p
+    assert each == pytest.approx(figures, abs=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Noisy paths by the thousand: the same as NoisyPath's, whatever the blocks and the order."""
 
-import itertools
 import math
 
 import numpy as np
@@ -13,7 +12,7 @@ from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import exact_moments
-from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import NoisyPath
 from bullet_lab.studies.paths import find_corners, resample
 
@@ -50,13 +49,6 @@ def test_the_size_of_the_blocks_does_not_matter(size):
     poses = wandering()
     expected = drawn(poses, RULES[0], 43, 7)
     assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
-
-
-def test_each_case_has_draws_of_its_own():
-    keys = itertools.product((1, 2), ("report", "probabilistic"), (0.1, 0.2), (0.9, 20.0))
-    draws = [study_generator(*key).standard_normal() for key in (*keys, (1, "report", 0.1, 0.9))]
-    assert len(set(draws)) == 16
-    assert draws[-1] == draws[0]
 
 
 @pytest.mark.parametrize("rate", [0.9, 20.0, 50.0])

@@ -1,0 +1,22 @@
+"""What all figures share."""
+
+import math
+
+from numpy.testing import assert_allclose
+
+from bullet_lab.core.figures import draw_plan, labelled, legend_below, new_figure, show_around
+
+
+def test_a_plan_is_to_scale_and_has_a_legend():
+    figure = new_figure(4.0, 3.0)
+    axes = figure.subplots()
+    draw_plan(axes, [[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]], (1.0, 2.0, 0.5 * math.pi))
+    axis, marker = (line.get_xydata() for line in axes.lines)
+    assert_allclose(axis, [(1.0, 2.0), (1.0, -3.0)], atol=1e-12)
+    assert_allclose(marker, [(0.9, 2.0), (1.1, 2.0)], atol=1e-12)
+    assert (axes.get_aspect(), len(axes.patches)) == (1.0, 1)
+    legend_below(figure, labelled(axes, axes))
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["marker"]
+    show_around(axes, [[(0.0, 0.0)], [(1.0, 2.0)]], 0.5)
+    assert (axes.get_xlim(), axes.get_ylim()) == ((-0.5, 1.5), (-0.5, 2.5))

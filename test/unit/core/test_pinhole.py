@@ -1,0 +1,31 @@
+"""The pinhole camera, against OpenCV's."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bullet_lab.core import pinhole
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"width": 0}, {"height": 0}, {"fx": 0.0}, {"fy": 0.0}, {"cx": np.nan}, {"distortion": [0.0]}],
+)
+def test_what_is_no_camera_is_refused(changes):
+    least = pinhole.PinholeCamera(1, 1, 0.5, 0.5, 0.0, 0.0)
+    with pytest.raises(pinhole.PinholeError):
+        replace(least, **changes)
+
+
+def test_a_distorted_picture_is_opencvs_and_newtons_method_finds_its_rays(monkeypatch):
+    lens = (-0.3, 0.1, 0.01, -0.02, 0.05)
+    camera = pinhole.PinholeCamera(640, 480, 500.0, 510.0, 320.0, 240.0, lens)
+    points = np.random.default_rng(1).uniform((-1.0, -1.0, 2.0), (1.0, 1.0, 4.0), (50, 3))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, np.array(lens))
+    assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+    # Its derivatives are right: otherwise it would need more steps.
+    monkeypatch.setattr(pinhole, "MAX_STEPS", 4)
+    assert_allclose(camera.slopes(expected), points[:, :2] / points[:, 2:], atol=1e-9)
