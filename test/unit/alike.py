@@ -4,11 +4,11 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 import pytest
+from shared import PACKAGE
 
 from bullet_lab.core.pose import Pose
 
@@ -47,8 +47,6 @@ def assert_alike(one, other, *besides, within=TOLERANCE):
 
 
 def shown(value):
-    if isinstance(value, Path):
-        return value.name
     return f"{round(value, 8) + 0.0:.7g}" if isinstance(value, float) else str(value)
 
 
@@ -76,8 +74,11 @@ def lines_of(value, name):
 
 
 def assert_as_before(lines, path):
-    """Compare lines with those in a file; with LAB_RENEW_TEXTS=1 in the environment, write them."""
-    text = "\n".join(lines) + "\n"
+    """Compare lines with those in a file; with LAB_RENEW_TEXTS=1 in the environment, write them.
+
+    Paths in the package are without its own.
+    """
+    text = "".join(f"{line}\n" for line in lines).replace(str(PACKAGE), "")
     if os.environ.get("LAB_RENEW_TEXTS"):
         path.write_text(text)
     assert text == path.read_text()

@@ -8,6 +8,7 @@ a file outside these folders.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from functools import cached_property
 from pathlib import Path
@@ -47,10 +48,11 @@ def ros_package_folder(name: str) -> Path | None:
         import rospkg
     except ImportError:
         return None
-    try:
-        return Path(rospkg.RosPack().get_path(name))
-    except rospkg.ResourceNotFound:
-        return None
+    # The second one searches anew, for packages that came later.
+    for packages in (rospkg.RosPack.get_instance(), rospkg.RosPack()):
+        with contextlib.suppress(rospkg.ResourceNotFound):
+            return Path(packages.get_path(name))
+    return None
 
 
 def gazebo_model_folders() -> tuple[Path, ...]:

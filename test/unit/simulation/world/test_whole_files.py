@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from alike import assert_as_before, lines_of, shown
-from shared import PACKAGE
 
 from bullet_lab.simulation.world.description import Mesh, ModelState, PluginTag, Snapshot
 from bullet_lab.simulation.world.mesh_parts import mesh_parts
@@ -51,5 +50,4 @@ def saved(path):
 )
 def test_whole_files_are_read_as_before(file, read, caplog):
     told = [*lines_of(read(HERE / file), file), *caplog.messages]
-    told = [line.replace(str(PACKAGE), "") for line in told]
     assert_as_before(told, HERE / f"{file}.{read.__name__}.txt")
