@@ -8,7 +8,6 @@ a file outside these folders.
 
 from __future__ import annotations
 
-import contextlib
 import os
 from functools import cached_property
 from pathlib import Path
@@ -41,18 +40,20 @@ def package_share() -> Path:
 
 
 def ros_package_folder(name: str) -> Path | None:
-    """Return the folder of a ROS package, or None if it is unknown or ROS is not installed."""
+    """Return the folder of a ROS package, or None if it is unknown or ROS is not installed.
+
+    A process searches the folders of ROS_PACKAGE_PATH once.
+    """
     if name == PACKAGE:
         return package_share()
     try:
         import rospkg
     except ImportError:
         return None
-    # The second one searches anew, for packages that came later.
-    for packages in (rospkg.RosPack.get_instance(), rospkg.RosPack()):
-        with contextlib.suppress(rospkg.ResourceNotFound):
-            return Path(packages.get_path(name))
-    return None
+    try:
+        return Path(rospkg.RosPack.get_instance().get_path(name))
+    except rospkg.ResourceNotFound:
+        return None
 
 
 def gazebo_model_folders() -> tuple[Path, ...]:
