@@ -267,6 +267,13 @@ def ignore_clock() -> None:
         own.unregister()
 
 
+def spin() -> None:
+    """Wait until ROS shuts down, which `rospy.spin` notices up to half a second later."""
+    ended = threading.Event()
+    rospy.on_shutdown(ended.set)
+    ended.wait()
+
+
 def holds_within(condition: Callable[[], Any], seconds: float) -> bool:
     """Wait in wall time, and return whether a condition holds within `seconds`.
 

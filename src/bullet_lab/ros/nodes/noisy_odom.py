@@ -47,7 +47,7 @@ from bullet_lab.noise.systematic import (
 )
 from bullet_lab.ros.messages.poses import marker
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, node
+from bullet_lab.ros.node.node import Refusals, node, spin
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_twist
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
@@ -257,4 +257,4 @@ def noisy_odom_node(parameters: NoisyOdomParameters) -> None:
     join_when(
         lambda: all(robot.sub.get_num_connections() > 0 for robot in robots), "a publisher of odom"
     )
-    rospy.spin()
+    spin()

@@ -40,7 +40,7 @@ from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call, numbered
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
-from bullet_lab.ros.node.node import NodeError, Refusals, node, wait_until
+from bullet_lab.ros.node.node import NodeError, Refusals, node, spin, wait_until
 from bullet_lab.ros.node.odometry import FrameFinder
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.simulation.world.resources import ResourceFinder
@@ -232,4 +232,4 @@ class PlaceBeacon:
 def place_beacon(parameters: PlaceBeaconParameters) -> None:
     """Run until ROS shuts down."""
     PlaceBeacon(parameters)
-    rospy.spin()
+    spin()

@@ -34,7 +34,7 @@ from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message, stamped_pose
 from bullet_lab.ros.node.lock_step import Rate
-from bullet_lab.ros.node.node import NodeError, node
+from bullet_lab.ros.node.node import NodeError, node, spin
 from bullet_lab.ros.node.publishers import publisher
 
 # Looks per simulated second at whether a goal has ended, and wall seconds for its result to come.
@@ -140,7 +140,7 @@ class GoalSender:
         self._finished.publish(Time(self._ticks.now))
         rospy.loginfo("%d of %d goals reached", reached, parameters.goals)
         self._ticks.leave()
-        rospy.spin()
+        spin()
 
     def _is_connected(self) -> bool:
         ends = self._client.action_client

@@ -27,7 +27,7 @@ from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import InputError, marker, vector_of
-from bullet_lab.ros.node.node import Refusals, node
+from bullet_lab.ros.node.node import Refusals, node, spin
 from bullet_lab.ros.node.publishers import Publisher
 
 POINT = ColorRGBA(0.9, 0.1, 0.1, 1.0)
@@ -143,4 +143,4 @@ def _sum(vectors: Iterable[Vector]) -> Vector3:
 def show_sensors(parameters: ShowSensorsParameters) -> None:
     """Run until ROS shuts down."""
     ShowSensors(parameters)
-    rospy.spin()
+    spin()

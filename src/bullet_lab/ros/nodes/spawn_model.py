@@ -30,7 +30,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import pose_message
-from bullet_lab.ros.node.node import NodeError, run_node, wait_until
+from bullet_lab.ros.node.node import NodeError, run_node, spin, wait_until
 from bullet_lab.ros.nodes.populate import inclusion_of
 from bullet_lab.simulation.world.xml import read_text
 
@@ -176,6 +176,6 @@ def main() -> None:
         rospy.loginfo("spawn_model: %s", spawn(arguments))
         if arguments.bond:
             rospy.on_shutdown(delete)
-            rospy.spin()
+            spin()
 
     run_node("spawn_model", body)

@@ -29,7 +29,7 @@ from bullet_lab.core.se2 import hypot
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import marker
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, node
+from bullet_lab.ros.node.node import Refusals, node, spin
 from bullet_lab.ros.node.odometry import FrameGuard
 from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 
@@ -177,4 +177,4 @@ def track_robot(parameters: TrackRobotParameters) -> None:
     """Run until ROS shuts down."""
     tracker = TrackRobot(parameters)
     join_when(lambda: tracker.sub.get_num_connections() > 0, "a publisher of odom")
-    rospy.spin()
+    spin()
