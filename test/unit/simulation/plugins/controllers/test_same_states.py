@@ -49,4 +49,5 @@ def test_states_are_as_before():
         told += lines_of(joints, name)
         for topic, found in samples.items():
             told += [f"{topic}: {len(found)}", *lines_of(found[-1:], topic)]
-    assert_as_before(told, HERE / "controllers.txt")
+    # Errors of controllers by efforts grow from one step to the next.
+    assert_as_before(told, HERE / "controllers.txt", 1e-4)
