@@ -17,7 +17,7 @@ from typing import Sequence
 
 import numpy as np
 import rospy
-from actionlib import SimpleActionClient
+from actionlib import CommState, SimpleActionClient
 from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
@@ -34,11 +34,13 @@ from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message, stamped_pose
 from bullet_lab.ros.node.lock_step import Rate
-from bullet_lab.ros.node.node import NodeError, node, spin
+from bullet_lab.ros.node.node import NodeError, holds_within, node, spin
 from bullet_lab.ros.node.publishers import publisher
 
 # Looks per simulated second at whether a goal has ended, and wall seconds for its result to come.
 RATE, ARRIVAL = 1.0, 0.01
+# Wall seconds for the server to accept or refuse a goal.
+ACCEPTANCE = 2.0
 # m between a goal and the one before, at least.
 LEAST_WAY = 1.0
 # m between a box and both ends of the way, at least.
@@ -146,10 +148,15 @@ class GoalSender:
         ends = self._client.action_client
         return ends.pub_goal.get_num_connections() > 0 < ends.result_sub.get_num_connections()
 
+    def _is_taken(self) -> bool:
+        return self._client.gh.get_comm_state() != CommState.WAITING_FOR_GOAL_ACK
+
     def _drive(self, goal: PlanarPose) -> int:
         """Send a goal, wait for its end, and return its status."""
         pose = stamped_pose(self._ticks.now, self._frame, goal)
         self._client.send_goal(MoveBaseGoal(pose))
+        # In lock step, time stands still: chance shall not decide when the server begins.
+        holds_within(self._is_taken, ACCEPTANCE)
         while self._client.get_state() in (GoalStatus.PENDING, GoalStatus.ACTIVE):
             self._ticks.sleep()
             rospy.rostime.wallsleep(ARRIVAL)
