@@ -36,7 +36,6 @@ from bullet_lab.noise.exact_moments import Moments
 from bullet_lab.noise.noisy_paths import noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.regions import (
-    GAUSSIAN_SHARE,
     LEVELS,
     MEANT,
     METHODS,
@@ -157,30 +156,6 @@ def rates_figure(cases: Sequence[Case], trajectory: Trajectory) -> Figure:
     return figure
 
 
-def coverage_figure(cases: Sequence[Case]) -> Figure:
-    """Draw the levels at which the 95 % ellipses are right, and why not at others; one rate."""
-    title = "How far to trust an ellipse: last position"
-    figure, grid, by_model = _model_panels(cases, (2, 4.0, 0.8, 6.0), title, ("std", ""))
-    for (shares, ratios), (model, of_model) in zip(grid.T, by_model.items()):
-        known = [case for case in of_model if case.coverage["first_order"] is not None]
-        _draw_coverage(shares, known)
-        shares.set_title(MODELS[model].title)
-        ratios.axhspan(1e-3, GAUSSIAN_SHARE, color=GREY, alpha=0.35, linewidth=0.0)
-        std = [case.std for case in known]
-        quadratic = [case.theory.quadratic_share() for case in known]
-        label = "variance quadratic in the noise / exact"
-        ratios.plot(std, quadratic, "o-", color=BLACK, label=label)
-        areas = [case.theory.area_ratio() for case in known]
-        label = "area of the ellipse, first order / exact"
-        ratios.plot(std, areas, "s--", color=VERMILION, label=label)
-        ratios.set(yscale="log", ylim=(1e-3, 10.0))
-        _plain_numbers(ratios.yaxis)
-    grid[0, 0].set_ylabel("in the 95 % ellipse (%)")
-    grid[1, 0].set_ylabel("ratio; grey: Gaussian enough")
-    _add_method_legend(figure, grid)
-    return figure
-
-
 def regions_figure(cases: Sequence[Case]) -> Figure:
     """Draw coverage at each level of confidence, and the NEES, at the end; one rate."""
     size, title = (len(LEVELS) + 1, 4.0, 0.8, 10.5), "Regions of x, y and heading at the end"
@@ -291,15 +266,6 @@ def _model_panels(
 def _add_method_legend(figure: Figure, grid: np.ndarray) -> None:
     bottom = 0.3 / figure.get_figheight()
     legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
-
-
-def _draw_coverage(axes: Axes, cases: Sequence[Case]) -> None:
-    axes.axhspan(94.0, 96.0, color=GREY, alpha=0.35, linewidth=0.0)
-    std = [case.std for case in cases]
-    for name in cases[0].coverage if cases else ():
-        values = [100.0 * case.coverage[name] for case in cases]
-        style, colour = STYLES[name]
-        axes.plot(std, values, style, color=colour, label=METHODS[name], markersize=5)
 
 
 def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:

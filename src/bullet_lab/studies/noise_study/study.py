@@ -23,7 +23,6 @@ from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.figures import (
     banana_figure,
-    coverage_figure,
     distance_figure,
     distances_figure,
     levels_figure,
@@ -261,7 +260,6 @@ def _figures(
     }
     figures["error_by_distance.png"] = distance_figure(fastest)
     figures["message_rate.png"] = rates_figure(cases, trajectory)
-    figures["coverage.png"] = coverage_figure(fastest)
     figures["regions.png"] = regions_figure(fastest)
     figures["regions_by_distance.png"] = distances_figure(fastest)
     if any(case.std > 0.0 for case in fastest):

@@ -7,7 +7,6 @@ from study_runs import csv_rows, run_main, summary_of
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.studies.noise_study.figures import (
     banana_figure,
-    coverage_figure,
     distances_figure,
     regions_figure,
 )
@@ -24,7 +23,6 @@ from bullet_lab.studies.paths import tum_text
 WORDS = "--path bend.tum --levels 0 0.1 --models report rate_invariant --rates 0.9 5 --paths 20"
 FILES = {
     "banana.png",
-    "coverage.png",
     "error_by_distance.csv",
     "error_by_distance.png",
     "levels_rate_invariant.png",
@@ -136,7 +134,7 @@ def test_a_case_does_not_depend_on_what_else_is_studied(results, alone):
 
 
 def test_where_regions_have_no_volume_there_are_figures_too(alone):
-    for draw in (coverage_figure, regions_figure, distances_figure):
+    for draw in (regions_figure, distances_figure):
         assert draw([alone]).axes
     assert banana_figure([alone], 3).axes
 
