@@ -400,6 +400,9 @@ def quads_in_cells(
     black = _quantile(levels[~is_white], _BLACK_SHARE)
     white = _quantile(levels[is_white], _WHITE_SHARE)
     contrast = white - black
+    # Light that falls off strongly across a marker of little contrast.
+    if contrast < 1.0:
+        return _NONE
     dark = int(_DARK_SHARE * levels.shape[1])
     darkness = (white - np.partition(levels, dark, axis=1)[:, dark]) / contrast
     darkness[~is_white] = 0.0

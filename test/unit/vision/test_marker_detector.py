@@ -18,9 +18,9 @@ from marker_images import (
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.vision import marker_detector
-from bullet_lab.vision.candidates import CandidateSearch
+from bullet_lab.vision.candidates import CandidateSearch, quads_in_cells
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, Match, dictionary_named
-from bullet_lab.vision.images import VisionError
+from bullet_lab.vision.images import UNIT_SQUARE, Picture, VisionError
 from bullet_lab.vision.marker_detector import (
     DetectorSettings,
     MarkerDetector,
@@ -155,6 +155,12 @@ def test_nothing_is_found_in_cells_that_hold_something_else(view):
     layers, _, centre = nested(0, 0)
     other = Layer(np.kron([[20.0, 220.0], [220.0, 20.0]], np.ones((4, 4))), 0.1, centre)
     assert ids_in(picture(view, layers[0], other, samples=6, noise=3.0)) == [0]
+
+
+def test_nothing_is_found_in_cells_without_contrast():
+    pattern, grey = dictionary_named(TAGS).pattern(0), Picture(np.full((300, 300), 100, np.uint8))
+    with np.errstate(all="raise"):
+        assert not len(quads_in_cells(grey, 299.0 * UNIT_SQUARE, pattern, 8.0, np.empty((0, 4, 2))))
 
 
 @pytest.mark.parametrize("distance, corner", [(0.4, 0), (0.6, 1), (0.6, 3), (1.5, 2)])
