@@ -306,16 +306,13 @@ class FrameFinder:
             return pose
         return self.pose_in(target, source, wait) * pose
 
-    def planar(
-        self, message: PoseStamped, target: str, wait: bool = True
-    ) -> tuple[float, float, float]:
+    def planar(self, message: PoseStamped, target: str, wait: bool = True) -> PlanarPose:
         """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
 
         Raises InputError for an invalid pose, and the errors of `bring`.
         """
         pose = pose_of(message.pose.position, message.pose.orientation)
-        placed = self.bring(pose, message.header.frame_id, target, wait)
-        return placed.position[0], placed.position[1], placed.yaw
+        return self.bring(pose, message.header.frame_id, target, wait).planar
 
     def pose_in(self, target: str, source: str, wait: bool = True) -> Pose:
         """Return the pose of the frame `source` in the frame `target`; errors as of `bring`."""

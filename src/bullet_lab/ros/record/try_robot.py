@@ -250,10 +250,9 @@ class Trial:
         if not state.success:
             raise NodeError(f"'{self._name}' was deleted: {state.status_message}")
         pose = pose_of(state.pose.position, state.pose.orientation)
-        x, y, _ = pose.position
         _, _, upright = pose.rotate((0.0, 0.0, 1.0))
         self._report.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
-        true = (x, y, pose.yaw)
+        true = pose.planar
         self._report.take(TRUTH, Reading(self._now(), true))
         odometry = self._newest_odometry() if self._robot.odometry else None
         if self._leg is not None:

@@ -19,11 +19,11 @@ from typing import Iterable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
+from bullet_lab.core.pose import Pose, Vector, add, cross, dot, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.bodies import Body, is_contact
-from bullet_lab.simulation.physics.surfaces import RoundWheel, dot
+from bullet_lab.simulation.physics.surfaces import RoundWheel
 from bullet_lab.simulation.world.description import Joint, Link
 
 # Something along a wheel's rolling direction, and the same along its axle.

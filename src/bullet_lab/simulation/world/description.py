@@ -28,6 +28,8 @@ WORLD_LINK = "world"
 SEPARATOR = "::"
 # The limits of a joint that are read.
 LIMITS = ("lower", "upper", "effort", "velocity")
+# The limit (rad or m) by which SDF says that there is none.
+NO_LIMIT = 1e16
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
 # The corners of a footprint, as shares of its sides.
 FOOTPRINT_CORNERS = ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))

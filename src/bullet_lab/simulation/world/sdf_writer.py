@@ -11,13 +11,14 @@ import logging
 import math
 from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Iterable, Iterator, Mapping
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from bullet_lab.core.pose import Pose, add, cross, subtract
+from bullet_lab.core.pose import Pose, add, cross, dot, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import (
     LIMITS,
+    NO_LIMIT,
     SEPARATOR,
     WORLD_LINK,
     Collision,
@@ -43,8 +44,6 @@ LOG = logging.getLogger(__name__)
 VERSION = "1.6"
 NANOSECONDS = 10**9
 INDENT = "  "
-# The limit that means "none" in SDF.
-FAR = 1e16
 NAMESPACE = "robotNamespace"
 # The end of the name of a joint to the world, after the name of its link.
 ANCHOR = "_to_world"
@@ -244,9 +243,9 @@ def _surface(collision: Collision) -> dict[str, Any]:
 
 
 def _joint(joint: Joint) -> dict[str, Any]:
-    limits = {"lower": -FAR, "upper": FAR, **joint.limits}
+    limits = {"lower": -NO_LIMIT, "upper": NO_LIMIT, **joint.limits}
     if joint.kind == "continuous":
-        limits.update(lower=-FAR, upper=FAR)
+        limits.update(lower=-NO_LIMIT, upper=NO_LIMIT)
     axis = {
         "xyz": joint.axis,
         "limit": {key: value for key, value in limits.items() if key in LIMITS},
@@ -403,11 +402,7 @@ def _joint_state(joint: Joint, links: Mapping[str, FrameState]) -> tuple[float, 
     if joint.kind == "prismatic":
         arm = subtract(child.pose.position, parent.pose.position)
         carried = add(parent.linear, cross(parent.angular, arm))
-        return _dot(joint.axis, moved.position), _dot(axis, subtract(child.linear, carried))
+        return dot(joint.axis, moved.position), dot(axis, subtract(child.linear, carried))
     *turn, w = moved.quaternion
-    angle = math.remainder(2.0 * math.atan2(_dot(joint.axis, turn), w), math.tau)
-    return angle, _dot(axis, subtract(child.angular, parent.angular))
-
-
-def _dot(one: Sequence[float], other: Sequence[float]) -> float:
-    return sum(a * b for a, b in zip(one, other))
+    angle = math.remainder(2.0 * math.atan2(dot(joint.axis, turn), w), math.tau)
+    return angle, dot(axis, subtract(child.angular, parent.angular))

@@ -16,7 +16,7 @@ from typing import ClassVar, Sequence
 
 import numpy as np
 
-from bullet_lab.core.pose import Vector
+from bullet_lab.core.pose import Vector, dot
 from bullet_lab.simulation.world.meshes import (
     MeshError,
     MeshPart,
@@ -128,8 +128,7 @@ class Plane(Shape):
         return np.outer((-math.inf, math.inf), np.ones(3))
 
     def _gaps(self, point: Vector) -> Sequence[float]:
-        along = sum(p * n for p, n in zip(point, self.normal))
-        return (along / math.hypot(*self.normal),)
+        return (dot(point, self.normal) / math.hypot(*self.normal),)
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,7 @@ class FloorRobot:
 
     def pose(self) -> PlanarPose:
         """Return the true pose: (m, m, rad)."""
-        return _planar(self._robot.pose() * self._axle)
+        return (self._robot.pose() * self._axle).planar
 
     def drive(self, ahead: float, turning: float, seconds: float) -> None:
         """Follow a command (m/s, rad/s) for a time."""
@@ -170,12 +170,7 @@ class FloorRobot:
         self._simulation.close()
 
     def _add_odometry(self, sample: OdometrySample) -> None:
-        self.odometry.append(_planar(sample.pose))
-
-
-def _planar(pose: Pose) -> PlanarPose:
-    x, y, _ = pose.position
-    return x, y, pose.yaw
+        self.odometry.append(sample.pose.planar)
 
 
 def _middle(model: Model, joints: Sequence[str]) -> Pose:
