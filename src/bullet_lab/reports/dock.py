@@ -254,9 +254,8 @@ def docking_figure(
         docks: x, y (m) and yaw (rad) of the dock, the true ones and those that the robot got.
         title: of the figure.
     """
-    figure = figures.new_figure(9.0, 6.6)
+    figure = figures.new_figure(9.0, 6.6, title)
     axes = figure.add_axes((0.08, 0.09, 0.89, 0.81))
-    figure.suptitle(title)
     shown = [np.asarray(outline, dtype=float) for outline in outlines]
     figures.draw_plan(axes, shown, docks[0])
     (x, y, yaw), half = docks[1], 0.5 * figures.MARKER_SIDE
@@ -271,7 +270,7 @@ def docking_figure(
         _draw_robot(axes, truth.poses[-1], VERMILION, "end")
         shown.append(truth.poses[:, :2])
     figures.show_around(axes, shown, MARGIN)
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_adjustable("datalim")
     axes.legend(loc="best", fontsize="small")
     return figure
 

@@ -11,7 +11,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, new_figure
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    new_figure,
+    plan_axes,
+)
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports import Reading, Report, earliest
 from bullet_lab.reports.squares import SquaresReport, settings_line, squares_summary
@@ -128,12 +138,10 @@ def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     drawn = [path.poses[:, :2] for paths in robots.values() for path in paths if path is not None]
     places = np.concatenate(drawn) if drawn else np.zeros((1, 2))
     low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
-    figure, axes = _figure_for(high - low)
-    figure.suptitle(title)
-    axes.set(xlabel="x Distance (m)", ylabel="y Distance (m)")
-    axes.set_aspect("equal")
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.grid(alpha=0.3)
+    figure, axes = _figure_for(high - low, title)
+    limits = {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}
+    labels = {"xlabel": "x Distance (m)", "ylabel": "y Distance (m)"}
+    plan_axes(axes, **labels, adjustable="box", **limits)
     for (name, paths), colour in zip(robots.items(), itertools.cycle(COLOURS)):
         _draw(axes, name, paths, colour)
     # The legend has no robot's colour.
@@ -144,13 +152,13 @@ def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     return figure
 
 
-def _figure_for(size: np.ndarray) -> tuple[Figure, Axes]:
+def _figure_for(size: np.ndarray, title: str) -> tuple[Figure, Axes]:
     """Return a figure, and axes in it for an area (m, m) with one scale in both directions."""
     left, right, below, above = FRAME
     across, along = size
     width = WIDTH - left - right
     height = float(np.clip(width / across * along + below + above, *HEIGHTS))
-    figure = new_figure(WIDTH, height)
+    figure = new_figure(WIDTH, height, title)
     place = (left, below, width, height - below - above)
     return figure, figure.add_axes(np.divide(place, (WIDTH, height, WIDTH, height)))
 

@@ -165,16 +165,13 @@ class GoalReport(DriveReport):
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
         truth, goals = self.truth.path(), self._records()
-        figure = figures.new_figure(10.5, 5.6)
-        figure.suptitle(self.line(summary))
+        figure = figures.new_figure(10.5, 5.6, self.line(summary))
         grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
         figure.subplots_adjust(left=0.07, right=0.98, top=0.9, bottom=0.1, hspace=0.28, wspace=0.2)
         self._draw_path(figure.add_subplot(grid[:, 0]), truth, goals)
         left, speed = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-        left.set(ylabel="distance to the goal (m)")
-        speed.set(xlabel="simulated time (s)", ylabel="speed (m/s)")
-        for axes in (left, speed):
-            axes.grid(alpha=0.3)
+        figures.gridded(left, ylabel="distance to the goal (m)")
+        figures.gridded(speed, xlabel="simulated time (s)", ylabel="speed (m/s)")
         if truth is not None:
             self._draw_distance(left, truth, goals)
             speed.plot(truth.stamps[1:], _speeds(truth), color=ORANGE, linewidth=1.2)
@@ -212,7 +209,7 @@ class GoalReport(DriveReport):
             x, y, _ = truth.poses[chosen].T
             away = hypot(x - record.goal[0], y - record.goal[1])
             axes.plot(truth.stamps[chosen], away, color=BLUE, linewidth=1.2)
-        axes.axhline(self._tolerance, color=GREY, linewidth=0.8, linestyle="--", label="tolerance")
+        axes.axhline(self._tolerance, **figures.THIN, linestyle="--", label="tolerance")
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="upper right")
 

@@ -19,6 +19,7 @@ from bullet_lab.core.figures import (
     ORANGE,
     PURPLE,
     VERMILION,
+    gridded,
     new_figure,
     plan_axes,
 )
@@ -118,8 +119,7 @@ class SensorsReport(Report):
         }
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
-        figure = new_figure(12.5, 7.6)
-        figure.suptitle("Measurements of the sensors")
+        figure = new_figure(12.5, 7.6, "Measurements of the sensors")
         grid = figure.add_gridspec(5, 2, width_ratios=(1.0, 1.1))
         figure.subplots_adjust(
             left=0.06, right=0.98, top=0.93, bottom=0.07, hspace=0.22, wspace=0.18
@@ -130,8 +130,7 @@ class SensorsReport(Report):
         units = ("nearest ray (m)", "range (m)", "IMU (m/s²)", "IMU (rad/s)", "bumper (N)")
         times = np.concatenate([series.table()[0] for series in self.series.values()])
         for panel, unit in zip(panels, units):
-            panel.set(ylabel=unit)
-            panel.grid(alpha=0.3)
+            gridded(panel, ylabel=unit)
             if times.size:
                 panel.set_xlim(times.min(), times.max())
         for panel in panels[:-1]:
@@ -215,8 +214,7 @@ class BeaconsReport(Report):
         return {"finished": finished, **counts, **figures, **run}
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
-        figure = new_figure(9.5, 7.0)
-        figure.suptitle("Distances to the beacons")
+        figure = new_figure(9.5, 7.0, "Distances to the beacons")
         above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": (1.0, 1.8)})
         figure.subplots_adjust(left=0.08, right=0.86, top=0.92, bottom=0.08, hspace=0.26)
         plan_axes(above)
@@ -225,8 +223,7 @@ class BeaconsReport(Report):
             above.annotate(name, (x, y + 1.2 * BEACON_RADIUS), ha="center", va="bottom")
             # Matplotlib ignores patches when it computes the limits of the axes.
             above.plot(x, y, ".", color=colour)
-        below.set(xlabel="simulated time (s)", ylabel="distance (m)")
-        below.grid(alpha=0.3)
+        gridded(below, xlabel="simulated time (s)", ylabel="distance (m)")
         if len(self._rows):
             self._draw_rows(above, below)
             for axes in (above, below):

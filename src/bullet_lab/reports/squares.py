@@ -11,7 +11,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure, plan_axes
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    VERMILION,
+    gridded,
+    new_figure,
+    plan_axes,
+)
 from bullet_lab.core.files import Join, PathSeries, Series, Values, make_folder, move_file
 from bullet_lab.core.parameters import declarations
 from bullet_lab.core.se2 import ellipse_points, hypot
@@ -313,8 +322,7 @@ def noise_figure(
     rows = above.subgridspec(3, 1, hspace=0.12)
     _draw_coordinates([figure.add_subplot(row) for row in rows], drawn)
     axes = figure.add_subplot(below)
-    axes.set(xlabel="distance travelled (m)", ylabel="error (m)")
-    axes.grid(alpha=0.3)
+    gridded(axes, xlabel="distance travelled (m)", ylabel="error (m)")
     if pairs is not None:
         error = path_error(*pairs)
         axes.plot(error.travelled, error.error, color=VERMILION, linewidth=1.4)
@@ -341,8 +349,7 @@ def _draw_coordinates(rows: list[Axes], drawn: Sequence[tuple[Trajectory, str, s
         for axes, values in zip(rows, (x, y, np.degrees(np.unwrap(yaw)))):
             axes.plot(path.stamps, values, color=colour, linewidth=1.2)
     for axes, label in zip(rows, ("x (m)", "y (m)", "heading (°)")):
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
+        gridded(axes, ylabel=label)
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set_xlabel("simulated time (s)")

@@ -71,9 +71,8 @@ class VisionReport(Report):
         return {"stamp_s": self._stamp_s(), "found": self.found, "markers": markers}
 
     def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
-        figure = new_figure(14.0, 8.6)
         name = self.about.get("picture", f"{self._stamp_s():.3f} s")
-        figure.suptitle(f"The detectors on one image ({name})")
+        figure = new_figure(14.0, 8.6, f"The detectors on one image ({name})")
         rows = -(-len(self._pictures) // _COLUMNS)
         grid = figure.subplots(rows, _COLUMNS, squeeze=False)
         lines = [textwrap.fill(self.found[name], _LINE_LENGTH) for name in self._pictures]

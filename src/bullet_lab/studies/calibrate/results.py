@@ -20,6 +20,7 @@ from bullet_lab.core.figures import (
     GREEN,
     GREY,
     ORANGE,
+    THIN,
     VERMILION,
     labelled,
     legend_below,
@@ -353,7 +354,7 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
 
 def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
     value, low, high = found
-    axes.axhline(_LIMIT * one.prediction.dispersion, color=GREY, linewidth=0.8, linestyle="--")
+    axes.axhline(_LIMIT * one.prediction.dispersion, **THIN, linestyle="--")
     axes.axvline(value, color=BLUE, linewidth=1.0)
     if not (math.isfinite(low) and math.isfinite(high)):
         axes.text(0.5, 0.5, "the steps do not end it", transform=axes.transAxes, ha="center")

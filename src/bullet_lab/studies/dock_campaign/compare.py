@@ -12,7 +12,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, panels
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    THIN,
+    VERMILION,
+    gridded,
+    panels,
+)
 from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, read_log, reported_docked
@@ -203,9 +212,8 @@ def comparison_figure(
     _draw_times(above[2], names, pairs)
     for axes, column in zip(below, ERRORS):
         name, unit, factor = QUANTITIES[column]
-        axes.set(xlabel=f"{name} ({unit})", ylabel="share of those said to be docked", ylim=(0, 1))
-        axes.set_xscale("log")
-        axes.grid(alpha=0.3)
+        gridded(axes, xlabel=f"{name} ({unit})", xscale="log", ylim=(0, 1))
+        axes.set_ylabel("share of those said to be docked")
         for most in sorted({factor * record[TOLERANCES[column]] for record in pairs[0]}):
             axes.axvline(most, color=GREY, linestyle="--")
         for label, records, colour in zip(names, pairs, COLOURS):
@@ -247,11 +255,11 @@ def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_times(axes: Axes, names: Sequence[str], pairs: Sequence[Sequence[Record]]) -> None:
-    axes.set(xlabel=f"s, {names[0]}", ylabel=f"s, {names[1]}", title="time until docked")
+    labels = {"xlabel": f"s, {names[0]}", "ylabel": f"s, {names[1]}"}
+    gridded(axes, **labels, title="time until docked")
     both = [pair for pair in zip(*pairs) if len(reported_docked(pair)) == 2]
     times = np.array([(a["sim_time_s"], b["sim_time_s"]) for a, b in both]).reshape(-1, 2)
     if len(times):
         most = float(times.max())
-        axes.plot([0.0, most], [0.0, most], color=GREY, linewidth=0.8)
+        axes.plot([0.0, most], [0.0, most], **THIN)
         axes.plot(*times.T, ".", color=VERMILION, markersize=5.0)
-    axes.grid(alpha=0.3)

@@ -13,7 +13,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, draw_plan, new_figure
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    THIN,
+    VERMILION,
+    draw_plan,
+    gridded,
+    new_figure,
+    plan_axes,
+)
 from bullet_lab.core.files import file_errors, replace_file
 from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
@@ -215,8 +225,7 @@ def campaign_figure(
         dock: x, y (m) and yaw (rad) of the floor below the marker's face.
         title: of the figure.
     """
-    figure = new_figure(11.0, 8.8)
-    figure.suptitle(title)
+    figure = new_figure(11.0, 8.8, title)
     left, right = figure.add_gridspec(
         1, 2, width_ratios=(0.75, 1.0), wspace=0.2, left=0.07, right=0.98, top=0.93, bottom=0.07
     )
@@ -278,11 +287,10 @@ def _ticks(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _draw_ends(axes: Axes, records: Sequence[Record]) -> None:
-    axes.set(xlabel="distance error (mm)", ylabel="lateral error (mm)")
+    plan_axes(axes, xlabel="distance error (mm)", ylabel="lateral error (mm)")
     axes.set_title("where robots stand that say they have docked", fontsize="medium")
-    axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.axvline(0.0, color=GREY, linewidth=0.8)
-    axes.grid(alpha=0.3)
+    axes.axhline(0.0, **THIN)
+    axes.axvline(0.0, **THIN)
     names = ("distance_error_m", "lateral_error_m")
     for result, colour, mark in ((DOCKED, BLUE, "."), (INACCURATE, VERMILION, "X")):
         errors = [[1000.0 * r[name] for name in names] for r in records if r["result"] == result]
@@ -290,12 +298,10 @@ def _draw_ends(axes: Axes, records: Sequence[Record]) -> None:
             axes.plot(*zip(*errors), mark, color=colour, markersize=5.0)
     for x, y in sorted({tuple(1000.0 * r[TOLERANCES[n]] for n in names) for r in records}):
         axes.plot((-x, x, x, -x, -x), (-y, -y, y, y, -y), **LIMIT)
-    axes.set_aspect("equal", adjustable="datalim")
 
 
 def _draw_histogram(axes: Axes, values: Sequence[float], label: str) -> None:
-    axes.set(xlabel=label, ylabel="dockings")
-    axes.grid(alpha=0.3)
+    gridded(axes, xlabel=label, ylabel="dockings")
     if not values:
         return
     axes.hist(values, bins=BINS, color=BLUE, edgecolor="white", linewidth=0.4)

@@ -24,6 +24,7 @@ from bullet_lab.core.figures import (
     GREY,
     ORANGE,
     VERMILION,
+    gridded,
     labelled,
     legend_below,
     legend_entry,
@@ -281,9 +282,8 @@ def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
         ):
             ellipse = _ellipse_at(case, moments, index).T
             axes.plot(*ellipse, linestyle=style, color=colour, linewidth=1.1)
-    axes.set_aspect("equal")
     (left, bottom), (right, top) = window
-    axes.set(xlim=(left, right), ylim=(bottom, top))
+    axes.set(aspect="equal", xlim=(left, right), ylim=(bottom, top))
     axes.tick_params(labelsize=8)
 
 
@@ -364,14 +364,13 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
         style = {"color": colour, "markeredgecolor": BLACK, "markersize": 6}
         axes.plot([case.rate for case in of_level], found, "o", **style)
         _label(axes, f"{first.std:g}", (rates[-1], ends[-1]), 4)
-    axes.set(xscale="log", yscale="log")
+    gridded(axes, xscale="log", yscale="log")
     axes.set_xlim(0.75 * rates[0], 2.0 * rates[-1])
     axes.xaxis.set_major_locator(FixedLocator(all_rates))
     axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
         _plain_numbers(axis)
     axes.tick_params(labelsize=8)
-    axes.grid(alpha=0.3)
 
 
 def _draw_shares(

@@ -120,8 +120,8 @@ def defects_figure(
 
 
 def _frame(axes: Axes) -> None:
-    axes.set_aspect("equal")
-    axes.set(xlim=_WINDOW[0], ylim=_WINDOW[1], xticks=(0, 1, 2), yticks=(0, -1, -2))
+    ticks = {"xticks": (0, 1, 2), "yticks": (0, -1, -2)}
+    axes.set(aspect="equal", xlim=_WINDOW[0], ylim=_WINDOW[1], **ticks)
 
 
 def _draw_paths(

@@ -23,8 +23,8 @@ from bullet_lab.core.figures import (
     BLACK,
     BLUE,
     GREEN,
-    GREY,
     ORANGE,
+    THIN,
     VERMILION,
     labelled,
     legend_below,
@@ -170,16 +170,15 @@ def clusters_figure(before: Benchmark, after: Benchmark | None) -> Figure:
         errors = [return_errors(before.runs, way)[:, :2] for way in DIRECTIONS]
         reach = 1150.0 * np.abs(np.concatenate(errors)).max()
         for axes in every[:2]:
-            axes.set_adjustable("box")
-            axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+            axes.set(adjustable="box", xlim=(-reach, reach), ylim=(-reach, reach))
     columns, bottom = (2, 0.15) if after is None else (0, 0.06)
     legend_below(figure, labelled(every[0]), columns, bottom, frameon=None, fontsize=9)
     return figure
 
 
 def _draw_clusters(axes: Axes, benchmark: Benchmark) -> None:
-    axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    axes.axhline(0.0, **THIN)
+    axes.axvline(0.0, **THIN)
     for direction, title, colour, marker in STYLES:
         # Both directions share an entry of the legend.
         once = "_" if direction == CLOCKWISE else ""
@@ -374,7 +373,7 @@ def campaign_figure(records: Sequence[Record]) -> Figure:
             np.array([record[f"{name}_{kind}"] for record in records], float) - injected
             for kind in ("closed_form", "found", "with_noise", "low", "high")
         )
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.axhline(0.0, **THIN)
         axes.plot(injected, closed, "x", color=VERMILION, label="closed forms")
         reach = np.abs(np.stack((noisy - low, high - noisy)))
         style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}
