@@ -7,7 +7,7 @@ broadcast as everywhere in numpy. Every yaw that is returned lies in [-pi, pi).
 from __future__ import annotations
 
 import math
-from typing import List, Sequence, Tuple
+from typing import Any, List, Sequence, Tuple
 
 import numpy as np
 
@@ -99,6 +99,16 @@ def quaternion_from_yaw(yaw: float) -> tuple[float, float, float, float]:
     (0.0, 0.0, 1.0)
     """
     return 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+
+
+def pose_from_above(place: Any, turn: Any) -> PlanarPose:
+    """Return the pose of a position and a quaternion, each with fields such as x, seen from above.
+
+    >>> from types import SimpleNamespace as Message
+    >>> pose_from_above(Message(x=1.0, y=2.0), Message(x=0.0, y=0.0, z=0.0, w=1.0))
+    (1.0, 2.0, 0.0)
+    """
+    return place.x, place.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
 
 
 def compose(a, b) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from pathlib import Path
-from typing import Any, Iterable, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Iterable, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -28,7 +28,7 @@ from bullet_lab.docking.database import (
     largest_errors,
 )
 from bullet_lab.docking.types import HALF_WIDTH, DockingError, DockingResult
-from bullet_lab.reports import DriveReport, Reading, earliest
+from bullet_lab.reports import DriveReport, Figures, Reading, Summary, earliest
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
@@ -129,9 +129,9 @@ class DockReport(DriveReport):
     def is_complete(self) -> bool:
         return self.result is not None and super().is_complete()
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         result, dock = self.result or UNFINISHED, self._station.entry
-        touches: Mapping[str, int] = self._touched.detail if self._touched else {}
+        touches = self._touched.detail if self._touched else {}
         contacts = sum(touches.values())
         errors = self._errors()
         verdict = judge(result.error, errors, dock.tolerance, contacts)
@@ -162,7 +162,7 @@ class DockReport(DriveReport):
             truth.poses[-1], station.dock, station.camera_ahead, station.entry.docked_distance
         )
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         station = self._station
         docks = (station.dock, station.entry.pose)
         path = docking_figure(
@@ -177,7 +177,7 @@ class DockReport(DriveReport):
         strip = {"camera.png": strip_figure(frames)} if frames else {}
         return {"path.png": path, **strip}
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         if summary["error_name"] != "NONE":
             return f"not docked: {summary['message']} ({summary['error_name']})"
         trouble = {DOCKED: "", INACCURATE: "not within the dock's tolerance: "}
@@ -190,7 +190,7 @@ class DockReport(DriveReport):
             f"{summary['yaw_error_deg']:+.2f} deg"
         )
 
-    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+    def has_failed(self, summary: Summary) -> bool:
         return summary["finished"] and not summary["docked"]
 
     def _state_at(self, seconds: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from pathlib import Path
-from typing import Any, Collection, Mapping, Optional, Sequence, Tuple
+from typing import Collection, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ from bullet_lab.core.figures import (
     plan_axes,
 )
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports import Reading, Report, earliest
+from bullet_lab.reports import Figures, Reading, Report, Summary, earliest
 from bullet_lab.reports.squares import SquaresReport, settings_line, squares_summary
 
 # Robots beside each other differ in colour; their numbers tell the others apart.
@@ -77,14 +77,14 @@ class FleetReport(Report):
     def seconds(self) -> float:
         return max(paths.seconds() for paths in self.robots.values())
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         robots = []
         for name, paths in self.robots.items():
             figures = squares_summary(paths.perfect(), paths.pairs())
             robots.append({"name": name, "seed": self._seeds[name], **figures})
         return {"finished": finished, **run, **fleet_summary(robots)}
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         drawn = {}
         for name, paths in self.robots.items():
             pairs = paths.pairs()
@@ -92,7 +92,7 @@ class FleetReport(Report):
         title = f"{len(drawn)} robots with noisy odometry{settings_line(self.about)}"
         return {"fleet.png": fleet_figure(drawn, title)}
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         robots = summary["robots"]
         squares = sum(len(robot["side_lengths_m"]) for robot in robots)
         parts = [f"{len(robots)} robots, {squares} sides"]
@@ -119,12 +119,12 @@ def clear_away(folder: Path, names: Collection[str]) -> None:
             old.rmdir()
 
 
-def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def fleet_summary(robots: Sequence[Summary]) -> Summary:
     """Return the entries of the robots, and the root mean square and the largest of each error.
 
     Those are None if a robot has no error.
     """
-    values: dict[str, Any] = {}
+    values = {}
     for name in ERRORS:
         errors = [robot[name] for robot in robots]
         complete = bool(errors) and None not in errors

@@ -8,7 +8,6 @@ from typing import Any, Callable, Iterator, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from bullet_lab.core.figures import (
@@ -26,7 +25,7 @@ from bullet_lab.core.figures import (
 from bullet_lab.core.files import Join, Series, Values
 from bullet_lab.core.se2 import hypot
 from bullet_lab.errors import LabError
-from bullet_lab.reports import Reading, Report, draw_path
+from bullet_lab.reports import Figures, Reading, Report, Summary, draw_path
 
 # N; a smaller force is a touch that has just ended.
 TOUCH = 0.1
@@ -98,7 +97,7 @@ class SensorsReport(Report):
         points = np.stack([x + reach * np.cos(bearing), y + reach * np.sin(bearing)], axis=-1)
         return points[seen]
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         _, ranges = self.table("sonar")
         _, scans = self.table("scan")
         _, inertial = self.table("imu")
@@ -118,7 +117,7 @@ class SensorsReport(Report):
             **run,
         }
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         figure = new_figure(12.5, 7.6, "Measurements of the sensors")
         grid = figure.add_gridspec(5, 2, width_ratios=(1.0, 1.1))
         figure.subplots_adjust(
@@ -201,9 +200,9 @@ class BeaconsReport(Report):
         """Return the measured and the true distances in m, shape (n, beacons)."""
         return np.hsplit(self._rows.table()[1][:, 3:], 2)
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         path, (measured, true) = self._rows.path(), self._distances()
-        figures: dict[str, Any] = {"closest_m": [], "largest_error_m": []}
+        figures = {"closest_m": [], "largest_error_m": []}
         if path is not None:
             figures = {
                 "closest_m": measured.min(axis=0).tolist(),
@@ -213,7 +212,7 @@ class BeaconsReport(Report):
         counts = {"rows": len(measured), "beacons": list(self.beacons)}
         return {"finished": finished, **counts, **figures, **run}
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         figure = new_figure(9.5, 7.0, "Distances to the beacons")
         above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": (1.0, 1.8)})
         figure.subplots_adjust(left=0.08, right=0.86, top=0.92, bottom=0.08, hspace=0.26)

@@ -13,7 +13,7 @@ from typing import Any, Iterator, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.se2 import wrap, yaw_from_quaternion
+from bullet_lab.core.se2 import pose_from_above, wrap
 from bullet_lab.core.trajectory import (
     Trajectory,
     finite_numbers,
@@ -154,9 +154,7 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
 
 
 def _pose_row(message: Any) -> list[float]:
-    place, turn = _POSES[message._type](message)
-    yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
-    return [message.header.stamp.to_sec(), place.x, place.y, yaw]
+    return [message.header.stamp.to_sec(), *pose_from_above(*_POSES[message._type](message))]
 
 
 def tum_text(trajectory: Trajectory) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Callable, Iterator, Mapping, Sequence
+from typing import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.studies.study import MOST_SEED, Tell, run_from
+from bullet_lab.studies.study import MOST_SEED, Summary, Tell, run_from
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -113,7 +113,7 @@ class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread):
     as_published: bool = boolean(False, "apply the report's noise with all its defects")
 
 
-def run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
+def run_squares(folder: Path, settings: SquaresSettings) -> Summary:
     """Drive the square; write paths.csv, paths.png, TUM files and summary.json.
 
     The same settings give the same files, byte for byte: those of the job with ROS, whose
@@ -126,7 +126,7 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
     return _run_squares(folder, settings)
 
 
-def _run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
+def _run_squares(folder: Path, settings: SquaresSettings) -> Summary:
     """Run with settings that have been checked."""
     noisy = _noise(settings)
     report = SquaresReport(folder)

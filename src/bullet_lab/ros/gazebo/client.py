@@ -17,7 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Mesh
@@ -89,10 +89,8 @@ class StandingModels:
                 elif marker.action == Marker.DELETE:
                     self._shapes.pop((marker.ns, marker.id), None)
                 else:
-                    try:
+                    with self._refusals.on(WORLD):
                         self._shapes[marker.ns, marker.id] = _bounding_box(marker)
-                    except InputError as error:
-                        self._refusals.refuse(WORLD, str(error))
 
     def is_known(self) -> bool:
         """Return whether a message has arrived."""

@@ -21,7 +21,7 @@ import rospy
 from geometry_msgs.msg import Twist
 
 from bullet_lab.core import parameters
-from bullet_lab.ros.node.node import LOCK_STEP, NodeError, is_ending, wait_until
+from bullet_lab.ros.node.node import LOCK_STEP, NodeError, check_running, is_ending, wait_until
 from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 
 SERVICE = "/bullet_lab/advance"
@@ -177,8 +177,7 @@ class Rate:
         except rospy.exceptions.ROSTimeMovedBackwardsException:
             self._rate = rospy.Rate(self._hz)
         # Without simulated time, rospy.Rate raises nothing at a shutdown.
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
+        check_running()
         self.now = rospy.Time.now()
 
     def leave(self) -> None:

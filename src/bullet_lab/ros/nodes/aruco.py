@@ -131,7 +131,7 @@ class Aruco(ImageNode):
         """Publish the markers."""
         camera, problem = self._camera(image)
         detections = self._observer.observe(image.grey, camera)
-        markers: Sequence[Any] = detections.markers
+        markers = detections.markers
         if camera is None:
             poses, bundles = [None] * len(markers), []
         else:

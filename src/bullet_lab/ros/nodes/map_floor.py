@@ -31,7 +31,6 @@ from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive import Command, GoalLimits
-from bullet_lab.errors import LabError
 from bullet_lab.navigation.costmap import RobotCostmap
 from bullet_lab.navigation.driver import MapDriver, MapLimits
 from bullet_lab.navigation.occupancy import OccupancyMap, read_map
@@ -250,16 +249,14 @@ class Floor:
         self._costmap, self._frame = made, frame
 
     def _make_plan(self, request: GetPlanRequest) -> Path | None:
-        try:
+        with self._refusals.on("make_plan"):
             frame, start = self.frame(), self._pose
             if request.start.header.frame_id:
                 start = self._frames.planar(request.start, frame)
             goal = self._frames.planar(request.goal, frame)
-        except LabError as error:
-            self._refusals.refuse("make_plan", str(error))
-            return None
-        way = None if start is None else self._costmap.plan(start, goal)
-        return self._path(rospy.Time.now(), way or [])
+            way = None if start is None else self._costmap.plan(start, goal)
+            return self._path(rospy.Time.now(), way or [])
+        return None
 
     def _clear_costmap(self, _request: Any = None) -> list:
         if self._costmap is not None:

@@ -96,7 +96,7 @@ class ContactSurface:
         implicitly, as ODE does, so that stiff ones stay stable.
         """
         friction = min(self.friction, 1.0) if static else self.friction
-        properties: dict[str, Any] = {"lateralFriction": friction}
+        properties = {"lateralFriction": friction}
         if self.along != self.across:
             # Bullet knows principal axes alone: the one next to our axis stands for it.
             cosines = [abs(value) for value in frame.inverse().rotate(self.axis)]

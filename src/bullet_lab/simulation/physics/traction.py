@@ -252,7 +252,7 @@ class Traction:
             # The engine's contact points are still those of the place before.
             self._points_are_valid = True
             return
-        touching: dict[int, list[tuple]] = {wheel.index: [] for wheel in self._wheels}
+        touching = {wheel.index: [] for wheel in self._wheels}
         for point in self._body.near_points():
             if point[3] in self.owners and is_contact(point):
                 touching[self.owners[point[3]].index].append(point)
@@ -395,8 +395,8 @@ def _freedoms(
 ) -> tuple[list[Freedom], dict[str, list[int]]]:
     """Return the freedoms, those of the root first, and which of them move each link."""
     above = {joint.child: joint for joint in joints}
-    freedoms: list[Freedom] = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
-    columns: dict[str, list[int]] = {links[0].name: list(range(len(freedoms)))}
+    freedoms = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
+    columns = {links[0].name: list(range(len(freedoms)))}
     for link in links[1:]:
         joint = above[link.name]
         place = np.array((link.pose * Pose(joint.anchor)).position)

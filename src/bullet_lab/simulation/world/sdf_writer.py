@@ -152,7 +152,7 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
         # SDF has no continuous joints; they are revolute joints without limits.
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         _add(element, "joint", _joint(joint), name=joint.name, type=kind)
-    scopes: dict[str, Element] = {"": element}
+    scopes = {"": element}
     for plugin in (plugin for plugin in model.plugins if plugin.sensor is None):
         _in_scope(scopes, plugin.scope).append(plugin_element(plugin))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, Mapping, Sequence
+from typing import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, read_log, reported_docked
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
-from bullet_lab.studies.study import Record, clopper_pearson, text_table, write_results
+from bullet_lab.studies.study import Record, Summary, clopper_pearson, text_table, write_results
 
 CONFIDENCE = 0.95
 ENDS = ("value", "low", "high")
@@ -78,7 +78,7 @@ def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     return describe(names, columns, paired)
 
 
-def share(hits: int, trials: int) -> dict[str, Any]:
+def share(hits: int, trials: int) -> Summary:
     """Return a share in per cent with Clopper and Pearson's interval.
 
     >>> {end: round(value, 2) for end, value in share(199, 200).items()}
@@ -88,7 +88,7 @@ def share(hits: int, trials: int) -> dict[str, Any]:
     return {"value": 100.0 * hits / trials, "low": 100.0 * low, "high": 100.0 * high}
 
 
-def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
+def quantile(values: Sequence[float], part: float) -> Summary:
     """Return a quantile with an interval from two order statistics, for any distribution.
 
     An end for which there are too few values is None; without values, all are None.
@@ -110,7 +110,7 @@ def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
     }
 
 
-def figures_of(records: Sequence[Record]) -> dict[str, Any]:
+def figures_of(records: Sequence[Record]) -> Summary:
     """Return the figures of one controller by name, each with its interval."""
     at_dock = reported_docked(records)
     off = [math.hypot(r["distance_error_m"], r["lateral_error_m"]) for r in at_dock]
@@ -121,7 +121,7 @@ def figures_of(records: Sequence[Record]) -> dict[str, Any]:
         "with a contact (%)": [bool(r["wall_contacts"]) for r in records],
         "with a retry (%)": [bool(r["retries"]) for r in records],
     }
-    figures: dict[str, Any] = {name: share(sum(of), len(records)) for name, of in hits.items()}
+    figures = {name: share(sum(of), len(records)) for name, of in hits.items()}
     for column, (name, unit, factor) in QUANTITIES.items():
         values = [factor * abs(record[column]) for record in at_dock]
         for label, part in (("median", 0.5), ("99 %", 0.99)):
@@ -130,7 +130,7 @@ def figures_of(records: Sequence[Record]) -> dict[str, Any]:
     return figures
 
 
-def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[str, Any]:
+def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Summary:
     """Return who docked in the same scenarios, and the differences where both did.
 
     The p-value is that of McNemar's exact test; differences are the second minus the first.
@@ -155,7 +155,7 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[st
 
 
 def comparison_records(
-    names: Sequence[str], columns: Sequence[Mapping[str, Any]]
+    names: Sequence[str], columns: Sequence[Summary]
 ) -> list[Record]:
     """Return a record for each figure: value, low and high of each controller."""
     heads = [f"{name} {end}" for name in names for end in ENDS]
@@ -169,13 +169,13 @@ def comparison_records(
     ]
 
 
-def _shown(figure: Mapping[str, Any]) -> str:
+def _shown(figure: Summary) -> str:
     value, low, high = ("?" if figure[end] is None else f"{figure[end]:.3g}" for end in ENDS)
     return f"{value} [{low}, {high}]"
 
 
 def describe(
-    names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
+    names: Sequence[str], columns: Sequence[Summary], paired: Summary
 ) -> list[str]:
     """Return the comparison as lines for the user, with intervals of 95 %."""
     figures = [figure for figure in columns[0] if figure != "failures"]
@@ -201,7 +201,7 @@ COLOURS = (BLUE, ORANGE)
 def comparison_figure(
     names: Sequence[str],
     pairs: Sequence[Sequence[Record]],
-    columns: Sequence[Mapping[str, Any]],
+    columns: Sequence[Summary],
 ) -> Figure:
     """Draw shares with their intervals, times pair by pair, and the distributions of the errors."""
     title = f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)"
@@ -225,7 +225,7 @@ def comparison_figure(
     return figure
 
 
-def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> None:
+def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Summary]) -> None:
     shares = [figure for figure in columns[0] if figure.endswith("(%)")]
     rows = np.arange(len(shares))[::-1]
     for number, (name, column, colour) in enumerate(zip(names, columns, COLOURS)):
@@ -241,7 +241,7 @@ def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str
     axes.legend(fontsize="small", loc="lower right")
 
 
-def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
+def _draw_results(axes: Axes, columns: Sequence[Summary]) -> None:
     axes.set(yticks=[], xlabel="dockings that failed")
     results = sorted({r for column in columns for r in column["failures"]} - {DOCKED})
     rows = np.arange(len(results))[::-1]

@@ -29,7 +29,7 @@ from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Footprint
 from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
-from bullet_lab.studies.study import Record, clopper_pearson
+from bullet_lab.studies.study import Record, Summary, clopper_pearson
 
 LOG = "dockings.jsonl"
 
@@ -42,7 +42,7 @@ QUANTITIES = {
 """Name, unit and factor, for the user, of columns of the table."""
 
 
-def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
+def campaign_summary(records: Sequence[Record]) -> Summary:
     """Return the figures of a campaign for summary.json: rates, errors and contacts.
 
     The errors are magnitudes, of all robots that report that they have docked, within the dock's
@@ -87,7 +87,7 @@ def error_figures(values: Sequence[float]) -> dict[str, float | None]:
     return dict(zip(names, map(float, figures)))
 
 
-def stress_row(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
+def stress_row(name: str, summary: Summary) -> Summary:
     """Return the row of a stress from the summary of its campaign."""
     counts = Counter(summary["failures"])
     wrong = counts[WALL_CONTACT] + counts[INACCURATE] + counts[CRASHED]
@@ -112,7 +112,7 @@ def reported_docked(records: Sequence[Record]) -> list[Record]:
     return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
 
 
-def _shares(records: Sequence[Record], name: str) -> dict[str, Any]:
+def _shares(records: Sequence[Record], name: str) -> Summary:
     """Return "docked of all" for each value of a column."""
     total = Counter(record[name] for record in records)
     docked = Counter(record[name] for record in records if record["result"] == DOCKED)

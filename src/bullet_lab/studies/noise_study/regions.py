@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any, Iterator, NamedTuple, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -348,7 +348,7 @@ class Regions:
             for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):
                 if region is None:
                     continue
-                record: dict[str, Any] = {"method": method, "travelled_m": float(travelled)}
+                record = {"method": method, "travelled_m": float(travelled)}
                 record["gaussian_enough"] = enough
                 for level, share, band in zip(LEVELS, region.coverage, region.bands):
                     name = f"coverage_{100 * level:g}"

@@ -11,7 +11,7 @@ import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,6 +37,7 @@ from bullet_lab.studies.study import (
     MOST_SEED,
     Record,
     Settings,
+    Summary,
     Tell,
     run_from,
     write_results,
@@ -146,7 +147,7 @@ def run_study(
     trajectory: Trajectory,
     source: str = "",
     tell: Tell = print,
-) -> dict[str, Any]:
+) -> Summary:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
     The same settings and path give the same tables. The source names the origin of the path.

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence
+from typing import Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib import path as drawing
@@ -23,7 +23,7 @@ from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.paths import read_table
-from bullet_lab.studies.study import Record, clopper_pearson, text_table
+from bullet_lab.studies.study import Record, Summary, clopper_pearson, text_table
 
 SIDES = 4
 
@@ -334,11 +334,11 @@ def verdict(name: str, results: Sequence[Result], evidence: str) -> str:
 
 
 def published_summary(
-    about: Mapping[str, Any],
-    figure: Mapping[str, Any],
+    about: Summary,
+    figure: Summary,
     results: Sequence[Result],
     records: Sequence[Record],
-) -> dict[str, Any]:
+) -> Summary:
     """Return the content of summary.json.
 
     Args:
@@ -369,7 +369,7 @@ def combination_records(results: Sequence[Result]) -> list[Record]:
     records: list[Record] = []
     for rank, result in enumerate(results, 1):
         switches = map(int, astuple(result.defects))
-        record: dict[str, Any] = {"rank": rank, **dict(zip(DEFECTS, switches))}
+        record = {"rank": rank, **dict(zip(DEFECTS, switches))}
         for evidence, p in result.p_values.items():
             record[f"p_{evidence}"], record[f"p_{evidence}_below"] = rounded((p.value, p.high))
         percentiles = rounded(100.0 * result.percentiles, 1)
@@ -395,7 +395,7 @@ def length_records(results: Sequence[Result], first_seed: int) -> Iterator[Recor
             yield dict(zip(names, (seed, *switches, *rounded(lengths, 6))))
 
 
-def verdict_lines(summary: Mapping[str, Any]) -> list[str]:
+def verdict_lines(summary: Summary) -> list[str]:
     """Return the main results of a summary as lines for the user."""
     figure, rows = summary["figure_1b"], summary["combinations"]
     shown = {name: f"{1e3 * length:.1f}" for name, length in figure["lengths_m"].items()}

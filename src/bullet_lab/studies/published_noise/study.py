@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
 
@@ -52,7 +52,15 @@ from bullet_lab.studies.published_noise.results import (
     verdict_lines,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, write_results
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Settings,
+    Summary,
+    Tell,
+    progress,
+    run_from,
+    write_results,
+)
 
 FIGURE_DATA = "data/fig1_paths.csv"
 # Long enough for the sampling node to poll before and after the drive, with any phase.
@@ -136,7 +144,7 @@ class Replay:
 
 def run_published_noise(
     folder: Path, settings: PublishedNoiseSettings, tell: Tell = print
-) -> dict[str, Any]:
+) -> Summary:
     """Run the study; write figures, tables and summary.json; return the summary.
 
     The same settings give the same files.
@@ -179,7 +187,7 @@ def _results(
     return [*results, *(replace(r, defects=replace(r.defects, unbent=True)) for r in aliased)]
 
 
-def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> dict[str, Any]:
+def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Summary:
     simulated, shown = (
         float(np.hypot(*(corners[3] - corners[2])))
         for corners in (drive.corners, figure.perfect_corners)
@@ -197,7 +205,7 @@ def _figures(
     figure: PublishedFigure,
     results: list[Result],
     settings: PublishedNoiseSettings,
-) -> dict[str, Any]:
+) -> Summary:
     drive, corners = replay.drive, replay.corners
     by_defects = {result.defects: result for result in results}
     example = nearest(figure.lengths, by_defects[ALL].lengths)

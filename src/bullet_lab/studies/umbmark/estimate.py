@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
 from scipy import optimize, stats
 
 from bullet_lab.core import se2
+from bullet_lab.core.files import Summary
 from bullet_lab.core.se2 import wrap
 from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import first_order_moments
@@ -42,7 +43,7 @@ SURE = 3.0
 SAME = 1e-9
 
 
-def closed_forms(runs: Sequence[SquareRun], side: float) -> dict[str, Any]:
+def closed_forms(runs: Sequence[SquareRun], side: float) -> Summary:
     """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
@@ -206,7 +207,7 @@ def _intervals(
         # The runs of each direction are equal: their spread is unknown.
         return None
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
-    ends: list[tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
+    ends = list(zip((found - reach).tolist(), (found + reach).tolist()))
     return dict(zip(PARAMETERS, ends))
 
 
@@ -235,7 +236,7 @@ class Benchmark:
     """Runs and their evaluation."""
 
     runs: tuple[SquareRun, ...]
-    figures: dict[str, Any]
+    figures: Summary
     estimate: Estimate
 
     @classmethod
@@ -289,7 +290,7 @@ class Benchmark:
             for one in errors
         )
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """Return the figures of the benchmark by their usual names."""
         squares = {d: sum(run.direction == d for run in self.runs) for d in DIRECTIONS}
         return {"squares": squares, **self.figures}

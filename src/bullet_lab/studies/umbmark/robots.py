@@ -139,7 +139,7 @@ class FloorRobot:
         self._simulation = Simulation.of(WORLD)
         self._robot = self._simulation.add(model, pose=model.pose)
         kind = RosControl if controller else DiffDrive
-        drive: Any = next((one for one in self._robot.plugins if isinstance(one, kind)), None)
+        drive = next((one for one in self._robot.plugins if isinstance(one, kind)), None)
         if drive is None:
             raise LabError(f"{robot}: there is no plugin {kind.filenames[0]} that works")
         if controller:
@@ -315,7 +315,7 @@ def drive_run(
     """
     direction = DIRECTIONS[number % len(DIRECTIONS)]
     if ideal_base is None:
-        robot: Any = FloorRobot(settings.robot, settings.controller, settings.errors, correction)
+        robot = FloorRobot(settings.robot, settings.controller, settings.errors, correction)
     else:
         wheels = Wheels(DIAMETER, DIAMETER, ideal_base)
         robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))

@@ -12,7 +12,7 @@ import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence
+from typing import Iterator, Sequence
 
 import numpy as np
 import yaml
@@ -34,7 +34,7 @@ from bullet_lab.core.figures import (
 from bullet_lab.core.parameters import boolean, integer, number, text
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.study import Record, Settings, Tell, run_from, write_results
+from bullet_lab.studies.study import Record, Settings, Summary, Tell, run_from, write_results
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,
@@ -94,9 +94,9 @@ def run_umbmark(
     folder: Path,
     before: Benchmark,
     after: Benchmark | None,
-    about: dict[str, Any],
+    about: Summary,
     floor: systematic.SystematicErrors = NO_ERRORS,
-) -> dict[str, Any]:
+) -> Summary:
     """Write tables, figure, corrected parameters and summary.json; return the summary.
 
     Args:
@@ -109,7 +109,7 @@ def run_umbmark(
     found = before.estimate
     recovered = found.relative_to(floor)
     warnings = before.warnings()
-    summary: dict[str, Any] = {
+    summary = {
         "job": "umbmark",
         **about,
         "finished": True,
@@ -290,7 +290,7 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
     after = benchmark(quiet, before.estimate.errors)
     noisy = benchmark(drawn, NO_ERRORS).estimate.relative_to(right)
     found_quiet = before.estimate.relative_to(right).errors
-    record: dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
+    record = {"robot": index, "side_m": quiet.side, "base_m": before.base}
     for name, closed in zip(PARAMETERS, (before.figures["e_d"], before.figures["e_b"])):
         injected = getattr(quiet, name)
         found = getattr(found_quiet, name)
@@ -314,7 +314,7 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
 
 def run_campaign(
     folder: Path, drive: BenchmarkSettings, campaign: RandomRobotSettings, run: Run, tell: Tell
-) -> Mapping[str, Any]:
+) -> Summary:
     """Calibrate random robots; write campaign.csv, campaign.png and summary.json; return that.
 
     Raises:
@@ -327,11 +327,11 @@ def run_campaign(
     return write_results(folder, summary, {"campaign.csv": records}, figures, {})
 
 
-def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
+def campaign_summary(records: Sequence[Record]) -> Summary:
     """Return the totals of a campaign."""
     ends = [(record["e_max_syst_m"], record["e_max_syst_after_m"]) for record in records]
     falls = [before / after for before, after in ends if after > 0.0]
-    summary: dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
+    summary = {"finished": True, "least_fall": min(falls, default=None)}
     for name in PARAMETERS:
         misses = [abs(r[f"{name}_found"] - r[name]) for r in records]
         closed = [abs(r[f"{name}_closed_form"] - r[name]) / abs(r[name]) for r in records]
@@ -345,7 +345,7 @@ def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
     return summary
 
 
-def describe_campaign(records: int, summary: Mapping[str, Any]) -> list[str]:
+def describe_campaign(records: int, summary: Summary) -> list[str]:
     """Return the totals of a campaign as lines for the user."""
     lines: list[str] = []
     for name in PARAMETERS:
