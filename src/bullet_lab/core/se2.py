@@ -10,6 +10,7 @@ import math
 from typing import Any, List, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 PlanarPose = Tuple[float, float, float]
 """A single pose as numbers: x (m), y (m) and yaw (rad)."""
@@ -111,7 +112,7 @@ def pose_from_above(place: Any, turn: Any) -> PlanarPose:
     return place.x, place.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
 
 
-def compose(a, b) -> np.ndarray:
+def compose(a, b) -> ndarray:
     """Return the pose `b`, given in the frame of pose `a`, in the frame in which `a` is given.
 
     Args:
@@ -130,7 +131,7 @@ def compose(a, b) -> np.ndarray:
     return _poses(ax + cos * bx - sin * by, ay + sin * bx + cos * by, wrap(ayaw + byaw))
 
 
-def between(a, b) -> np.ndarray:
+def between(a, b) -> ndarray:
     """Return pose `b` in the frame of pose `a`, the inverse of `compose`.
 
     Args:
@@ -155,14 +156,14 @@ def _parts(poses) -> Sequence:
     return poses.tolist() if poses.ndim == 1 else (poses[..., 0], poses[..., 1], poses[..., 2])
 
 
-def _poses(x, y, yaw) -> np.ndarray:
+def _poses(x, y, yaw) -> ndarray:
     # Several times as fast as np.stack of np.broadcast_arrays.
     poses = np.empty((*np.broadcast(x, y, yaw).shape, 3))
     poses[..., 0], poses[..., 1], poses[..., 2] = x, y, yaw
     return poses
 
 
-def inverse(pose) -> np.ndarray:
+def inverse(pose) -> ndarray:
     """Return the pose of the origin in the frame of each pose, shape (..., 3).
 
     >>> inverse([1.0, 0.0, 0.0])
@@ -171,7 +172,7 @@ def inverse(pose) -> np.ndarray:
     return between(pose, np.zeros(3))
 
 
-def steps(poses) -> np.ndarray:
+def steps(poses) -> ndarray:
     """Return each pose of a path in the frame of the previous one: (..., n, 3) to (..., n-1, 3).
 
     >>> steps([(0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (1.0, 0.0, 0.0)])
@@ -182,7 +183,7 @@ def steps(poses) -> np.ndarray:
     return between(poses[..., :-1, :], poses[..., 1:, :])
 
 
-def logarithm(poses) -> np.ndarray:
+def logarithm(poses) -> ndarray:
     """Return the exponential coordinates (m, m, rad) of poses, shape (..., 3).
 
     They are the constant velocity that leads from the origin to the pose in one unit of time, along
@@ -200,7 +201,7 @@ def logarithm(poses) -> np.ndarray:
     return np.stack([velocity.real, velocity.imag, yaw], axis=-1)
 
 
-def straightening(yaw) -> np.ndarray:
+def straightening(yaw) -> ndarray:
     """Return (h/2) (cot(h/2) - i) for angles h (rad, within a turn), 1 for 0; see `logarithm`."""
     half = 0.5 * np.asarray(yaw, dtype=float)
     small = np.abs(half) < 1e-4
@@ -238,7 +239,7 @@ SQUARE_RADIUS = -2.0 * math.log(1.0 - LEVEL)
 """Of the ellipse, in variances: the quantile of chi-square with two degrees of freedom."""
 
 
-def ellipse_points(covariance, count: int = 73) -> np.ndarray:
+def ellipse_points(covariance, count: int = 73) -> ndarray:
     """Return points of the 95 % ellipse around the origin, the first and the last the same.
 
     Args:

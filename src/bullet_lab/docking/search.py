@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
@@ -90,7 +91,7 @@ class MarkerSearch:
             return False
         return bool(self._belief.visibility.visible(self._cameras(estimate.mean)))
 
-    def _cameras(self, docks: np.ndarray) -> np.ndarray:
+    def _cameras(self, docks: ndarray) -> ndarray:
         """Return the camera's poses (..., 3) against docks (..., 3) in the robot's frame."""
         return se2.between(docks, (self._ahead, 0.0, 0.0))
 
@@ -164,11 +165,11 @@ class MarkerSearch:
 
     def _probabilities(
         self,
-        points: np.ndarray,
-        docks: np.ndarray,
-        reach: np.ndarray,
+        points: ndarray,
+        docks: ndarray,
+        reach: ndarray,
         visibility: MarkerVisibility,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """Return the probability of finding the marker, (n, 36) for each point and heading.
 
         The robot is at `points` (n, 2); `docks` are (m, 3), in light that has `reach` (m,).
@@ -190,7 +191,7 @@ class MarkerSearch:
         return shares
 
     def _first_safe(
-        self, points: np.ndarray, costmap: Costmap, worth: np.ndarray
+        self, points: ndarray, costmap: Costmap, worth: ndarray
     ) -> NextView | None:
         """Return the best view with a safe path; the robot is at the first point."""
         headings = np.argmax(worth, axis=1)
@@ -205,7 +206,7 @@ class MarkerSearch:
         return None
 
 
-def _worth(found: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+def _worth(found: ndarray, seconds: ndarray) -> ndarray:
     """Return the probability per time of views (n, 36), 0 where the probability is small."""
     # Of headings with the same probability, the one with the likely place in the middle is best.
     smooth = (np.roll(found, 1, axis=1) + found + np.roll(found, -1, axis=1)) / 3.0

@@ -6,6 +6,7 @@ import math
 from typing import Any, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, OccupancyMap
@@ -69,7 +70,7 @@ class RobotCostmap:
         self._seen = np.zeros_like(self._standing)
         self._distance = self._static
 
-    def see(self, sensor: Pose, angles: np.ndarray, ranges: np.ndarray, greatest: float) -> bool:
+    def see(self, sensor: Pose, angles: ndarray, ranges: ndarray, greatest: float) -> bool:
         """Take a scan; return whether it has changed the costmap.
 
         Args:
@@ -93,29 +94,29 @@ class RobotCostmap:
         seen.ravel()[cells] = True
         return self._remember(seen)
 
-    def mark(self, points: np.ndarray) -> None:
+    def mark(self, points: ndarray) -> None:
         """Mark the cells of points (n, 2) as if the laser had seen something there."""
         seen = self._seen.copy()
         seen.ravel()[self._inside(points)] = True
         self._remember(seen)
 
-    def _remember(self, seen: np.ndarray) -> bool:
+    def _remember(self, seen: ndarray) -> bool:
         if np.array_equal(seen, self._seen):
             return False
         self._seen = seen
         self._distance = np.minimum(self._static, _distances(seen) * self._cell)
         return True
 
-    def _cells(self, points: Sequence[Any]) -> np.ndarray:
+    def _cells(self, points: Sequence[Any]) -> ndarray:
         return np.round((np.asarray(points)[..., :2] - self._low) / self._cell).astype(int)
 
-    def _inside(self, points: Sequence[Any]) -> np.ndarray:
+    def _inside(self, points: Sequence[Any]) -> ndarray:
         """Return the indices of the cells of points, without those off the map."""
         cells, shape = self._cells(points), self._standing.shape
         cells = cells[np.all((cells >= 0) & (cells < shape), axis=-1)]
         return cells[:, 0] * shape[1] + cells[:, 1]
 
-    def clearance(self, points: Sequence[Any]) -> np.ndarray:
+    def clearance(self, points: Sequence[Any]) -> ndarray:
         """Return the distances (…) in m of points (…, 2) from the nearest occupied cell."""
         cells = self._cells(points).clip(0, np.array(self._standing.shape) - 1)
         return self._distance[tuple(np.moveaxis(cells, -1, 0))]
@@ -129,7 +130,7 @@ class RobotCostmap:
         least = min(self._radius, here - NEARER)
         return bool(np.all(self.clearance(points[gone <= AHEAD]) >= least))
 
-    def _rates(self, robot: Sequence[float]) -> np.ndarray:
+    def _rates(self, robot: Sequence[float]) -> ndarray:
         """Return the costs of a metre in each cell, infinite where the robot cannot be."""
         beyond = self._distance - self._least
         rates = np.where(
@@ -173,7 +174,7 @@ class RobotCostmap:
         return OccupancyMap(costs.T.astype(np.int8), self._cell, self.map.origin)
 
 
-def _distances(occupied: np.ndarray) -> np.ndarray:
+def _distances(occupied: ndarray) -> ndarray:
     """Return each cell's distance from the nearest occupied one, in cells; inf without any."""
     # Imported late: most jobs have no map, and it takes a tenth of a second.
     from scipy.ndimage import distance_transform_edt

@@ -6,6 +6,7 @@ import math
 from typing import Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive import STANDSTILL, Command, approach, clip
@@ -42,13 +43,13 @@ class CostGrid:
         costs: (rows, columns) of the cheapest way to each cell; infinite without a way.
     """
 
-    def __init__(self, low: np.ndarray, cell: float, rate: np.ndarray, start: Sequence[float]):
+    def __init__(self, low: ndarray, cell: float, rate: ndarray, start: Sequence[float]):
         self.cell, self._low, self._shape = cell, low, rate.shape
         self._start = (float(start[0]), float(start[1]))
         self._rate = rate.ravel()
         self.costs, self._before = self._dijkstra()
 
-    def _dijkstra(self) -> tuple[np.ndarray, np.ndarray]:
+    def _dijkstra(self) -> tuple[ndarray, ndarray]:
         """Return the costs of all cells, and each one's predecessor on the way there, by index."""
         # Imported late: most jobs plan nothing, and it takes a tenth of a second.
         from scipy.sparse import coo_matrix
@@ -70,7 +71,7 @@ class CostGrid:
         found = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
         return found[0].reshape(self._shape), found[1]
 
-    def _index(self, points) -> np.ndarray:
+    def _index(self, points) -> ndarray:
         """Return the index of the cell nearest each of (..., 2 or more) points."""
         places = np.round((np.asarray(points)[..., :2] - self._low) / self.cell).astype(int)
         places = np.clip(places, 0, np.array(self._shape) - 1)
@@ -118,7 +119,7 @@ class CostGrid:
         return length * float(np.mean(self._rate[self._index(points)]))
 
 
-def along(first: Point, second: Point, spacing: float) -> np.ndarray:
+def along(first: Point, second: Point, spacing: float) -> ndarray:
     """Return (n, 2) points on a line, both ends included, no farther apart than `spacing`.
 
     >>> along((0.0, 0.0), (1.0, 0.0), 0.5)

@@ -35,6 +35,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Optional, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import number
 from bullet_lab.core.se2 import PlanarPose, wrap
@@ -141,7 +142,7 @@ class SystematicErrors:
         mean = (1.0 + self.scale_error) / (1.0 + 0.5 * self.diameter_error)
         return mean, mean * (1.0 + self.diameter_error)
 
-    def matrix(self) -> np.ndarray:
+    def matrix(self) -> ndarray:
         """Return the 2x2 matrix from true to reported distance and turn (m, rad), without gyro."""
         left, right = self.diameters
         total, difference = 1.0 / right + 1.0 / left, 1.0 / right - 1.0 / left
@@ -153,7 +154,7 @@ class SystematicErrors:
             )
         )
 
-    def steps(self, steps) -> np.ndarray:
+    def steps(self, steps) -> ndarray:
         """Return the reported steps for true steps, by encoders without ticks.
 
         Args:
@@ -172,7 +173,7 @@ class SystematicErrors:
         new_turn = matrix[1, 0] * ahead + matrix[1, 1] * turn + drift
         return chords(np.stack((new_ahead, matrix[0, 0] * across, new_turn), axis=-1))
 
-    def path(self, poses) -> np.ndarray:
+    def path(self, poses) -> ndarray:
         """Return the reported path for a true path, bit for bit that of `SystematicPath`.
 
         Args:
@@ -182,7 +183,7 @@ class SystematicErrors:
         return np.array([path.update(*pose).pose for pose in np.asarray(poses, float).tolist()])
 
 
-def arcs(steps) -> np.ndarray:
+def arcs(steps) -> ndarray:
     """Return the arcs from pose to pose: distance ahead, distance across (m) and turn (rad).
 
     Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot with two wheels
@@ -200,7 +201,7 @@ def arcs(steps) -> np.ndarray:
     return np.stack(((cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord, dyaw), axis=-1)
 
 
-def chords(arcs_) -> np.ndarray:
+def chords(arcs_) -> ndarray:
     """Return the steps (dx m, dy m, dyaw rad) that arcs lead to: the inverse of `arcs`.
 
     >>> chords([np.pi, 0.0, np.pi / 2.0]).round(6)
@@ -380,7 +381,7 @@ class SpreadPath:
         return self._own.update(x, y, yaw)
 
 
-def end_of(steps) -> np.ndarray:
+def end_of(steps) -> ndarray:
     """Return the pose that steps lead to: (dx m, dy m, dyaw rad), (..., n, 3) -> (..., 3).
 
     The heading is not wrapped.

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from numpy import ndarray
 
 from bullet_lab.core import figures, se2
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, Outline
@@ -198,7 +199,7 @@ class DockReport(DriveReport):
         return before[-1] if before else "at rest"
 
 
-def _small(picture: np.ndarray) -> np.ndarray:
+def _small(picture: ndarray) -> ndarray:
     """Return a picture (h, w, 3) in BGR as a small one in RGB."""
     height = round(PICTURE_WIDTH * picture.shape[0] / picture.shape[1])
     coloured = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -298,7 +299,7 @@ def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> N
     axes.plot(*zip(pose[:2], front), color=colour, linewidth=1.6, zorder=3)
 
 
-def strip_figure(frames: Sequence[tuple[float, str, np.ndarray]]) -> Figure:
+def strip_figure(frames: Sequence[tuple[float, str, ndarray]]) -> Figure:
     """Draw pictures of the camera in a row or two, each with its time and the state.
 
     Args:

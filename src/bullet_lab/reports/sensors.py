@@ -9,6 +9,7 @@ from typing import Any, Callable, Iterator, Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle
+from numpy import ndarray
 
 from bullet_lab.core.figures import (
     BEACON_RADIUS,
@@ -68,16 +69,16 @@ class SensorsReport(Report):
             self.touched.update(reading.detail)
         return True
 
-    def table(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    def table(self, topic: str) -> tuple[ndarray, ndarray]:
         """Return the stamps (s) and the rows of a sensor."""
         return self.series[topic].table()
 
-    def push(self) -> tuple[np.ndarray, np.ndarray]:
+    def push(self) -> tuple[ndarray, ndarray]:
         """Return the stamps (s) of the bumper's messages and the horizontal forces (N)."""
         stamps, rows = self.table("bumper")
         return stamps, hypot(rows[:, 1], rows[:, 2])
 
-    def scan_points(self) -> np.ndarray:
+    def scan_points(self) -> ndarray:
         """Return the points (m) of all scans in the frame of the odometry, shape (n, 2).
 
         The pose of a scan is that of its stamp, or the last one before. The scanner is taken to be
@@ -162,7 +163,7 @@ class SensorsReport(Report):
         bumper.set(xlabel="simulated time (s)")
 
 
-def _of(figure: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
+def _of(figure: Callable[[ndarray], Any], values: ndarray) -> float | None:
     """Return a figure of some values; None without a value."""
     return float(figure(values)) if values.size else None
 
@@ -196,7 +197,7 @@ class BeaconsReport(Report):
         true = [hypot(x - bx, y - by) for bx, by in self.beacons.values()]
         self._rows.add(stamp, [*pose, *measured, *true])
 
-    def _distances(self) -> list[np.ndarray]:
+    def _distances(self) -> list[ndarray]:
         """Return the measured and the true distances in m, shape (n, beacons)."""
         return np.hsplit(self._rows.table()[1][:, 3:], 2)
 

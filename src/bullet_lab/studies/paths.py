@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Iterator, Mapping, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.se2 import pose_from_above, wrap
 from bullet_lab.core.trajectory import (
@@ -197,7 +198,7 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     return Trajectory(stamps, np.column_stack(columns))
 
 
-def snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
+def snapped(stamps: ndarray, known: ndarray) -> ndarray:
     """Replace stamps by known ones that are equal except for rounding."""
     after = np.minimum(np.searchsorted(known, stamps), len(known) - 1)
     before = np.maximum(after - 1, 0)
@@ -205,7 +206,7 @@ def snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.where(np.abs(known[nearer] - stamps) <= _SAME_STAMP, known[nearer], stamps)
 
 
-def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
+def find_corners(trajectory: Trajectory, most: int = 12) -> ndarray:
     """Return the indices of the poses between which a path is nearly straight, without the start.
 
     They are the vertices of Ramer, Douglas and Peucker's simplification with a tolerance of 5 % of
@@ -227,7 +228,7 @@ def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
     return np.array(kept[1:])
 
 
-def _farthest(position: np.ndarray, first: int, last: int) -> tuple[float, int]:
+def _farthest(position: ndarray, first: int, last: int) -> tuple[float, int]:
     """Return the largest distance (m) from the line between two poses of a path, and its index."""
     between = position[first:last] - position[first]
     chord = position[last] - position[first]

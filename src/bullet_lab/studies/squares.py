@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Callable, Iterator, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, part_of
 from bullet_lab.core.pose import Pose
@@ -47,14 +48,14 @@ class SquareDrive:
         corners: start of each side, and end of the last one (m), shape (sides + 1, 2).
     """
 
-    steps: np.ndarray
-    poses: np.ndarray
-    sides: np.ndarray
-    variances: np.ndarray
-    corners: np.ndarray
+    steps: ndarray
+    poses: ndarray
+    sides: ndarray
+    variances: ndarray
+    corners: ndarray
 
     @property
-    def stamps(self) -> np.ndarray:
+    def stamps(self) -> ndarray:
         """Stamps of the messages in s, shape (n,)."""
         return self.steps * SECONDS_PER_STEP
 
@@ -145,7 +146,7 @@ def _run_squares(folder: Path, settings: SquaresSettings) -> Summary:
 
 def _noise(
     settings: SquaresSettings,
-) -> Callable[[int, Sequence[float]], Iterator[tuple[PlanarPose, np.ndarray]]]:
+) -> Callable[[int, Sequence[float]], Iterator[tuple[PlanarPose, ndarray]]]:
     """Return a function that yields the noisy poses (0 or 1) for a perfect one, as noisy_odom.
 
     With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
@@ -156,7 +157,7 @@ def _noise(
     path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 
-    def noisy(step: int, pose: Sequence[float]) -> Iterator[tuple[PlanarPose, np.ndarray]]:
+    def noisy(step: int, pose: Sequence[float]) -> Iterator[tuple[PlanarPose, ndarray]]:
         reported = errors.update(*pose).pose
         if not settings.as_published:
             moved = path.update(*reported)

@@ -13,6 +13,7 @@ from typing import Any, Iterable, NamedTuple
 
 import numpy as np
 import rospy
+from numpy import ndarray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.pose import Vector
@@ -60,8 +61,8 @@ def numbered(names: Iterable[str], name: str) -> list[str]:
 class _BoundingBox(NamedTuple):
     """The axis-aligned box around a shape in the world: two corners and the shape's origin, m."""
 
-    least: np.ndarray
-    greatest: np.ndarray
+    least: ndarray
+    greatest: ndarray
     origin: Vector
 
     def distance(self, x: float, y: float) -> float:
@@ -127,7 +128,7 @@ def _bounding_box(marker: Marker) -> _BoundingBox:
     return _BoundingBox(corners.min(axis=0), corners.max(axis=0), pose.position)
 
 
-def _bounds(marker: Marker) -> np.ndarray:
+def _bounds(marker: Marker) -> ndarray:
     """Return the lower and upper corner of a shape in its own frame, (2, 3)."""
     scale = (marker.scale.x, marker.scale.y, marker.scale.z)
     if marker.type != Marker.MESH_RESOURCE:

@@ -27,9 +27,9 @@ from dataclasses import dataclass
 from typing import Any, Callable, Mapping, NamedTuple
 
 import cv2
-import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy import ndarray
 from sensor_msgs.msg import CameraInfo, Image
 
 from bullet_lab.core.parameters import text
@@ -77,11 +77,11 @@ class CameraImage:
         self._message = message
 
     @functools.cached_property
-    def grey(self) -> np.ndarray:
+    def grey(self) -> ndarray:
         """The image in grey levels, (height, width) uint8; raises ImageError."""
         return pixels_of(self._message, "mono8")
 
-    def colour(self) -> np.ndarray:
+    def colour(self) -> ndarray:
         """Return a copy to draw into, (height, width, 3) uint8 BGR; raises ImageError."""
         return pixels_of(self._message, "bgr8").copy()
 
@@ -193,7 +193,7 @@ class ImageNode(ABC):
         """Publish on an output."""
         self._publishers[topic].publish(message)
 
-    def annotate(self, image: CameraImage, draw: Callable[[np.ndarray], None]) -> None:
+    def annotate(self, image: CameraImage, draw: Callable[[ndarray], None]) -> None:
         """Publish the image if it has a subscriber; `draw` gets (height, width, 3) uint8 BGR."""
         if self.has_listeners("image_annotated"):
             canvas = image.colour()

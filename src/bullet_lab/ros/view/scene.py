@@ -11,6 +11,7 @@ import logging
 from typing import Any, Callable, Hashable, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.rendering.drawables import Surface, read_pixels, surfaces_of
@@ -62,7 +63,7 @@ class Copies:
         names: of the arrays.
     """
 
-    def __init__(self, make: Callable[[dict[str, np.ndarray]], Any], names: Sequence[str]):
+    def __init__(self, make: Callable[[dict[str, ndarray]], Any], names: Sequence[str]):
         self._make = make
         self._names = names
         self._rows: dict[Hashable, Row] = {}
@@ -157,7 +158,7 @@ class Solids(CopyGroups):
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
 
-        def make(arrays: dict[str, np.ndarray]) -> Any:
+        def make(arrays: dict[str, ndarray]) -> Any:
             arrays["batched_colors"] = arrays["batched_colors"].astype(np.uint8)
             return self._scene.add_batched_meshes_simple(name, corners, faces, lod="off", **arrays)
 
@@ -175,7 +176,7 @@ class VisualCopies(CopyGroups):
     def _copies(self, visuals: tuple[Visual, ...], number: int) -> Copies:
         glb, name = glb_of(visuals, self._report), f"{self._name}/{number}"
 
-        def make(arrays: dict[str, np.ndarray]) -> Any:
+        def make(arrays: dict[str, ndarray]) -> Any:
             return self._scene.add_batched_glb(name, glb, lod="off", **arrays) if glb else None
 
         return Copies(make, ("batched_positions", "batched_wxyzs"))
@@ -190,7 +191,7 @@ class Polyline:
         self._colour = rgb(colour)
         self._nodes: list[Any] = []
 
-    def set(self, points: np.ndarray) -> None:
+    def set(self, points: ndarray) -> None:
         """Draw the line through points, (n, 3) in m."""
         pieces = segments(np.asarray(points, np.float32))
         starts = range(0, len(pieces), PIECE)
@@ -210,12 +211,12 @@ class Polyline:
         self.set(np.zeros((0, 3)))
 
 
-def segments(points: np.ndarray) -> np.ndarray:
+def segments(points: ndarray) -> ndarray:
     """Return the segments (n - 1, 2, 3) between successive points (n, 3)."""
     return np.stack((points[:-1], points[1:]), axis=1)
 
 
-def segments_node(scene: Any, name: str, ends: np.ndarray, colour: Sequence[int]) -> Any:
+def segments_node(scene: Any, name: str, ends: ndarray, colour: Sequence[int]) -> Any:
     """Make a node of segments (n, 2, 3) in m, of a colour within [0, 255]."""
     return scene.add_line_segments(
         name, ends, colour, thickness=LINE_PIXELS, thickness_units="screen"

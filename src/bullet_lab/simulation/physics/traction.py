@@ -18,6 +18,7 @@ from functools import partial
 from typing import Iterable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose, Vector, add, cross, dot, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -356,12 +357,12 @@ def _velocity_of(body: Body, index: int, place: Vector) -> Vector:
 
 
 # A degree of freedom: its axis, and a place on the axis; the place is None for a translation.
-Freedom = Tuple[np.ndarray, Optional[np.ndarray]]
+Freedom = Tuple[ndarray, Optional[ndarray]]
 
 
 def wheel_mobility(
     links: Sequence[Link], joints: Sequence[Joint], wheels: Sequence[RoundWheel]
-) -> np.ndarray:
+) -> ndarray:
     """Return how easily friction moves the points where wheels touch the floor.
 
     The matrix J M⁻¹ Jᵀ, of shape (2n, 2n) and in 1/kg, maps impulses along the rolling direction
@@ -409,8 +410,8 @@ def _freedoms(
 
 
 def _jacobian(
-    place: np.ndarray, freedoms: Sequence[Freedom], columns: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray]:
+    place: ndarray, freedoms: Sequence[Freedom], columns: Sequence[int]
+) -> tuple[ndarray, ndarray]:
     """Return the linear and angular Jacobian of a place (m) that some of the freedoms move."""
     linear, angular = np.zeros((2, 3, len(freedoms)))
     for column in columns:

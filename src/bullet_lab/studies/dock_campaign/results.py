@@ -12,6 +12,7 @@ from typing import Any, Iterable, Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy import ndarray
 
 from bullet_lab.core.figures import (
     BLACK,
@@ -271,14 +272,14 @@ def _draw_robots(
     axes.plot(*ends[:, :2].T, marker, label=f"end, {name}", **style)
 
 
-def _poses(records: Sequence[Record], which: str) -> np.ndarray:
+def _poses(records: Sequence[Record], which: str) -> ndarray:
     """Return x, y (m) and yaw (rad) of starts or ends, shape (n, 3)."""
     columns = [f"{which}_x_m", f"{which}_y_m", f"{which}_yaw_deg"]
     poses = np.array([[record[name] for name in columns] for record in records]).reshape(-1, 3)
     return poses * [1.0, 1.0, math.radians(1.0)]
 
 
-def _ticks(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ticks(poses: ndarray) -> tuple[ndarray, ndarray]:
     """Return x and y of a broken line with a short piece in the heading of each pose."""
     x, y, yaw = poses.T
     gap = np.full_like(x, np.nan)

@@ -16,6 +16,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
+from numpy import ndarray
 
 from bullet_lab.core.figures import (
     BLACK,
@@ -74,7 +75,7 @@ _RATES_ON_CURVE = 24
 # Points per side of a grid of densities.
 _GRID = 160
 
-Window = Tuple[np.ndarray, np.ndarray]
+Window = Tuple[ndarray, ndarray]
 """The least and the largest x and y that are drawn (m)."""
 
 
@@ -245,7 +246,7 @@ def _model_panels(
     title: str,
     labels: tuple[str, str],
     note: str = "",
-) -> tuple[Figure, np.ndarray, dict[str, list[Case]]]:
+) -> tuple[Figure, ndarray, dict[str, list[Case]]]:
     """Return a figure with a column for each model, its axes, and the cases of each model.
 
     Args:
@@ -264,7 +265,7 @@ def _model_panels(
     return figure, grid, by_model
 
 
-def _add_method_legend(figure: Figure, grid: np.ndarray) -> None:
+def _add_method_legend(figure: Figure, grid: ndarray) -> None:
     bottom = 0.3 / figure.get_figheight()
     legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
 
@@ -287,13 +288,13 @@ def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
     axes.tick_params(labelsize=8)
 
 
-def _kept_places(case: Case) -> np.ndarray:
+def _kept_places(case: Case) -> ndarray:
     """Return x and y (m) of the kept paths, shape (k, n+1, 2)."""
     places = np.stack([case.kept.real, case.kept.imag], axis=-1)
     return case.trajectory.poses[0, :2] + places
 
 
-def _ellipse_at(case: Case, moments: Moments, index: int) -> np.ndarray:
+def _ellipse_at(case: Case, moments: Moments, index: int) -> ndarray:
     centre = case.trajectory.poses[index, :2] + moments.mean[index, :2]
     return centre + ellipse_points(moments.covariance[index])
 
@@ -412,7 +413,7 @@ def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_bent_region(axes: Axes, mean, covariance, around: np.ndarray) -> None:
+def _draw_bent_region(axes: Axes, mean, covariance, around: ndarray) -> None:
     """Draw the region of 95 % of the positions, if they are Gaussian in exponential coordinates."""
     if inverse_of(covariance) is None:
         return
@@ -435,6 +436,6 @@ def _plain_numbers(axis: Axis) -> None:
     axis.set_minor_formatter(LogFormatter())
 
 
-def _colours(count: int) -> np.ndarray:
+def _colours(count: int) -> ndarray:
     """Return colours from dark to light, which differ in print and for the colour-blind."""
     return viridis(np.linspace(0.1, 0.9, count))

@@ -18,6 +18,7 @@ from typing import Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib import path as drawing
+from numpy import ndarray
 
 from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
@@ -67,7 +68,7 @@ _SAME = 1e-12
 
 
 
-def drawn(points) -> np.ndarray:
+def drawn(points) -> ndarray:
     """Return the vertices that matplotlib draws of a path on the axes of figure 1b.
 
     Args:
@@ -86,7 +87,7 @@ def drawn(points) -> np.ndarray:
     return path.cleaned(simplify=True).vertices[:-1] / _POINTS_PER_METRE
 
 
-def find_corners(vertices) -> np.ndarray:
+def find_corners(vertices) -> ndarray:
     """Find the corners of a drawn path around a square.
 
     The first and the last vertex and three others make four sides. The three are those with the
@@ -123,7 +124,7 @@ def find_corners(vertices) -> np.ndarray:
     return candidates[[0, *reversed(corners)]]
 
 
-def _distances_beside_lines(vertices: np.ndarray) -> np.ndarray:
+def _distances_beside_lines(vertices: ndarray) -> ndarray:
     """Return the sum of distances (m) of the vertices i to j from the line through i and j."""
     count = len(vertices)
     sums = np.full((count, count), np.inf)
@@ -137,7 +138,7 @@ def _distances_beside_lines(vertices: np.ndarray) -> np.ndarray:
     return sums
 
 
-def measure(vertices, perfect_corners) -> np.ndarray:
+def measure(vertices, perfect_corners) -> ndarray:
     """Return the `LENGTHS` (m) of a noisy path, from its own corners; shape (6,).
 
     - `side1` to `side4`: the largest distance from the line of each side.
@@ -176,10 +177,10 @@ class PublishedFigure:
         lengths: see `measure`.
     """
 
-    points: np.ndarray
-    corners: np.ndarray
-    perfect_corners: np.ndarray
-    lengths: np.ndarray
+    points: ndarray
+    corners: ndarray
+    perfect_corners: ndarray
+    lengths: ndarray
 
     @property
     def third_side_steps(self) -> int:
@@ -199,7 +200,7 @@ def read_published_figure(path: Path) -> PublishedFigure:
     return PublishedFigure(noisy, find_corners(noisy), corners, measure(noisy, corners))
 
 
-def _read_series(path: Path, name: str) -> np.ndarray:
+def _read_series(path: Path, name: str) -> ndarray:
     _, rows = read_table(path, _COLUMNS)
     points = [
         finite_numbers([row["x_m"], row["y_m"]], where)
@@ -267,12 +268,12 @@ class Result:
     """
 
     defects: Defects
-    lengths: np.ndarray
+    lengths: ndarray
     p_values: Mapping[str, PValue]
-    percentiles: np.ndarray
+    percentiles: ndarray
 
     @staticmethod
-    def of(defects: Defects, lengths: np.ndarray, measured: np.ndarray) -> Result:
+    def of(defects: Defects, lengths: ndarray, measured: ndarray) -> Result:
         """Return the result of noisy paths with these lengths (m), and those of figure 1b."""
         p_values = {
             name: p_value(measured[part], lengths[:, part]) for name, part in EVIDENCE.items()
@@ -280,7 +281,7 @@ class Result:
         return Result(defects, lengths, p_values, (lengths < measured).mean(axis=0))
 
     @property
-    def quantiles(self) -> np.ndarray:
+    def quantiles(self) -> ndarray:
         """The `QUANTILES` of the lengths (m), a row for each, columns as `LENGTHS`."""
         return np.quantile(self.lengths, QUANTILES, axis=0)
 
@@ -289,7 +290,7 @@ class Result:
         return bool(np.abs(self.lengths - other.lengths).max() <= _SAME)
 
 
-def nearest(measured: np.ndarray, lengths: np.ndarray) -> int:
+def nearest(measured: ndarray, lengths: ndarray) -> int:
     """Return the index of the path that is most like the figure, by the ratios of all lengths."""
     ratios = np.log((lengths + _SMALL) / (measured + _SMALL))
     return int(np.abs(ratios).sum(axis=1).argmin())

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive import OPEN_LOOP_RATE, Square
@@ -114,12 +115,12 @@ class Replay:
         perfect = drawn(drive.poses[:, :2])
         self.corners = perfect[find_corners(perfect)]
 
-    def lengths(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+    def lengths(self, defects: Defects, paths: Sequence[int]) -> ndarray:
         """Return the `LENGTHS` (m) read from the drawings of m paths, shape (m, 6)."""
         noisy = self.noisy(defects, paths)[..., :2]
         return np.array([self._read(noisy[:, k], path) for k, path in enumerate(paths)])
 
-    def _read(self, points: np.ndarray, path: int) -> np.ndarray:
+    def _read(self, points: ndarray, path: int) -> ndarray:
         # The errors of reading the perfect path's corners do not depend on the defects.
         errors = np.random.default_rng([self._settings.seed, 2, path])
         corners, vertices = (
@@ -128,14 +129,14 @@ class Replay:
         )
         return measure(vertices, corners)
 
-    def noisy(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+    def noisy(self, defects: Defects, paths: Sequence[int]) -> ndarray:
         """Return noisy poses, shape (n, m, 3), of the m paths with these numbers."""
         poses = self.drive.poses[self.messages(defects, paths)]
         generators = [np.random.default_rng(self._settings.seed + int(path)) for path in paths]
         draws = np.stack([g.standard_normal((len(poses) - 1, 3)) for g in generators], axis=1)
         return noisy_paths(poses, draws, self._settings.std, defects)
 
-    def messages(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+    def messages(self, defects: Defects, paths: Sequence[int]) -> ndarray:
         """Return the indices of the perfect poses that the algorithm sees, (n, m) or (n, 1)."""
         if defects.sampled:
             return self._messages[:, paths]
@@ -210,10 +211,10 @@ def _figures(
     by_defects = {result.defects: result for result in results}
     example = nearest(figure.lengths, by_defects[ALL].lengths)
 
-    def examples(defects: Defects) -> np.ndarray:
+    def examples(defects: Defects) -> ndarray:
         return replay.noisy(defects, range(_EXAMPLES))[..., :2]
 
-    def shown(defects: Defects) -> tuple[np.ndarray, PValue]:
+    def shown(defects: Defects) -> tuple[ndarray, PValue]:
         return examples(defects), by_defects[defects].p_values["all"]
 
     moved = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)

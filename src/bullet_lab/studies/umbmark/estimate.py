@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Sequence
 
 import numpy as np
+from numpy import ndarray
 from scipy import optimize, stats
 
 from bullet_lab.core import se2
@@ -145,7 +146,7 @@ def fit(runs: Sequence[SquareRun]) -> Estimate:
     moments = [first_order_moments(noisy_steps(poses, walk)) for poses in odometry]
     roots = np.linalg.inv(np.linalg.cholesky([one.covariance[-1] for one in moments]))
 
-    def left(parameters: np.ndarray) -> np.ndarray:
+    def left(parameters: ndarray) -> ndarray:
         """Return the differences of the ends in units of their standard deviations."""
         difference = _end_errors(reported, moved, _errors(parameters, base))
         return np.einsum("rij,rj->ri", roots, difference).ravel()
@@ -174,7 +175,7 @@ def _errors(parameters: Sequence[float], base: float) -> SystematicErrors:
     return SystematicErrors(**named, wheel_base=base)
 
 
-def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicErrors) -> np.ndarray:
+def _end_errors(reported: ndarray, moved: ndarray, errors: SystematicErrors) -> ndarray:
     """Return true ends minus those predicted with errors: (m, m, rad), (runs, 3).
 
     Args:
@@ -192,7 +193,7 @@ def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicError
 
 
 def _intervals(
-    found: np.ndarray, shares: np.ndarray, directions: np.ndarray
+    found: ndarray, shares: ndarray, directions: ndarray
 ) -> dict[str, tuple[float, float]] | None:
     """Return the intervals of the parameters from the influence of each run on them, (n, 2)."""
     if np.abs(found).max() > 0.999 * LARGEST:
@@ -211,7 +212,7 @@ def _intervals(
     return dict(zip(PARAMETERS, ends))
 
 
-def centre_ellipse(errors: np.ndarray) -> np.ndarray | None:
+def centre_ellipse(errors: ndarray) -> ndarray | None:
     """Return a 2x2 matrix (m²) whose 95 % ellipse is that of the centre of return errors.
 
     `core.se2.ellipse_points` draws the ellipse of a known covariance. This one is estimated from
