@@ -52,6 +52,9 @@ _CHECK_SECONDS = 0.05
 _PERIOD = 1.0
 _WINDOW = 2.0
 
+Diagnostics = Mapping[str, Any]
+"""Figures of an image by their names on /diagnostics."""
+
 
 @dataclass(frozen=True)
 class ImageParameters:
@@ -160,7 +163,7 @@ class ImageNode(ABC):
         self._traffic = Traffic()
         self._refusals = Refusals()
         self._trouble = ""
-        self._figures: Mapping[str, Any] = {}
+        self._figures: Diagnostics = {}
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
         self._publishers = {
             # Old images are of no use.
@@ -172,7 +175,7 @@ class ImageNode(ABC):
     # For subclasses
 
     @abstractmethod
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the results and return figures for the diagnostics; raises LabError."""
 
     def process_unusable(self, image: CameraImage) -> None:
@@ -320,7 +323,7 @@ class ViewCamera(ImageNode):
 
     task = "camera view"
 
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the image."""
         size = f"{image.width} x {image.height}"
         stamp = image.header.stamp.to_sec()

@@ -25,6 +25,7 @@ from geometry_msgs.msg import Twist
 
 from bullet_lab.core.parameters import number, text
 from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.drive import STANDSTILL, Command
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports import Reading, save_all
@@ -212,7 +213,7 @@ class Trial:
 
     # The drive
 
-    def _drive(self, leg: Leg, velocity: tuple[float, float], seconds: float) -> None:
+    def _drive(self, leg: Leg, velocity: Command, seconds: float) -> None:
         """Drive until the odometry, or without any the truth, has reached the target."""
         self._leg = leg
         touched: set[str] = set()
@@ -236,9 +237,9 @@ class Trial:
 
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds * COMMANDS)):
-            self._tick((0.0, 0.0))
+            self._tick(STANDSTILL)
 
-    def _tick(self, velocity: tuple[float, float]) -> None:
+    def _tick(self, velocity: Command) -> None:
         if self._robot.drive:
             self._sender.send(velocity)
         self._rate.sleep()

@@ -17,7 +17,7 @@ from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.rendering.drawables import Surface, read_pixels, surfaces_of
 from bullet_lab.simulation.world.description import Texture, Visual
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
-from bullet_lab.simulation.world.xml import leaving_out
+from bullet_lab.simulation.world.xml import Report, leaving_out
 
 LOG = logging.getLogger(__name__)
 # Segments of one piece of a polyline. A full piece is never sent again.
@@ -169,7 +169,7 @@ class Solids(CopyGroups):
 class VisualCopies(CopyGroups):
     """Copies of what visuals show together; `report` is called as by `glb_of`."""
 
-    def __init__(self, scene: Any, name: str, report: Callable[[str], None]):
+    def __init__(self, scene: Any, name: str, report: Report):
         super().__init__(self._copies)
         self._scene, self._name, self._report = scene, name, report
 
@@ -294,7 +294,7 @@ def floor_point(
     return origin[0] + share * direction[0], origin[1] + share * direction[1]
 
 
-def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warning) -> bytes:
+def glb_of(visuals: Sequence[Visual], report: Report = LOG.warning) -> bytes:
     """Return visuals of one frame as binary glTF; empty if nothing is visible.
 
     Visuals that cannot be read are left out, each with a call of `report`.
@@ -307,7 +307,7 @@ def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warnin
     return trimesh.Scene(meshes).export(file_type="glb", include_normals=True)
 
 
-def _surfaces(visual: Visual, report: Callable[[str], None]) -> Sequence[Surface]:
+def _surfaces(visual: Visual, report: Report) -> Sequence[Surface]:
     if visual.colour[3] <= 0.0:
         return []
     with leaving_out(report):
@@ -316,7 +316,7 @@ def _surfaces(visual: Visual, report: Callable[[str], None]) -> Sequence[Surface
     return []
 
 
-def _mesh(surface: Surface, report: Callable[[str], None]) -> Any:
+def _mesh(surface: Surface, report: Report) -> Any:
     import trimesh
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
@@ -343,7 +343,7 @@ def _mesh(surface: Surface, report: Callable[[str], None]) -> Any:
     )
 
 
-def _picture(texture: Texture, report: Callable[[str], None]) -> Any:
+def _picture(texture: Texture, report: Report) -> Any:
     import PIL.Image
 
     with leaving_out(report):

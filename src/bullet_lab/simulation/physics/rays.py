@@ -6,7 +6,7 @@ the places are computed, for all rays of a scan at once. Only rays near a mesh a
 
 from __future__ import annotations
 
-from typing import Any, Callable, NamedTuple, Sequence
+from typing import Any, Callable, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from numpy import ndarray
@@ -24,6 +24,9 @@ PART = 4096
 # Of so few rays, Bullet finds faster what they hit.
 FEW = 16
 ALL = slice(None)
+# Of the rays of a fan: the distance (m) of what each hits from the origin, infinite without a hit,
+# and the unique id of the body there, -1 without a hit; both of shape (rays,).
+Hits = Tuple[ndarray, ndarray]
 # How much larger the boxes of meshes are taken, for the margins of shapes in Bullet, in m.
 MARGIN = 1e-3
 # Instead of lengths and components of 0, by which one cannot divide.
@@ -94,7 +97,7 @@ class RayScene:
         self._is_whole = self._is_current = False
         # What was asked for by somebody, and is known.
         self._asked: dict[Any, Fan] = {}
-        self._answers: dict[Any, tuple[ndarray, ndarray]] = {}
+        self._answers: dict[Any, Hits] = {}
 
     def add(self, body: Body) -> None:
         """Let rays see a body; raises LabError if one of its meshes cannot be read."""
@@ -120,7 +123,7 @@ class RayScene:
         """Cast a fan of rays for somebody together with others, when the first wants to know."""
         self._asked[who] = fan
 
-    def answer(self, who: Any, fan: Callable[[], Fan]) -> tuple[ndarray, ndarray]:
+    def answer(self, who: Any, fan: Callable[[], Fan]) -> Hits:
         """Return what `cast` says of the fan that somebody asked for, or asks for now."""
         if who not in self._answers:
             self._asked[who] = self._asked.get(who) or fan()
@@ -128,17 +131,12 @@ class RayScene:
             self._asked.clear()
         return self._answers.pop(who)
 
-    def cast(self, fans: Sequence[Fan]) -> list[tuple[ndarray, ndarray]]:
-        """Cast fans of rays; many at once take little longer than one.
-
-        Returns:
-            For each fan, the distance of what each ray hits from the origin in m, infinite
-            without a hit, and the unique id of the body there, -1 without a hit; of shape (rays,).
-        """
+    def cast(self, fans: Sequence[Fan]) -> list[Hits]:
+        """Cast fans of rays; many at once take little longer than one."""
         found = iter(self._compute([fan for fan in fans if fan.ways.shape[1] > FEW]))
         return [next(found) if fan.ways.shape[1] > FEW else self._look(fan) for fan in fans]
 
-    def _look(self, fan: Fan, rays: Any = ALL) -> tuple[ndarray, ndarray]:
+    def _look(self, fan: Fan, rays: Any = ALL) -> Hits:
         """Return what rays of a fan hit as Bullet finds it, as `cast`."""
         limits = fan.nearest, fan.farthest
         ends = (fan.origin + limit * fan.ways[:, rays].T for limit in limits)
@@ -148,7 +146,7 @@ class RayScene:
         distances = fan.nearest + shares * (fan.farthest - fan.nearest)
         return np.where(bodies < 0, np.inf, distances), bodies
 
-    def _compute(self, fans: Sequence[Fan]) -> list[tuple[ndarray, ndarray]]:
+    def _compute(self, fans: Sequence[Fan]) -> list[Hits]:
         """Return what the rays of fans hit, as `cast`; what is near a mesh is left to Bullet."""
         if not fans:
             return []

@@ -33,9 +33,9 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.mesh_parts import Report, mesh_parts
+from bullet_lab.simulation.world.mesh_parts import mesh_parts
 from bullet_lab.simulation.world.meshes import file_version, flat_normals, read_bytes, unit
-from bullet_lab.simulation.world.xml import ReportOnce
+from bullet_lab.simulation.world.xml import Report, ReportOnce
 
 LOG = logging.getLogger(__name__)
 # The longest side of a texture in pixels; larger pictures are shrunk.

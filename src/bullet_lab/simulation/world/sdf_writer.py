@@ -11,7 +11,7 @@ import logging
 import math
 from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Mapping
+from typing import Any, Dict, Iterable, Iterator, Mapping
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from bullet_lab.core.pose import Pose, add, cross, dot, subtract
@@ -44,6 +44,8 @@ LOG = logging.getLogger(__name__)
 VERSION = "1.6"
 NANOSECONDS = 10**9
 INDENT = "  "
+# Child elements by their tags; None stands for none.
+Content = Dict[str, Any]
 NAMESPACE = "robotNamespace"
 # The end of the name of a joint to the world, after the name of its link.
 ANCHOR = "_to_world"
@@ -76,8 +78,8 @@ def world_text(snapshot: Snapshot, folder: Path) -> tuple[str, list[str]]:
 def _add(parent: Element, tag: str, content: Any, **attributes: str) -> Element:
     """Add an element with its attributes and its content.
 
-    The content is a dict of child elements by tag, in which None stands for none, or a text, a
-    truth value, a pose or numbers. Numbers are not rounded.
+    The content is a `Content`, or a text, a truth value, a pose or numbers. Numbers are not
+    rounded.
     """
     element = SubElement(parent, tag, attributes)
     if isinstance(content, dict):
@@ -192,7 +194,7 @@ def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
 def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
     """Add the material of a visual, without what is in the file of a mesh."""
     material, shape = visual.material, visual.geometry
-    content: dict[str, Any] = {}
+    content: Content = {}
     if material.covers or not (isinstance(shape, Mesh) and has_own_looks(shape)):
         content = {
             "ambient": material.ambient or visual.colour,
@@ -224,9 +226,9 @@ def _named(shapes: Iterable[Any], kind: str) -> Iterator[tuple[str, Any]]:
         yield name, shape
 
 
-def _shape(shape: Collision | Visual, uris: _Uris) -> dict[str, Any]:
+def _shape(shape: Collision | Visual, uris: _Uris) -> Content:
     geometry = shape.geometry
-    content: dict[str, Any] = {}
+    content: Content = {}
     if isinstance(geometry, Mesh):
         content["uri"] = uris.of(geometry.uri, geometry.path)
         if geometry.submesh:
@@ -234,7 +236,7 @@ def _shape(shape: Collision | Visual, uris: _Uris) -> dict[str, Any]:
     return {"pose": shape.pose, "geometry": {geometry.tag: {**content, **geometry.measures()}}}
 
 
-def _surface(collision: Collision) -> dict[str, Any]:
+def _surface(collision: Collision) -> Content:
     mu, cross, direction = collision.friction, collision.cross_friction, collision.direction
     friction = {"mu": mu, "mu2": mu if cross is None else cross, "fdir1": direction}
     spring = {"kp": collision.stiffness, "kd": collision.damping}
@@ -242,7 +244,7 @@ def _surface(collision: Collision) -> dict[str, Any]:
     return {"friction": {"ode": friction}, "contact": None if is_hard else {"ode": spring}}
 
 
-def _joint(joint: Joint) -> dict[str, Any]:
+def _joint(joint: Joint) -> Content:
     limits = {"lower": -NO_LIMIT, "upper": NO_LIMIT, **joint.limits}
     if joint.kind == "continuous":
         limits.update(lower=-NO_LIMIT, upper=NO_LIMIT)
@@ -296,7 +298,7 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
         yield element
 
 
-def _surroundings(world: World) -> dict[str, Any]:
+def _surroundings(world: World) -> Content:
     return {
         "gravity": world.gravity,
         "physics": {
@@ -313,7 +315,7 @@ def _surroundings(world: World) -> dict[str, Any]:
     }
 
 
-def _light(light: Light) -> dict[str, Any]:
+def _light(light: Light) -> Content:
     spot = dict(zip(("inner_angle", "outer_angle", "falloff"), astuple(light.cone)))
     return {
         "pose": light.pose,
