@@ -49,6 +49,17 @@ def wrap(angle):
     return wrapped - math.tau * ((wrapped >= math.pi) * 1.0 - (wrapped < -math.pi) * 1.0)
 
 
+def wrapped(poses: ndarray) -> ndarray:
+    """Return poses, or their differences, with the yaw wrapped, shape (..., 3 or more).
+
+    >>> wrapped(np.array([1.0, 4.0, 4.0])).round(6)
+    array([ 1.      ,  4.      , -2.283185])
+    """
+    poses = poses.copy()
+    poses[..., 2] = wrap(poses[..., 2])
+    return poses
+
+
 def hypot(x, y):
     """Return the length of vectors, floats or arrays.
 

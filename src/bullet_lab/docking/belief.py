@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrapped
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import UNKNOWN_ODOMETRY, DriftingPose, GaussianPose, true_steps
 from bullet_lab.docking.geometry import (
@@ -97,8 +97,7 @@ class DockParticles:
         position = _MARGIN * dock.uncertainty.position + 0.01
         yaw = _MARGIN * dock.uncertainty.yaw + 0.005
         off = rng.uniform(-1.0, 1.0, (count, 3)) * (position, position, yaw)
-        self._poses = np.asarray(rough, dtype=float) + off
-        self._poses[:, 2] = wrap(self._poses[:, 2])
+        self._poses = wrapped(rough + off)
         # What the robot has moved since the poses were; and m since `stands_free` looked at them.
         self._ahead: MotionStep | None = None
         self._travelled = math.inf
@@ -181,8 +180,7 @@ class DockParticles:
         mean = self.weights @ self.poses
         turn = np.exp(1j * self.poses[:, 2])
         mean[2] = np.angle(self.weights @ turn)
-        off = self.poses - mean
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(self.poses - mean)
         covariance = (self.weights[:, None] * off).T @ off
         return GaussianPose(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
 

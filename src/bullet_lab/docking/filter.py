@@ -24,7 +24,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrap, wrapped
 from bullet_lab.docking.geometry import Viewpoint, corner_points, extent_of
 from bullet_lab.docking.types import MotionStep, Sighting
 
@@ -109,8 +109,7 @@ class GaussianPose:
 
     def excess(self, poses: ndarray) -> ndarray:
         """Return by how much (n, 3) poses are farther off than 3.3 standard deviations, squared."""
-        off = poses - self.mean
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(poses - self.mean)
         squares = np.sum((off @ np.linalg.inv(self.covariance)) * off, axis=1)
         return np.maximum(squares - 11.0, 0.0)
 
@@ -128,9 +127,7 @@ class GaussianPose:
                 return self
             own = own * excess
         gain = own[:, 2] / (own[2, 2] + variance)
-        mean = self.mean + gain * off
-        mean[2] = wrap(float(mean[2]))
-        return GaussianPose(mean, own - np.outer(gain, own[2]))
+        return GaussianPose(wrapped(self.mean + gain * off), own - np.outer(gain, own[2]))
 
 
 class DriftingPose:
@@ -326,9 +323,7 @@ def innovations(start, x, p, sizes, measured: Measurement):
     if bad.any():
         seen = predicted.copy()
         seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
-    off = start - x
-    off[:, 2] = wrap(off[:, 2])
-    rest = measured.sighting.corners.reshape(8) - seen - applied(by_state, off)
+    rest = measured.sighting.corners.reshape(8) - seen - applied(by_state, wrapped(start - x))
     covariance = measured.covariance(tilts) + by_state @ p @ by_state.transpose(0, 2, 1)
     return rest, by_state, covariance, predicted
 
@@ -372,8 +367,7 @@ def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hid
             pixel = [2 * hidden, 2 * hidden + 1]
             covariance[:, pixel, pixel] += _HIDDEN**2
         gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
-        before, x = x, start + applied(gain, rest)
-        x[:, 2] = wrap(x[:, 2])
+        before, x = x, wrapped(start + applied(gain, rest))
         if number == 0 and rounds < 6 and np.abs(rest).max() < _LINEAR:
             break
         if np.abs(x - before).max() < 1e-4:

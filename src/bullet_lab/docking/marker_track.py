@@ -15,7 +15,7 @@ from collections import defaultdict
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import wrap, wrapped
 from bullet_lab.docking.database import DockMarker
 from bullet_lab.docking.filter import (
     CAMERA,
@@ -161,15 +161,12 @@ class MarkerTrack:
         if not len(weights):
             return None
         best = poses[np.argmax(weights)]
-        off = poses - best
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(poses - best)
         shift = weights @ off
         spread = off - shift
         covariance = np.sum(weights[:, None, None] * covariances, axis=0)
         covariance += (weights[:, None] * spread).T @ spread
-        mean = best + shift
-        mean[2] = wrap(float(mean[2]))
-        return GaussianPose(mean, covariance)
+        return GaussianPose(wrapped(best + shift), covariance)
 
     def components(self) -> tuple[ndarray, ndarray, ndarray]:
         """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
@@ -185,9 +182,7 @@ class MarkerTrack:
         poses, covariances, weights = self.components()
         chosen = rng.choice(len(weights), size=count, p=weights)
         roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
-        drawn = poses[chosen] + applied(roots[chosen], rng.standard_normal((count, 3)))
-        drawn[:, 2] = wrap(drawn[:, 2])
-        return drawn
+        return wrapped(poses[chosen] + applied(roots[chosen], rng.standard_normal((count, 3))))
 
     def copies(self) -> tuple[ndarray, ndarray, ndarray]:
         """Return where the thing may be (n, 2) in the robot's frame, its size and weights (n,)."""
@@ -382,11 +377,9 @@ class MarkerTrack:
         """Fuse the belief before the marker was seen with the Gaussians of the real size."""
         real = self._scale == 0
         x, p = self._x[real], self._p[real]
-        off = prior.mean - x[:, :3]
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(prior.mean - x[:, :3])
         gain = np.linalg.solve(p[:, :3, :3] + prior.covariance, p[:, :3]).transpose(0, 2, 1)
-        x = x + applied(gain, off)
-        x[:, 2] = wrap(x[:, 2])
+        x = wrapped(x + applied(gain, off))
         p = p - gain @ p[:, :3]
         self._x[real], self._p[real] = x, 0.5 * (p + p.transpose(0, 2, 1))
 
@@ -399,8 +392,7 @@ class MarkerTrack:
         spreads[:, CORNERS] = np.inf
         for index in np.argsort(-self._within).tolist():
             rivals = rivals_of[self._scale[index]]
-            off = self._x[rivals] - self._x[index]
-            off[:, 2] = wrap(off[:, 2])
+            off = wrapped(self._x[rivals] - self._x[index])
             alike = (np.abs(off) < spreads[rivals]).all(axis=1)
             if alike.any():
                 self._within[rivals[int(alike.argmax())]] += self._within[index]

@@ -33,7 +33,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.parameters import declarations
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import wrap, wrapped
 from bullet_lab.noise.odometry_noise import (
     LARGEST_PARAMETER,
     MIN_TRANSLATION,
@@ -204,9 +204,7 @@ class LongErrors:
     @classmethod
     def of(cls, pairs: StepPairs, expected: ndarray, shares: ndarray) -> LongErrors:
         """Compare odometries with steps without noise, (b, n, 3)."""
-        difference = pairs.odometry - expected
-        turned = wrap(difference[..., 2])
-        error = np.stack((difference[..., 1], difference[..., 0], turned), axis=-1)
+        error = wrapped(pairs.odometry - expected)[..., [1, 0, 2]]
         stds = np.array((pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad))
         return cls(error, shares, 2.0 * stds * stds)
 

@@ -167,8 +167,7 @@ def predicted(problem: Problem, found: Fit, pairs: StepPairs, follows, length: f
         for begin, end in zip(begins, ends)
     ]
     turned = paths[0][begins, 2]
-    error = se2.between(reported[begins], reported[ends]) - expected
-    error[:, 2] = se2.wrap(error[:, 2])
+    error = se2.wrapped(se2.between(reported[begins], reported[ends]) - expected)
     size = np.array([pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad])
     floor = np.diag(2.0 * size * size + 1e-12)
     shape = (len(begins), 3, 3)

@@ -38,7 +38,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.parameters import number
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrap, wrapped
 from bullet_lab.noise.odometry_noise import body_step
 
 LARGEST_ERRORS = {
@@ -375,8 +375,8 @@ class SpreadPath:
         """
         if self._others:
             known = self._known.update(x, y, yaw).pose
-            rows = np.array([path.update(x, y, yaw).pose for path in self._others]) - known
-            rows[:, 2] = wrap(rows[:, 2])
+            others = np.array([path.update(x, y, yaw).pose for path in self._others])
+            rows = wrapped(others - known)
             self.covariance = rows.T @ rows
         return self._own.update(x, y, yaw)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import wrapped
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.likelihood import RESOLUTION
 from bullet_lab.noise.systematic import arcs, chords
@@ -108,7 +108,7 @@ def jitter(true_steps, steps, follows: ndarray) -> tuple[float, float]:
     three = follows[1:-1] & follows[2:]
     if three.sum() < FEWEST_STEPS:
         return 0.0, 0.0
-    left = np.column_stack((true_steps[:, 0] - steps[:, 0], wrap(true_steps[:, 2] - steps[:, 2])))
+    left = wrapped(true_steps - steps)[:, ::2]
     middle = np.median(left, axis=0)
     reach = 3.0 * np.median(np.abs(left - middle), axis=0) / _MEDIAN
     left = np.clip(left - middle, -reach, reach)

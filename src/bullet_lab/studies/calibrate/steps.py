@@ -367,8 +367,8 @@ def short_steps(steps: Steps) -> Steps:
     true, odometry = (end_of(_within(one, first, last)) for one in (steps.true, steps.odometry))
     return replace(
         steps,
-        true=_wrapped(true),
-        odometry=_wrapped(odometry),
+        true=se2.wrapped(true),
+        odometry=se2.wrapped(odometry),
         follows=_follows(steps, first, last),
         seconds=np.add.reduceat(steps.seconds, first) if len(first) else steps.seconds[:0],
     )
@@ -390,9 +390,9 @@ def long_pairs(short: Steps, length: tuple[float, float]) -> tuple[StepPairs, nd
     """
     first, last = joined_ends(short.true, short.follows, *length)
     within = _within(short.true, first, last)
-    reported = _wrapped(end_of(_within(short.odometry, first, last)))
+    reported = se2.wrapped(end_of(_within(short.odometry, first, last)))
     pairs = StepPairs(
-        _wrapped(end_of(within)),
+        se2.wrapped(end_of(within)),
         reported[np.newaxis],
         max(short.truth_std_m, LEAST_STD),
         max(short.truth_std_rad, LEAST_STD),
@@ -422,8 +422,3 @@ def _follows(steps: Steps, first: ndarray, last: ndarray) -> ndarray:
     found = np.zeros(len(first), dtype=bool)
     found[1:] = (first[1:] == last[:-1]) & steps.follows[first[1:]]
     return found
-
-
-def _wrapped(steps: ndarray) -> ndarray:
-    steps[:, 2] = se2.wrap(steps[:, 2])
-    return steps

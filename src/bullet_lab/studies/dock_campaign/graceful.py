@@ -24,7 +24,7 @@ from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import OPTICAL_AXES, PinholeCamera
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrap, wrapped
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
@@ -106,9 +106,7 @@ def graceful_command(target, settings: GracefulSettings, backwards: bool = False
 
 def filtered(pose: ndarray, measured: ndarray, coefficient: float) -> ndarray:
     """Return the exponentially smoothed pose of the dock, (3,), as nav2 has it."""
-    off = measured - pose
-    off[2] = wrap(float(off[2]))
-    return pose + coefficient * off
+    return pose + coefficient * wrapped(measured - pose)
 
 
 class GracefulTask(WatchedTask):

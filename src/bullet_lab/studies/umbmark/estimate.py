@@ -15,7 +15,7 @@ from scipy import optimize, stats
 
 from bullet_lab.core import se2
 from bullet_lab.core.files import Summary
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import wrapped
 from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_steps
@@ -187,9 +187,7 @@ def _end_errors(reported: ndarray, moved: ndarray, errors: SystematicErrors) -> 
     ahead, aside, turn = np.moveaxis(reported, -1, 0)
     new_ahead = undo[0, 0] * ahead + undo[0, 1] * turn
     new_turn = undo[1, 0] * ahead + undo[1, 1] * turn
-    difference = moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1)))
-    difference[:, 2] = wrap(difference[:, 2])
-    return difference
+    return wrapped(moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1))))
 
 
 def _intervals(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrapped
 from bullet_lab.core.trajectory import Trajectory, finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.studies.paths import Recording, Topics, columns_of, find_recordings, read_table
@@ -90,9 +90,7 @@ class SquareRun:
 
     def return_error(self) -> ndarray:
         """Return true minus reported end (m, m, rad), x ahead and y to the left at the start."""
-        error = self.moved() - se2.between(self.odometry[0], self.odometry[-1])
-        error[2] = wrap(float(error[2]))
-        return error
+        return wrapped(self.moved() - se2.between(self.odometry[0], self.odometry[-1]))
 
 
 def return_errors(runs: Sequence[SquareRun], direction: str) -> ndarray:
