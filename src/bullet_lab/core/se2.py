@@ -49,6 +49,15 @@ def wrap(angle):
     return wrapped - math.tau * ((wrapped >= math.pi) * 1.0 - (wrapped < -math.pi) * 1.0)
 
 
+def columns(rows) -> ndarray:
+    """Return the columns of rows such as poses or points, (..., n) -> (n, ...).
+
+    >>> columns([(1.0, 2.0, 0.0), (3.0, 4.0, 0.0)]).tolist()
+    [[1.0, 3.0], [2.0, 4.0], [0.0, 0.0]]
+    """
+    return np.moveaxis(np.asarray(rows, dtype=float), -1, 0)
+
+
 def wrapped(poses: ndarray) -> ndarray:
     """Return poses, or their differences, with the yaw wrapped, shape (..., 3 or more).
 
@@ -206,7 +215,7 @@ def logarithm(poses) -> ndarray:
     array([[ 3.141593,  0.      ,  1.570796],
            [ 1.      , -2.      ,  0.      ]])
     """
-    x, y, yaw = np.moveaxis(np.asarray(poses, dtype=float), -1, 0)
+    x, y, yaw = columns(poses)
     yaw = wrap(yaw)
     velocity = straightening(yaw) * (x + 1j * y)
     return np.stack([velocity.real, velocity.imag, yaw], axis=-1)

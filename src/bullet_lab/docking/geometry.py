@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, columns
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.types import CameraMount, Point
 
@@ -55,7 +55,7 @@ def clearance(points, boxes: ndarray) -> ndarray:
     >>> clearance([[-1.0, 0.0], [3.0, 4.0]], np.array([[-1.0, 0.0, -1.0, 0.0]]))
     array([0., 5.])
     """
-    x, y = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
+    x, y = columns(points)
     squares = np.full(x.shape, np.inf)
     for x_min, x_max, y_min, y_max in boxes:
         dx = np.maximum(np.maximum(x_min - x, x - x_max), 0.0)

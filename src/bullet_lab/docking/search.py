@@ -179,10 +179,10 @@ class MarkerSearch:
         ahead = self._ahead / np.maximum(distance, self._ahead)
         eyes = points[:, None] + to_dock * ahead[..., None]
         flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
-        x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
+        x, y, _ = se2.columns(se2.between(docks[None], flat))
         found = visibility.unobstructed(x, y) & (np.hypot(x, y) < reach * visibility.farthest)
         shares, some = np.zeros((len(points), len(_HEADINGS))), found.any(axis=1)
-        found, (x, y) = found[some], np.moveaxis(to_dock[some], -1, 0)
+        found, (x, y) = found[some], se2.columns(to_dock[some])
         bearing, aside = np.arctan2(y, x), visibility.half_angle(distance[some]) - _EDGE
         for index, heading in enumerate(_HEADINGS):
             off = np.abs(bearing - heading)

@@ -33,7 +33,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.parameters import declarations
-from bullet_lab.core.se2 import wrap, wrapped
+from bullet_lab.core.se2 import columns, wrap, wrapped
 from bullet_lab.noise.odometry_noise import (
     LARGEST_PARAMETER,
     MIN_TRANSLATION,
@@ -145,7 +145,7 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
     expected = pairs.true if expected is None else expected
     direction, trans = line_of_travel(expected[..., 0], expected[..., 1])
     cos, sin = np.cos(direction), np.sin(direction)
-    dx, dy, turn = np.moveaxis(pairs.odometry, -1, 0)
+    dx, dy, turn = columns(pairs.odometry)
     ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
     side = np.where(ahead < 0.0, -1.0, 1.0)
     # The true step decides whether there is a direction. Otherwise the likelihood would jump where

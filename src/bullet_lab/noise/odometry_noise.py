@@ -17,7 +17,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.parameters import declarations, number
-from bullet_lab.core.se2 import PlanarPose, atan2, hypot, wrap
+from bullet_lab.core.se2 import PlanarPose, atan2, columns, hypot, wrap
 from bullet_lab.errors import LabError
 
 MIN_TRANSLATION = 1e-4
@@ -56,7 +56,7 @@ def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
 
 def decompose_steps(steps) -> ndarray:
     """Decompose an array of (dx, dy, dyaw), shape (..., 3), like `decompose`."""
-    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    dx, dy, dyaw = columns(steps)
     direction, trans = line_of_travel(dx, dy)
     rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
     return np.stack([rot1, trans, wrap(dyaw - rot1)], axis=-1)

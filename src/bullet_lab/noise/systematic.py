@@ -38,7 +38,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.parameters import number
-from bullet_lab.core.se2 import PlanarPose, wrap, wrapped
+from bullet_lab.core.se2 import PlanarPose, columns, wrap, wrapped
 from bullet_lab.noise.odometry_noise import body_step
 
 LARGEST_ERRORS = {
@@ -164,7 +164,7 @@ class SystematicErrors:
         Returns:
             The reported ones, shape (..., 3), |dyaw| not wrapped.
         """
-        ahead, across, turn = np.moveaxis(arcs(steps), -1, 0)
+        ahead, across, turn = columns(arcs(steps))
         loss = self.way_per_turn * np.abs(turn)
         ahead = ahead + np.where(2.0 * np.abs(ahead) > np.abs(loss), np.sign(ahead) * loss, 0.0)
         matrix = self.matrix()
@@ -195,7 +195,7 @@ def arcs(steps) -> ndarray:
     >>> arcs([2.0, 2.0, np.pi / 2.0]).round(6)
     array([3.141593, 0.      , 1.570796])
     """
-    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    dx, dy, dyaw = columns(steps)
     half = 0.5 * dyaw
     cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
     return np.stack(((cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord, dyaw), axis=-1)
@@ -207,7 +207,7 @@ def chords(arcs_) -> ndarray:
     >>> chords([np.pi, 0.0, np.pi / 2.0]).round(6)
     array([2.      , 2.      , 1.570796])
     """
-    ahead, across, turn = np.moveaxis(np.asarray(arcs_, dtype=float), -1, 0)
+    ahead, across, turn = columns(arcs_)
     half = 0.5 * turn
     cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
     return np.stack(
@@ -389,7 +389,7 @@ def end_of(steps) -> ndarray:
     >>> end_of([[1.0, 0.0, np.pi / 2.0], [1.0, 0.0, 0.0]]).round(6)
     array([1.      , 1.      , 1.570796])
     """
-    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    dx, dy, dyaw = columns(steps)
     heading = np.cumsum(dyaw, axis=-1)
     before = heading - dyaw
     x = np.sum(np.cos(before) * dx - np.sin(before) * dy, axis=-1)

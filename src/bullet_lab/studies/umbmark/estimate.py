@@ -184,7 +184,7 @@ def _end_errors(reported: ndarray, moved: ndarray, errors: SystematicErrors) -> 
         errors: of the wheels.
     """
     undo = np.linalg.inv(errors.matrix())
-    ahead, aside, turn = np.moveaxis(reported, -1, 0)
+    ahead, aside, turn = se2.columns(reported)
     new_ahead = undo[0, 0] * ahead + undo[0, 1] * turn
     new_turn = undo[1, 0] * ahead + undo[1, 1] * turn
     return wrapped(moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1))))
