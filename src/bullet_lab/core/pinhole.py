@@ -124,9 +124,7 @@ class PinholeCamera:
         found = np.interp(radii, bent[:end], slopes[:end], right=np.nan)
         return np.where(radii > 0.0, found / radii, 1.0)
 
-    def _solved(
-        self, x: ndarray, y: ndarray, u: ndarray, v: ndarray
-    ) -> Tuple[ndarray, ndarray]:
+    def _solved(self, x: ndarray, y: ndarray, u: ndarray, v: ndarray) -> Tuple[ndarray, ndarray]:
         """Return the change of the slopes x, y that changes the distorted slopes by u, v."""
         k1, k2, p1, p2, k3 = self.distortion
         square = x * x + y * y

@@ -246,9 +246,7 @@ def as_known(x: ndarray, p: ndarray, priors=_PRIORS) -> tuple[ndarray, ndarray]:
     return x, p
 
 
-def predict(
-    states: ndarray, sizes: ndarray, view: Viewpoint
-) -> tuple[ndarray, ndarray, ndarray]:
+def predict(states: ndarray, sizes: ndarray, view: Viewpoint) -> tuple[ndarray, ndarray, ndarray]:
     """Return where corners of (n, 20) states with sizes (n,) are seen, and its derivatives.
 
     Returns:

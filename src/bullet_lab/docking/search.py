@@ -190,9 +190,7 @@ class MarkerSearch:
             shares[some, index] = np.mean(found & ahead, axis=1)
         return shares
 
-    def _first_safe(
-        self, points: ndarray, costmap: Costmap, worth: ndarray
-    ) -> NextView | None:
+    def _first_safe(self, points: ndarray, costmap: Costmap, worth: ndarray) -> NextView | None:
         """Return the best view with a safe path; the robot is at the first point."""
         headings = np.argmax(worth, axis=1)
         # Each place once: the next best headings there are refused for the same path.

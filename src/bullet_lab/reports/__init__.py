@@ -155,9 +155,7 @@ def save_summary(report: Report, summary: Summary) -> None:
     write_json(report.folder / "summary.json", {**report.about, **summary})
 
 
-def save_all(
-    report: Report, finished: bool, run: Summary | None = None
-) -> Summary:
+def save_all(report: Report, finished: bool, run: Summary | None = None) -> Summary:
     """Write all files of a report that is not run by a recorder, and return the summary."""
     report.finish()
     summary = report.summary(finished, run or {})

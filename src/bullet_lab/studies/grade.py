@@ -288,9 +288,7 @@ def _plain(line: str) -> str:
     return "".join(one if one.isprintable() else "?" for one in line)
 
 
-def write_grade(
-    folder: Path, mark: Summary, exercise: Exercise, records: Sequence[Record]
-) -> None:
+def write_grade(folder: Path, mark: Summary, exercise: Exercise, records: Sequence[Record]) -> None:
     """Write grade.png, grade.xml and grade.json; raises FileError."""
     # The process of each run imports this module, and draws nothing.
     from matplotlib.patches import Circle, Rectangle

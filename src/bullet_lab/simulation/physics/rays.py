@@ -234,9 +234,7 @@ class RayScene:
         apart = np.sum(across * points * points, axis=0)
         return inside & ~self._by_bullet & (~is_round | (apart < self._radius**2))
 
-    def _crossings(
-        self, start: ndarray, ways: ndarray, shapes: ndarray
-    ) -> tuple[ndarray, ndarray]:
+    def _crossings(self, start: ndarray, ways: ndarray, shapes: ndarray) -> tuple[ndarray, ndarray]:
         """Return the distances (m) at which rays enter and leave shapes, one shape for each ray.
 
         A ray that misses its shape enters after it leaves.

@@ -167,9 +167,7 @@ def _motion(path: Trajectory, begins: ndarray, window: float) -> ndarray:
     return np.column_stack((np.hypot(dx, dy), turns))
 
 
-def marker_place(
-    true_poses, poses, stamps: ndarray
-) -> tuple[ndarray, ndarray]:
+def marker_place(true_poses, poses, stamps: ndarray) -> tuple[ndarray, ndarray]:
     """Estimate where the truth's point is on a robot that does not slide to the side.
 
     A point ahead of the axle moves aside in turns, one on the left moves back in left turns, and

@@ -154,9 +154,7 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Summary
     }
 
 
-def comparison_records(
-    names: Sequence[str], columns: Sequence[Summary]
-) -> list[Record]:
+def comparison_records(names: Sequence[str], columns: Sequence[Summary]) -> list[Record]:
     """Return a record for each figure: value, low and high of each controller."""
     heads = [f"{name} {end}" for name in names for end in ENDS]
     return [
@@ -174,9 +172,7 @@ def _shown(figure: Summary) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def describe(
-    names: Sequence[str], columns: Sequence[Summary], paired: Summary
-) -> list[str]:
+def describe(names: Sequence[str], columns: Sequence[Summary], paired: Summary) -> list[str]:
     """Return the comparison as lines for the user, with intervals of 95 %."""
     figures = [figure for figure in columns[0] if figure != "failures"]
     rows = [(figure, *(_shown(column[figure]) for column in columns)) for figure in figures]

@@ -55,7 +55,6 @@ METRICS = (
 """Columns of `PathMetrics.values`; a closure error for each lap follows."""
 
 
-
 def find_laps(trajectory: Trajectory) -> tuple[ndarray, ndarray]:
     """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
 

@@ -125,9 +125,7 @@ def _frame(axes: Axes) -> None:
     axes.set(aspect="equal", xlim=_WINDOW[0], ylim=_WINDOW[1], **ticks)
 
 
-def _draw_paths(
-    axes: Axes, title: str, corners: ndarray, paths: ndarray, p_value: PValue
-) -> None:
+def _draw_paths(axes: Axes, title: str, corners: ndarray, paths: ndarray, p_value: PValue) -> None:
     axes.set_title(_in_two_lines(title), fontsize=9)
     axes.plot(paths[:, 1:, 0], paths[:, 1:, 1], **_OTHERS)
     axes.plot(*paths[:, 0].T, **_NOISY)

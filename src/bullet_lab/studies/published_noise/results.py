@@ -67,7 +67,6 @@ _SMALL = 1e-3
 _SAME = 1e-12
 
 
-
 def drawn(points) -> ndarray:
     """Return the vertices that matplotlib draws of a path on the axes of figure 1b.
 
