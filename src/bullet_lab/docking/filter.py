@@ -343,7 +343,7 @@ def applied(matrices: ndarray, vectors: ndarray) -> ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=None):
+def iterated_update(start, p, sizes, measured: Measurement, rounds: int, hidden=None):
     """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
     Args:

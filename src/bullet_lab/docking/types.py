@@ -90,7 +90,7 @@ class Odometry:
 class MotionStep:
     """A step of the robot in its frame before it: (dx m, dy m, dyaw rad) and (3, 3) covariance."""
 
-    step: tuple[float, float, float]
+    step: PlanarPose
     covariance: ndarray
 
     def then(self, after: MotionStep) -> MotionStep:

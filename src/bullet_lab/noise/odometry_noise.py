@@ -405,7 +405,7 @@ class NoisyStep:
 
     pose: PlanarPose
     covariance: ndarray
-    motion_error: tuple[float, float, float]
+    motion_error: PlanarPose
     motion_covariance: ndarray
 
 
@@ -489,7 +489,7 @@ class NoisyPath:
         return root1 * draw1, root_trans * draw_trans, root2 * draw2
 
 
-def body_step(before, after) -> tuple[float, float, float]:
+def body_step(before, after) -> PlanarPose:
     """Return what `se2.between` returns, for two poses of floats, and many times as fast."""
     dx, dy = after[0] - before[0], after[1] - before[1]
     cos, sin = math.cos(before[2]), math.sin(before[2])

@@ -225,7 +225,7 @@ class SystematicStep(NamedTuple):
     """
 
     pose: PlanarPose
-    motion_error: Tuple[float, float, float]
+    motion_error: PlanarPose
 
 
 _NO_ERROR = (0.0, 0.0, 0.0)
@@ -272,7 +272,7 @@ class SystematicPath:
         error = (dx - true[0], dy - true[1], dyaw - true[2])
         return SystematicStep(self._reported, error)
 
-    def _step(self, dx: float, dy: float, dyaw: float) -> Tuple[float, float, float]:
+    def _step(self, dx: float, dy: float, dyaw: float) -> PlanarPose:
         """Return what `SystematicErrors.steps` returns, for floats, and many times as fast."""
         half = 0.5 * dyaw
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)

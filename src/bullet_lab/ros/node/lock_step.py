@@ -37,7 +37,7 @@ INBOUND = "i"
 OUTBOUND = "o"
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def in_lock_step() -> bool:
     """Return whether this node is in lock step; raises ParameterError.
 
@@ -136,7 +136,7 @@ class Member:
         return tuple(zip(*sent)) or ((), (), ())
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def member() -> Member:
     """Return the membership of this process."""
     return Member()

@@ -97,7 +97,7 @@ def failures_in(log: str) -> list[str]:
     return [line if n == 1 else f"{line} ({n} times)" for line, n in counts.items()]
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def debian_package(package: str, forms: Sequence[str] = DEBIAN) -> str:
     """Return the Debian package with a ROS package's nodes, by the lists of apt.
 

@@ -284,7 +284,7 @@ def _properties() -> Any:
     return properties
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def panda3d() -> Any:
     """Return Panda3D's core with our settings; raise RendererError if it is not installed."""
     if importlib.util.find_spec("panda3d") is None:
@@ -307,7 +307,7 @@ def set_pose(path: Any, pose: Pose) -> None:
     path.set_pos_quat(panda3d().LPoint3(*pose.position), panda3d().LQuaternion(w, x, y, z))
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def _made() -> tuple[int, Graphics | RendererError]:
     """Return the id of the process that made the graphics, and the graphics or the error."""
     try:

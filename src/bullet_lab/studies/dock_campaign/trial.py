@@ -188,7 +188,7 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
     )
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def obstacles(world: str) -> tuple[Footprint, ...]:
     """Return the obstacles of the robot in a world of the package, by its name."""
     return footprints(read_world(world), below=ROBOT_HEIGHT)
