@@ -52,16 +52,16 @@ def campaign_summary(records: Sequence[Record]) -> Summary:
     Args:
         records: at least one, in the order of their indices.
     """
-    docked = [record for record in records if record["result"] == DOCKED]
-    failures = Counter(r["result"] for r in records if r["result"] != DOCKED)
+    failed = [record for record in records if record["result"] != DOCKED]
+    docked = len(records) - len(failed)
     known = [record for record in records if record["sim_time_s"] is not None]
     return {
         "dockings": len(records),
-        "docked": len(docked),
-        "success_rate": len(docked) / len(records),
-        "success_rate_lower_95": clopper_pearson(len(docked), len(records), 1.0 - 0.95)[0],
-        "failures": dict(sorted(failures.items())),
-        "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
+        "docked": docked,
+        "success_rate": docked / len(records),
+        "success_rate_lower_95": clopper_pearson(docked, len(records), 1.0 - 0.95)[0],
+        "failures": dict(sorted(Counter(record["result"] for record in failed).items())),
+        "failed_indices": [record["index"] for record in failed],
         **{name: error_figures([r[name] for r in reported_docked(records)]) for name in ERRORS},
         "tolerances": {
             record["world"]: {name: record[column] for name, column in TOLERANCES.items()}

@@ -50,7 +50,13 @@ from bullet_lab.studies.noise_study.regions import (
     position_density,
     theory,
 )
-from bullet_lab.studies.noise_study.statistics import Case, by_model_of, shown_levels, spread
+from bullet_lab.studies.noise_study.statistics import (
+    Case,
+    by_model_of,
+    noisy_levels,
+    shown_levels,
+    spread,
+)
 from bullet_lab.studies.paths import find_corners, resample
 
 COLUMNS = 5
@@ -211,9 +217,9 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
         seed: of the noise on the straight line.
     """
     most = max(cases, key=lambda case: case.theory.quadratic_share())
-    bent = [case for case in cases if case.model == most.model and case.std > 0.0]
+    bent = noisy_levels(by_model_of(cases)[most.model])
     strong = [case for case in bent if not case.theory.first_order_enough()]
-    levels = shown_levels(strong if len(strong) >= PANELS else bent, PANELS)
+    levels = spread(strong if len(strong) >= PANELS else bent, PANELS)
     title = (
         f"{MODELS[most.model].title} noise: where the robot is, and 95 % regions; "
         "above the path where it is bent most, below a straight line"

@@ -262,9 +262,14 @@ def by_model_of(cases: Sequence[Case]) -> dict[str, list[Case]]:
     return result
 
 
+def noisy_levels(cases: Sequence[Case]) -> list[Case]:
+    """Return the cases with noise, from low to high."""
+    return sorted((case for case in cases if case.std > 0.0), key=lambda case: case.std)
+
+
 def shown_levels(cases: Sequence[Case], count: int) -> list[Case]:
     """Return some of the cases with noise, from low to high."""
-    return spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
+    return spread(noisy_levels(cases), count)
 
 
 def spread(values: Sequence, count: int) -> list:

@@ -30,7 +30,7 @@ from bullet_lab.studies.noise_study.figures import (
     regions_figure,
 )
 from bullet_lab.studies.noise_study.regions import MEANT, METHODS, right_up_to
-from bullet_lab.studies.noise_study.statistics import Case, by_model_of, study_case
+from bullet_lab.studies.noise_study.statistics import Case, by_model_of, noisy_levels, study_case
 from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import (
@@ -131,7 +131,7 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -
 
 def _verdict(cases: Sequence[Case]) -> str:
     """Describe the level up to which each method's 95 % region is right at the end of the path."""
-    noisy = sorted((case for case in cases if case.std > 0.0), key=lambda case: case.std)
+    noisy = noisy_levels(cases)
     levels = [case.std for case in noisy]
     limits = []
     for method, title in METHODS.items():
