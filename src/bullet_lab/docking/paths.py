@@ -18,7 +18,7 @@ from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import QUIET_ZONE, clearance, extent_of_walls, wall_boxes
 from bullet_lab.docking.types import TURNING_RADIUS, Point
-from bullet_lab.navigation.paths import CostGrid, along
+from bullet_lab.navigation.paths import CostGrid, points_of
 
 # Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
 CELL = 0.1
@@ -161,9 +161,7 @@ class PathPlanner:
 
     def _ahead_of_robot(self, way, begin: float = 0.15) -> ndarray:
         """Return points of a path from `begin` (m) on; the robot occupies what is before."""
-        pieces = [along(first, second, 0.05) for first, second in zip(way, way[1:])]
-        points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
-        travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
+        points, travelled = points_of(way, 0.05)
         return points[(travelled > begin) & (travelled < 1.6)]
 
     def way_to_staging(self, estimate: GaussianPose) -> list[Point] | None:

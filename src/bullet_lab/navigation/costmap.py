@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, OccupancyMap
-from bullet_lab.navigation.paths import CostGrid, Point, along
+from bullet_lab.navigation.paths import CostGrid, Point, points_of
 
 # Larger maps are planned on with larger cells.
 MOST_CELLS = 160_000
@@ -124,8 +124,7 @@ class RobotCostmap:
     def is_free(self, way: Sequence[Point], robot: Sequence[float]) -> bool:
         """Return whether a robot can drive to the next points of a way, as far as is known."""
         way = [(robot[0], robot[1]), *way]
-        points = np.concatenate([along(*ends, self._cell) for ends in zip(way, way[1:])])
-        gone = np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
+        points, gone = points_of(way, self._cell)
         here = float(self.clearance(robot))
         least = min(self._radius, here - NEARER)
         return bool(np.all(self.clearance(points[gone <= AHEAD]) >= least))
@@ -190,8 +189,8 @@ def _with_fewer_cells(known: OccupancyMap) -> OccupancyMap:
     A joined cell is occupied if one of its cells is, else free if one is.
     """
     # Cells that are neither sure to be free nor occupied are unknown.
-    cells = np.where(known.cells >= 65, OCCUPIED, np.where(known.cells > 19, UNKNOWN, known.cells))
-    cells = np.where(cells == OCCUPIED, OCCUPIED, cells.clip(UNKNOWN, FREE))
+    cells = np.where(known.cells > 19, UNKNOWN, known.cells.clip(UNKNOWN, FREE))
+    cells[known.cells >= 65] = OCCUPIED
     rows, columns = (np.flatnonzero((cells != UNKNOWN).any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         rows, columns = (np.arange(count) for count in cells.shape)

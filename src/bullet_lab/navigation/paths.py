@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from typing import Sequence, Tuple
 
 import numpy as np
@@ -97,9 +98,7 @@ class CostGrid:
 
     def _straighten(self, way: list[Point]) -> list[Point]:
         """Leave out points where the straight way costs hardly more."""
-        costs = [0.0]
-        for first, second in zip(way, way[1:]):
-            costs.append(costs[-1] + self._straight_cost(first, second))
+        costs = list(accumulate(map(self._straight_cost, way, way[1:]), initial=0.0))
         kept, here = [way[0]], 0
         while here < len(way) - 1:
             there = len(way) - 1
@@ -130,6 +129,17 @@ def along(first: Point, second: Point, spacing: float) -> ndarray:
     count = max(2, math.ceil(math.dist(first, second) / spacing) + 1)
     part = np.linspace(0.0, 1.0, count)[:, None]
     return (1.0 - part) * np.asarray(first) + part * np.asarray(second)
+
+
+def points_of(way: Sequence[Point], spacing: float) -> tuple[ndarray, ndarray]:
+    """Return points (n, 2) of a way, as `along`, and how far each one is from its start, m.
+
+    >>> points_of([(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)], 2.0)[1]
+    array([0., 1., 1., 3.])
+    """
+    pieces = [along(*ends, spacing) for ends in zip(way, way[1:])]
+    points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
+    return points, np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
 
 
 class PathFollower:
