@@ -15,6 +15,7 @@ from bullet_lab.vision.images import (
     PREVIOUS,
     Picture,
     VisionError,
+    grid,
     homography,
     intersections,
     lengths_of,
@@ -199,13 +200,9 @@ def _glance(cells: int) -> ndarray:
         low, high = np.full(_GLANCES, ring), np.full(_GLANCES, 1.0 - ring)
         for pair in ((along, low), (along, high), (low, along), (high, along)):
             places.append(np.column_stack(pair))
-    places.append(_grid((np.arange(cells) + 1.5) * cell))
+    middles = (np.arange(cells) + 1.5) * cell
+    places.append(grid(middles, middles))
     return _homogeneous(np.vstack(places))
-
-
-def _grid(line: ndarray) -> ndarray:
-    """Return the (n², 2) points whose x and y are each of (n,) values, row by row."""
-    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
 
 
 def _homogeneous(points: ndarray) -> ndarray:
@@ -346,7 +343,8 @@ def _likeness(pattern: ndarray, levels: ndarray) -> float:
 def _cell_places(cells: int) -> ndarray:
     """Return (p, 3) places of the unit square: some in each cell, the border and a ring around."""
     middles = np.arange(cells + 4) - 0.5
-    return _homogeneous(_grid((middles[:, None] + _OFFSETS).ravel() / (cells + 2)))
+    line = (middles[:, None] + _OFFSETS).ravel() / (cells + 2)
+    return _homogeneous(grid(line, line))
 
 
 def _sharpened_cells(levels: ndarray) -> ndarray:
