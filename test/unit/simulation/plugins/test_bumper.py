@@ -185,14 +185,6 @@ def test_the_torque_is_about_the_centre_of_mass(world):
     assert total(hit.torques)[2] > 0.0
 
 
-def test_names_and_the_mean_rate(world):
-    tags = "<bumperTopicName>front</bumperTopicName><frameName>/map</frameName>"
-    model = bumper(tags=tags, rate=30)
-    samples, _ = run(world, model, 1.0, "/ns/front", namespace="ns", tf_prefix="robot")
-    assert len(samples) == 30
-    assert samples[-1].frame == "map"
-
-
 def test_shapes_that_are_not_there_are_refused():
     message = "link 'base' has no shape 'tail'; its shapes: base_collision"
     check_refusal(bumper(["tail"]), message)

@@ -32,7 +32,6 @@ ROBOT = """<robot name="robot">
   <gazebo reference="mast"><sensor type="{kind}" name="s">{sensor}
     <plugin filename="libgazebo_ros_camera.so" name="c">{tags}</plugin></sensor></gazebo>
 </robot>"""
-FOCAL = 80 / math.tan(0.6)
 WALL = thing("wall", Box((0.2, 20.0, 20.0)), Pose((3.0, 0, 0)), (0.5, 0.4, 0.3, 1.0))
 LEVELS = (128, 102, 76)
 
@@ -60,36 +59,6 @@ def noise(stddev, mean=0.0, kind="gaussian"):
     return f"<noise>{inner}</noise>"
 
 
-NAMES = (
-    "<cameraName>mine</cameraName><imageTopicName>img</imageTopicName><frameName>optical</frameName>"
-    "<cameraInfoTopicName>info</cameraInfoTopicName><robotNamespace>/bot/</robotNamespace>"
-)
-
-
-@pytest.mark.parametrize(
-    ("tags", "topics", "frame"),
-    [
-        ("", ["image_raw", "camera_info"], "mast"),
-        (NAMES, ["/bot/mine/img", "/bot/mine/info"], "optical"),
-    ],
-)
-def test_names_follow_the_tags(wall, tags, topics, frame):
-    _, camera = add(wall, tags=tags)
-    assert [output.topic for output in camera.outputs] == topics
-    assert camera.frame == frame
-
-
-def test_geometry(wall):
-    robot, camera = add(wall, tags="<hackBaseline>0.07</hackBaseline>")
-    infos = record(robot, "camera_info")
-    wall.run_for(0.1)
-    pinhole = infos[0].camera
-    assert (pinhole.width, pinhole.height, pinhole.cx, pinhole.cy) == (160, 120, 79.5, 59.5)
-    assert (pinhole.fx, pinhole.fy) == pytest.approx((FOCAL, FOCAL))
-    assert infos[0].baseline == 0.07
-    assert infos[0].frame == camera.frame
-
-
 def test_it_looks_along_the_x_axis_of_its_sensor(wall):
     tags = "<frameName>anything</frameName>"
     _, camera = add(wall, pose="<pose>0.2 0 -0.1 0 0.1 0.4</pose>", tags=tags)
@@ -111,23 +80,6 @@ def test_a_spot_is_seen_where_the_geometry_has_it(tmp_path):
             seen = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
             x, y, z = (camera.pose().inverse() * Pose((2.0, 0.9, 0.8))).position
             assert seen == pytest.approx(camera.camera.project([[-y, -z, x]])[0], abs=0.6)
-
-
-def test_distortion_of_the_plugin(wall):
-    keys = {"K1": -0.1, "K2": 0.02, "K3": 0.003, "T1": 0.001, "T2": -0.002}
-    tags = "".join(f"<distortion{k}>{v}</distortion{k}>" for k, v in keys.items())
-    _, camera = add(wall, tags=tags)
-    assert camera.camera.distortion == (-0.1, 0.02, 0.001, -0.002, 0.003)
-
-
-@pytest.mark.parametrize(
-    ("sensor", "plugin", "rate"), [(20, 5, 5), (5, 20, 5), (0, 8, 8), (0, 0, 30)]
-)
-def test_the_slower_rate_counts(wall, sensor, plugin, rate):
-    robot, _ = add(wall, rate=sensor, tags=f"<updateRate>{plugin}</updateRate>")
-    infos = record(robot, "camera_info")
-    wall.run_for(1.0)
-    assert len(infos) == rate
 
 
 def test_another_rate_from_now_on(wall):

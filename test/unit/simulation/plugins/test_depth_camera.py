@@ -123,35 +123,6 @@ def test_a_distorted_pixel_has_the_depth_of_what_it_shows():
 # Names and tags
 
 
-def test_names_follow_the_tags():
-    tags = "<cameraName>kinect</cameraName><imageTopicName>rgb/image_raw</imageTopicName>"
-    tags += "<cameraInfoTopicName>rgb/camera_info</cameraInfoTopicName>"
-    tags += "<depthImageTopicName>d/image</depthImageTopicName><frameName>optical</frameName>"
-    tags += "<depthImageCameraInfoTopicName>d/info</depthImageCameraInfoTopicName>"
-    tags += "<pointCloudTopicName>/cloud</pointCloudTopicName><robotNamespace>bot</robotNamespace>"
-    with world() as simulation:
-        _, camera = add(simulation, tags=tags)
-    assert [output.topic for output in camera.outputs] == [
-        "/bot/kinect/rgb/image_raw",
-        "/bot/kinect/rgb/camera_info",
-        "/bot/kinect/d/image",
-        "/bot/kinect/d/info",
-        "/cloud",
-    ]
-    assert camera.frame == "optical"
-
-
-@pytest.mark.parametrize("plugin", ["openni_kinect", "depth_camera"])
-def test_names_without_tags(plugin, caplog):
-    tags = "<reduceNormals>50</reduceNormals><normalsTopicName>n</normalsTopicName>"
-    with world() as simulation:
-        _, camera = add(simulation, plugin=plugin, tags=tags)
-    names = ["ir/image_raw", "ir/camera_info"]
-    names += ["depth/image_raw", "depth/camera_info", "points"]
-    assert [output.topic for output in camera.outputs] == names
-    assert not caplog.messages
-
-
 @pytest.mark.parametrize(("plugin", "seen"), [("openni_kinect", False), ("depth_camera", True)])
 def test_how_far_each_plugin_sees_by_default(plugin, seen):
     assert np.isfinite(measured(wall(6.0, 0.0)[0], plugin=plugin)).all() == seen

@@ -294,21 +294,6 @@ def test_encoders_start_where_the_robot_starts_and_notice_no_lift(world, spawn):
     assert samples[-1].pose.position == pytest.approx((0, 0, 0), abs=1e-4)
 
 
-def test_a_reset_is_as_good_as_a_new_robot(world, spawn):
-    robot = spawn(wheelAcceleration="0.7", odometrySource="encoder")
-    samples = record(robot, "odom")
-
-    def driven():
-        samples.clear()
-        world.run_for(0.3)
-        drive(world, robot, 1.0, vx=0.4, wz=0.5)
-        return [(sample.step, sample.pose, sample.velocity) for sample in samples], robot.pose()
-
-    first = driven()
-    world.reset_simulation()
-    assert driven() == first
-
-
 def test_dead_reckoning_is_exact_for_arcs():
     v, w, dt = 0.4, 1.3, 0.5
     reckoning = DeadReckoning(TRACK, RADIUS)

@@ -176,12 +176,6 @@ def test_wrong_tags(kind, tags, complaint):
     check_refusal(robot(kind, tags), complaint)
 
 
-def test_names_of_older_versions_are_ignored_quietly(caplog):
-    with empty() as simulation:
-        simulation.add(robot("imu", "<headingDrift>0.005</headingDrift>"))
-    assert not caplog.messages
-
-
 def test_the_drift_of_the_velocity_carries_the_position_away():
     tags = {"driftFrequency": 0, "velocityDrift": 1, "velocityDriftFrequency": 0}
     tags = {"updateRate": 10, "referenceLatitude": 45, **tags}

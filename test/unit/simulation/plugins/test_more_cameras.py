@@ -196,14 +196,6 @@ def test_a_point_is_where_the_lens_function_maps_it(kind, fov, angles, cutoff, m
         assert (picture.pixels[0, 0] == 0).all()
 
 
-def test_without_scaling_f_counts_and_the_middle_is_published():
-    lens = "<lens><type>equidistant</type><scale_to_hfov>false</scale_to_hfov></lens>"
-    robot = single("camera", "wideanglecamera", width=400, fov=2.0, more=lens)
-    ((info,),) = sent(robot, "camera_info")
-    assert (info.camera.fx, info.camera.cx) == pytest.approx((200.0, 199.5))
-    assert not any(info.camera.distortion)
-
-
 TINY = "<custom_function><c1>1e-17</c1><fun>id</fun></custom_function>"
 
 

@@ -59,15 +59,6 @@ def test_a_merged_link_on_a_moving_one_in_the_frame_of_another_link():
     assert sample.angular == pytest.approx((0, 0, 2.0), abs=1e-2)
 
 
-def test_the_offsets_move_the_pose_in_the_frame_and_nothing_else():
-    tags = "<xyzOffset>1 2 3</xyzOffset><rpyOffset>0 0 0.5</rpyOffset>"
-    start = Pose.from_rpy((1, 1, 1), (0, 0, 0.25))
-    sample = motion(p3d(tags), pose=start, angular=(0, 0, 0.5))
-    assert sample.pose.position == pytest.approx((2, 3, 4), abs=1e-3)
-    assert sample.pose.yaw == pytest.approx(0.75, abs=1e-3)
-    assert sample.linear == pytest.approx((0, 0, 0), abs=1e-3)
-
-
 def test_noise_is_on_the_velocity_and_its_square_in_the_covariances():
     samples = readings(p3d("<gaussianNoise>0.2</gaussianNoise>"), "truth", 1.0, seed=2)
     check_normal([(*sample.linear, *sample.angular) for sample in samples], 0.2)
