@@ -3,7 +3,6 @@
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -107,31 +106,6 @@ def test_a_saved_world_is_valid(busy, tmp_path, package):
     command = ["xmllint", "--noout", "--nonet", "--schema", str(tmp_path / "root.xsd"), str(path)]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-
-
-def in_order(model, pose):
-    """The model at a pose, with its plugins in the order of their names."""
-    plugins = sorted(model.plugins, key=lambda plugin: plugin.name)
-    return replace(model, plugins=tuple(plugins), pose=pose)
-
-
-def test_all_that_makes_up_a_model_is_saved(busy, tmp_path):
-    path, _ = save(busy, tmp_path)
-    found = {model.name: model for model in read_world_file(path).models}
-    assert list(found) == list(busy.models)
-    for name, again in found.items():
-        model = in_order(busy.models[name].model, again.pose)
-        assert_alike(model, in_order(again, again.pose), "element", "covers")
-    assert '<deep kind="x">kept</deep>' in path.read_text()
-
-
-@pytest.mark.parametrize("name", ["docking_backlit", "beacons"])
-def test_surroundings_are_saved(tmp_path, name):
-    with Simulation.of(f"package://bullet_lab/worlds/{name}.world") as simulation:
-        simulation.set_gravity((0.1, 0.0, -3.7))
-        world = simulation.world
-        assert world.gravity == (0.1, 0.0, -3.7)
-        assert_alike(world, saved_and_read(simulation, tmp_path), "models", "states")
 
 
 @pytest.mark.parametrize(
