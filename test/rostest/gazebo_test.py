@@ -14,7 +14,6 @@ import rospy
 import rostest
 import tf2_ros
 from bridge_testing import (
-    MILLISECOND,
     ROBOT,
     BridgeCase,
     advance,
@@ -26,24 +25,14 @@ from bridge_testing import (
 )
 from bullet_lab.srv import SaveWorld, SetRtf
 from gazebo_msgs.msg import (
-    LinkStates,
     ModelState,
-    ModelStates,
-    ODEJointProperties,
     ODEPhysics,
     PerformanceMetrics,
 )
 from gazebo_msgs.srv import (
-    DeleteLight,
     DeleteModel,
-    GetJointProperties,
     GetModelState,
     GetPhysicsProperties,
-    SetJointProperties,
-    SetLightProperties,
-    SetLightPropertiesRequest,
-    SetLinkProperties,
-    SetLinkPropertiesRequest,
     SetModelState,
     SetPhysicsProperties,
 )
@@ -60,8 +49,8 @@ from lab_testing import (
 )
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState, LaserScan, Range
-from std_msgs.msg import ColorRGBA, String
+from sensor_msgs.msg import LaserScan, Range
+from std_msgs.msg import String
 from std_srvs.srv import Empty
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -79,28 +68,6 @@ BALL = """<sdf version="1.6"><model name="ball"><pose>0 0 0.5 0 0 0</pose><link 
   <collision name="skin"><geometry><sphere><radius>0.1</radius></sphere></geometry></collision>
   <visual name="look"><geometry><sphere><radius>0.1</radius></sphere></geometry></visual>
 </link></model></sdf>"""
-
-PENDULUM = """<robot name="pendulum">
-  <link name="foot"><inertial><mass value="500"/>
-    <inertia ixx="99" iyy="99" izz="99" ixy="0" ixz="0" iyz="0"/></inertial>
-    <collision><geometry><box size="2 2 0.2"/></geometry></collision></link>
-  <link name="rod"><inertial><mass value="1"/>
-    <inertia ixx="0.5" iyy="0.5" izz="0.5" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="hinge" type="continuous"><origin xyz="0 0 1"/>
-    <parent link="foot"/><child link="rod"/><axis xyz="0 0 1"/></joint>
-</robot>"""
-
-ARM_ROBOT = BLOCK.replace(
-    "</robot>",
-    """<link name="arm"><inertial><mass value="0.1"/>
-    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="elbow" type="continuous">
-    <parent link="base_link"/><child link="arm"/><axis xyz="0 0 1"/></joint></robot>""",
-)
-
-LAMP = """<sdf version="1.6"><light name="bulb" type="point"><pose>0 0 3 0 0 0</pose>
-  <diffuse>1 0.5 0.25 1</diffuse><attenuation><range>20</range><constant>0.5</constant>
-  <linear>0.1</linear><quadratic>0.02</quadratic></attenuation></light></sdf>"""
 
 
 def at(x, y, z, yaw=0.0):
@@ -176,7 +143,6 @@ class GazeboTest(GazeboCase):
             "not well-formed": "<sdf",
             "neither <sdf> nor <robot>": "<html/>",
             "in none of the model folders": BEACON.replace("beacon", "nix"),
-            "a <link> without a name": PENDULUM.replace('<link name="rod">', "<link>"),
         }
         for said, xml in bad.items():
             self.assert_refused(f"SpawnModel: Failure - .*{said}", spawn("bad", xml))
@@ -236,24 +202,6 @@ class GazeboTest(GazeboCase):
         models.send(ModelState(model_name="nix"))
         self.assertIn("/gazebo/set_model_state: refused: model [nix]", self.node.err)
 
-    def test_topics_follow_with_gazebos_types_at_their_rate(self):
-        types = dict(rosgraph.Master("/test").getTopicTypes())
-        self.assertEqual("gazebo_msgs/ModelStates", types["/gazebo/model_states"])
-        states = self.topic("/gazebo/model_states", ModelStates)
-        links = self.topic("/gazebo/link_states", LinkStates)
-        states.wait(1), links.wait(1)
-        spawn("ball", BALL, at(0.0, 0.0, 9.0))
-        states.wait(2), links.wait(2)
-        step(1000)
-        last = states.wait(52)[-1]
-        self.assertEqual(["ground_plane", "block_robot", "ball"], last.name)
-        self.assert_near((-9.8,), (last.twist[2].linear.z,), 0.02)
-        self.assertAlmostEqual(9.5 - 4.9, last.pose[2].position.z, 1)
-        self.assertEqual("ball::link", links.wait(52)[-1].name[2])
-        call("/gazebo/delete_model", DeleteModel, "ball")
-        for topic in (states, links):
-            self.assertEqual(2, len(topic.wait(53)[52].name))
-
     def test_markers_follow_models(self):
         spawn("ball", BALL, at(0.0, 0.0, 9.0))
         markers = self.topic("/bullet_lab/world", MarkerArray)
@@ -273,34 +221,6 @@ class GazeboTest(GazeboCase):
         self.assertEqual((Marker.DELETE, "ball", 0), (gone[0].action, gone[0].ns, gone[0].id))
 
     # What lights, joints and links are like, and how fast it goes
-
-    def test_a_light_has_a_name_and_sound_colours(self):
-        self.assertTrue(spawn("lamp", LAMP).success)
-        self.addCleanup(call, "/gazebo/delete_light", DeleteLight, "lamp")
-        self.assert_refused("entity already exists", spawn("lamp", LAMP))
-        self.assertEqual(self.models, names())
-        told = SetLightPropertiesRequest(light_name="lamp", diffuse=ColorRGBA(-1.0, 0.0, 1.0, 1.0))
-        refused = call("/gazebo/set_light_properties", SetLightProperties, told)
-        self.assert_refused("SetLightProperties: .*negative", refused)
-
-    def test_joints_and_links_can_be_changed(self):
-        spawn("swing", PENDULUM, at(5.0, 0.0, 0.1))
-        # ODE's motor turns it up to a stop.
-        config = ODEJointProperties(hiStop=[0.5], loStop=[-0.5], vel=[2.0], fmax=[5.0], cfm=[0.1])
-        answer = call("/gazebo/set_joint_properties", SetJointProperties, "hinge", config)
-        self.assertTrue(answer.success, answer.status_message)
-        self.assertIn("cfm do nothing", answer.status_message)
-        step(1000)
-        look = rospy.ServiceProxy("/gazebo/get_joint_properties", GetJointProperties)
-        self.assert_near((0.5,), look("hinge").position, 0.02)
-        self.assertEqual(GetJointProperties._response_class.REVOLUTE, look("hinge").type)
-        for link, mass, said in (
-            ("swing::rod", -1.0, "must be positive"),
-            ("ground_plane::link", 3.0, "never moves"),
-        ):
-            told = SetLinkPropertiesRequest(link_name=link, mass=mass, ixx=1.0, iyy=1.0, izz=1.0)
-            refused = call("/gazebo/set_link_properties", SetLinkProperties, told)
-            self.assert_refused(f"SetLinkProperties: .*{said}", refused)
 
     def test_performance_is_told_while_it_runs(self):
         told = self.topic("/gazebo/performance_metrics", PerformanceMetrics)
@@ -416,15 +336,9 @@ class WorldTest(GazeboCase):
     }
 
     def setUp(self):
-        rospy.set_param("robot_description", ARM_ROBOT)
+        rospy.set_param("robot_description", BLOCK)
         self.addCleanup(rospy.delete_param, "robot_description")
         super().setUp()
-
-    def test_clock_rate_that_does_not_divide_the_steps(self):
-        clock = self.topic("/clock", Clock)
-        step(1000)
-        stamps = [message.clock.to_nsec() // MILLISECOND for message in clock.wait(30)]
-        self.assertEqual([math.ceil(1000 * k / 30) for k in range(1, 31)], stamps)
 
     def test_robot_pose(self):
         odom = self.topic("left/odom", Odometry)
@@ -448,19 +362,10 @@ class WorldTest(GazeboCase):
         scans = []
         with Simulation.of(BEACONS, seed) as simulation:
             pose = PlacedAt.from_rpy(*self.pose)
-            robot = simulation.add(read_urdf(ARM_ROBOT, "robot"), pose=pose)
+            robot = simulation.add(read_urdf(BLOCK, "robot"), pose=pose)
             robot.listen("scan", scans.append)
             simulation.run_until(100)
         return tuple(np.float32(scans[0].ranges).tolist())
-
-    def test_joint_states_name_the_joints(self):
-        joints = self.topic("/left/joint_states", JointState)
-        step(100)
-        messages = joints.wait(2)
-        self.assertEqual([50 * MILLISECOND, 100 * MILLISECOND], joints.stamps())
-        for message in messages:
-            lengths = (len(message.position), len(message.velocity), len(message.effort))
-            self.assertEqual((["elbow"], (1, 1, 0)), (message.name, lengths))
 
     def test_world_is_latched(self):
         step(100)

@@ -3,7 +3,6 @@
 
 import math
 import os
-import struct
 import tempfile
 import unittest.mock
 from pathlib import Path
@@ -14,8 +13,7 @@ import rospy
 import rostest
 from bridge_testing import MILLISECOND, BridgeCase, call, spawn, step
 from bullet_lab.srv import SetBias, SetRtf
-from gazebo_msgs.msg import ContactsState
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3, Vector3Stamped
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from lab_testing import wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import (
@@ -23,30 +21,15 @@ from sensor_msgs.msg import (
     CompressedImage,
     Image,
     Imu,
-    LaserScan,
-    NavSatFix,
-    PointCloud,
-    PointCloud2,
-    PointField,
 )
 from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Empty as EmptyMessage
 from std_srvs.srv import Empty
 
 G = 9.8
-WALL = """<sdf version="1.6"><model name="wall"><static>true</static><pose>2.1 0 1 0 0 0</pose>
-  <link name="link">
-    <collision name="c"><geometry><box><size>0.2 20 4</size></box></geometry></collision>
-    <visual name="v"><geometry><box><size>0.2 20 4</size></box></geometry></visual>
-  </link></model></sdf>"""
 HEAD = """<camera name="{}"><pose>0 {} 0 0 0 0</pose><horizontal_fov>{}</horizontal_fov>
   <image><width>80</width><height>60</height><format>{}</format></image></camera>"""
 PAIR = f"{HEAD.format('left', 0.05, 1.2, 'L16')}{HEAD.format('right', -0.05, 1.2, 'BAYER_GRBG8')}"
-SCAN = """<samples>91</samples><min_angle>0</min_angle>
-  <max_angle>1.5707963</max_angle></horizontal>"""
-ROWS = """<samples>3</samples><min_angle>-0.5</min_angle><max_angle>0.5</max_angle></horizontal>
-  <vertical><samples>2</samples><min_angle>0</min_angle><max_angle>0.2</max_angle></vertical>"""
-RAYS = "<ray><scan><horizontal>{}</scan><range><min>0.2</min><max>5</max></range></ray>"
 
 
 def sensor(kind, name, inner, library, tags, rate=10):
@@ -56,7 +39,6 @@ def sensor(kind, name, inner, library, tags, rate=10):
     return f'<sensor type="{kind}" name="{name}">{rate}{inner}{plugin}</sensor>'
 
 
-NAMED = "<topicName>{}</topicName><frameName>base</frameName>"
 CAMERA = "<cameraName>{}</cameraName>"
 CRATE = f"""<robot name="crate">
   <link name="base"><inertial><mass value="2"/>
@@ -67,17 +49,8 @@ CRATE = f"""<robot name="crate">
       <rateDrift>0.1</rateDrift><rateDriftFrequency>0</rateDriftFrequency>
       <rateGaussianNoise>0 0 1e-9</rateGaussianNoise>
     </plugin>
-    <plugin name="gps" filename="libhector_gazebo_ros_gps.so"><updateRate>10</updateRate>
-      <referenceLatitude>45</referenceLatitude><referenceLongitude>9</referenceLongitude>
-      <referenceAltitude>100</referenceAltitude><offset>0 0 5</offset><status>1</status>
-      <service>3</service><frameId>earth</frameId></plugin>
   </gazebo>
   <gazebo reference="base">
-    {sensor("ray", "scan", RAYS.format(SCAN), "laser", NAMED.format("scan"))}
-    {sensor("contact", "bumper", "<contact><collision>base_collision</collision></contact>",
-            "bumper", "<bumperTopicName>bumper</bumperTopicName><frameName>world</frameName>", 20)}
-    {sensor("ray", "block", RAYS.format(ROWS), "block_laser", NAMED.format("block"))}
-    {sensor("gpu_ray", "rings", RAYS.format(ROWS), "velodyne_gpu_laser", NAMED.format("rings"))}
     {sensor("multicamera", "pair", PAIR, "multicamera",
             f"{CAMERA.format('eyes')}<hackBaseline>0.1</hackBaseline>")}
     {sensor("camera", "eye", HEAD.format("c", 0, 1.2, "R8G8B8"), "triggered_camera",
@@ -96,7 +69,7 @@ DOCK = {
 
 
 class SensorsTest(BridgeCase):
-    """A crate that carries sensors stands before a wall; all tests share it."""
+    """A crate carries sensors; all tests share it."""
 
     def empty(self):
         """Leave the crate where it is."""
@@ -104,9 +77,8 @@ class SensorsTest(BridgeCase):
     def start(self, **parameters):
         super().start(**parameters)
         upright = Pose(Point(0.0, 0.0, 0.1), Quaternion(0.0, 0.0, 0.0, 1.0))
-        for name, xml, pose in (("wall", WALL, None), ("robot", CRATE, upright)):
-            answer = spawn(name, xml, pose, namespace="/")
-            self.assertTrue(answer.success, answer.status_message)
+        answer = spawn("robot", CRATE, upright, namespace="/")
+        self.assertTrue(answer.success, answer.status_message)
         step(1000)
 
     def last_of(self, *topics):
@@ -118,25 +90,6 @@ class SensorsTest(BridgeCase):
     def assert_near(self, expected, message, places=3):
         for axis, value in zip("xyz", expected):
             self.assertAlmostEqual(value, getattr(message, axis), places)
-
-    def test_laser(self):
-        (scan,) = self.last_of(("scan", LaserScan))
-        self.assertEqual(("base", 91), (scan.header.frame_id, len(scan.ranges)))
-        for degrees in (0, 30, 60):
-            exact = 2.0 / math.cos(math.radians(degrees))
-            self.assertAlmostEqual(exact, scan.ranges[degrees], 3)
-        self.assertEqual(math.inf, scan.ranges[90])
-
-    def test_bumper(self):
-        topic, start = self.topic("bumper", ContactsState), step(0)
-        step(100)
-        states = topic.wait(2)[-1].states
-        self.assertEqual([50, 100], [stamp // MILLISECOND - start for stamp in topic.stamps()])
-        self.assertEqual(50, len(states), "one for each step since the last message")
-        state = states[-1]
-        names = state.collision1_name, state.collision2_name
-        self.assertEqual(("robot::base::base_collision", "ground_plane::link::collision"), names)
-        self.assertAlmostEqual(2 * G, state.total_wrench.force.z, 1)
 
     def test_imu_and_its_services(self):
         topics = ("imu/data", Imu), ("imu/data/bias", Imu)
@@ -160,42 +113,6 @@ class SensorsTest(BridgeCase):
         self.assert_near((0.5, 0.0, 0.0), bias.angular_velocity, 9)
         self.assert_near((1.1, 2.2, 3.3), bias.linear_acceleration, 3)
         wait_for(lambda: "bias is not finite" in self.node.err, "the refusal of the bias")
-
-    def test_gps(self):
-        fix, velocity = self.last_of(("fix", NavSatFix), ("fix_velocity", Vector3Stamped))
-        self.assertEqual(
-            ("earth", 1, 3), (fix.header.frame_id, fix.status.status, fix.status.service)
-        )
-        self.assertAlmostEqual(45.0, fix.latitude, 6)
-        self.assertAlmostEqual(9.0, fix.longitude, 6)
-        self.assertAlmostEqual(105.1, fix.altitude, 2)
-        self.assertEqual(NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN, fix.position_covariance_type)
-        self.assert_near((0.0, 0.0, 0.0), velocity.vector, 2)
-        self.assertEqual("earth", velocity.header.frame_id)
-
-    def test_lasers_of_points(self):
-        block, rings = self.last_of(("block", PointCloud), ("rings", PointCloud2))
-        points = [
-            (2.0, 2.0 * math.tan(yaw), 2.0 * math.tan(pitch) / math.cos(yaw))
-            for pitch in (0.0, 0.2)
-            for yaw in (-0.5, 0.0, 0.5)
-        ]
-        self.assertEqual("base", block.header.frame_id)
-        self.assertEqual(6, len(block.points))
-        for expected, point in zip(points, block.points):
-            self.assert_near(expected, point, 2)
-        (channel,) = block.channels
-        self.assertEqual(("", (0.0,) * 6), (channel.name, tuple(channel.values)))
-        layout = [(field.name, field.offset, field.datatype) for field in rings.fields]
-        kinds = 4 * [PointField.FLOAT32] + [PointField.UINT16, PointField.FLOAT32]
-        names = ("x", "y", "z", "intensity", "ring", "time")
-        self.assertEqual(list(zip(names, (0, 4, 8, 12, 16, 18), kinds)), layout)
-        size = (rings.height, rings.width, rings.point_step, rings.row_step, rings.is_dense)
-        self.assertEqual((1, 6, 22, 132, True), size)
-        for number, record in enumerate(struct.iter_unpack("<4fHf", rings.data)):
-            column, ring = divmod(number, 2)
-            self.assert_near(points[3 * ring + column], Vector3(*record[:3]), 2)
-            self.assertEqual((0.0, ring, 0.0), record[3:])
 
     def test_a_pair_of_cameras(self):
         topics = [
@@ -277,27 +194,6 @@ class CameraTest(BridgeCase):
         image.wait(3)
         self.assertIn("libpanda.so", maps.read_text())
 
-    def test_image_and_camera_info(self):
-        image, info = self.images(), self.infos()
-        step(100)
-        picture, geometry = image.wait(3)[0], info.wait(3)[0]
-        self.assertEqual(milliseconds(image)[:3], milliseconds(info)[:3])
-        self.assertEqual(picture.header.frame_id, "camera_optical_frame")
-        self.assertEqual(geometry.header.frame_id, "camera_optical_frame")
-        self.assertEqual((picture.width, picture.height, picture.encoding), (640, 480, "rgb8"))
-        self.assertEqual((geometry.width, geometry.height), (640, 480))
-        # Numbers of a URDF's <sensor> have six digits in Gazebo.
-        focal = 320 / np.tan(round(np.radians(65), 5) / 2)
-        wanted = [focal, 0, 319.5, 0, focal, 239.5, 0, 0, 1]
-        np.testing.assert_allclose(geometry.K, wanted, atol=1e-3)
-        self.assertEqual(list(geometry.D), [0.0] * 5)
-        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h10)
-        (corners,), ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(pixels(picture))
-        self.assertEqual(ids.ravel().tolist(), [0])
-        # The marker stands 3.84 m before the camera and 0.06 m above it.
-        middle = corners[0].mean(axis=0)
-        np.testing.assert_allclose(middle, (319.5, 239.5 - focal * 0.06 / 3.84), atol=1.0)
-
     def test_compressed_pictures(self):
         image, compressed = self.images(), self.topic(f"{IMAGE}/compressed", CompressedImage)
         step(100)
@@ -358,15 +254,6 @@ class CameraTest(BridgeCase):
                     topic.wait(len(due))
                     self.assertEqual(due, milliseconds(topic)[: len(due)])
                     topic.close()
-
-    def test_time_starts_again_with_a_reset(self):
-        image = self.images()
-        step(70)
-        image.wait(2)
-        call("/gazebo/reset_simulation", Empty)
-        step(70)
-        image.wait(4)
-        self.assertEqual(milliseconds(image), [34, 67, 34, 67])
 
     # Last, as it is the end of the bridge.
     def test_z_nothing_is_left_by_a_bridge_that_is_killed(self):

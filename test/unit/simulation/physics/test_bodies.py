@@ -384,11 +384,6 @@ def test_a_damper_of_any_strength_between_light_links_does_not_swing_up(space, k
     assert abs(body.joint_state("j").velocity) < 1e-6
 
 
-def test_a_continuous_joint_has_no_ends(space):
-    body = body_of(space, jointed("continuous", limits={"lower": -0.1, "upper": 0.1}))
-    assert push(space, body, 1.0, 1.0).position > 2.0
-
-
 # Any number of shapes
 
 
