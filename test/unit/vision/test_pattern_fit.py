@@ -260,3 +260,6 @@ def test_occlusion_is_found_also_where_a_part_is_in_the_sun():
 
 def test_no_marker_is_none():
     assert fit(np.random.default_rng(1).integers(0, 255, (480, 640))) is None
+    hidden = picture(View(0.8), noise=2.0)
+    hidden[:255] = 120
+    assert fit(hidden, View(0.8)) is None
