@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor_worlds import box, check_refusal, record, thing
+from sensor_worlds import box, record, thing
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import Box, Collision, Mesh
@@ -183,11 +183,6 @@ def test_the_torque_is_about_the_centre_of_mass(world):
     # The post, ahead and to the left, pushes back: the crate is turned to the left.
     assert total(hit.forces)[0] < 0.0
     assert total(hit.torques)[2] > 0.0
-
-
-def test_shapes_that_are_not_there_are_refused():
-    message = "link 'base' has no shape 'tail'; its shapes: base_collision"
-    check_refusal(bumper(["tail"]), message)
 
 
 def test_a_mesh_is_taken_for_the_box_around_it(package):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, check_refusal, empty, held, readings, record, steps, table
+from sensor_worlds import carrier, empty, held, readings, record, steps, table
 
 from bullet_lab.core.pose import Pose
 
@@ -159,21 +159,6 @@ def test_the_velocity_is_along_north_west_and_up():
             body.set_velocity((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
         simulation.run_for(0.25)
     assert samples[0].vector == pytest.approx((2.0, -1.0, 3.0), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("kind", "tags", "complaint"),
-    [
-        ("imu", "<rateDrift>-1</rateDrift>", "<rateDrift>: -1 is negative"),
-        ("imu", "<rateOffset>1 2</rateOffset>", "<rateOffset>: '1 2' is not 3 finite numbers"),
-        ("imu", "<bodyName>no</bodyName>", "no link 'no'"),
-        ("gps", "<referenceLatitude>90</referenceLatitude>", "90 is not within -89.9 … 89.9"),
-        ("gps", "<status>5</status>", "<status>: 5 is not within -1 … 2"),
-        ("gps", "<warp>5</warp>", "<warp> is not known"),
-    ],
-)
-def test_wrong_tags(kind, tags, complaint):
-    check_refusal(robot(kind, tags), complaint)
 
 
 def test_the_drift_of_the_velocity_carries_the_position_away():

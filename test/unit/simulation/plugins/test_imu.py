@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, check_refusal, empty, held, readings, record, sensor, table
+from sensor_worlds import carrier, empty, held, readings, record, sensor, table
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.motion_sensors import Accelerometer
@@ -185,19 +185,6 @@ def test_noise_of_the_sensor_element():
 
 
 # Rates, frames, defaults, refusals
-
-
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        (imu(body=""), "<bodyName>: is missing"),
-        (imu("<xyzOffset>0 0</xyzOffset>"), "<xyzOffset>: '0 0' is not 3 finite numbers"),
-        (imu_sensor(""), "<frameName>: is missing"),
-        (carrier(sensor("ray", "", "libgazebo_ros_imu_sensor.so", FRAME)), 'type="imu"'),
-    ],
-)
-def test_refusals(model, message):
-    check_refusal(model, message)
 
 
 def test_gravity_in_any_direction_is_felt_in_the_sensors_axes():

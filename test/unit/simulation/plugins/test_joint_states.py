@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import check_refusal, record, steps
+from sensor_worlds import record, steps
 
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -48,8 +48,3 @@ def test_a_hinge_swings_under_gravity(world):
     assert positions == pytest.approx(expected[:, 0], abs=0.03)
     assert velocities == pytest.approx(expected[:, 1], abs=0.1)
     assert {sample.efforts for sample in samples} == {()}
-
-
-def test_an_unknown_joint_is_refused():
-    unknown = pendulum("<jointName>hinge, knee</jointName>")
-    check_refusal(unknown, "<jointName>: no movable joint 'knee'")

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 from sensor_worlds import box, drive, record
-from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import MotorPower, Trigger
@@ -131,22 +130,6 @@ def test_the_motors_and_the_odometry_have_switches(world, robot):
     robot.command(f"{COMMANDS}/reset_odometry", Trigger())
     world.run_for(0.05)
     assert odometry[-1].pose.position[0] < 0.02
-
-
-@pytest.mark.parametrize(
-    "tags, complaint",
-    [
-        ({"bumper_name": "nose"}, "<bumper_name>: the model has no sensor 'nose'"),
-        ({"imu_name": "bumpers"}, 'needs a <sensor type="imu">, not "contact"'),
-        ({"wheel_separation": None}, "<wheel_separation>: '' is not a finite number"),
-        ({"wheel_diameter": "-1"}, "<wheel_diameter>: -1 is not positive"),
-        ({"left_wheel_joint_name": "it"}, "<left_wheel_joint_name>: no movable joint 'it'"),
-    ],
-)
-def test_wrong_tags_are_named(world, model, tags, complaint):
-    with complains(complaint):
-        robot = world.add(with_tags(model, **tags))
-    assert not any(plugin.inputs for plugin in robot.plugins)
 
 
 def test_robots_without_wheel_drop_sensors(world, model):

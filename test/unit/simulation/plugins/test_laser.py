@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from noise_checks import check_normal
 from scipy import stats
-from sensor_worlds import box, carrier, check_refusal, empty, readings, record, sensor, table, thing
+from sensor_worlds import box, carrier, empty, readings, record, sensor, table, thing
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.rays import RAYS_AT_A_TIME
@@ -22,9 +22,9 @@ def ray(samples=360, angles=(-math.pi, math.pi), limits=(0.1, 10.0), more="", re
     )
 
 
-def laser(inner="", kind="ray", **robot):
+def laser(inner="", **robot):
     inner = f"<update_rate>10</update_rate>{inner or ray()}"
-    return carrier(sensor(kind, inner, PLUGIN, TAGS), **robot)
+    return carrier(sensor("ray", inner, PLUGIN, TAGS), **robot)
 
 
 def noise(deviation, mean=0.0):
@@ -192,47 +192,6 @@ def test_a_resolution_does_not_round_the_readings(world):
     world.add(box("1 1 1", "2.513 0 0 0 0 0"))
     assert one_scan(world, laser(inner)).ranges[0] == pytest.approx(2.013, abs=1e-6)
 
-
-# Names, refusals
-
-
-def in_range(tag, value):
-    return ray().replace(f"<{tag}>", f"<{tag}>{value}<!--").replace(f"</{tag}>", f"--></{tag}>")
-
-
-@pytest.mark.parametrize(
-    ("inner", "message"),
-    [
-        (in_range("samples", "0"), "<samples>: 0 is not a whole number in 1"),
-        (in_range("samples", "1000000000"), "<samples>"),
-        (in_range("resolution", "1e9"), "<samples>: more than 100000 rays"),
-        (in_range("max", "0.05"), "<max>: 0.05 is not beyond <min>"),
-        (in_range("min", "-1"), "<min>: -1 is negative"),
-        (in_range("max_angle", "-4"), "<max_angle>: -4 is less than <min_angle>"),
-        (ray(more=noise(-1)), "<stddev>: -1 is negative"),
-        ("<pose>0 0 0</pose>" + ray(), "<pose>: '0 0 0' is not 6 finite numbers"),
-    ],
-)
-def test_refusals(inner, message):
-    check_refusal(laser(inner), f"model 'carrier': plugin 'the_sensor_plugin': <sensor>: {message}")
-
-
-@pytest.mark.parametrize(
-    "model",
-    [
-        laser(kind="camera"),
-        carrier(f'<gazebo><plugin name="p" filename="{PLUGIN}"/></gazebo>'),
-    ],
-)
-def test_a_plugin_outside_a_ray_sensor_is_refused(model):
-    check_refusal(model, 'needs a <sensor type="ray">')
-
-
-def test_noise_of_another_kind_is_reported(world, caplog):
-    with caplog.at_level("WARNING"):
-        world.add(laser(ray(more="<noise><type>pink</type></noise>")))
-    (warning,) = caplog.messages
-    assert "'pink' is not simulated" in warning
 
 
 # The block robot

@@ -2,7 +2,7 @@ import math
 
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, check_refusal, empty, readings, record, steps
+from sensor_worlds import carrier, empty, readings, record, steps
 
 from bullet_lab.core.pose import Pose
 
@@ -69,15 +69,3 @@ def test_noise_is_on_the_velocity_and_its_square_in_the_covariances():
 def test_each_sample_waits_for_a_period():
     samples = readings(p3d("<updateRate>7</updateRate>"), "truth", 1.0)
     assert steps(samples) == [143 * k for k in range(1, 7)]
-
-
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        (p3d(body=""), "<bodyName>: is missing"),
-        (p3d(topic=""), "<topicName>: is missing"),
-        (p3d("<frameName>nowhere</frameName>"), "no link 'nowhere'"),
-    ],
-)
-def test_refusals(model, message):
-    check_refusal(model, message)

@@ -4,7 +4,6 @@ import math
 
 import pytest
 from sensor_worlds import record
-from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
@@ -110,16 +109,3 @@ def test_a_model_with_the_plugin_and_a_saved_world(world_of, tmp_path):
     (tmp_path / "again.world").write_text(text)
     with Simulation.of(str(tmp_path / "again.world")) as again:
         assert where(again, 2.5) == pytest.approx((2, 0, 1, 1.55), abs=5e-3)
-
-
-@pytest.mark.parametrize(
-    "waypoints, complaint",
-    [
-        (ACROSS[:1], "1 waypoints; it needs two"),
-        ((ACROSS[1], ACROSS[0]), "<time>: 0 s is not after the last one"),
-        ((*ACROSS, (6, "0 0")), "<pose>: '0 0' is not 6 finite numbers"),
-    ],
-)
-def test_wrong_paths_are_named(world_of, waypoints, complaint):
-    with complains(complaint), world_of(actor(script(waypoints))) as simulation:
-        assert not simulation.models["walker"].plugins

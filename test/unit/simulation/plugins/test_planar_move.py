@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import box, check_refusal, drive, record, steps
+from sensor_worlds import box, drive, record, steps
 from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
@@ -178,18 +178,6 @@ def test_topics_are_known_by_their_full_names_only(world):
         robot.command("cmd_vel", PlanarCommand())
     with pytest.raises(SimulationError, match="has no output 'odom'"):
         record(robot, "odom")
-
-
-@pytest.mark.parametrize(
-    ("tags", "message"),
-    [
-        ("<odometryRate>2000</odometryRate>", "<odometryRate>: a rate of 2000 Hz is not within"),
-        ("<cmdTimeout>soon</cmdTimeout>", "<cmdTimeout>: 'soon' is not a finite number"),
-        ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 is negative"),
-    ],
-)
-def test_bad_tags_name_model_plugin_and_tag(tags, message):
-    check_refusal(block(tags), f"model 'block': plugin 'move': {message}")
 
 
 def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_down(world):

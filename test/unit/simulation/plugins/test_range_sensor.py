@@ -2,7 +2,7 @@ import math
 
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import box, carrier, check_refusal, readings, sensor
+from sensor_worlds import box, carrier, readings, sensor
 
 FAN = (
     "<update_rate>{rate}</update_rate><ray><scan>"
@@ -45,7 +45,3 @@ def test_noise_is_gaussian_and_stays_within_the_limits():
     check_normal(errors, 0.1, mean=2.0)
     wild = ranges(9, 0.1)
     assert (min(wild), max(wild)) == (0.05, 3.0)
-
-
-def test_refusals():
-    check_refusal(sonar(TAGS + "<gaussianNoise>-1</gaussianNoise>"), "<gaussianNoise>: -1")

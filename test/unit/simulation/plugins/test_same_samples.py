@@ -41,3 +41,8 @@ def test_samples_are_as_before(caplog):
                 samples.clear()
             assert_as_before(told, HERE / "plugins.txt")
             simulation.reset_simulation()
+
+
+def test_wrong_tags_are_named_as_before(caplog):
+    with Simulation(read_world_file(HERE / "wrong.world")):
+        assert_as_before(caplog.messages, HERE / "wrong.txt")
