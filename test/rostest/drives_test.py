@@ -1,22 +1,17 @@
 #!/usr/bin/env python3
-"""Drives on the topics that programs for them use: a Kobuki, a tricycle, a car; and an actor."""
+"""A Kobuki on the topics that programs for it use."""
 
-import math
 
 import rospy
 import rostest
 from bridge_testing import call, spawn, twist
-from controller_manager_msgs.srv import ListControllers, LoadController, SwitchController
 from gazebo_msgs.srv import GetModelState
-from geometry_msgs.msg import Point, Pose, Quaternion, Twist
+from geometry_msgs.msg import Twist
 from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
 from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
-
-# The robots that drive curves, and their odometry.
-CURVES = {"tricycle": "tricycle/odom", "car": "car/drive/odom"}
 
 
 def place(model):
@@ -25,37 +20,14 @@ def place(model):
 
 
 class DrivesTest(NodeTest):
-    """Each robot is spawned by the services that launch files use."""
+    """The robot is spawned by the service that launch files use."""
 
     @classmethod
     def setUpClass(cls):
-        """Spawn the robots, and start the car's controller."""
-        for name, path, y, namespace in (
-            ("kobuki", "urdf/kobuki_robot.urdf", 0.0, ""),
-            ("tricycle", "test/drives/tricycle.urdf", 4.0, "tricycle"),
-            ("car", "test/drives/car.urdf", -4.0, ""),
-        ):
-            pose = Pose(Point(0.0, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-            service = "spawn_urdf_model"
-            answer = spawn(name, (PACKAGE / path).read_text(), pose, namespace, "", service)
-            assert answer.success, answer.status_message
-        manager = "/car/controller_manager"
-        assert call(f"{manager}/load_controller", LoadController, "drive").ok
-        switch = (["drive"], [], 2, False, 10.0)
-        assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
-
-    def drive(self, velocity, until, what, *topics):
-        """Command a velocity on topics until something holds, then stop."""
-        commands = [self.publisher(topic, Twist) for topic in topics]
-
-        def holds():
-            for one in commands:
-                one.publish(velocity)
-            return until()
-
-        wait_for(holds, what)
-        for one in commands:
-            one.publish(Twist())
+        """Spawn the robot."""
+        text = (PACKAGE / "urdf" / "kobuki_robot.urdf").read_text()
+        answer = spawn("kobuki", text, service="spawn_urdf_model")
+        assert answer.success, answer.status_message
 
     def test_a_kobuki_bumps_into_a_wall(self):
         bumper = self.topic("mobile_base/events/bumper", BumperEvent)
@@ -63,8 +35,9 @@ class DrivesTest(NodeTest):
         imu = self.topic("mobile_base/sensors/imu_data", Imu).wait(1)[0]
         self.assertEqual(("base_link", 0.05), (imu.header.frame_id, imu.orientation_covariance[8]))
         odometry = self.topic("odom", Odometry)
-        touches = (lambda: bumper.messages, "the wall to be touched")
-        self.drive(twist(0.3), *touches, "mobile_base/commands/velocity")
+        command = self.publisher("mobile_base/commands/velocity", Twist)
+        wait_for(lambda: command.publish(twist(0.3)) or bumper.messages, "the wall to be touched")
+        command.publish(twist())
         event = bumper.messages[0]
         self.assertEqual((BumperEvent.CENTER, BumperEvent.PRESSED), (event.bumper, event.state))
 
@@ -88,37 +61,6 @@ class DrivesTest(NodeTest):
             return abs(odometry.messages[-1].pose.pose.position.x) < 0.01
 
         wait_for(is_zero, "the odometry")
-
-    def test_a_tricycle_and_a_car_drive_curves(self):
-        odometry = {name: self.topic(topic, Odometry) for name, topic in CURVES.items()}
-        starts = {name: place(name) for name in CURVES}
-
-        def have_turned():
-            turns = [topic.wait(1)[-1].pose.pose.orientation for topic in odometry.values()]
-            return all(2.0 * math.atan2(turn.z, turn.w) > 1.5 for turn in turns)
-
-        commands = ("tricycle/cmd_vel", "car/drive/cmd_vel")
-        self.drive(twist(0.3, wz=0.5), have_turned, "both to turn", *commands)
-        for model, start in starts.items():
-            end = place(model)
-            # On a circle, wherever the command to stop has come.
-            radius = 0.6 / math.tan(0.5)
-            reached = math.hypot(end.x - start.x, end.y - start.y - radius)
-            self.assertAlmostEqual(radius, reached, delta=0.2, msg=model)
-        (controller,) = call("/car/controller_manager/list_controllers", ListControllers).controller
-        claimed = {one.hardware_interface: one.resources for one in controller.claimed_resources}
-        space = "hardware_interface::"
-        expected = {
-            f"{space}VelocityJointInterface": ["rear_wheel_joint"],
-            f"{space}PositionJointInterface": ["steering_joint"],
-        }
-        self.assertEqual(expected, claimed)
-
-    def test_an_actor_walks(self):
-        wait_for(lambda: place("walker").y > 0.5, "the actor to walk")
-        wait_for(lambda: place("walker").y < -0.5, "the actor to come back")
-        self.assertAlmostEqual(-5.0, place("walker").x, delta=0.2)
-
 
 if __name__ == "__main__":
     rospy.init_node("drives_test")
