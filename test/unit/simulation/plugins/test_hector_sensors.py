@@ -33,18 +33,6 @@ def told(kind, topic, seconds, seed=0, pose=None, **tags):
     return readings(model, topic, seconds, world=held, seed=seed, pose=pose)
 
 
-def test_without_errors_the_imu_reads_the_truth():
-    pose = Pose.from_rpy((0, 0, 0), (0.3, 0.2, 0.1))
-    samples = told("imu", "imu", 0.5, pose=pose, updateRate=100)
-    last = samples[-1]
-    assert steps(samples) == list(range(10, 501, 10))
-    assert Pose(quaternion=last.orientation).rpy() == pytest.approx((0.3, 0.2, 0.1))
-    up = Pose(quaternion=last.orientation).inverse().rotate((0.0, 0.0, G))
-    assert last.specific_force == pytest.approx(up)
-    assert last.angular_velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    assert last.frame == "base"
-
-
 def test_offset_scale_and_noise():
     samples = told(
         "imu",

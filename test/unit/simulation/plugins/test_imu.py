@@ -7,7 +7,6 @@ from noise_checks import check_normal
 from sensor_worlds import carrier, empty, held, readings, record, sensor, table
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.motion_sensors import Accelerometer
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -107,24 +106,6 @@ def test_a_spinning_sensor_off_the_centre_feels_its_own_turning():
     assert samples[-1].angular_velocity == pytest.approx((0, 0, 2.0), abs=1e-6)
     # The mean over 10 ms lags by 5 ms: 0.01 rad of the direction.
     assert samples[-1].specific_force == pytest.approx((-2.0, 0.02, 0.0), abs=2e-3)
-
-
-def test_the_accelerometer_averages_over_ten_steps_at_least():
-    meter = Accelerometer()
-    meter.restart(0, (0.0, 0.0, 0.0))
-    speeds = [0.1 if step >= 50 else 0.0 for step in range(1, 100)]
-    readings = [meter.advance(step, (x, 0, 0))[0] for step, x in enumerate(speeds, 1)]
-    assert readings[:49] == [0.0] * 49
-    assert readings[49:59] == pytest.approx([10.0] * 10)
-    assert readings[59:] == pytest.approx([0.0] * 40)
-
-
-def test_the_accelerometer_averages_over_the_whole_of_a_longer_period():
-    meter = Accelerometer()
-    meter.restart(0, (0.0, 0.0, 0.0))
-    assert meter.advance(50, (1.0, 0, 0)) == pytest.approx((20.0, 0, 0))
-    for _ in range(2):
-        assert meter.advance(100, (1.0, 0, 0)) == pytest.approx((0.0, 0, 0))
 
 
 def test_no_spike_when_it_is_put_elsewhere(world):

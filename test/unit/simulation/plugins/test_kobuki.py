@@ -61,26 +61,6 @@ def test_it_drives_and_its_odometry_is_right(world, robot, vx, wz, seconds):
     assert told.yaw == pytest.approx(driven.yaw, abs=0.01)
 
 
-def test_the_messages(world, robot):
-    topics = ("odom", "/tf", "joint_states", "mobile_base/sensors/imu_data")
-    odometry, transforms, joints, gyro = (record(robot, topic) for topic in topics)
-    core = record(robot, "mobile_base/sensors/core")
-    go(world, robot, 0.2, 0.5, 1.0)
-    assert [len(one) for one in (odometry, transforms, joints, gyro, core)] == [20] * 5
-    sample = odometry[-1]
-    assert (sample.frame, sample.child_frame) == ("odom", "base_footprint")
-    assert sample.pose_variances == (0.1, 0.1, 1e6, 1e6, 1e6, 0.05)
-    assert sample.velocity.vx == pytest.approx(0.2, abs=0.01)
-    assert gyro[-1].angular_velocity[2] == sample.velocity.wz == pytest.approx(0.5, abs=0.02)
-    assert joints[-1].names == ("wheel_left_joint", "wheel_right_joint")
-    rims = [0.035 * speed for speed in joints[-1].velocities]
-    assert rims == pytest.approx((0.2 - 0.5 * 0.115, 0.2 + 0.5 * 0.115), abs=2e-3)
-    assert {one.frame for one in (joints[-1], gyro[-1], core[-1])} == {"base_link"}
-    assert gyro[-1].angular_velocity_variance == (1e6, 1e6, 0.05)
-    assert gyro[-1].specific_force[2] == pytest.approx(9.8, abs=0.5)
-    assert (core[-1].bumpers, core[-1].cliffs, core[-1].wheel_drops) == (0, 0, 0)
-
-
 # A cliff sensor that leans sees no side of the thin plate below its edge.
 WALL, PLATE = box("0.1 4 1", "0.4 0 0.5 0 0 0"), box("1 4 0.04", "0 0 0.18 0 0 0")
 

@@ -35,18 +35,6 @@ def motion(model, step=1, pose=None, linear=(0, 0, 0), angular=(0, 0, 0), joint=
     return samples[-1]
 
 
-def test_pose_and_velocity_of_the_robots_link_in_the_world():
-    start = Pose.from_rpy((1, 2, 3), (0, 0, 0.5 * math.pi))
-    sample = motion(p3d(), pose=start, linear=(0.1, 0.2, 0.3), angular=(0, 0, 0.5))
-    assert sample.pose.position == pytest.approx((1, 2, 3), abs=1e-3)
-    assert sample.pose.yaw == pytest.approx(0.5 * math.pi, abs=1e-3)
-    # Along the axes of the world, not of the robot.
-    assert sample.linear == pytest.approx((0.1, 0.2, 0.3), abs=2e-3)
-    assert sample.angular == pytest.approx((0, 0, 0.5), abs=2e-3)
-    assert (sample.step, sample.frame, sample.child_frame) == (1, "robot/world", "robot/base")
-    assert sample.variance == 0.0
-
-
 def test_a_merged_link_on_a_moving_one_in_the_frame_of_another_link():
     tags = "<frameName>base</frameName>"
     start = Pose.from_rpy((5, 5, 5), (0.3, 0.2, 0.1))

@@ -124,17 +124,6 @@ def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag, gi
     assert {plugin.tags["robotNamespace"] for plugin in plugins} == saved
 
 
-def test_spawned_moved_and_deleted_models_are_saved_as_they_are(tmp_path):
-    with Simulation.of("package://bullet_lab/worlds/beacons.world") as simulation:
-        simulation.remove("beacon_1")
-        moved = Pose.from_rpy((7.0, 8.0, 0.5), (0.0, 0.0, 1.0))
-        simulation.models["beacon_2"].place(moved)
-        simulation.add(simulation.models["beacon_0"].model, 'a "b" & <c>', Pose((3.0, 3.0, 0.0)))
-        with Simulation(saved_and_read(simulation, tmp_path)) as again:
-            assert_alike(states(simulation), states(again))
-            assert again.models["beacon_2"].pose().position == pytest.approx((7.0, 8.0, 0.5))
-
-
 def test_meshes_are_named_so_that_they_are_found(tmp_path, package):
     shutil.copy(package / "meshes" / "beacon.dae", tmp_path / "own mesh.dae")
     (tmp_path / "own.sdf").write_text(

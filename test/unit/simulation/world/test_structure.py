@@ -36,32 +36,12 @@ def model(inside, version="1.7", name="m"):
     return read_spawned(text, "s")
 
 
-def poses(described):
-    return {link.name: link.pose for link in described.links}
-
-
 def near(pose, *numbers):
     wanted = Pose.from_rpy(numbers[:3], numbers[3:] or (0, 0, 0))
     assert_alike(wanted, pose, within=1e-9)
 
 
 TURN = math.pi / 2
-
-
-def test_joints_lead_into_nested_models_and_within_them():
-    arm = link("a") + link("b", "0 0 1 0 0 0") + joint("revolute", "a", "b", axis("1 0 0"))
-    found = model(
-        link("base")
-        + f'<model name="arm"><pose>0 0 0.5 0 0 0</pose>{arm}</model>'
-        + joint("prismatic", "base", "arm::a", axis("0 0 1"), name="lift")
-        + joint("fixed", "m::base", "m::arm::b", name="loop")
-    )
-    joints = {joint.name: joint for joint in found.joints}
-    assert (joints["arm::j"].parent, joints["arm::j"].child) == ("arm::a", "arm::b")
-    assert (joints["lift"].parent, joints["lift"].child) == ("base", "arm::a")
-    near(joints["lift"].pose, 0, 0, 0.5)
-    # A loop of joints has one less.
-    assert set(joints) == {"arm::j", "lift"} or "arm::b" in found.frames
 
 
 @pytest.mark.parametrize(
@@ -136,16 +116,6 @@ def test_a_urdf_on_the_link_world_stays_unless_it_floats(kind, joints, caplog, f
     assert list(instance.state().joints) == joints
 
 
-def test_a_static_model_in_one_that_moves_stays(falling):
-    rail = f'<model name="rail"><static>1</static>{link("l", "0 0 1 0 0 0")}</model>'
-    car = link("car", "1 0 1 0 0 0")
-    slide = joint("prismatic", "car", "rail::l", axis("1 0 0"))
-    instance = falling.add(model(car + rail + slide))
-    falling.run_for(0.2)
-    near(instance.frame("rail::l").pose(), 0, 0, 1)
-    assert instance.frame("car").pose().position[2] == pytest.approx(1.0, abs=1e-3)
-
-
 PLUGIN = """<plugin name="p" filename="libgazebo_ros_p3d.so"><bodyName>l</bodyName>
   <topicName>truth</topicName></plugin>"""
 
@@ -155,20 +125,6 @@ def chair(save_model):
     inside = f"<pose>9 9 9 0 0 0</pose>{link('l', '0 0 0.5 0 0 0')}{PLUGIN}"
     save_model("chair", f'<sdf version="1.6"><model name="chair">{inside}</model></sdf>')
     return "<include><uri>model://chair</uri>{}</include>"
-
-
-def test_models_are_included_anywhere(read_world, chair):
-    at = "<name>one</name><pose>1 0 0 0 0 0</pose><static>true</static>"
-    inner = chair.format("<name>two</name><pose>0 2 0 0 0 0</pose>")
-    room = f'<model name="room"><pose>0 0 1 0 0 0</pose>{link("floor")}{inner}</model>'
-    world = read_world(chair.format(at) + room + chair.format(""))
-    one, room, other = world.models
-    assert (one.name, one.static, one.pose.position) == ("one", True, (1, 0, 0))
-    assert (other.name, other.static, other.pose.position) == ("chair", False, (9, 9, 9))
-    near(poses(room)["two::l"], 0, 2, 0.5)
-    with Simulation(world) as simulation:
-        (truth,) = simulation.models["room"].plugins
-        near(truth._place.pose(), 0, 2, 1.5)
 
 
 def test_what_is_nested_and_held_is_saved(read_world, chair, tmp_path):
