@@ -18,6 +18,7 @@ from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 HERE = Path(__file__).parent
+DOCKS = "docking", "docking_dots", "docking_nested", "docking_decoy"
 
 
 def parts_of(path):
@@ -46,6 +47,7 @@ def saved(path):
         ("whole.world", saved),
         ("whole.urdf", read_urdf_file),
         (PACKAGE / "worlds" / "beacons.world", read_world_file),
+        *((PACKAGE / "worlds" / f"{name}.world", read_world_file) for name in DOCKS),
         (PACKAGE / "urdf" / "beacon.urdf", read_urdf_file),
         (PACKAGE / "urdf" / "block_robot.urdf", read_urdf_file),
         (PACKAGE / "urdf" / "camera_robot.urdf", read_urdf_file),
