@@ -227,20 +227,6 @@ class CameraTest(BridgeCase):
         info.wait(5)
         self.assertEqual([100, 200, 300, 400, 500], milliseconds(info)[:5])
 
-    def test_the_calibration_can_be_set(self):
-        info = self.infos()
-        step(100)
-        before = info.wait(3)[-1]
-        self.addCleanup(call, "mycamera/set_camera_info", SetCameraInfo, before)
-        told = CameraInfo(width=640, height=480, distortion_model="plumb_bob", D=[0.1] * 5)
-        told.K[0] = 500.0
-        answer = call("mycamera/set_camera_info", SetCameraInfo, told)
-        self.assertTrue(answer.success, answer.status_message)
-        step(100)
-        found = info.wait(6)[-1]
-        self.assertEqual((500.0, [0.1] * 5), (found.K[0], list(found.D)))
-        self.assertEqual("camera_optical_frame", found.header.frame_id)
-
     def test_no_frame_is_lost_at_full_speed_or_in_real_time(self):
         for rtf in (0.0, 1.0):
             with self.subTest(rtf=rtf):

@@ -12,7 +12,6 @@ import sys
 import tempfile
 import unittest
 from collections import defaultdict
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import rospkg
@@ -28,8 +27,6 @@ from bullet_lab.ros.launcher.output import VirtualScreen
 TUTORIALS = PACKAGE / "test" / "tutorials"
 # Not by rosrun, which looks about for a second.
 SPAWN_MODEL = os.path.join(rospkg.RosPack().get_path("gazebo_ros"), "scripts", "spawn_model")
-# Scripts that change neither time nor gravity nor the rover, and may run beside each other.
-TOGETHER = ("materials_and_lights.py", "spawner.py")
 # Lines in scripts' output that are not theirs.
 LOG_LINE = re.compile(r"^(\x1b|\[)")
 
@@ -46,11 +43,6 @@ def command(*words, stdin=None):
         words, env=environment(), input=stdin, capture_output=True, text=True, timeout=PATIENCE
     )
     return done.returncode, done.stdout, done.stderr
-
-
-def run_script(name):
-    """Run a script; return as `command`."""
-    return command(sys.executable, str(TUTORIALS / "scripts" / name))
 
 
 def in_course(line, folder=f"{TUTORIALS}/scripts/"):
@@ -124,7 +116,6 @@ class TutorialsTest(unittest.TestCase):
 
     launch = None
     robot = None
-    done = None
 
     @classmethod
     def tearDownClass(cls):
@@ -142,24 +133,17 @@ class TutorialsTest(unittest.TestCase):
                 wait_for(lambda: "Successfully spawned" in cls.robot.said(), "the rover")
         said = f"{cls.launch.said()}\n{cls.robot.said()}"
         self.assertIn("Successfully spawned", said)
-        if cls.done is None:
-            with ThreadPoolExecutor(3) as pool:
-                cls.done = dict(zip(TOGETHER, pool.map(run_script, TOGETHER)))
 
-    def run_script(self, name):
-        """Return what a script prints: values by what they are of."""
-        status, out, err = self.done.get(name) or run_script(name)
+    def check(self, script):
+        """Return a function that checks a value that a script prints, numbers to a tolerance."""
+        status, out, err = command(sys.executable, str(TUTORIALS / "scripts" / script))
         self.assertEqual(0, status, f"{out}\n{err}")
-        found = defaultdict(list)
+        printed = defaultdict(list)
         for line in out.splitlines():
             if not LOG_LINE.match(line):
                 what, _, values = line.partition(": ")
-                found[what].append(values)
-        return {what: values[0] if len(values) == 1 else values for what, values in found.items()}
-
-    def check(self, script):
-        """Return a function that checks a value, numbers to a tolerance."""
-        found = self.run_script(script)
+                printed[what].append(values)
+        found = {what: said[0] if len(said) == 1 else said for what, said in printed.items()}
 
         def expect(what, wanted, tolerance=0.0):
             self.assertIn(what, found, found)
@@ -188,16 +172,6 @@ class TutorialsTest(unittest.TestCase):
 
     def test_the_functions_of_gazebo_ros(self):
         self.check("spawner.py")("spawned", ["True", "False"])
-
-    def test_differential_drive_and_joint_states(self):
-        expect = self.check("diff_drive.py")
-        expect("frames", "odom base_footprint")
-        expect("driven in a second", "0.5", 0.05)
-        expect("off", "0", 0.01)
-        expect("truth in", "world")
-        expect("joints", "left_wheel_joint right_wheel_joint")
-        expect("wheels", "5 5", 0.5)
-        rospy.ServiceProxy("/gazebo/reset_world", Empty)()
 
     def test_controllers_of_ros_control(self):
         cart = Process("roslaunch", "--wait", "tutorials", "cart.launch")
@@ -255,19 +229,6 @@ class TutorialsTest(unittest.TestCase):
         expect("gripper", "3")
         expect("closed", "0.03 True False")
         expect("other finger", "0.03", 2e-3)
-
-    def test_materials_textures_and_lights(self):
-        found = self.run_script("materials_and_lights.py")
-        colours = {what: [int(part) for part in values.split()] for what, values in found.items()}
-        red, green, blue = colours["Green"]
-        self.assertGreater(green, 3 * max(red, blue, 20))
-        red, green, blue = colours["Purple"]
-        self.assertGreater(min(red, blue), 3 * max(green, 20))
-        red, green, blue = colours["left"]
-        self.assertGreater(min(red, green), 3 * max(blue, 20))
-        red, green, blue = colours["right"]
-        self.assertGreater(blue, 2 * max(red, green, 20))
-        self.assertGreater(colours["near the lamp"][0], colours["far the lamp"][0] + 20)
 
     # What courses' scripts were written for, beside the lab's own Python
 
