@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""A Kobuki on the topics that programs for it use."""
+"""Drives on the topics that programs for them use: a Kobuki, a tricycle, a car; and an actor."""
 
 
 import rospy
 import rostest
 from bridge_testing import call, spawn, twist
+from controller_manager_msgs.srv import LoadController, SwitchController
 from gazebo_msgs.srv import GetModelState
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
 from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
@@ -20,14 +21,37 @@ def place(model):
 
 
 class DrivesTest(NodeTest):
-    """The robot is spawned by the service that launch files use."""
+    """Each robot is spawned by the services that launch files use."""
 
     @classmethod
     def setUpClass(cls):
-        """Spawn the robot."""
-        text = (PACKAGE / "urdf" / "kobuki_robot.urdf").read_text()
-        answer = spawn("kobuki", text, service="spawn_urdf_model")
-        assert answer.success, answer.status_message
+        """Spawn the robots, and start the car's controller."""
+        for name, path, y, namespace in (
+            ("kobuki", "urdf/kobuki_robot.urdf", 0.0, ""),
+            ("tricycle", "test/drives/tricycle.urdf", 4.0, "tricycle"),
+            ("car", "test/drives/car.urdf", -4.0, ""),
+        ):
+            pose = Pose(Point(0.0, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+            service = "spawn_urdf_model"
+            answer = spawn(name, (PACKAGE / path).read_text(), pose, namespace, "", service)
+            assert answer.success, answer.status_message
+        manager = "/car/controller_manager"
+        assert call(f"{manager}/load_controller", LoadController, "drive").ok
+        switch = (["drive"], [], 2, False, 10.0)
+        assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
+
+    def drive(self, velocity, until, what, *topics):
+        """Command a velocity on topics until something holds, then stop."""
+        commands = [self.publisher(topic, Twist) for topic in topics]
+
+        def holds():
+            for one in commands:
+                one.publish(velocity)
+            return until()
+
+        wait_for(holds, what)
+        for one in commands:
+            one.publish(Twist())
 
     def test_a_kobuki_bumps_into_a_wall(self):
         bumper = self.topic("mobile_base/events/bumper", BumperEvent)
@@ -35,9 +59,8 @@ class DrivesTest(NodeTest):
         imu = self.topic("mobile_base/sensors/imu_data", Imu).wait(1)[0]
         self.assertEqual(("base_link", 0.05), (imu.header.frame_id, imu.orientation_covariance[8]))
         odometry = self.topic("odom", Odometry)
-        command = self.publisher("mobile_base/commands/velocity", Twist)
-        wait_for(lambda: command.publish(twist(0.3)) or bumper.messages, "the wall to be touched")
-        command.publish(twist())
+        touches = (lambda: bumper.messages, "the wall to be touched")
+        self.drive(twist(0.3), *touches, "mobile_base/commands/velocity")
         event = bumper.messages[0]
         self.assertEqual((BumperEvent.CENTER, BumperEvent.PRESSED), (event.bumper, event.state))
 

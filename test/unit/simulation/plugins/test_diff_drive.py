@@ -7,7 +7,6 @@ from sensor_worlds import box, check_refusal, drive, record, steps
 from shared import complains
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.models import find_link
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -192,44 +191,6 @@ def test_odometry_comes_without_transforms_too(world, spawn, tags):
     assert device.mount.unread_tags() == ()
     world.run_for(0.1)
     assert len(samples) == 2
-
-
-def test_transforms_of_the_wheels(world, spawn):
-    robot = spawn(publishOdomTF="0", publishWheelTF="1", publishWheelJointState="1")
-    transforms, states = record(robot, "/tf"), record(robot, "joint_states")
-    drive(world, robot, 0.5, vx=0.3, wz=0.5)
-    assert len(transforms) == 20
-    assert len(states) == 10
-    assert states[-1].names == ("right_wheel_joint", "left_wheel_joint")
-    (body,) = robot.bodies.values()
-    for side, transform in enumerate(transforms[-2:]):
-        assert transform.frame == "base_footprint"
-        assert transform.child_frame == ("left_wheel", "right_wheel")[side]
-        there = find_link(world.models, transform.child_frame).state().pose
-        wheel = robot.pose() * transform.pose
-        assert wheel.position == pytest.approx(there.position, abs=1e-7)
-        assert wheel.rotation_matrix() == pytest.approx(there.rotation_matrix(), abs=1e-6)
-    # Positions are all that Gazebo sends.
-    assert states[-1].velocities == states[-1].efforts == ()
-    now = tuple(body.joint_state(name).position for name in states[-1].names)
-    assert states[-1].positions == now
-
-
-def test_a_namespace_and_a_tf_prefix(world, spawn):
-    tags = {"robotNamespace": "/lab/one/", "publishWheelTF": "1", "publishWheelJointState": "1"}
-    robot = spawn(tf_prefix="/left/", **tags)
-    (device,) = robot.plugins
-    assert [entry.topic for entry in device.inputs] == ["/lab/one/cmd_vel"]
-    topics = ["/lab/one/odom", "/tf", "/tf", "/lab/one/joint_states"]
-    assert [output.topic for output in device.outputs] == topics
-    samples, transforms = record(robot, "/lab/one/odom"), record(robot, "/tf")
-    world.run_for(0.05)
-    assert samples[0].frame == device.frame == "left/odom"
-    assert [(transform.frame, transform.child_frame) for transform in transforms] == [
-        ("left/odom", "left/base_footprint"),
-        ("left/base_footprint", "left/left_wheel"),
-        ("left/base_footprint", "left/right_wheel"),
-    ]
 
 
 # The encoders

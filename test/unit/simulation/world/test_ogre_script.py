@@ -77,37 +77,6 @@ def test_blocks_properties_comments_and_quotes():
     assert base.blocks[0].blocks[0].words("lighting") == ("off",)
 
 
-VARIABLES = """
-set $shade 0.5
-abstract material Base
-{
-  set $file base.png
-  set $shade 0.25
-  technique { pass { diffuse $shade $shade $shade
-    texture_unit { set $file2 $file
-      texture $file2 } } }
-}
-material Plain : Base { }
-material Own : Base { set $file own.png }
-material Unset { technique { pass { diffuse $nothing
-    texture_unit { texture $file } } } }
-"""
-
-
-@pytest.mark.parametrize(
-    ("name", "colour", "file"),
-    [
-        ("Plain", ("0.25",) * 3, ("base.png",)),
-        ("Own", ("0.25",) * 3, ("own.png",)),
-        ("Unset", ("$nothing",), ("$file",)),
-    ],
-)
-def test_variables_of_the_child_stand_for_those_of_its_parent(name, colour, file):
-    seen = whole(VARIABLES, name).blocks[0].blocks[0]
-    assert seen.words("diffuse") == colour
-    assert seen.blocks[0].words("texture") == file
-
-
 LAYERS = """
 material Base { technique { pass one { ambient 1 0 0
       diffuse 1 0 0 }
