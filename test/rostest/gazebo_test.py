@@ -131,33 +131,6 @@ class GazeboTest(GazeboCase):
         first.wait(39)
         self.assertEqual(19, len(second.messages))
 
-    def test_bad_models_are_refused_while_a_robot_drives_on(self):
-        self.sender().send(twist(vx=0.5))
-        call("/gazebo/unpause_physics", Empty)
-        bad = {
-            "not well-formed": "<sdf",
-            "neither <sdf> nor <robot>": "<html/>",
-            "in none of the model folders": BEACON.replace("beacon", "nix"),
-        }
-        for said, xml in bad.items():
-            self.assert_refused(f"SpawnModel: Failure - .*{said}", spawn("bad", xml))
-        nowhere = spawn("bad", BALL, at(math.nan, 0.0, 0.0))
-        self.assert_refused("position is not finite", nowhere)
-        self.assert_refused(r"exceeds 1e\+06 m", spawn("bad", BALL, at(1e9, 0.0, 0.0)))
-        self.assert_refused("cannot be printed", spawn("new\nline", BALL))
-        self.assert_refused("entity already exists", spawn("block_robot", BALL))
-        self.assertEqual(["ground_plane", "block_robot"], names())
-        # What is wrong with a plugin is said, and the rest is there.
-        for tag, told in (("Topic>odom", "Topic>no good name!"), ("Rate>20.0", "Rate>far")):
-            spawn("odd", BLOCK.replace(f"<odometry{tag}<", f"<odometry{told}<"), at(0.0, 3.0, 0.0))
-            call("/gazebo/delete_model", DeleteModel, "odd")
-        self.assertIn("'no good name!' is not a valid topic name", self.node.err)
-        self.assertIn("'far' is not a finite number", self.node.err)
-        self.assertNotIn("Traceback", self.node.err)
-        x, y, _ = place_of("block_robot")
-        self.assert_near((0.0,), (y,), 1e-3)
-        wait_for(lambda: place_of("block_robot")[0] > x + 0.1, "the robot to drive on")
-
     # Where things are, and putting them elsewhere
 
     def test_messages_of_the_lock_step_are_awaited_on_gazebos_topics(self):

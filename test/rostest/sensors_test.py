@@ -55,8 +55,6 @@ CRATE = f"""<robot name="crate">
             f"{CAMERA.format('eyes')}<hackBaseline>0.1</hackBaseline>")}
     {sensor("camera", "eye", HEAD.format("c", 0, 1.2, "R8G8B8"), "triggered_camera",
             CAMERA.format("eye"))}
-    {sensor("wideanglecamera", "fish", HEAD.format("f", 0, 3.14, "R8G8B8"), "camera",
-            CAMERA.format("fish"))}
   </gazebo>
 </robot>"""
 FOCAL = 40 / math.tan(0.6)
@@ -148,14 +146,6 @@ class SensorsTest(BridgeCase):
         for topic in (pictures, infos):
             (message,) = topic.wait(1)
             self.assertEqual(now + 1, message.header.stamp.to_nsec() // MILLISECOND)
-
-    def test_a_wide_angle(self):
-        picture, info = self.last_of(("fish/image_raw", Image), ("fish/camera_info", CameraInfo))
-        self.assertEqual(("rgb8", 80, 60), (picture.encoding, picture.width, picture.height))
-        # A stereographic lens whose 180° fill the width.
-        self.assertAlmostEqual(20.0, info.K[0], 1)
-        self.assertFalse(any(info.D))
-
 
 def milliseconds(topic):
     return [stamp // MILLISECOND for stamp in topic.stamps()]

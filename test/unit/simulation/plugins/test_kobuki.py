@@ -4,12 +4,10 @@ import math
 from dataclasses import replace
 
 import pytest
-from sensor_worlds import box, drive, record
+from sensor_worlds import box, drive, record, saved_again
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import MotorPower, Trigger
-from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 COMMANDS = "mobile_base/commands"
@@ -121,11 +119,9 @@ def test_robots_without_wheel_drop_sensors(world, model):
 
 
 def test_it_drives_again_in_a_saved_world(world, robot, tmp_path):
-    text, _ = world_text(world.snapshot(), tmp_path)
-    # A sensor has no plugin of its own.
-    assert 'filename=""' not in text
-    (tmp_path / "again.world").write_text(text)
-    with Simulation.of(str(tmp_path / "again.world")) as again:
+    with saved_again(world, tmp_path) as again:
+        # A sensor has no plugin of its own.
+        assert 'filename=""' not in (tmp_path / "again.world").read_text()
         robot = again.models[robot.name]
         go(again, robot, 0.2, 0.0, 1.0)
         assert robot.pose().position[0] > 0.15

@@ -6,14 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
-from sensor_worlds import carrier, record, sensor, steps
+from sensor_worlds import carrier, record, saved_again, sensor, steps
 from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import Trigger
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Sphere
-from bullet_lab.simulation.world.sdf_writer import world_text
 
 RED = (1.0, 0.0, 0.0, 1.0)
 IMAGE = "<image><width>{}</width><height>{}</height><format>{}</format></image>"
@@ -96,10 +94,8 @@ def test_a_saved_pair_is_a_pair_again(tmp_path):
 
     with floating() as simulation:
         expected = topics(simulation.add(pair()))
-        text, _ = world_text(simulation.snapshot(), tmp_path)
-    (tmp_path / "saved.world").write_text(text)
-    with Simulation.of(str(tmp_path / "saved.world")) as again:
-        assert topics(again.models["carrier"]) == expected
+        with saved_again(simulation, tmp_path) as again:
+            assert topics(again.models["carrier"]) == expected
     assert len(expected) == 4
 
 

@@ -3,12 +3,11 @@
 import math
 
 import pytest
-from sensor_worlds import record
+from sensor_worlds import record, saved_again
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_world_file
-from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf
 
 ACROSS = ((0, "0 0 1 0 0 0"), (2, "2 0 1 0 0 0"), (3, "2 0 1 0 0 3.1"), (5, "0 0 1 0 0 3.1"))
@@ -92,7 +91,5 @@ def test_a_model_with_the_plugin_and_a_saved_world(world_of, tmp_path):
     plugin = f'<plugin name="p" filename="libbullet_lab_path.so">{script(ACROSS)}</plugin>'
     with world_of(f'<model name="walker">{LINK}{plugin}</model>') as simulation:
         assert where(simulation, 1.0) == pytest.approx((1, 0, 1, 0), abs=5e-3)
-        text, _ = world_text(simulation.snapshot(), tmp_path)
-    (tmp_path / "again.world").write_text(text)
-    with Simulation.of(str(tmp_path / "again.world")) as again:
-        assert where(again, 2.5) == pytest.approx((2, 0, 1, 1.55), abs=5e-3)
+        with saved_again(simulation, tmp_path) as again:
+            assert where(again, 2.5) == pytest.approx((2, 0, 1, 1.55), abs=5e-3)
