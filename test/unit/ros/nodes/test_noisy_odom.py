@@ -123,7 +123,8 @@ def test_what_cannot_be_used_is_refused_and_not_in_the_path(adder):
 
 def test_poses_twists_covariances_ticks_and_the_ellipse_are_as_before(adder, published):
     errors = SystematicErrors(0.1, -0.05, 0.02, 0.01, 0.5, ticks_per_metre=777.7)
-    noisy = adder(std=0.9, seed=2, **asdict(errors)).send(arc(12, period=0.2))
+    spread = {"scale_error_std": 0.1, "base_error_std": 0.05}
+    noisy = adder(std=0.9, seed=2, **spread, **asdict(errors)).send(arc(12, period=0.2))
     told = []
     for number, message in enumerate(noisy):
         told += lines_of([*pose(message), *message.pose.covariance], f"{number} pose")
