@@ -126,20 +126,6 @@ def test_no_spike_when_it_is_put_elsewhere(world):
 # Noise
 
 
-@pytest.mark.parametrize("make", [imu, lambda tags: imu_sensor(SENSOR_TAGS + tags)])
-def test_noise_and_covariances(make):
-    samples = readings(make("<gaussianNoise>0.05</gaussianNoise>"), "imu", 1.0, seed=1)
-    for name in ("specific_force", "angular_velocity"):
-        check_normal([getattr(sample, name) for sample in samples], 0.05)
-        assert getattr(samples[-1], f"{name}_variance") == pytest.approx(0.0025)
-    # Half the rotation vector, near enough.
-    turns = 2.0 * np.array([sample.orientation[:3] for sample in samples])
-    check_normal(turns, 0.05)
-    last = samples[-1]
-    assert math.hypot(*last.orientation) == pytest.approx(1.0, abs=1e-12)
-    assert last.orientation_variance == pytest.approx(0.0025)
-
-
 def test_noise_of_the_sensor_element():
     noise = "<noise><mean>{}</mean><stddev>{}</stddev><bias_mean>{}</bias_mean></noise>"
     inner = (

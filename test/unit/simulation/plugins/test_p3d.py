@@ -1,7 +1,6 @@
 import math
 
 import pytest
-from noise_checks import check_normal
 from sensor_worlds import carrier, empty, readings, record, steps
 
 from bullet_lab.core.pose import Pose
@@ -45,13 +44,6 @@ def test_a_merged_link_on_a_moving_one_in_the_frame_of_another_link():
     assert sample.pose.position == pytest.approx((0.5, 0, 0), abs=2e-3)
     assert sample.linear == pytest.approx((0, -1.0, 0), abs=1e-2)
     assert sample.angular == pytest.approx((0, 0, 2.0), abs=1e-2)
-
-
-def test_noise_is_on_the_velocity_and_its_square_in_the_covariances():
-    samples = readings(p3d("<gaussianNoise>0.2</gaussianNoise>"), "truth", 1.0, seed=2)
-    check_normal([(*sample.linear, *sample.angular) for sample in samples], 0.2)
-    assert {sample.pose.position for sample in samples} == {(0.0, 0.0, 0.0)}
-    assert samples[0].variance == pytest.approx(0.04)
 
 
 def test_each_sample_waits_for_a_period():
