@@ -37,6 +37,7 @@ from bullet_lab.simulation.plugins import (
     Plugin,
     kind_of,
     namespace_of,
+    warn_of_rivals,
 )
 from bullet_lab.simulation.plugins.missing import skipped_line
 from bullet_lab.simulation.rendering.renderer import (
@@ -414,6 +415,7 @@ class Simulation:
                 continue
             if plugin.schedule is not None:
                 plugin.schedule.restart(self.step)
+            warn_of_rivals(plugin, plugins)
             plugins.append(plugin)
             for unread in plugin.mount.unread_tags():
                 LOG.warning("%s is not known and skipped", plugin.mount.where(unread))

@@ -8,10 +8,11 @@ from typing import Any, Dict, Iterable, List, Mapping, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.plugins import Input, Mount, Plugin
+from bullet_lab.simulation.plugins import Input, Mount, Plugin, warn_of_rivals
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller
 from bullet_lab.simulation.plugins.controllers.joints import (
+    EFFORT,
     JointHandle,
     described_joints,
     joint_handles,
@@ -78,7 +79,13 @@ class RosControl(Plugin):
         given = ControlParameters(parameters, self.namespace.rstrip("/"))
         described = described_joints(urdf, where)
         self.manager.joints = joint_handles(self.mount.bodies, described, given)
+        warn_of_rivals(self, self.mount.simulation.models[self.mount.model.name].plugins)
         return self.manager
+
+    @property
+    def driven(self) -> list[str]:
+        # An effort adds to what other plugins do.
+        return [name for name, one in self.manager.joints.items() if one.interface != EFFORT]
 
     def before_step(self, step: int) -> None:
         self.manager.before_step(step)

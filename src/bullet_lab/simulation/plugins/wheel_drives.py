@@ -15,7 +15,12 @@ from bullet_lab.simulation.physics.bodies import Body, JointState
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.physics.surfaces import GRAVITY
 from bullet_lab.simulation.plugins import Mount, PluginError
-from bullet_lab.simulation.plugins.mobile_base import POSE_VARIANCES, UNKNOWN, MobileBase
+from bullet_lab.simulation.plugins.mobile_base import (
+    POSE_VARIANCES,
+    UNKNOWN,
+    MobileBase,
+    upright,
+)
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     JointSample,
@@ -107,6 +112,10 @@ class WheelDrive(MobileBase):
         self.separation = mount.positive(self.size_tags[0], separation)
         self.radii = 2 * (0.5 * mount.positive(self.size_tags[1], 0.15),)
         self.schedule = mount.schedule("updateRate", 100.0)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        return tuple(wheel.joint for wheel in self.wheels)
 
     def produce(self, step: int) -> None:
         seconds = (step - self._last_step) / STEPS_PER_SECOND
@@ -258,9 +267,7 @@ class DiffDrive(WheelDrive):
 
     def reset(self, step: int) -> None:
         self._reckoning.restart(0.0, 0.0)
-        start = self._pose()
-        upright = Pose.from_rpy(start.position, (0.0, 0.0, start.yaw))
-        self.origin = upright if self._from_wheels else Pose()
+        self.origin = upright(self._pose()) if self._from_wheels else Pose()
         super().reset(step)
 
     def placed(self) -> None:

@@ -181,7 +181,12 @@ class Tag(ElementReader):
             with leaving_out(self.document.report):
                 if holder is None or not len(holder):
                     raise XmlError(f"{where} without a geometry")
-                shape = self.shape(holder[0], where)
+                try:
+                    shape = self.shape(holder[0], where)
+                except ResourceError as error:
+                    # A missing mesh is reported where it is used first.
+                    self.document.report(f"{error}; it is left out", str(error.__cause__))
+                    continue
                 if shape is not None:
                     found.append(read(self.other(element), shape))
         return tuple(found)

@@ -170,6 +170,14 @@ BAD_MODELS = [
 ]
 
 
+def test_a_missing_mesh_is_named_once_where_it_is_used_first(caplog):
+    lost = shape("<mesh><uri>package://bullet_lab/nix.dae</uri></mesh>")
+    other = shape("<mesh><uri>package://bullet_lab/none.dae</uri></mesh>")
+    read_spawned(model(link(lost) + link(lost + other, "b") + link(lost, "c")), "s")
+    assert ["nix.dae" in line for line in caplog.messages] == [True, False]
+    assert "link 'a'" in caplog.messages[0]
+
+
 @pytest.mark.parametrize(("text", "message"), BAD_MODELS)
 def test_a_bad_model_is_one_line_that_names_source_and_place(text, message):
     with complains(f"^s: (.*: )?{message}"):
