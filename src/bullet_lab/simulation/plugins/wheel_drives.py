@@ -205,10 +205,15 @@ class DeadReckoning:
         driven, turned = 0.5 * (left_rim + right_rim), (right_rim - left_rim) / self.separation
         half = 0.5 * turned
         chord = driven * math.sin(half) / half if half else driven
-        self._x += chord * math.cos(self._yaw + half)
-        self._y += chord * math.sin(self._yaw + half)
-        self._yaw = math.remainder(self._yaw + turned, math.tau)
+        self.move(chord, 0.0, turned)
         return driven, turned
+
+    def move(self, ahead: float, left: float, turned: float) -> None:
+        """Move ahead and to the left (m) as half of a turn (rad) points, and turn."""
+        cosine, sine = math.cos(self._yaw + 0.5 * turned), math.sin(self._yaw + 0.5 * turned)
+        self._x += cosine * ahead - sine * left
+        self._y += sine * ahead + cosine * left
+        self._yaw = math.remainder(self._yaw + turned, math.tau)
 
 
 class DiffDrive(WheelDrive):

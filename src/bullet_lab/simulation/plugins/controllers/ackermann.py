@@ -47,6 +47,6 @@ class AckermannSteeringController(DiffDriveController):
         self._rims = (self._rims[0] + driven - side, self._rims[1] + driven + side)
         return self._rims
 
-    def command_joints(self, command: PlanarCommand) -> None:
+    def command_joints(self, command: PlanarCommand, _seconds: float) -> None:
         self._rear.command = command.vx / self._radius
         self._front.command = command.wz
