@@ -15,6 +15,7 @@ from bullet_lab.simulation.plugins.controllers import ControlError, ControlParam
 from bullet_lab.simulation.plugins.controllers.controller import (
     Controller,
     Setting,
+    is_due,
     schedule_of,
 )
 from bullet_lab.simulation.plugins.controllers.joints import VELOCITY, DescribedJoint
@@ -189,9 +190,7 @@ class DiffDriveController(Controller):
 
     def update(self, step: int, seconds: float) -> None:
         self._reckon(seconds)
-        if self._schedule.next_step <= step:
-            while self._schedule.next_step <= step:
-                self._schedule.advance()
+        if is_due(self._schedule, step):
             self._report(step)
         command = self._drive(step, seconds)
         if self.commanded.wanted:

@@ -28,8 +28,9 @@ class RearWheel(JointHandle):
     wheels: Sequence[JointHandle] = ()
 
     def read(self) -> None:
-        for name in ("position", "velocity", "effort"):
-            setattr(self, name, 0.5 * sum(getattr(wheel, name) for wheel in self.wheels[:2]))
+        rear, self.effort = self.wheels[:2], 0.0
+        self.position = 0.5 * sum(wheel.position for wheel in rear)
+        self.velocity = 0.5 * sum(wheel.velocity for wheel in rear)
 
     def write(self, stopped: bool) -> None:
         for wheel in self.wheels:

@@ -37,11 +37,10 @@ class SteeredWheel:
         fork: the joint that steers it, counter-clockwise.
         axle: the joint that drives it.
         radius: of the wheel in m.
-        gains: by the names of joints that take neither what is commanded.
+        gains: of PIDs, for a fork that takes no angles and an axle that takes no speeds.
 
     Attributes:
         place: of the fork in the robot, in m.
-        angle: the last one that was commanded, in rad.
     """
 
     def __init__(
@@ -51,7 +50,7 @@ class SteeredWheel:
         self.place = _place(fork)
         # From the fork to the wheel, to the left.
         self._offset = (_place(axle) - self.place).imag
-        self.angle, self._rolled, self._sign = fork.position, axle.position, 1.0
+        self._angle, self._rolled = fork.position, axle.position
         self._steering = None if fork.interface == POSITION else Pid(gains.below(fork.name))
         self._driving = None if axle.interface == VELOCITY else Pid(gains.below(axle.name))
 
@@ -62,25 +61,25 @@ class SteeredWheel:
         self._rolled = self.axle.position
         return self.place + 1j * self._offset * ahead, way * ahead
 
-    def steer(self, seconds: float) -> float:
-        """Turn the fork to its angle, or to a nearer one half turns away; return what is left.
+    def follow(self, velocity: complex, turn: float, seconds: float) -> None:
+        """Let the fork move at a velocity (m/s) while the robot turns (rad/s).
 
-        With an odd number of half turns, the wheel rolls backwards.
+        The fork points there, or half turns away if that is nearer; with an odd number of them,
+        the wheel rolls backwards. Without a velocity, it keeps its angle.
         """
+        self._angle = cmath.phase(velocity) if velocity else self._angle
         position, limits = self.fork.position, self.fork.limits
-        turns = round((position - self.angle) / math.pi)
-        target = self.angle + math.pi * turns
+        turns = round((position - self._angle) / math.pi)
+        target = self._angle + math.pi * turns
         turns += (target < limits.lower) - (target > limits.upper)
-        target, self._sign = self.angle + math.pi * turns, -1.0 if turns % 2 else 1.0
-        error, pid = target - position, self._steering
-        self.fork.command = target if pid is None else pid.command(error, seconds)
-        return abs(error)
-
-    def drive(self, speed: float, turn: float, seconds: float) -> None:
-        """Let the fork move at a speed (m/s) while the robot turns (rad/s)."""
-        rate, pid = (self._sign * speed - turn * self._offset) / self._radius, self._driving
-        error = rate - self.axle.velocity
-        self.axle.command = rate if pid is None else pid.command(error, seconds)
+        target = self._angle + math.pi * turns
+        speed = -abs(velocity) if turns % 2 else abs(velocity)
+        rate = (speed - turn * self._offset) / self._radius
+        for joint, pid, wanted, error in (
+            (self.fork, self._steering, target, target - position),
+            (self.axle, self._driving, rate, rate - self.axle.velocity),
+        ):
+            joint.command = wanted if pid is None else pid.command(error, seconds)
 
 
 def _place(joint: JointHandle) -> complex:
@@ -132,19 +131,9 @@ class SteeredWheels(DiffDriveController):
         return way.real, way.imag, turned
 
     def command_joints(self, command: PlanarCommand, seconds: float) -> None:
-        speeds, share = [], 1.0
         for wheel in self._wheels:
             velocity = complex(command.vx, command.vy) + 1j * command.wz * wheel.place
-            speeds.append(abs(velocity))
-            # A wheel that is to stand keeps its angle.
-            wheel.angle = cmath.phase(velocity) if velocity else wheel.angle
-            share = min(share, self.share(wheel.steer(seconds)))
-        for wheel, speed in zip(self._wheels, speeds):
-            wheel.drive(share * speed, share * command.wz, seconds)
-
-    def share(self, _error: float) -> float:
-        """Return the share of its speed at which the robot drives while an angle (rad) lacks."""
-        return 1.0
+            wheel.follow(velocity, command.wz, seconds)
 
 
 class SteeredWheelBase(SteeredWheels):
@@ -170,10 +159,6 @@ class SteeredWheelBase(SteeredWheels):
         }
         super().configure(ControlParameters(usual, given.where))
         self._limiters = Limiter(given, "linear"), Limiter(given, "yaw")
-        self._full = given.get("full_axle_speed_angle", 0.7854)
-        self._zero = given.get("zero_axle_speed_angle", 1.5708)
-        if self._full >= self._zero:
-            raise ControlError("full_axle_speed_angle must be less than zero_axle_speed_angle")
         self.inputs += (Input("/cmd_vel", PlanarCommand, self.command),)
         shared = Output("/odom", OdometrySample)
         self.odometry.connect(shared.send, lambda: shared.wanted)
@@ -194,10 +179,6 @@ class SteeredWheelBase(SteeredWheels):
         way = linear.limited(wanted, last, seconds)
         turn = angular.limited(complex(asked.wz), complex(self._last.wz), seconds)
         return PlanarCommand(way.real, way.imag, turn.real)
-
-    def share(self, error: float) -> float:
-        part = min(max((error - self._full) / (self._zero - self._full), 0.0), 1.0)
-        return 1.0 - part * part * (3.0 - 2.0 * part)
 
 
 class Limiter:

@@ -171,22 +171,21 @@ def test_limits(world, limits, before, velocity, seconds, reached):
     assert found == pytest.approx(reached, abs=2e-3)
 
 
-def test_wheels_wait_for_their_forks(world):
+def test_it_goes_back_without_turning_its_forks(world):
     _, controller = start(world, {**BASE, **FAST, "cmd_vel_timeout": 0})
-    controller.command(PlanarCommand(vy=0.3))
-    world.run_for(0.02)
-    # A quarter of a turn lacks: it is more than zero_axle_speed_angle less what the fork has done.
-    slow = [abs(joint.command) for joint in controller.joints if joint.name.endswith("axle")]
-    world.run_for(1.0)
-    fast = [abs(joint.command) for joint in controller.joints if joint.name.endswith("axle")]
-    assert max(slow) < 0.3 * 0.3 / RADIUS
-    assert fast == pytest.approx([0.3 / RADIUS] * 4, rel=1e-3)
-    # It goes back without turning them.
-    angles = [joint.position for joint in controller.joints if joint.name.endswith("steering")]
-    controller.command(PlanarCommand(vy=-0.3))
-    world.run_for(0.3)
-    now = [joint.position for joint in controller.joints if joint.name.endswith("steering")]
-    assert now == pytest.approx(angles, abs=0.02)
+
+    def forks_after(vy):
+        controller.command(PlanarCommand(vy=vy))
+        world.run_for(1.0)
+        joints = {joint.name: joint for joint in controller.joints}
+        rates = [joints[f"{name}_axle"].velocity for name in PLACES]
+        assert rates == pytest.approx([vy / RADIUS] * 4, abs=0.05)
+        return [joints[f"{name}_steering"].position for name in PLACES]
+
+    before = forks_after(0.3)
+    assert before == pytest.approx([0.5 * math.pi] * 4, abs=0.02)
+    assert forks_after(-0.3) == pytest.approx(before, abs=0.02)
+    assert forks_after(0.0) == pytest.approx(before, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +230,6 @@ def wheels(**change):
         (wheels(diameter=0), {}, "sizes of the wheels have to be positive"),
         (wheels(diameter="big"), {}, "sizes of the wheels have to be positive"),
         ({**BASE, "pid_gains": {}}, {}, "pid_gains/fl_steering/p is missing"),
-        ({**BASE, "full_axle_speed_angle": 2}, {}, "must be less than zero_axle_speed_angle"),
         ({**FOUR, "front_wheel": "fl_axle"}, FORKS, "two joints in each"),
         ({**FOUR, "rear_steering": None}, FORKS, "rear_steering is missing or empty"),
         ({**FOUR, "wheel_radius": 0}, FORKS, "sizes of the wheels have to be positive"),
