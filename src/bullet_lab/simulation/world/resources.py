@@ -192,7 +192,7 @@ def _package_above(path: Path) -> tuple[Path, ...]:
 
 
 def _search(folders: Sequence[Path], path: str, uri: str, missing: str = "") -> Path:
-    """Return a path in the first folder that contains it.
+    """Return a path in the first folder that contains it, or whose ROS package does.
 
     Raises:
         ResourceError: the path leads out of a folder, without revealing whether such a file
@@ -200,7 +200,8 @@ def _search(folders: Sequence[Path], path: str, uri: str, missing: str = "") -> 
     """
     leaves = False
     for folder in folders:
-        if not is_below(folder / path, folder):
+        inside = (folder, *_package_above(folder / path))
+        if not any(is_below(folder / path, root) for root in inside):
             leaves = True
         elif (folder / path).exists():
             return folder / path

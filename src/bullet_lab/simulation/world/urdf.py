@@ -259,7 +259,8 @@ def _joint(tag: UrdfTag) -> Joint:
         tag.text("parent/link"),
         tag.text("child/link"),
         tag.pose(),
-        tag.direction("axis/xyz", "1 0 0"),
+        # SolidWorks writes a zero vector for fixed joints.
+        Joint.axis if kind == "fixed" else tag.direction("axis/xyz", "1 0 0"),
         {key: tag.bound(f"limit/{key}") for key in given if key in LIMITS},
         tag.number("dynamics/damping"),
         tag.number("dynamics/friction"),
