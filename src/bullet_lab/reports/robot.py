@@ -36,6 +36,7 @@ BACKWARDS = 0.25
 STEERED = (
     "libgazebo_ros_tricycle_drive.so",
     "ackermann_steering_controller/AckermannSteeringController",
+    "steer_drive_controller/SteerDriveController",
     "four_wheel_steering_controller/FourWheelSteeringController",
 )
 # How many links that were touched a line names.

@@ -18,7 +18,11 @@ class AckermannSteeringController(DiffDriveController):
     are its limits. The odometry is that of the middle of the rear axle.
     """
 
-    kinds = {"ackermann_steering_controller/AckermannSteeringController": VELOCITY}
+    kinds = {
+        "ackermann_steering_controller/AckermannSteeringController": VELOCITY,
+        # Its name before ros_controllers took it over.
+        "steer_drive_controller/SteerDriveController": VELOCITY,
+    }
 
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)
