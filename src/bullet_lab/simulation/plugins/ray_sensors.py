@@ -44,7 +44,7 @@ class RayScan:
     it; a shape that contains the origin is always invisible.
 
     Attributes:
-        angles: of the rays about the sensor's z axis in rad: the least, the greatest, and the
+        angles: of the rays about the sensor's z axis in rad: the first, the last, and the
             increment from one to the next, 0 for a single one.
         heights: the same of the angles above the sensor's plane.
         least: least measured distance in m.
@@ -114,15 +114,13 @@ class RayScan:
 
 
 def _angles(tag: SensorTag, path: str) -> tuple[Vector, int]:
-    """Return the least and the greatest angle and their increment in rad, and their number."""
+    """Return the first and the last angle and their increment in rad, and their number."""
     samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
     resolution = tag.positive(f"{path}/resolution", 1.0)
     # As in Gazebo, there is at least one.
     number = max(1, round(samples * resolution))
     least = tag.number(f"{path}/min_angle")
     greatest = tag.number(f"{path}/max_angle")
-    if greatest < least:
-        raise PluginError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
     increment = (greatest - least) / (number - 1) if number > 1 else 0.0
     return (least, greatest, increment), number
 

@@ -231,7 +231,7 @@ class DiffDrive(WheelDrive):
         origin: pose of the odometry's frame in the world, before any drift.
     """
 
-    filenames = ("libgazebo_ros_diff_drive.so",)
+    filenames = ("libgazebo_ros_diff_drive.so", "libcreate_diff_drive.so")
     named_by_model = (True, True)
     # Tags of the joints, with their defaults, and the default separation in m.
     joint_tags = (("leftJoint", "left_joint"), ("rightJoint", "right_joint"))
