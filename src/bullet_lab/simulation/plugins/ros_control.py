@@ -142,8 +142,8 @@ class ControllerManager:
             hint = "is the namespace of its parameters right?"
             raise ControlError(f"controller '{name}': {parameters.where}/type is missing; {hint}")
         if kind not in CONTROLLERS:
-            known = f"known are {', '.join(sorted(CONTROLLERS))}"
-            raise ControlError(f"controller '{name}': the type '{kind}' is not simulated; {known}")
+            hint = "controller_manager/list_controller_types names those that are"
+            raise ControlError(f"controller '{name}': the type '{kind}' is not simulated; {hint}")
         try:
             controller = CONTROLLERS[kind](name, kind, self._namespace, parameters, self.joints)
         except ControlError as error:
