@@ -113,6 +113,8 @@ class SteeredWheels(DiffDriveController):
         self.joints = sum(pairs, ())
         gains = given.below("pid_gains")
         self._wheels = [SteeredWheel(*parts, gains) for parts in zip(*pairs, radii)]
+        if len({wheel.place for wheel in self._wheels}) < 2:
+            raise ControlError("the wheels are all in one place")
 
     def distances(self) -> Tuple[float, float]:
         """Let the odometry go on from where the wheels are now."""

@@ -227,6 +227,7 @@ def wheels(**change):
         ({**BASE, "wheels": [1]}, {}, "wheels has to be a list of two wheels or more"),
         (wheels(steering_joint="it"), {}, "no joint 'it' has a Position"),
         (wheels(axle_joint="fl_steering"), FORKS, "no joint 'fl_steering' has a VelocityJoint"),
+        ({**BASE, "wheels": 2 * BASE["wheels"][:1]}, {}, "are all in one place"),
         (wheels(diameter=0), {}, "sizes of the wheels have to be positive"),
         (wheels(diameter="big"), {}, "sizes of the wheels have to be positive"),
         ({**BASE, "pid_gains": {}}, {}, "pid_gains/fl_steering/p is missing"),
