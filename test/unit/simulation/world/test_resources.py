@@ -70,7 +70,7 @@ def test_what_may_be_found(finder, files):
         ("model://way_out/s.stl", "leaves its folder"),
         ("model://pkg/../secret/s.stl", "leaves its folder"),
         ("model://pkg/meshes/link.stl", "leaves its folder"),
-        ("model://pkg/nix.stl", "no such file"),
+        ("model://pkg/nix.stl", "in none of the model folders"),
     ],
 )
 def test_what_may_not_be_found_is_one_line(finder, uri, message):
