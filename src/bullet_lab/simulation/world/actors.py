@@ -28,6 +28,8 @@ def actor_model(actor: Element) -> Element:
     # Without a path, a plugin of its own may move it, or it stands.
     if script.find("trajectory/waypoint") is not None:
         model.append(script)
+    elif model.find("plugin") is None:
+        SubElement(model, "static").text = "1"
     if not links:
         links = [_figure()]
         for pose in (*model.findall("pose"), *script.iter("pose")):

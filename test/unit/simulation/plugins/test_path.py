@@ -114,6 +114,7 @@ def test_a_model_with_the_plugin_and_a_saved_world(world_of, tmp_path):
 
 def test_an_actor_without_a_path_stands(world_of, caplog):
     with world_of(actor(script(()))) as simulation:
+        assert simulation.models["walker"].model.static
         assert where(simulation, 1.0) == pytest.approx((5, 5, 0, 0), abs=1e-6)
     assert not caplog.messages
 
