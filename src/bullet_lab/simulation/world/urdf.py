@@ -180,7 +180,7 @@ def _model(root: UrdfTag) -> Model:
     element, source = root.element, root.source
     colours: dict[str, Colour] = {}
     for material in map(root.other, element.iter("material")):
-        with leaving_out(root.document.report):
+        with root.document.leaving_out():
             if material.element.find("color") is not None:
                 colours[material.name] = material.colour()
     for child in (*element, *element.iterfind("link/*")):

@@ -170,6 +170,14 @@ BAD_MODELS = [
 ]
 
 
+def test_a_missing_model_is_named_once(tmp_path, caplog):
+    include = "<include><uri>model://{}</uri><name>{}</name></include>"
+    parts = "".join(include.format(uri, n) for n, uri in enumerate(("nix", "none", "nix", "nix")))
+    (tmp_path / "a.world").write_text(sdf(f'<world name="w">{parts}</world>'))
+    assert not read_world_file(tmp_path / "a.world").models
+    assert ["'model://nix'" in line for line in caplog.messages] == [True, False]
+
+
 def test_a_missing_mesh_is_named_once_where_it_is_used_first(caplog):
     lost = shape("<mesh><uri>package://bullet_lab/nix.dae</uri></mesh>")
     other = shape("<mesh><uri>package://bullet_lab/none.dae</uri></mesh>")
