@@ -142,7 +142,7 @@ class ResourceFinder:
             name, _, rest = path.partition("/")
             is_model = any((folder / name).exists() for folder in self._models)
             package = None if is_model else ros_package_folder(name)
-            if package is not None and (package / rest).exists():
+            if package is not None and (package / (rest or "model.config")).exists():
                 return _search((package,), rest, uri)
             return _search(self._models, path, uri, missing)
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):

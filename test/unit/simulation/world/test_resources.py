@@ -70,6 +70,7 @@ def test_what_may_be_found(finder, files):
         ("model://way_out/s.stl", "leaves its folder"),
         ("model://pkg/../secret/s.stl", "leaves its folder"),
         ("model://pkg/meshes/link.stl", "leaves its folder"),
+        ("model://pkg", "in none of the model folders"),
         ("model://pkg/nix.stl", "in none of the model folders"),
     ],
 )
