@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Dict, Mapping, Sequence
 
 from bullet_lab.simulation.physics.bodies import Body
-from bullet_lab.simulation.plugins.controllers import ControlParameters
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.joints import (
     POSITION,
     VELOCITY,
@@ -73,6 +73,8 @@ def steer_bot_joints(
     handles = joint_handles(bodies, described, ControlParameters({}, given.where))
     driven, steered = ([handles[n] for n in names if n in handles] for names in (wheels, forks))
     length, width = (given.get(f"wheel_separation_{way}", 1.0) for way in "hw")
+    if length <= 0.0:
+        raise ControlError(f"{given.where}/wheel_separation_h has to be positive")
     ratio = 0.25 * width / length if given.get("enable_ackermann_link", True) else 0.0
     body = next(iter(bodies.values()))
     return {

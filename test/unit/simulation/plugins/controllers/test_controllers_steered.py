@@ -313,7 +313,14 @@ def test_a_car_of_steer_bot_hardware_drives_and_steers(world, hardware, angle, l
     assert pose.yaw == pytest.approx(told.pose.yaw, abs=0.08)
 
 
-@pytest.mark.parametrize("missing", ["virtual_rear_wheels", "virtual_front_steers"])
-def test_missing_joints_of_steer_bot_hardware_are_named(world, missing):
-    with pytest.raises(ControlError, match=f"hardware_gazebo/{missing} is missing or empty"):
-        car(world, (0.0, 0.0, 0.0), 0.1, **{missing: None})
+@pytest.mark.parametrize(
+    ("hardware", "complaint"),
+    [
+        ({"virtual_rear_wheels": None}, "virtual_rear_wheels is missing or empty"),
+        ({"virtual_front_steers": []}, "virtual_front_steers is missing or empty"),
+        ({"wheel_separation_h": 0}, "wheel_separation_h has to be positive"),
+    ],
+)
+def test_wrong_parameters_of_steer_bot_hardware_are_named(world, hardware, complaint):
+    with pytest.raises(ControlError, match=f"hardware_gazebo/{complaint}"):
+        car(world, (0.0, 0.0, 0.0), 0.1, **hardware)
