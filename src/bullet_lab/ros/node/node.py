@@ -339,8 +339,10 @@ def _end(name: str, error: object, status: int) -> None:
 
 
 class _RosLog(logging.Handler):
-    """Passes the library's log records on to rospy."""
+    """Passes the library's log records on to rospy; tracebacks go to the node's log file only."""
 
     def emit(self, record: logging.LogRecord) -> None:
         log = rospy.logerr if record.levelno >= logging.ERROR else rospy.logwarn
         log("%s", record.getMessage())
+        if record.exc_info:
+            logging.getLogger("rospy").info("Traceback", exc_info=record.exc_info)
