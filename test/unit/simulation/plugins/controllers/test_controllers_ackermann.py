@@ -38,8 +38,15 @@ def drive(world, car, settings, vx, angle, seconds, **parameters):
     return start.inverse() * robot.pose(), samples[-1]
 
 
-def test_it_drives_a_metre(world, car, settings):
-    driven, told = drive(world, car, settings, 0.25, 0.0, 4.0)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "ackermann_steering_controller/AckermannSteeringController",
+        "steer_drive_controller/SteerDriveController",
+    ],
+)
+def test_it_drives_a_metre(world, car, settings, kind):
+    driven, told = drive(world, car, settings, 0.25, 0.0, 4.0, type=kind)
     assert driven.position[:2] == pytest.approx((1.0, 0.0), abs=0.01)
     assert told.pose.position[:2] == pytest.approx(driven.position[:2], abs=2e-3)
     assert told.velocity.vx == pytest.approx(0.25, rel=0.01)
@@ -57,18 +64,6 @@ def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, car, sett
     assert told.pose.position[:2] == pytest.approx((x, y), abs=0.01)
     assert told.pose.yaw == pytest.approx(driven.yaw, abs=0.01)
     assert told.velocity.wz == pytest.approx(0.2 * math.tan(angle) / LENGTH, rel=0.02)
-
-
-def test_multipliers(world, car, settings):
-    given = {
-        "wheel_separation_h_multiplier": 2.0,
-        "wheel_radius_multiplier": 1.5,
-        "steer_pos_multiplier": 0.5,
-    }
-    driven, told = drive(world, car, settings, 0.2, 0.4, 2.0, **given)
-    assert math.hypot(*driven.position) == pytest.approx(0.4, rel=0.02)
-    assert told.velocity.vx == pytest.approx(1.5 * 0.2, rel=0.02)
-    assert told.velocity.wz == pytest.approx(1.5 * 0.2 * math.tan(0.2) / 1.2, rel=0.02)
 
 
 def test_it_stops_after_the_timeout_and_claims_both_joints(world, car, settings):
