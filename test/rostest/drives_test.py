@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """Drives on the topics that programs for them use: a Kobuki, a tricycle, a car; and an actor."""
 
-
 import rospy
 import rostest
 from bridge_testing import call, spawn, twist
@@ -84,6 +83,7 @@ class DrivesTest(NodeTest):
             return abs(odometry.messages[-1].pose.pose.position.x) < 0.01
 
         wait_for(is_zero, "the odometry")
+
 
 if __name__ == "__main__":
     rospy.init_node("drives_test")

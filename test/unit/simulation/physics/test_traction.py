@@ -60,9 +60,7 @@ def test_what_is_fast_is_also_kept_on_its_arc():
     assert twist == pytest.approx(law + law[2] * np.array((y, -x, 0.0)), rel=0.01, abs=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "rolled"), [(0.4, 1.0, 0.7), (0.8, 0, 2)]
-)
+@pytest.mark.parametrize(("one", "other", "rolled"), [(0.4, 1.0, 0.7), (0.8, 0, 2)])
 def test_with_other_friction_along_than_across(one, other, rolled):
     """The second direction of a wheel whose first turns with it is along its axle."""
     directed = {"friction": one, "cross_friction": other, "direction": (1.0, 0.0, 0.0)}
