@@ -13,6 +13,9 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
 
+SPACE = "<robotNamespace>/car</robotNamespace>"
+ROOT_SPACE = "<robotNamespace>/</robotNamespace><robotParam>/car/robot_description</robotParam>"
+
 
 def place(model):
     """Return the place of a model in the world."""
@@ -29,15 +32,18 @@ class DrivesTest(NodeTest):
             ("kobuki", "urdf/kobuki_robot.urdf", 0.0, ""),
             ("tricycle", "test/drives/tricycle.urdf", 4.0, "tricycle"),
             ("car", "test/drives/car.urdf", -4.0, ""),
+            ("root_car", "test/drives/car.urdf", -8.0, ""),
         ):
             pose = Pose(Point(0.0, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-            service = "spawn_urdf_model"
-            answer = spawn(name, (PACKAGE / path).read_text(), pose, namespace, "", service)
+            text = (PACKAGE / path).read_text()
+            if name == "root_car":
+                text = text.replace(SPACE, ROOT_SPACE)
+            answer = spawn(name, text, pose, namespace, "", "spawn_urdf_model")
             assert answer.success, answer.status_message
-        manager = "/car/controller_manager"
-        assert call(f"{manager}/load_controller", LoadController, "drive").ok
-        switch = (["drive"], [], 2, False, 10.0)
-        assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
+        for manager in ("/car/controller_manager", "/controller_manager"):
+            assert call(f"{manager}/load_controller", LoadController, "drive").ok
+            switch = (["drive"], [], 2, False, 10.0)
+            assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
 
     def drive(self, velocity, until, what, *topics):
         """Command a velocity on topics until something holds, then stop."""
@@ -83,6 +89,18 @@ class DrivesTest(NodeTest):
             return abs(odometry.messages[-1].pose.pose.position.x) < 0.01
 
         wait_for(is_zero, "the odometry")
+
+    def test_joint_limits_in_the_root_namespace_count(self):
+        odometry = self.topic("drive/odom", Odometry)
+        begun = place("root_car").x
+
+        def drives():
+            return odometry.wait(1)[-1].pose.pose.position.x > 0.3
+
+        self.drive(twist(1.0), drives, "the car to drive", "drive/cmd_vel")
+        speeds = [message.twist.twist.linear.x for message in odometry.messages]
+        self.assertAlmostEqual(0.1, max(speeds), delta=0.005)
+        self.assertGreater(place("root_car").x, begun + 0.25)
 
 
 if __name__ == "__main__":

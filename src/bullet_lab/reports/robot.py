@@ -32,10 +32,12 @@ SLIPPING = 0.5
 FARTHEST = 1.5
 # It also ends where the robot has gone this share of the target the other way.
 BACKWARDS = 0.25
-# Drives whose `angular.z` is the angle of a front wheel: such a robot cannot turn on the spot.
+# Drives that cannot turn on the spot.
 STEERED = (
     "libgazebo_ros_tricycle_drive.so",
     "ackermann_steering_controller/AckermannSteeringController",
+    "steer_drive_controller/SteerDriveController",
+    "four_wheel_steering_controller/FourWheelSteeringController",
 )
 # How many links that were touched a line names.
 MOST_NAMES = 3

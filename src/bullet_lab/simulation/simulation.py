@@ -37,6 +37,7 @@ from bullet_lab.simulation.plugins import (
     Plugin,
     kind_of,
     namespace_of,
+    warn_of_rivals,
 )
 from bullet_lab.simulation.plugins.missing import skipped_line
 from bullet_lab.simulation.rendering.renderer import (
@@ -96,7 +97,7 @@ class Simulation:
         self.models: dict[str, ModelInstance] = {}
         self._bodies = self._physics.bodies
         self._timers: list[Timer] = []
-        self._on_failure: Callable[[str, LabError], None] | None = None
+        self._on_failure: Callable[[str, Exception], None] | None = None
         self.forces = Forces()
         # Wall time (s) of the last warning that a model was reset, by its name.
         self._warned_of_reset: dict[str, float] = {}
@@ -263,13 +264,19 @@ class Simulation:
         """Call `call(step)` `rate` times per simulated second, before the plugins' samples."""
         self._timers.append(Timer(Schedule(rate, self.step), call))
 
-    def go_on_after(self, failed: Callable[[str, LabError], None]) -> None:
+    def go_on_after(self, failed: Callable[[str, Exception], None]) -> None:
         """Continue after the error of a plugin, such as a camera without a driver to draw with.
 
-        `failed` is called with the plugin's name and the error, each time. Without this,
-        `run_until` raises what the plugin raises.
+        `failed` is called with the plugin's name and the error, each time: the plugin is called
+        again when it is due. Without this, `run_until` raises what the plugin raises.
         """
         self._on_failure = failed
+
+    def _fail(self, source: Any, error: Exception) -> None:
+        """Report the error of a plugin or timer; raise any other."""
+        if self._on_failure is None or not isinstance(source, (Plugin, Timer)):
+            raise error
+        self._on_failure(_name_of(source), error)
 
     def run_for(self, seconds: float) -> None:
         """Advance by a simulated duration, rounded to whole steps."""
@@ -284,15 +291,16 @@ class Simulation:
             self._reset_lost_models()
             due = [timer for timer in timers if timer.schedule.next_step <= self.step]
             for timer in due:
-                timer.prepare()
+                try:
+                    timer.prepare()
+                except Exception as error:
+                    self._fail(timer, error)
             for timer in due:
                 timer.schedule.advance()
                 try:
                     timer.produce(self.step)
-                except LabError as error:
-                    if self._on_failure is None:
-                        raise
-                    self._on_failure(_name_of(timer), error)
+                except Exception as error:
+                    self._fail(timer, error)
 
     def reset_world(self) -> None:
         """Place all models where they were added; time continues."""
@@ -335,7 +343,10 @@ class Simulation:
         step = self.step
         while step < stop:
             for act in acting:
-                act(step)
+                try:
+                    act(step)
+                except Exception as error:
+                    self._fail(act.__self__, error)
             advance()
             step += 1
             # Stop at once at a position that is not finite: in the next step it would spread to
@@ -395,12 +406,16 @@ class Simulation:
             prefix = tf_prefix(space) if callable(tf_prefix) else tf_prefix
             try:
                 plugin = kind(Mount(model, bodies, tag, self, space, prefix))
+                plugin.reset(self.step)
             except LabError as error:
                 LOG.warning("%s is left out: %s", what, error)
                 continue
-            plugin.reset(self.step)
+            except Exception as error:
+                LOG.exception("%s is left out: %s: %s", what, type(error).__name__, error)
+                continue
             if plugin.schedule is not None:
                 plugin.schedule.restart(self.step)
+            warn_of_rivals(plugin, plugins)
             plugins.append(plugin)
             for unread in plugin.mount.unread_tags():
                 LOG.warning("%s is not known and skipped", plugin.mount.where(unread))

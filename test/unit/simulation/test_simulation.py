@@ -1,6 +1,7 @@
 import math
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from shared import BLOCK_ROBOT, EMPTY_WORLD, complains
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import ScheduleError
 from bullet_lab.errors import LabError
+from bullet_lab.simulation import plugins
 from bullet_lab.simulation.models import EntityError
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -22,6 +24,7 @@ from bullet_lab.simulation.world.description import (
     Link,
     Mesh,
     Model,
+    PluginTag,
     Visual,
     World,
 )
@@ -209,6 +212,84 @@ def test_a_model_that_cannot_be_leaves_the_rest_of_its_world():
     good, bad = thing(), thing("bad", inertia=None)
     with complains("model 'bad'"), Simulation(World("w", (good, bad))) as simulation:
         assert list(simulation.models) == ["cube"]
+
+
+class Faulty(plugins.Plugin):
+    """Raises what no plugin should, in one of its methods."""
+
+    acts = True
+
+    def __init__(self, mount):
+        super().__init__(mount)
+        self.fault = mount.text("fault")
+        self.schedule = mount.schedule("rate", 100.0)
+        self.raise_in("load")
+
+    def raise_in(self, method):
+        if self.fault == method:
+            raise ZeroDivisionError(f"in {method}")
+
+    def before_step(self, step):
+        self.raise_in("before_step")
+
+    def prepare(self):
+        self.raise_in("prepare")
+
+    def produce(self, step):
+        self.raise_in("produce")
+
+
+@pytest.fixture
+def world(world, monkeypatch):
+    """An empty world that knows the faulty plugin."""
+    monkeypatch.setitem(plugins._KINDS, "libfaulty.so", Faulty)
+    return world
+
+
+def faulty(fault):
+    tag = PluginTag("libfaulty.so", "bad", {"fault": fault})
+    return replace(thing(pose=Pose((3.0, 0.0, 0.1))), plugins=(tag,))
+
+
+@pytest.mark.parametrize(
+    ("fault", "count"),
+    # What has raised before time goes on is due once more.
+    [("before_step", 100), ("prepare", 11), ("produce", 10), ("", 0)],
+)
+def test_a_plugin_that_raises_is_reported_and_all_others_go_on(world, fault, count):
+    world.add(faulty(fault))
+    robot, failed, samples = world.spawn(BLOCK_ROBOT), [], []
+    robot.listen("odom", samples.append)
+    robot.command("cmd_vel", PlanarCommand(vx=0.5))
+    if fault:
+        with pytest.raises(ZeroDivisionError, match=fault):
+            world.run_for(0.1)
+    world.go_on_after(lambda name, error: failed.append((name, str(error))))
+    before, x = world.step, robot.pose().position[0]
+    world.run_for(0.1)
+    assert failed == [("plugin 'bad' of 'cube'", f"in {fault}")] * count
+    assert world.step == before + 100
+    assert robot.pose().position[0] - x == pytest.approx(0.05, rel=0.1)
+    assert samples
+
+
+def test_a_plugin_that_cannot_be_made_leaves_the_rest_of_its_model(world):
+    with complains("plugin 'bad' \\(libfaulty.so\\) is left out: ZeroDivisionError: in load"):
+        assert not world.add(faulty("load")).plugins
+    world.run_for(0.01)
+
+
+def test_an_error_of_the_simulator_itself_is_raised(world):
+    class Broken:
+        active = True
+
+        def before_step(self, _):
+            raise ZeroDivisionError
+
+    world.forces = Broken()
+    world.go_on_after(lambda *_: None)
+    with pytest.raises(ZeroDivisionError):
+        world.run_for(0.01)
 
 
 def test_files_that_the_user_names(tmp_path):

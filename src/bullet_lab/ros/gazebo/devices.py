@@ -377,4 +377,7 @@ def _state(controller: Controller) -> Any:
 
 def _parameters(namespace: str) -> Any:
     """Return the tree of parameters in a namespace; None if there is none."""
-    return rospy.get_param(namespace.rstrip("/") or "/", None)
+    # Of the root, rospy.get_param returns what it has cached, and nothing else.
+    with contextlib.suppress(rosgraph.MasterException):
+        return rosgraph.Master(rospy.get_name()).getParam(namespace.rstrip("/") or "/")
+    return None

@@ -25,8 +25,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import sys
+import time
 import xmlrpc.client
 from collections import Counter
 from dataclasses import dataclass
@@ -166,7 +168,8 @@ class PyBulletBridge:
 
     def __init__(self, parameters: BridgeParameters):
         warnings = Warnings()
-        self._failures: set[tuple[str, str]] = set()
+        # The last reason why a device failed, and when it was logged.
+        self._failures: dict[str, tuple[str, float]] = {}
         self.simulation = simulation = Simulation.of(
             parameters.world, parameters.seed, COULOMB[parameters.friction]
         )
@@ -268,12 +271,15 @@ class PyBulletBridge:
             heard=sorted(heard),
         )
 
-    def _report_failure(self, device: str, error: LabError) -> None:
-        """Log once per reason that a device fails."""
-        failure = (device, str(error))
-        if failure not in self._failures:
-            self._failures.add(failure)
-            LOG.error("%s: %s; the simulation continues", *failure)
+    def _report_failure(self, device: str, error: Exception) -> None:
+        """Log a new reason why a device fails, once a second at most."""
+        is_known, now = isinstance(error, LabError), time.monotonic()
+        reason = str(error) if is_known else f"{type(error).__name__}: {error}"
+        last, logged = self._failures.get(device, ("", -math.inf))
+        if reason != last and now - logged >= 1.0 and not rospy.is_shutdown():
+            self._failures[device] = reason, now
+            line, trace = "%s: %s; the simulation continues", None if is_known else error
+            LOG.error(line, device, reason, exc_info=trace)
 
     def _report_stall(self, holding: Sequence[str]) -> None:
         """Log the members that hold time back; drop those that have died."""

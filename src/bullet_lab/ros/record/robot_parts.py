@@ -11,6 +11,7 @@ import functools
 import os
 import re
 import shlex
+import signal
 import subprocess
 import time
 from collections import Counter
@@ -35,7 +36,12 @@ COLOURS = re.compile(r"\x1b(\[[\d;]*m|\][^\x07]*\x07)")
 # A line of roslaunch that reports an error.
 ERROR = re.compile(r"rror\b|Exception|not found|died")
 NOT_LAUNCHED = re.compile(r"cannot launch node of type \[(.+?)/(.+?)\]: (.*)")
-DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code -?\d+|without exit code)")
+DIED = re.compile(r"\[([^][]+)\] process has died .*?(exit code (-?\d+)|without exit code)")
+# What Python and C++ write of an exception that ends a program.
+EXCEPTION = re.compile(
+    r"^(?:Traceback .*\n(?:\s.*\n)*|terminate called .*\n\s+what\(\):\s+)(\S.*)", re.MULTILINE
+)
+SIGNALS = {str(-one): f", {one.name}" for one in signal.Signals}
 # Names of Debian packages with the nodes of a ROS package, the likeliest first.
 DEBIAN = ("{}-tools", "lib{}lib-tools", "ros-{}", "ros-noetic-{}", "{}", "python3-{}")
 DEBIAN_XML = ("lib{}-dev",)
@@ -92,7 +98,13 @@ def failures_in(log: str) -> list[str]:
             why = f"there is no ROS package '{package}'"
             hint = hint or "; Debian has none that is known"
         found.append(f"{package}/{name}: {why}{hint}")
-    found += [f"{name} has died ({why})" for name, why in DIED.findall(log)]
+    start = 0
+    for died in DIED.finditer(log):
+        name, why, status = died.groups()
+        # roslaunch shows what a node writes to its standard error.
+        last = EXCEPTION.findall(log, start, died.start())[-1:]
+        found.append(": ".join((f"{name} has died ({why}{SIGNALS.get(status, '')})", *last)))
+        start = died.end()
     counts = Counter(found)
     return [line if n == 1 else f"{line} ({n} times)" for line, n in counts.items()]
 

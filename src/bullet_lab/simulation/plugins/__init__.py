@@ -16,7 +16,7 @@ import pkgutil
 import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import Any, Callable, ClassVar, Mapping
+from typing import Any, Callable, ClassVar, Iterable, Mapping
 from zlib import crc32
 
 import numpy as np
@@ -289,6 +289,11 @@ class Plugin:
         self.schedule: Schedule | None = None
         self.refused: dict[str, str] = {}
 
+    @property
+    def driven(self) -> Iterable[str]:
+        """The names of the joints that motors of the plugin drive."""
+        return ()
+
     @classmethod
     def split(cls, tag: PluginTag) -> tuple[PluginTag, ...]:
         """Return the tags that stand for one: several if its sensor has several cameras."""
@@ -358,6 +363,16 @@ def namespace_of(tag: PluginTag, model: str) -> str:
     if kind is not None and not given and kind.named_by_model[given is not None]:
         return model
     return (given or "").strip("/")
+
+
+def warn_of_rivals(plugin: Plugin, others: Iterable[Plugin]) -> None:
+    """Warn of joints that both a plugin and another one of its model drive."""
+    for other in others:
+        joints = sorted(set(plugin.driven) & set(other.driven))
+        if joints and other is not plugin:
+            both = f"{other.mount.name()} and plugin '{plugin.mount.plugin.name}'"
+            names = ", ".join(joints)
+            LOG.warning("%s both drive %s: each undoes what the other does", both, names)
 
 
 for _module in pkgutil.iter_modules(__path__, f"{__name__}."):

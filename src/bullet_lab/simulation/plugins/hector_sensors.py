@@ -1,4 +1,7 @@
-"""Sensors whose errors drift: libhector_gazebo_ros_imu.so and libhector_gazebo_ros_gps.so."""
+"""Sensors whose errors drift.
+
+libhector_gazebo_ros_imu.so, libhector_gazebo_ros_gps.so and libhector_gazebo_ros_sonar.so.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,10 @@ import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Mount, Plugin
+from bullet_lab.simulation.plugins import Mount, Plugin, SensorTag
 from bullet_lab.simulation.plugins.motion_sensors import InertialUnit, mounting_offset
-from bullet_lab.simulation.plugins.samples import FixSample, ImuSample, VectorSample
+from bullet_lab.simulation.plugins.ray_sensors import RAY_SENSORS, RayScan, RaySensor
+from bullet_lab.simulation.plugins.samples import FixSample, ImuSample, RangeSample, VectorSample
 
 # WGS 84: radius at the equator in m, and the square of the first eccentricity.
 EQUATOR = 6378137.0
@@ -185,3 +189,36 @@ class Gps(Plugin):
             turned = self._into.rotate(velocity.read(self._place.velocity()[0]))
             self._velocity.send(VectorSample(step, self._frame, turned))
         position.drift = position.drift + seconds * velocity.drift
+
+
+class Sonar(RaySensor):
+    """Measures the distance of the nearest hit in a fan of rays.
+
+    As in hector's plugin, it reads the greatest range, without error, if there is no hit.
+    """
+
+    filenames = ("libhector_gazebo_ros_sonar.so",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount, mount.text("topicName", "sonar"), RangeSample)
+        self._frame = mount.text("frameId", "/sonar_link")
+        self._scanner = RayScan(mount, SensorTag(mount, RAY_SENSORS))
+        self._error = DriftingError(mount, axes=1)
+        self.schedule = mount.schedule("updateRate", 10.0)
+
+    def reset(self, step: int) -> None:
+        self._error.reset(step)
+
+    def produce(self, step: int) -> None:
+        self._error.advance(step)
+        super().produce(step)
+
+    def measure(self, step: int) -> RangeSample:
+        scanner = self._scanner
+        reading = max(float(np.min(scanner.distances())), scanner.least)
+        if reading < scanner.greatest:
+            (reading,) = self._error.read((reading,))
+        reading = min(max(reading, scanner.least), scanner.greatest)
+        spans = (abs(most - least) for least, most, _ in (scanner.angles, scanner.heights))
+        seen = (min(spans), scanner.least, scanner.greatest)
+        return RangeSample(step, self._frame, False, *seen, reading)

@@ -91,6 +91,11 @@ class MobileBase(Plugin):
             self.transform.send(TransformSample(step, *frames, pose))
 
 
+def upright(pose: Pose) -> Pose:
+    """Return a pose without roll and pitch."""
+    return Pose.from_rpy(pose.position, (0.0, 0.0, pose.yaw))
+
+
 @dataclass(frozen=True)
 class SupportPatch:
     """The contact of a planar_move robot that names a <supportRadius> with the floor.
@@ -236,7 +241,11 @@ class ForceBasedMove(PlanarMove):
     """Pushes the robot towards the commanded velocity; otherwise as planar_move.
 
     A force and a torque act on its first link, in proportion to the velocity that is missing. So
-    it falls, leans and slides as other bodies do, and its wheels should have no friction.
+    it falls, leans and slides as other bodies do, and its wheels should have no friction. The
+    odometry starts at zero where the robot starts.
+
+    Attributes:
+        origin: pose of the odometry's frame in the world.
     """
 
     filenames = (
@@ -256,6 +265,20 @@ class ForceBasedMove(PlanarMove):
             self.outputs = (self.odometry,)
         self._body.commanded_velocity = None
         self._set_velocity = self._push
+
+    def _pose(self) -> Pose:
+        """Return the pose in the odometry's frame, on its plane."""
+        pose = self.origin.inverse() * super()._pose()
+        return Pose.from_rpy((*pose.position[:2], 0.0), (0.0, 0.0, pose.yaw))
+
+    def reset(self, step: int) -> None:
+        self._last_pose = Pose()
+        super().reset(step)
+
+    def placed(self) -> None:
+        # The odometry goes on from its last pose.
+        self.origin = upright(super()._pose()) * self._last_pose.inverse()
+        super().placed()
 
     def _push(self, linear: Vector, angular: Vector) -> None:
         """Push towards a velocity in the world (m/s, rad/s)."""

@@ -44,8 +44,9 @@ class RayScan:
     it; a shape that contains the origin is always invisible.
 
     Attributes:
-        angles: of the rays about the sensor's z axis in rad: the least, the greatest, and the
+        angles: of the rays about the sensor's z axis in rad: the first, the last, and the
             increment from one to the next, 0 for a single one.
+        heights: the same of the angles above the sensor's plane.
         least: least measured distance in m.
         greatest: greatest measured distance in m.
         directions: unit vectors of the rays in the sensor's frame, row by row, (rays, 3).
@@ -55,7 +56,7 @@ class RayScan:
     def __init__(self, mount: Mount, tag: SensorTag):
         self._own = np.array([body.unique_id for body in mount.bodies.values()])
         self.angles, columns = _angles(tag, "ray/scan/horizontal")
-        vertical, rows = _angles(tag, "ray/scan/vertical")
+        self.heights, rows = _angles(tag, "ray/scan/vertical")
         if columns * rows > MOST_RAYS:
             raise PluginError(f"{tag.where('samples')}: more than {MOST_RAYS} rays")
         self.least = tag.coefficient("ray/range/min")
@@ -63,7 +64,7 @@ class RayScan:
         if self.greatest <= self.least:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
         self._mean, self._deviation = _noise(tag)
-        yaw, pitch = np.meshgrid(_spread(self.angles, columns), _spread(vertical, rows))
+        yaw, pitch = np.meshgrid(_spread(self.angles, columns), _spread(self.heights, rows))
         level = np.cos(pitch)
         directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
         self.shape, self.directions = yaw.shape, directions.reshape(-1, 3)
@@ -113,15 +114,13 @@ class RayScan:
 
 
 def _angles(tag: SensorTag, path: str) -> tuple[Vector, int]:
-    """Return the least and the greatest angle and their increment in rad, and their number."""
+    """Return the first and the last angle and their increment in rad, and their number."""
     samples = tag.count(f"{path}/samples", 1, MOST_RAYS)
     resolution = tag.positive(f"{path}/resolution", 1.0)
     # As in Gazebo, there is at least one.
     number = max(1, round(samples * resolution))
     least = tag.number(f"{path}/min_angle")
     greatest = tag.number(f"{path}/max_angle")
-    if greatest < least:
-        raise PluginError(f"{tag.where('max_angle')}: {greatest:g} is less than <min_angle>")
     increment = (greatest - least) / (number - 1) if number > 1 else 0.0
     return (least, greatest, increment), number
 

@@ -8,10 +8,11 @@ from typing import Any, Dict, Iterable, List, Mapping, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.plugins import Input, Mount, Plugin
-from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
+from bullet_lab.simulation.plugins import Input, Mount, Plugin, warn_of_rivals
+from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, steer_bot
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller
 from bullet_lab.simulation.plugins.controllers.joints import (
+    EFFORT,
     JointHandle,
     described_joints,
     joint_handles,
@@ -47,7 +48,8 @@ class RosControl(Plugin):
         self.namespace = f"/{space}/" if space else "/"
         self.description = mount.text("robotParam", "robot_description")
         hardware = mount.text("robotSimType", DEFAULT_HARDWARE)
-        if hardware != DEFAULT_HARDWARE:
+        self._is_steer_bot = hardware == steer_bot.HARDWARE
+        if hardware not in (DEFAULT_HARDWARE, steer_bot.HARDWARE):
             where = mount.where("robotSimType")
             LOG.warning("%s: %s is not simulated; %s is used", where, hardware, DEFAULT_HARDWARE)
         # Of releases before Noetic; Noetic's plugin ignores it as well.
@@ -73,12 +75,23 @@ class RosControl(Plugin):
 
         Raises:
             XmlError: the description is invalid.
+            ControlError: a parameter of the hardware is missing.
         """
         where = f"model '{self.mount.model.name}': {self.description}"
         given = ControlParameters(parameters, self.namespace.rstrip("/"))
-        described = described_joints(urdf, where)
-        self.manager.joints = joint_handles(self.mount.bodies, described, given)
+        bodies = self.mount.bodies
+        if self._is_steer_bot:
+            below = given.below("steer_bot_hardware_gazebo")
+            self.manager.joints = steer_bot.steer_bot_joints(bodies, urdf, where, below)
+        else:
+            self.manager.joints = joint_handles(bodies, described_joints(urdf, where), given)
+        warn_of_rivals(self, self.mount.simulation.models[self.mount.model.name].plugins)
         return self.manager
+
+    @property
+    def driven(self) -> list[str]:
+        # An effort adds to what other plugins do.
+        return [name for name, one in self.manager.joints.items() if one.interface != EFFORT]
 
     def before_step(self, step: int) -> None:
         self.manager.before_step(step)
@@ -129,8 +142,8 @@ class ControllerManager:
             hint = "is the namespace of its parameters right?"
             raise ControlError(f"controller '{name}': {parameters.where}/type is missing; {hint}")
         if kind not in CONTROLLERS:
-            known = f"known are {', '.join(sorted(CONTROLLERS))}"
-            raise ControlError(f"controller '{name}': the type '{kind}' is not simulated; {known}")
+            hint = "controller_manager/list_controller_types names those that are"
+            raise ControlError(f"controller '{name}': the type '{kind}' is not simulated; {hint}")
         try:
             controller = CONTROLLERS[kind](name, kind, self._namespace, parameters, self.joints)
         except ControlError as error:

@@ -15,7 +15,12 @@ from bullet_lab.simulation.physics.bodies import Body, JointState
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.physics.surfaces import GRAVITY
 from bullet_lab.simulation.plugins import Mount, PluginError
-from bullet_lab.simulation.plugins.mobile_base import POSE_VARIANCES, UNKNOWN, MobileBase
+from bullet_lab.simulation.plugins.mobile_base import (
+    POSE_VARIANCES,
+    UNKNOWN,
+    MobileBase,
+    upright,
+)
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     JointSample,
@@ -108,6 +113,10 @@ class WheelDrive(MobileBase):
         self.radii = 2 * (0.5 * mount.positive(self.size_tags[1], 0.15),)
         self.schedule = mount.schedule("updateRate", 100.0)
 
+    @property
+    def driven(self) -> tuple[str, ...]:
+        return tuple(wheel.joint for wheel in self.wheels)
+
     def produce(self, step: int) -> None:
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
@@ -196,10 +205,15 @@ class DeadReckoning:
         driven, turned = 0.5 * (left_rim + right_rim), (right_rim - left_rim) / self.separation
         half = 0.5 * turned
         chord = driven * math.sin(half) / half if half else driven
-        self._x += chord * math.cos(self._yaw + half)
-        self._y += chord * math.sin(self._yaw + half)
-        self._yaw = math.remainder(self._yaw + turned, math.tau)
+        self.move(chord, 0.0, turned)
         return driven, turned
+
+    def move(self, ahead: float, left: float, turned: float) -> None:
+        """Move ahead and to the left (m) as half of a turn (rad) points, and turn."""
+        cosine, sine = math.cos(self._yaw + 0.5 * turned), math.sin(self._yaw + 0.5 * turned)
+        self._x += cosine * ahead - sine * left
+        self._y += sine * ahead + cosine * left
+        self._yaw = math.remainder(self._yaw + turned, math.tau)
 
 
 class DiffDrive(WheelDrive):
@@ -217,7 +231,7 @@ class DiffDrive(WheelDrive):
         origin: pose of the odometry's frame in the world, before any drift.
     """
 
-    filenames = ("libgazebo_ros_diff_drive.so",)
+    filenames = ("libgazebo_ros_diff_drive.so", "libcreate_diff_drive.so")
     named_by_model = (True, True)
     # Tags of the joints, with their defaults, and the default separation in m.
     joint_tags = (("leftJoint", "left_joint"), ("rightJoint", "right_joint"))
@@ -258,9 +272,7 @@ class DiffDrive(WheelDrive):
 
     def reset(self, step: int) -> None:
         self._reckoning.restart(0.0, 0.0)
-        start = self._pose()
-        upright = Pose.from_rpy(start.position, (0.0, 0.0, start.yaw))
-        self.origin = upright if self._from_wheels else Pose()
+        self.origin = upright(self._pose()) if self._from_wheels else Pose()
         super().reset(step)
 
     def placed(self) -> None:

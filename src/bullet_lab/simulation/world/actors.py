@@ -23,8 +23,13 @@ def actor_model(actor: Element) -> Element:
     model = Element("model", dict(actor.attrib))
     model.extend(child for child in actor if child.tag in ("pose", "plugin"))
     links = [copy.deepcopy(link) for link in actor.findall("link")]
-    script = SubElement(model, "plugin", name="path", filename=PATH_PLUGIN)
+    script = Element("plugin", name="path", filename=PATH_PLUGIN)
     script.extend(copy.deepcopy(child) for path in actor.findall("script") for child in path)
+    # Without a path, a plugin of its own may move it, or it stands.
+    if script.find("trajectory/waypoint") is not None:
+        model.append(script)
+    elif model.find("plugin") is None:
+        SubElement(model, "static").text = "1"
     if not links:
         links = [_figure()]
         for pose in (*model.findall("pose"), *script.iter("pose")):

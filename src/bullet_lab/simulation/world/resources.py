@@ -1,9 +1,9 @@
 """Find the files that worlds and robots refer to.
 
 `package://` is searched in ROS packages; `model://` in ~/.gazebo/models, the folders of
-GAZEBO_MODEL_PATH and this package's `models/`; a relative path beside its document, then in the
-folders of GAZEBO_RESOURCE_PATH, like `file://media/…`. A reference never reaches the network, nor
-a file outside these folders.
+GAZEBO_MODEL_PATH, this package's `models/` and the ROS package of that name; a relative path beside
+its document, then in the folders of GAZEBO_RESOURCE_PATH, like `file://media/…`. A reference never
+reaches the network, nor a file outside these folders.
 """
 
 from __future__ import annotations
@@ -139,6 +139,11 @@ class ResourceFinder:
         if parts.scheme == "model":
             path = (parts.netloc + unquote(parts.path)).lstrip("/")
             missing = f"in none of the model folders (GAZEBO_MODEL_PATH); {OF_GAZEBO}"
+            name, _, rest = path.partition("/")
+            is_model = any((folder / name).exists() for folder in self._models)
+            package = None if is_model else ros_package_folder(name)
+            if package is not None and (package / (rest or "model.config")).exists():
+                return _search((package,), rest, uri)
             return _search(self._models, path, uri, missing)
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):
             return self._absolute(uri, Path(unquote(parts.path)))
@@ -192,7 +197,7 @@ def _package_above(path: Path) -> tuple[Path, ...]:
 
 
 def _search(folders: Sequence[Path], path: str, uri: str, missing: str = "") -> Path:
-    """Return a path in the first folder that contains it.
+    """Return a path in the first folder that contains it, or whose ROS package does.
 
     Raises:
         ResourceError: the path leads out of a folder, without revealing whether such a file
@@ -200,7 +205,8 @@ def _search(folders: Sequence[Path], path: str, uri: str, missing: str = "") -> 
     """
     leaves = False
     for folder in folders:
-        if not is_below(folder / path, folder):
+        inside = (folder, *_package_above(folder / path))
+        if not any(is_below(folder / path, root) for root in inside):
             leaves = True
         elif (folder / path).exists():
             return folder / path

@@ -49,7 +49,7 @@ from bullet_lab.simulation.world.tree import (
     with_sound_inertias,
 )
 from bullet_lab.simulation.world.urdf import read_urdf_element
-from bullet_lab.simulation.world.xml import XmlError, leaving_out, parse_text, read_text
+from bullet_lab.simulation.world.xml import XmlError, parse_text, read_text
 
 LOG = logging.getLogger(__name__)
 
@@ -137,7 +137,7 @@ def _first_model(tag: SdfTag) -> Model:
 def _world(tag: SdfTag) -> World:
     found: list[tuple[ModelOrLight, str]] = []
     for child in tag.element:
-        with leaving_out(tag.document.report):
+        with tag.document.leaving_out():
             if child.tag in MODELS_AND_LIGHTS:
                 inner = _resolved(child, tag)
                 is_light = inner.element.tag == "light"
@@ -230,7 +230,7 @@ def _model(tag: SdfTag, in_static: bool = False) -> Model:
     names = dict.fromkeys(link.name for link in made)
     found = [joint for model, _ in nested for joint in model.joints]
     for joint in joints:
-        with leaving_out(tag.document.report):
+        with tag.document.leaving_out():
             found.append(_joint(joint, frames, names, tag.name))
     where = _places(tag, frames, names, nested)
     plugins = _plugins(tag, {*where, *names})
@@ -243,7 +243,7 @@ def _nested(tag: SdfTag, in_static: bool) -> list[Nested]:
     found: list[Model] = []
     bases: dict[int, str] = {}
     for child in tag.element:
-        with leaving_out(tag.document.report):
+        with tag.document.leaving_out():
             if child.tag in ("model", "include"):
                 inner = _resolved(child, tag)
                 if inner.element.tag == "model":
@@ -256,7 +256,7 @@ def _named(tag: SdfTag, kind: str) -> tuple[SdfTag, ...]:
     """Return the links or joints of a model; those without a unique name are left out."""
     found = []
     for element in tag.element.findall(kind):
-        with leaving_out(tag.document.report):
+        with tag.document.leaving_out():
             found.append(tag.named(element))
     return first_of_each(found, kind, tag.source)
 

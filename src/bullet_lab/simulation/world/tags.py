@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from bullet_lab.simulation.world.materials import MaterialLibrary
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Shape, Sphere
 from bullet_lab.simulation.world.tree import INERTIA_KEYS, inertia_at
-from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError, leaving_out
+from bullet_lab.simulation.world.xml import ElementReader, ReportOnce, XmlError
 
 LOG = logging.getLogger(__name__)
 
@@ -131,6 +132,18 @@ class Document:
     frames: Frames | None = None
     inside: str = ""
 
+    @contextlib.contextmanager
+    def leaving_out(self) -> Iterator[None]:
+        """Report a LabError and continue without the part that caused it.
+
+        A missing file is reported where it is named first.
+        """
+        try:
+            yield
+        except LabError as error:
+            of_file = error.__cause__ if isinstance(error, ResourceError) else None
+            self.report(f"{error}; it is left out", str(of_file or error))
+
 
 class Tag(ElementReader):
     """An element of a document; invalid values are reported, and the defaults are used.
@@ -178,7 +191,7 @@ class Tag(ElementReader):
         found = []
         for element in self.element.findall(kind):
             holder, where = element.find("geometry"), f"{self.source}: <{kind}>"
-            with leaving_out(self.document.report):
+            with self.document.leaving_out():
                 if holder is None or not len(holder):
                     raise XmlError(f"{where} without a geometry")
                 shape = self.shape(holder[0], where)

@@ -180,7 +180,7 @@ def _model(root: UrdfTag) -> Model:
     element, source = root.element, root.source
     colours: dict[str, Colour] = {}
     for material in map(root.other, element.iter("material")):
-        with leaving_out(root.document.report):
+        with root.document.leaving_out():
             if material.element.find("color") is not None:
                 colours[material.name] = material.colour()
     for child in (*element, *element.iterfind("link/*")):
@@ -259,7 +259,8 @@ def _joint(tag: UrdfTag) -> Joint:
         tag.text("parent/link"),
         tag.text("child/link"),
         tag.pose(),
-        tag.direction("axis/xyz", "1 0 0"),
+        # SolidWorks writes a zero vector for fixed joints.
+        Joint.axis if kind == "fixed" else tag.direction("axis/xyz", "1 0 0"),
         {key: tag.bound(f"limit/{key}") for key in given if key in LIMITS},
         tag.number("dynamics/damping"),
         tag.number("dynamics/friction"),

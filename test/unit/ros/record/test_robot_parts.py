@@ -226,13 +226,26 @@ process[spawn-2]: started with pid [7]
 [spawn-2] process has finished cleanly
 \x1b[31m[gripper-4] process has died [pid 10, exit code -11, cmd /x/gripper __name:=gripper].
 log file: /tmp/gripper-4*.log\x1b[0m
+[ERROR] [17.2]: TypeError: only said
+Traceback (most recent call last):
+  File "/x/see.py", line 2, in <module>
+    import keras
+ModuleNotFoundError: No module named 'keras'
+[see-5] process has died [pid 11, exit code 1, cmd /x/see.py __name:=see].
+[quiet-6] process has died [pid 12, exit code 3, cmd /x/quiet __name:=quiet].
+terminate called after throwing an instance of 'std::runtime_error'
+  what():  no camera
+[eye-7] process has died [pid 13, exit code -6, cmd /x/eye __name:=eye].
 """
 FAILURES = """
 - "map_server/map_server: there is no ROS package 'map_server'; Debian has none that is known"
 - "nodelet/nodelet: there is no ROS package 'nodelet'; Debian has it: libnodeletlib-tools (2 times)"
 - "mine/run.py: Cannot locate node of type [run.py] in package"
 - "tf/tf_echo: there is no ROS package 'tf'; Debian has it: libtf-dev"
-- gripper-4 has died (exit code -11)
+- gripper-4 has died (exit code -11, SIGSEGV)
+- "see-5 has died (exit code 1): ModuleNotFoundError: No module named 'keras'"
+- quiet-6 has died (exit code 3)
+- "eye-7 has died (exit code -6, SIGABRT): no camera"
 """
 
 

@@ -39,9 +39,9 @@ def model(package):
 def spawn(world, model):
     """Put the camera robot into the world, with a diff_drive of the given tags and no more."""
 
-    def add(pose=Pose(), grip=None, tf_prefix="", **tags):  # noqa: B008
+    def add(pose=Pose(), grip=None, tf_prefix="", file=FILENAME, **tags):  # noqa: B008
         wanted = {**TAGS, **tags}
-        plugin = PluginTag(FILENAME, "drive", {k: v for k, v in wanted.items() if v is not None})
+        plugin = PluginTag(file, "drive", {k: v for k, v in wanted.items() if v is not None})
         robot = replace(model, plugins=(plugin,))
         if grip is not None:
             robot = replace(robot, links=tuple(with_friction(k, grip) for k in robot.links))
@@ -71,8 +71,9 @@ def way(speed, seconds):
 # What it drives
 
 
-def test_commands_act_at_the_next_update_and_are_latched(world, spawn):
-    robot = spawn()
+@pytest.mark.parametrize("file", [FILENAME, "libcreate_diff_drive.so"])
+def test_commands_act_at_the_next_update_and_are_latched(world, spawn, file):
+    robot = spawn(file=file)
     world.run_until(51)
     robot.command("cmd_vel", PlanarCommand(vx=0.2))
     world.run_until(100)

@@ -5,7 +5,18 @@ import math
 import numpy as np
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import carrier, empty, held, readings, record, steps, table
+from sensor_worlds import (
+    box,
+    carrier,
+    check_refusal,
+    empty,
+    held,
+    readings,
+    record,
+    sensor,
+    steps,
+    table,
+)
 
 from bullet_lab.core.pose import Pose
 
@@ -95,3 +106,49 @@ def test_the_velocity_is_along_north_west_and_up():
             body.set_velocity((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
         simulation.run_for(0.25)
     assert samples[0].vector == pytest.approx((2.0, -1.0, 3.0), rel=0.02)
+
+
+CONE = (
+    "<ray><scan><horizontal><samples>5</samples><min_angle>-0.3</min_angle>"
+    "<max_angle>0.3</max_angle></horizontal><vertical><samples>3</samples>"
+    "<min_angle>-0.1</min_angle><max_angle>0.1</max_angle></vertical></scan>"
+    "<range><min>0.1</min><max>4</max></range></ray>"
+)
+
+
+def sonar(tags, wall=1.0, topic="sonar", seconds=0.4):
+    """The readings of a sonar in front of a wall."""
+    eye = sensor("ray", CONE, "libhector_gazebo_ros_sonar.so", elements(**tags))
+    return readings(carrier(eye), topic, seconds, [box("1 9 9", f"{wall + 0.5} 0 0 0 0 0")])
+
+
+@pytest.mark.parametrize(
+    ("tags", "wall", "reading"),
+    [
+        ({}, 1.0, 1.0),
+        ({"offset": 0.2, "scaleError": 1.5}, 1.0, 1.7),
+        ({"offset": 9}, 1.0, 4.0),
+        ({"offset": -9}, 1.0, 0.1),
+        # Without a hit there is no error.
+        ({"offset": -0.5}, 5.0, 4.0),
+        ({}, 0.05, 0.1),
+    ],
+)
+def test_a_sonar_reads_the_nearest_hit_within_its_range(tags, wall, reading):
+    samples = sonar(tags, wall)
+    assert [sample.range for sample in samples] == pytest.approx([reading] * 4)
+
+
+def test_what_a_sonar_says():
+    first, *_ = samples = sonar({})
+    assert steps(samples) == [100, 200, 300, 400]
+    assert (first.frame, first.infrared) == ("/sonar_link", False)
+    # The narrower of the two angles.
+    assert first.field_of_view == pytest.approx(0.2)
+    assert (first.range_min, first.range_max) == (0.1, 4.0)
+    named = {"topicName": "front", "frameId": "eye", "updateRate": 20, "gaussianNoise": 0.05}
+    many = sonar(named, topic="front", seconds=20.0)
+    assert (len(many), many[0].frame) == (400, "eye")
+    check_normal(table(many, "range"), 0.05, mean=1.0)
+    eye = sensor("camera", "", "libhector_gazebo_ros_sonar.so")
+    check_refusal(carrier(eye), 'needs a <sensor type="ray">')

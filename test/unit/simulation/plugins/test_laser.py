@@ -104,6 +104,17 @@ def test_resolution_multiplies_the_rays(world):
     assert scan.angle_increment == pytest.approx(2.0 / 99)
 
 
+def test_a_scan_may_go_clockwise(world):
+    world.add(box("1 9 1", "2.5 -1 0 0 0 0", "ahead"))
+    ends = (-0.6, 0.4)
+    there, back = (
+        one_scan(world, laser(ray(5, angles), name=name))
+        for name, angles in (("one", ends), ("other", ends[::-1]))
+    )
+    assert back.ranges == pytest.approx(there.ranges[::-1])
+    assert (back.angle_min, back.angle_max, back.angle_increment) == (0.4, -0.6, -0.25)
+
+
 def test_more_rays_than_one_call_takes(world):
     world.add(thing("<sphere><radius>1</radius></sphere>", "3 0 0 0 0 0"))
     number = 2 * RAYS_AT_A_TIME + 1

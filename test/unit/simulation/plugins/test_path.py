@@ -93,3 +93,10 @@ def test_a_model_with_the_plugin_and_a_saved_world(world_of, tmp_path):
         assert where(simulation, 1.0) == pytest.approx((1, 0, 1, 0), abs=5e-3)
         with saved_again(simulation, tmp_path) as again:
             assert where(again, 2.5) == pytest.approx((2, 0, 1, 1.55), abs=5e-3)
+
+
+def test_an_actor_without_a_path_stands(world_of, caplog):
+    with world_of(actor(script(()))) as simulation:
+        assert simulation.models["walker"].model.static
+        assert where(simulation, 1.0) == pytest.approx((5, 5, 0, 0), abs=1e-6)
+    assert not caplog.messages

@@ -38,6 +38,7 @@ def test_what_may_be_found(finder, files):
     assert finder.find(f"file://{mesh}".replace(" ", "%20")) == mesh
     assert finder.find(str(mesh)) == mesh
     assert finder.find("model://car") == files / "first/car"
+    assert finder.find("model://pkg/meshes/m%20x.stl") == mesh
     assert finder.find("model://tree") == files / "second/tree"
     assert finder.find("model:///tree") == files / "second/tree"
 
@@ -67,6 +68,10 @@ def test_what_may_be_found(finder, files):
         # Whether a file outside exists is not told.
         ("model://../secret/nix.stl", "leaves its folder"),
         ("model://way_out/s.stl", "leaves its folder"),
+        ("model://pkg/../secret/s.stl", "leaves its folder"),
+        ("model://pkg/meshes/link.stl", "leaves its folder"),
+        ("model://pkg", "in none of the model folders"),
+        ("model://pkg/nix.stl", "in none of the model folders"),
     ],
 )
 def test_what_may_not_be_found_is_one_line(finder, uri, message):

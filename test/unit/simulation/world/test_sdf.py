@@ -86,6 +86,25 @@ BAD_MODELS = [
 ]
 
 
+def test_a_missing_model_is_named_once(tmp_path, caplog):
+    include = "<include><uri>model://{}</uri><name>{}</name></include>"
+    parts = "".join(include.format(uri, n) for n, uri in enumerate(("nix", "none", "nix", "nix")))
+    (tmp_path / "a.world").write_text(sdf(f'<world name="w">{parts}</world>'))
+    assert not read_world_file(tmp_path / "a.world").models
+    assert ["'model://nix'" in line for line in caplog.messages] == [True, False]
+
+
+def test_a_missing_mesh_is_named_once_where_it_is_used_first(caplog):
+    lost, other = (
+        f'<collision name="{name}"><geometry><mesh><uri>package://bullet_lab/{name}.dae</uri></mesh>'
+        "</geometry></collision>"
+        for name in ("nix", "none")
+    )
+    read_spawned(model(link(lost) + link(lost + other, "b") + link(lost, "c")), "s")
+    assert ["nix.dae" in line for line in caplog.messages] == [True, False]
+    assert "link 'a'" in caplog.messages[0]
+
+
 @pytest.mark.parametrize(("text", "message"), BAD_MODELS)
 def test_a_bad_model_is_one_line_that_names_source_and_place(text, message):
     with complains(f"^s: (.*: )?{message}"):

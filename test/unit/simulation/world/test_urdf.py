@@ -57,6 +57,13 @@ def test_bad_urdf_is_one_line_that_names_file_and_place(tmp_path, text, message)
         read_urdf_file(path)
 
 
+def test_the_axis_of_a_fixed_joint_may_be_anything(caplog):
+    """SolidWorks writes a zero vector."""
+    ends = '<parent link="a"/><child link="b"/><axis xyz="0 0 0"/>'
+    read_urdf(robot(f'{ARM}<joint name="j" type="fixed">{ends}</joint>'), "r")
+    assert not caplog.messages
+
+
 def test_meshes_beside_the_file_are_found_and_those_out_of_its_folder_are_not(tmp_path):
     """What else is outside: see test_resources."""
     path = tmp_path / "robot" / "r.urdf"
@@ -69,3 +76,8 @@ def test_meshes_beside_the_file_are_found_and_those_out_of_its_folder_are_not(tm
     path.write_text(with_shape('<mesh filename="../secret.stl"/>'))
     with complains("leaves its folder"):
         read_urdf_file(path)
+    # The folder is then that of the package.
+    (tmp_path / "package.xml").write_text("<package/>")
+    assert read_urdf_file(path).links[0].collisions[0].geometry.path.samefile(
+        tmp_path / "secret.stl"
+    )

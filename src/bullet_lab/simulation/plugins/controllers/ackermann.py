@@ -18,7 +18,11 @@ class AckermannSteeringController(DiffDriveController):
     are its limits. The odometry is that of the middle of the rear axle.
     """
 
-    kinds = {"ackermann_steering_controller/AckermannSteeringController": VELOCITY}
+    kinds = {
+        "ackermann_steering_controller/AckermannSteeringController": VELOCITY,
+        # Its name before ros_controllers took it over.
+        "steer_drive_controller/SteerDriveController": VELOCITY,
+    }
 
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)
@@ -47,6 +51,6 @@ class AckermannSteeringController(DiffDriveController):
         self._rims = (self._rims[0] + driven - side, self._rims[1] + driven + side)
         return self._rims
 
-    def command_joints(self, command: PlanarCommand) -> None:
+    def command_joints(self, command: PlanarCommand, _seconds: float) -> None:
         self._rear.command = command.vx / self._radius
         self._front.command = command.wz

@@ -110,16 +110,17 @@ class Controller(ABC):
         """Return a topic's name within the controller's namespace."""
         return f"{self.namespace}{self.name}/{name}"
 
-    def find_joints(self, names: Sequence[str], interface: str = "") -> Tuple[JointHandle, ...]:
-        """Return joints that take commands of an interface; raises ControlError.
+    def find_joints(self, names: Sequence[str], *interfaces: str) -> Tuple[JointHandle, ...]:
+        """Return joints that take commands of one of the interfaces; raises ControlError.
 
         By default, it is that of the controller.
         """
-        wanted = interface or self.interface
-        usable = {name: j for name, j in self.handles.items() if j.interface == wanted}
+        interfaces = interfaces or (self.interface,)
+        usable = {name: j for name, j in self.handles.items() if j.interface in interfaces}
         for name in names:
             if name not in usable:
                 have = ", ".join(usable) or "none"
+                wanted = " or ".join(interfaces)
                 raise ControlError(f"no joint '{name}' has a {wanted}; those are: {have}")
         return tuple(usable[name] for name in names)
 

@@ -6,7 +6,7 @@ import logging
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Deque, Dict, Mapping, Optional, Tuple
+from typing import Any, ClassVar, Deque, Dict, Mapping, Optional, Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -15,6 +15,7 @@ from bullet_lab.simulation.plugins.controllers import ControlError, ControlParam
 from bullet_lab.simulation.plugins.controllers.controller import (
     Controller,
     Setting,
+    is_due,
     schedule_of,
 )
 from bullet_lab.simulation.plugins.controllers.joints import VELOCITY, DescribedJoint
@@ -87,6 +88,8 @@ class DiffDriveController(Controller):
     """
 
     kinds = {"diff_drive_controller/DiffDriveController": VELOCITY}
+    # The components of a command that it uses.
+    directions: ClassVar[Tuple[str, ...]] = ("vx", "wz")
 
     def configure(self, given: ControlParameters) -> None:
         self._multipliers: Dict[str, float] = {}
@@ -106,8 +109,8 @@ class DiffDriveController(Controller):
             given.numbers("twist_covariance_diagonal", 6),
         )
         window = given.get("velocity_rolling_window_size", 10.0)
-        # Linear and angular velocity of the last updates.
-        self._velocities: Deque[Tuple[float, float]] = deque(
+        # Velocities of the last updates: ahead, to the left, and angular.
+        self._velocities: Deque[Tuple[float, ...]] = deque(
             maxlen=int(min(max(window, 1), LONGEST_WINDOW))
         )
         # With distances of the rims instead of angles: the sides may have different radii.
@@ -149,7 +152,7 @@ class DiffDriveController(Controller):
         """
         if not self.running:
             raise ControlError(f"controller '{self.name}' is not running")
-        if not is_sound(command.vx, command.wz):
+        if not is_sound(*(getattr(command, name) for name in self.directions)):
             raise ControlError(f"the velocity {command} is not finite, or too large")
         # A new list, so that `_drive` sees that a command has come, even the same one again.
         self._asked = [command]
@@ -187,9 +190,7 @@ class DiffDriveController(Controller):
 
     def update(self, step: int, seconds: float) -> None:
         self._reckon(seconds)
-        if self._schedule.next_step <= step:
-            while self._schedule.next_step <= step:
-                self._schedule.advance()
+        if is_due(self._schedule, step):
             self._report(step)
         command = self._drive(step, seconds)
         if self.commanded.wanted:
@@ -197,6 +198,12 @@ class DiffDriveController(Controller):
 
     def _reckon(self, seconds: float) -> None:
         """Update pose and velocity of the odometry."""
+        self._velocities.append(tuple(part / seconds for part in self.moved(seconds)))
+        means = (sum(speeds) / len(speeds) for speeds in zip(*self._velocities))
+        self._velocity = self._last if self._open_loop else PlanarCommand(*means)
+
+    def moved(self, seconds: float) -> Tuple[float, float, float]:
+        """Update the odometry's pose; return the motion ahead, to the left (m) and the turn."""
         if self._open_loop:
             # The last command counts as driven.
             self._reckoning.resume(0.0, 0.0)
@@ -204,12 +211,7 @@ class DiffDriveController(Controller):
         else:
             left, right = self.distances()
         driven, turned = self._reckoning.advance(left, right)
-        self._velocities.append((driven / seconds, turned / seconds))
-        if self._open_loop:
-            self._velocity = self._last
-        else:
-            linear, angular = (sum(speeds) / len(speeds) for speeds in zip(*self._velocities))
-            self._velocity = PlanarCommand(vx=linear, wz=angular)
+        return driven, 0.0, turned
 
     def _report(self, step: int) -> None:
         x, y, yaw = self._reckoning.pose
@@ -225,16 +227,20 @@ class DiffDriveController(Controller):
         if self._asked is not self._taken:
             self._taken, self._taken_at = self._asked, step
         late = (step - self._taken_at) / STEPS_PER_SECOND > self._timeout
-        asked, last, before = STANDSTILL if late else self._taken[0], self._last, self._before
-        command = PlanarCommand(
+        command = self.limited(STANDSTILL if late else self._taken[0], seconds)
+        self._before, self._last = self._last, command
+        self.command_joints(command, seconds)
+        return command
+
+    def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
+        """Return a velocity within the limits."""
+        last, before = self._last, self._before
+        return PlanarCommand(
             vx=self._linear_limits.limited(asked.vx, last.vx, before.vx, seconds),
             wz=self._angular_limits.limited(asked.wz, last.wz, before.wz, seconds),
         )
-        self._before, self._last = last, command
-        self.command_joints(command)
-        return command
 
-    def command_joints(self, command: PlanarCommand) -> None:
+    def command_joints(self, command: PlanarCommand, _seconds: float) -> None:
         """Pass a velocity on to the joints."""
         sides = (self._left, self._right)
         for side, speed, radius in zip(sides, self._rim_speeds(command), self.radii):

@@ -6,6 +6,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import ClassVar, Dict, Mapping, Optional, Tuple, Type
 from xml.etree.ElementTree import Element
 
@@ -116,17 +117,20 @@ class DescribedJoint:
         return min(max(target, self.limits.lower), self.limits.upper)
 
 
-def described_joints(urdf: str, source: str) -> Dict[str, DescribedJoint]:
+def described_joints(
+    urdf: str, source: str, interfaces: Mapping[str, str] = MappingProxyType({})
+) -> Dict[str, DescribedJoint]:
     """Return the joints that have a transmission in the text of a URDF, by name; raises XmlError.
 
-    As in Gazebo, an invalid transmission is ignored with a warning.
+    As in Gazebo, an invalid transmission is ignored with a warning. With `interfaces` by
+    names of joints, those joints are returned instead.
     """
     robot = UrdfTag(parse_text(urdf, source), source, Document(ResourceFinder()))
     links, joints = (map(robot.below, robot.element.findall(tag)) for tag in ("link", "joint"))
     radii = {link.name: _radius(link) for link in links}
     known = {joint.name: _joint(joint, radii) for joint in joints}
-    found: Dict[str, DescribedJoint] = {}
-    for element in robot.element.findall("transmission"):
+    found = dict(interfaces)
+    for element in () if interfaces else robot.element.findall("transmission"):
         where = f"{source}: transmission '{element.get('name', '')}'"
         try:
             name, interface = _transmission(element)
@@ -136,8 +140,11 @@ def described_joints(urdf: str, source: str) -> Dict[str, DescribedJoint]:
         if name in found:
             LOG.warning("%s: joint '%s' has a transmission already; ignored", where, name)
             continue
-        found[name] = replace(known.get(name, DescribedJoint(name, "")), interface=interface)
-    return found
+        found[name] = interface
+    return {
+        name: replace(known.get(name, DescribedJoint(name, "")), interface=interface)
+        for name, interface in found.items()
+    }
 
 
 def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint:

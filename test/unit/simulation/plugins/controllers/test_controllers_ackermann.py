@@ -38,8 +38,15 @@ def drive(world, car, settings, vx, angle, seconds, **parameters):
     return start.inverse() * robot.pose(), samples[-1]
 
 
-def test_it_drives_a_metre(world, car, settings):
-    driven, told = drive(world, car, settings, 0.25, 0.0, 4.0)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "ackermann_steering_controller/AckermannSteeringController",
+        "steer_drive_controller/SteerDriveController",
+    ],
+)
+def test_it_drives_a_metre(world, car, settings, kind):
+    driven, told = drive(world, car, settings, 0.25, 0.0, 4.0, type=kind)
     assert driven.position[:2] == pytest.approx((1.0, 0.0), abs=0.01)
     assert told.pose.position[:2] == pytest.approx(driven.position[:2], abs=2e-3)
     assert told.velocity.vx == pytest.approx(0.25, rel=0.01)

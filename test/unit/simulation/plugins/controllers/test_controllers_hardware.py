@@ -108,3 +108,29 @@ def test_a_transmission_on_no_joint_of_the_model_is_named_and_left_out(world, ca
       </transmission></robot>"""
     assert control_of(robot).configure(urdf, {}).joints == {}
     assert "'tail' is no movable joint" in caplog.text
+
+
+DRIVE = (
+    "<robotNamespace>/bot</robotNamespace></plugin>"
+    '<plugin name="{name}" filename="libgazebo_ros_diff_drive.so">'
+    "<leftJoint>left_wheel_joint</leftJoint><rightJoint>right_wheel_joint</rightJoint>"
+)
+BOTH = "both drive left_wheel_joint, right_wheel_joint: each undoes what the other does"
+
+
+@pytest.mark.parametrize(
+    ("tags", "interface", "said"),
+    [
+        (DRIVE.format(name="wheels"), VELOCITY, [f"plugin 'wheels' and plugin 'control' {BOTH}"]),
+        (DRIVE.format(name="wheels"), EFFORT, []),
+        (
+            DRIVE.format(name="a") + "</plugin>" + DRIVE.format(name="b").partition("</plugin>")[2],
+            EFFORT,
+            [f"plugin 'a' and plugin 'b' {BOTH}"],
+        ),
+    ],
+)
+def test_two_plugins_that_drive_the_same_joints_are_named(world, caplog, tags, interface, said):
+    spawn(world, tags=tags, interface=interface)
+    lines = [line.partition(": ")[2] for line in caplog.messages if "both drive" in line]
+    assert lines == said

@@ -1,0 +1,326 @@
+"""Controllers of bases on steered wheels, and steer_bot_hardware_gazebo, on bases written anew."""
+
+import math
+
+import pytest
+from control_robots import TRANSMISSION, control_of, listen, run
+
+from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.plugins.controllers import ControlError
+from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, VELOCITY
+from bullet_lab.simulation.plugins.samples import PlanarCommand
+from bullet_lab.simulation.world.urdf import read_urdf
+
+RADIUS, LENGTH, WIDTH = 0.06, 0.5, 0.4
+PLACES = {
+    "fl": (0.5 * LENGTH, 0.5 * WIDTH),
+    "fr": (0.5 * LENGTH, -0.5 * WIDTH),
+    "rl": (-0.5 * LENGTH, 0.5 * WIDTH),
+    "rr": (-0.5 * LENGTH, -0.5 * WIDTH),
+}
+LEG = """
+  <link name="{name}_fork">
+    <inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3"/></inertial>
+  </link>
+  <joint name="{name}_steering" type="{kind}">
+    <origin xyz="{x} {y} {radius}"/><parent link="base_link"/><child link="{name}_fork"/>
+    <axis xyz="0 0 1"/><limit lower="{least}" upper="{most}" effort="20" velocity="12"/>
+  </joint>
+  <link name="{name}_wheel">
+    <inertial><mass value="0.5"/><inertia ixx="5e-4" iyy="9e-4" izz="5e-4"/></inertial>
+    <collision><origin rpy="1.5707963267948966 0 0"/>
+      <geometry><cylinder radius="{radius}" length="0.004"/></geometry></collision>
+  </link>
+  <joint name="{name}_axle" type="continuous">
+    <origin xyz="0 {offset} 0"/><parent link="{name}_fork"/><child link="{name}_wheel"/>
+    <axis xyz="0 1 0"/><limit effort="20" velocity="60"/>
+  </joint>"""
+
+
+def base_urdf(
+    fork=VELOCITY, axle=VELOCITY, kind="continuous", least=-2, most=2, offset=0.0, rear="", tags=""
+):
+    """A base on four steered wheels, which are `offset` outside of their forks."""
+    legs = ""
+    for name, (x, y) in PLACES.items():
+        out = math.copysign(offset, y)
+        sizes = {"radius": RADIUS, "least": least, "most": most}
+        sizes["kind"] = rear if rear and x < 0.0 else kind
+        legs += LEG.format(name=name, x=x, y=y - out, offset=out, **sizes)
+        for joint, interface in (("steering", fork), ("axle", axle)):
+            legs += TRANSMISSION.format(joint=f"{name}_{joint}", interface=interface)
+    return f"""<robot name="base"><link name="base_link">
+      <inertial><origin xyz="0 0 0.1"/><mass value="10"/>
+        <inertia ixx="0.2" iyy="0.3" izz="0.4"/></inertial>
+      <collision><origin xyz="0 0 0.2"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision>
+    </link>{legs}
+    <gazebo><plugin name="control" filename="libgazebo_ros_control.so">{tags}</plugin></gazebo>
+    </robot>"""
+
+
+GAINS = {f"{name}_steering": {"p": 60.0, "d": 1.0} for name in PLACES}
+BASE = {
+    "type": "steered_wheel_base_controller/SteeredWheelBaseController",
+    "pid_gains": GAINS,
+    "wheels": [
+        {"steering_joint": f"{name}_steering", "axle_joint": f"{name}_axle", "diameter": 2 * RADIUS}
+        for name in PLACES
+    ],
+}
+FOUR = {
+    "type": "four_wheel_steering_controller/FourWheelSteeringController",
+    "front_steering": ["fl_steering", "fr_steering"],
+    "rear_steering": ["rl_steering", "rr_steering"],
+    "front_wheel": ["fl_axle", "fr_axle"],
+    "rear_wheel": ["rl_axle", "rr_axle"],
+    "pose_covariance_diagonal": [0.1] * 6,
+    "twist_covariance_diagonal": [0.2] * 6,
+}
+FORKS = {"fork": POSITION, "kind": "revolute"}
+EFFORTS = {f"{name}_axle": {"p": 2.0, "i": 0.0} for name in PLACES}
+
+
+def start(world, given, parameters=None, **robot):
+    """Return the robot and its controller, which runs."""
+    urdf = base_urdf(**robot)
+    instance = world.add(read_urdf(urdf, "base"))
+    manager = control_of(instance).configure(urdf, parameters or {})
+    return instance, run(manager, "drive", **given)
+
+
+def drive(world, given, velocity, seconds, **robot):
+    """Return how a robot has moved, and its odometry, after a drive."""
+    instance, controller = start(world, {"cmd_vel_timeout": 60.0, **given}, **robot)
+    samples = listen(controller.odometry)
+    world.run_for(0.3)
+    before = instance.pose()
+    controller.command(PlanarCommand(*velocity))
+    world.run_for(seconds)
+    return before.inverse() * instance.pose(), samples[-1]
+
+
+FAST = {"linear_acceleration_limit": -1.0, "yaw_acceleration_limit": -1.0}
+
+
+def expected(vx, vy, wz, seconds):
+    """The pose after a drive at a velocity."""
+    half = 0.5 * wz * seconds
+    chord = seconds * (math.sin(half) / half if half else 1.0)
+    x, y = (math.cos(half) * vx - math.sin(half) * vy, math.sin(half) * vx + math.cos(half) * vy)
+    return chord * x, chord * y, wz * seconds
+
+
+@pytest.mark.parametrize(
+    ("given", "robot", "velocity"),
+    [
+        (BASE, {}, (0.25, 0.0, 0.0)),
+        (BASE, {}, (-0.25, 0.0, 0.0)),
+        (BASE, {}, (0.0, 0.25, 0.0)),
+        (BASE, {}, (0.1, -0.2, 0.0)),
+        (BASE, {}, (0.0, 0.0, 0.5)),
+        (BASE, {}, (0.2, 0.1, -0.3)),
+        (BASE, FORKS, (0.0, -0.25, 0.2)),
+        (BASE, {"fork": POSITION, "kind": "revolute", "least": -0.1, "most": 3.1}, (0, -0.2, 0)),
+        ({**BASE, "pid_gains": {**GAINS, **EFFORTS}}, {"axle": EFFORT}, (0.2, 0.1, 0.3)),
+        (FOUR, FORKS, (0.25, 0.0, 0.0)),
+        (FOUR, FORKS, (0.3, 0.0, 0.4)),
+        (FOUR, FORKS, (-0.3, 0.0, 0.4)),
+        (FOUR, {**FORKS, "offset": 0.05}, (0.3, 0.0, 0.4)),
+        (FOUR, FORKS, (0.2, 0.1, 0.0)),
+    ],
+)
+def test_it_drives_as_commanded_and_reports_it(world, given, robot, velocity):
+    driven, told = drive(world, {**given, **FAST}, velocity, 2.0, **robot)
+    x, y, yaw = expected(*velocity, 2.0)
+    # The forks turn first.
+    assert driven.position[:2] == pytest.approx((x, y), abs=0.035)
+    assert driven.yaw == pytest.approx(yaw, abs=0.06)
+    assert told.pose.position[:2] == pytest.approx(driven.position[:2], abs=0.02)
+    assert told.pose.yaw == pytest.approx(driven.yaw, abs=0.03)
+    last = told.velocity
+    assert (last.vx, last.vy, last.wz) == pytest.approx(velocity, abs=0.02)
+
+
+def speeds(world, given, velocity, seconds, before=(0.0, 0.0, 0.0), **robot):
+    """Return the controller and its speed after a time since a command that follows another one."""
+    _, controller = start(world, {**given, "cmd_vel_timeout": 60.0}, **robot)
+    for command, duration in ((before, 2.0), (velocity, seconds)):
+        controller.command(PlanarCommand(*command))
+        world.run_for(duration)
+    last = controller._last
+    return last.vx, last.vy, last.wz
+
+
+@pytest.mark.parametrize(
+    ("limits", "before", "velocity", "seconds", "reached"),
+    [
+        ({}, (0, 0, 0), (0.3, 0.4, 0), 0.2, (0.12, 0.16, 0)),
+        ({}, (0, 0, 0), (0, 0, -0.5), 0.2, (0, 0, -0.2)),
+        # Shrinking has no limit by default, and stops at 0 on the way to another direction.
+        ({}, (0.4, 0, 0.4), (-0.4, 0, -0.4), 0.201, (-0.2, 0, -0.2)),
+        ({}, (0, 0, 0), (3, 4, 0), 2.0, (0.6, 0.8, 0)),
+        ({"linear_speed_limit": 0.5}, (0, 0, 0), (0, 2, 0), 1.0, (0, 0.5, 0)),
+        ({"yaw_speed_limit": 0.1}, (0, 0, 0), (0, 0, 2), 1.0, (0, 0, 0.1)),
+        ({"linear_speed_limit": -1, **FAST}, (0, 0, 0), (3, 0, 0), 0.01, (3, 0, 0)),
+        ({"linear_deceleration_limit": 0.5}, (0.4, 0, 0), (0, 0, 0), 0.2, (0.3, 0, 0)),
+        ({"yaw_deceleration_limit": 0.5}, (0, 0, 0.4), (0, 0, -0.4), 0.2, (0, 0, 0.3)),
+    ],
+)
+def test_limits(world, limits, before, velocity, seconds, reached):
+    found = speeds(world, {**BASE, **limits}, velocity, seconds, before)
+    assert found == pytest.approx(reached, abs=2e-3)
+
+
+def test_it_goes_back_without_turning_its_forks(world):
+    _, controller = start(world, {**BASE, **FAST, "cmd_vel_timeout": 0})
+
+    def forks_after(vy):
+        controller.command(PlanarCommand(vy=vy))
+        world.run_for(1.0)
+        joints = {joint.name: joint for joint in controller.joints}
+        rates = [joints[f"{name}_axle"].velocity for name in PLACES]
+        assert rates == pytest.approx([vy / RADIUS] * 4, abs=0.05)
+        return [joints[f"{name}_steering"].position for name in PLACES]
+
+    before = forks_after(0.3)
+    assert before == pytest.approx([0.5 * math.pi] * 4, abs=0.02)
+    assert forks_after(-0.3) == pytest.approx(before, abs=0.02)
+    assert forks_after(0.0) == pytest.approx(before, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("given", "velocity", "topics"),
+    [
+        (BASE, (0.2, 0, 0), ["/drive/odom", "/tf", "/odom"]),
+        (FOUR, (0, 0, 0.5), ["/drive/odom", "/tf"]),
+    ],
+)
+def test_topics_and_frames(world, given, velocity, topics):
+    robot = FORKS if given is FOUR else {}
+    instance, controller = start(world, given, **robot)
+    assert [output.topic for output in controller.outputs] == topics
+    samples = [listen(output) for output in controller.outputs]
+    controller.inputs[-1].handle(PlanarCommand(*velocity))
+    # Without a further command it stops after half a second.
+    world.run_for(2.0)
+    x, y, _ = instance.pose().position
+    assert math.hypot(x, y) == pytest.approx(0.08 if given is BASE else 0.0, abs=0.03)
+    assert instance.pose().yaw == pytest.approx(0.0, abs=0.02)
+    last = [one[-1] for one in samples]
+    assert len(samples[0]) == (59 if given is BASE else 99)
+    assert {one.frame for one in last} == {"odom"}
+    assert {one.child_frame for one in last} == {"base_link"}
+    assert last[-1].pose == last[0].pose
+    with pytest.raises(ControlError, match="not finite"):
+        controller.command(PlanarCommand(vy=math.nan))
+
+
+def wheels(**change):
+    """The base's parameters with another first wheel."""
+    return {**BASE, "wheels": [{**BASE["wheels"][0], **change}, *BASE["wheels"][1:]]}
+
+
+@pytest.mark.parametrize(
+    ("given", "robot", "complaint"),
+    [
+        ({**BASE, "wheels": None}, {}, "wheels has to be a list of two wheels or more"),
+        ({**BASE, "wheels": [1]}, {}, "wheels has to be a list of two wheels or more"),
+        (wheels(steering_joint="it"), {}, "no joint 'it' has a Position"),
+        (wheels(axle_joint="fl_steering"), FORKS, "no joint 'fl_steering' has a VelocityJoint"),
+        ({**BASE, "wheels": 2 * BASE["wheels"][:1]}, {}, "are all in one place"),
+        (wheels(diameter=0), {}, "sizes of the wheels have to be positive"),
+        (wheels(diameter="big"), {}, "sizes of the wheels have to be positive"),
+        ({**BASE, "pid_gains": {}}, {}, "pid_gains/fl_steering/p is missing"),
+        ({**FOUR, "front_wheel": "fl_axle"}, FORKS, "two joints in each"),
+        ({**FOUR, "rear_steering": None}, FORKS, "rear_steering is missing or empty"),
+        ({**FOUR, "wheel_radius": 0}, FORKS, "sizes of the wheels have to be positive"),
+        ({**FOUR, "pose_covariance_diagonal": [1]}, FORKS, "has to be a list of 6 numbers"),
+    ],
+)
+def test_wrong_parameters_are_named(world, given, robot, complaint):
+    with pytest.raises(ControlError, match=complaint):
+        start(world, given, **robot)
+
+
+def test_odometry_goes_on_where_the_robot_is_placed(world):
+    instance, controller = start(world, {**BASE, **FAST, "cmd_vel_timeout": 0})
+    samples = listen(controller.odometry)
+    controller.command(PlanarCommand(vx=0.2))
+    world.run_for(1.0)
+    before = samples[-1].pose.position[0]
+    instance.place(Pose((5.0, 5.0, 0.0)))
+    control_of(instance).placed()
+    world.run_for(0.5)
+    assert samples[-1].pose.position[:2] == pytest.approx((before + 0.1, 0.0), abs=0.02)
+    world.reset_world()
+    world.run_for(0.05)
+    assert samples[-1].pose.position[:2] == pytest.approx((0.0, 0.0), abs=0.01)
+
+
+ACKERMANN = {
+    "type": "ackermann_steering_controller/AckermannSteeringController",
+    "wheel_separation_h": LENGTH,
+    "wheel_radius": RADIUS,
+    "pose_covariance_diagonal": [0.1] * 6,
+    "twist_covariance_diagonal": [0.2] * 6,
+}
+CAR = {"kind": "revolute", "rear": "fixed", "fork": "none", "axle": "none"}
+HARDWARE = "steer_bot_hardware_gazebo/SteerBotHardwareGazebo"
+
+
+def car(world, velocity, seconds, **hardware):
+    """Return a car of steer_bot_hardware_gazebo, its controller and its odometry after a drive."""
+    parts = {
+        "virtual_rear_wheels": ["rl_axle", "rr_axle"],
+        "virtual_front_wheels": ["fl_axle", "fr_axle"],
+        # As in the original, the right one first.
+        "virtual_front_steers": ["fr_steering", "fl_steering"],
+        "wheel_separation_h": LENGTH,
+        "wheel_separation_w": WIDTH,
+        **hardware,
+    }
+    tags = f"<robotSimType>{HARDWARE}</robotSimType>"
+    given = {**ACKERMANN, "cmd_vel_timeout": 60.0}
+    parameters = {"steer_bot_hardware_gazebo": parts}
+    instance, controller = start(world, given, parameters, **CAR, tags=tags)
+    samples = listen(controller.odometry)
+    controller.command(PlanarCommand(*velocity))
+    world.run_for(seconds)
+    return instance, controller, samples[-1]
+
+
+@pytest.mark.parametrize(
+    ("hardware", "angle", "left", "right"),
+    [
+        ({}, 0.0, 0.0, 0.0),
+        # tan(0.3) / (1 -+ 0.2 tan(0.3)) for a width of 0.8 lengths.
+        ({}, 0.3, math.atan(0.30934 / 0.93813), math.atan(0.30934 / 1.06187)),
+        ({}, -0.3, -math.atan(0.30934 / 1.06187), -math.atan(0.30934 / 0.93813)),
+        ({"enable_ackermann_link": False}, 0.3, 0.3, 0.3),
+    ],
+)
+def test_a_car_of_steer_bot_hardware_drives_and_steers(world, hardware, angle, left, right):
+    instance, controller, told = car(world, (0.25, 0.0, angle), 2.0, **hardware)
+    assert [joint.name for joint in controller.joints] == ["rear_wheel_joint", "front_steer_joint"]
+    handles = controller.handles
+    found = [handles[f"f{side}_steering"].position for side in "lr"]
+    assert found == pytest.approx([left, right], abs=0.01)
+    rates = [handles[f"{name}_axle"].velocity for name in PLACES]
+    assert rates == pytest.approx([0.25 / RADIUS] * 4, rel=0.02)
+    assert told.velocity.wz == pytest.approx(0.25 * math.tan(angle) / LENGTH, rel=0.02, abs=1e-3)
+    pose = instance.pose()
+    assert math.hypot(*pose.position[:2]) == pytest.approx(0.5, rel=0.1)
+    assert pose.yaw == pytest.approx(told.pose.yaw, abs=0.08)
+
+
+@pytest.mark.parametrize(
+    ("hardware", "complaint"),
+    [
+        ({"virtual_rear_wheels": None}, "virtual_rear_wheels is missing or empty"),
+        ({"virtual_front_steers": []}, "virtual_front_steers is missing or empty"),
+        ({"wheel_separation_h": 0}, "wheel_separation_h has to be positive"),
+    ],
+)
+def test_wrong_parameters_of_steer_bot_hardware_are_named(world, hardware, complaint):
+    with pytest.raises(ControlError, match=f"hardware_gazebo/{complaint}"):
+        car(world, (0.0, 0.0, 0.0), 0.1, **hardware)
