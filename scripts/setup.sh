@@ -117,7 +117,7 @@ noetic_packages() {
 # ---- Steps: a step is repeated if the checksum of its inputs changes ----
 
 inputs_of() {
-  local name
+  local name folders=() manifests=()
   echo "$LAB_ROOT $LAB_ROS"
   case $1 in
     debian-*) debian_packages "${1#debian-}" ;;
@@ -129,13 +129,13 @@ inputs_of() {
     python-*) cat "$LAB_ROOT/requirements.lock" "$LAB_ROOT/requirements-${1#python-}.lock" ;;
     build | catkin)
       package_entries
-      ls "$LAB_ROOT"/{scripts/*.py,launch/*.launch}
-      cat "$LAB_ROOT/scripts/setup/workspace.py"
-      cat "$LAB_ROOT"/{CMakeLists.txt,package.xml,setup.py} "$LAB_ROOT"/{action,msg,srv}/*
       for name in $(stand_ins); do
-        ls "$LAB_ROOT/stand_ins/$name"/*
-        cat "$LAB_ROOT/stand_ins/$name"/{CMakeLists.txt,package.xml}
+        folders+=("$LAB_ROOT/stand_ins/$name"/*)
+        manifests+=("$LAB_ROOT/stand_ins/$name"/{CMakeLists.txt,package.xml})
       done
+      ls "$LAB_ROOT"/{scripts/*.py,launch/*.launch} "${folders[@]}"
+      cat "$LAB_ROOT"/{scripts/setup/workspace.py,CMakeLists.txt,package.xml,setup.py} \
+        "$LAB_ROOT"/{action,msg,srv}/* "${manifests[@]}"
       ;;
   esac
 }
@@ -406,7 +406,7 @@ link_package() {
 stand_ins() {
   local folder name
   for folder in "$LAB_ROOT"/stand_ins/*/; do
-    name=$(basename "$folder")
+    name=${folder%/} name=${name##*/}
     [[ -e $LAB_ROS/share/$name/package.xml ]] || echo "$name"
   done
 }

@@ -180,13 +180,9 @@ class Trial:
         return self._node(self._outcome.victim)
 
     def _node(self, name):
-        space, _, base = name.rpartition("/")
-        for one in self._processes():
-            with contextlib.suppress(psutil.Error):
-                theirs = one.environ().get("ROS_NAMESPACE", "").rstrip("/")
-                if f"__name:={base}" in one.cmdline() and theirs == space:
-                    return one
-        return None
+        # roslaunch adds a number to the name of the log.
+        log = re.compile(rf"__log:=\S*/{name.strip('/').replace('/', '-')}-\d+\.log")
+        return next((one for one in self._processes() if log.search(_command(one))), None)
 
     def _meddle(self):
         uri = self._await(self._master_uri)

@@ -25,7 +25,6 @@ from lab_testing import PATIENCE, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty
-from tf2_msgs.msg import TFMessage
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -91,22 +90,6 @@ class BridgeTest(BridgeCase):
     def clock_and_odometry(self):
         return self.topic("/clock", Clock), self.topic("odom", Odometry)
 
-    def test_rates_stamps_and_frames(self):
-        clock, odom = self.clock_and_odometry()
-        tf = self.topic("/tf", TFMessage)
-        reached = [step(steps) for steps in (1, 36, 0, 963, 1000, 509)]
-        self.assertEqual([1, 37, 37, 1000, 2000, 2509], reached)
-        for topic, number in ((clock, 250), (odom, 49), (tf, 49)):
-            topic.wait(number)
-        self.assertEqual([10 * k for k in range(1, 251)], clocks(clock))
-        # More than a period of 20 Hz.
-        due = [51 * k * MILLISECOND for k in range(1, 50)]
-        self.assertEqual(due, odom.stamps())
-        transforms = [transform for message in tf.messages for transform in message.transforms]
-        self.assertEqual(due, [t.header.stamp.to_nsec() for t in transforms])
-        self.assertEqual({"odom"}, {t.header.frame_id for t in transforms})
-        self.assertEqual({"base_footprint"}, {t.child_frame_id for t in transforms})
-
     def test_commands_that_are_not_finite_are_refused(self):
         odom, commands = self.topic("odom", Odometry), self.sender()
         bad = (math.nan, math.inf, -math.inf)
@@ -121,35 +104,6 @@ class BridgeTest(BridgeCase):
         step(1000)
         poses = places(odom.wait(39))
         self.assertLess(math.dist(poses[20][:2], poses[38][:2]), 1e-6)
-
-    def test_pause_stops_the_clock_and_nothing_else(self):
-        clock = self.topic("/clock", Clock)
-        call("/gazebo/unpause_physics", Empty)
-        clock.wait(5)
-        call("/gazebo/pause_physics", Empty)
-        paused_at = step(0)
-        self.assert_stands(paused_at)
-        self.assertEqual(paused_at + 25, step(25))
-        call("/gazebo/unpause_physics", Empty)
-        clock.wait(paused_at // 10 + 10)
-        ticks = clocks(clock)
-        self.assertEqual([10 * k for k in range(1, len(ticks) + 1)], ticks)
-
-    def test_reset_world_puts_the_robot_back_and_keeps_time(self):
-        clock, odom = self.clock_and_odometry()
-        commands = self.sender()
-        step(51)
-        commands.send(twist(vx=0.5, wz=1.0))
-        step(969)
-        call("/gazebo/reset_world", Empty)
-        self.assertEqual(1071, step(51))
-        clock.wait(107)
-        poses = places(odom.wait(21))
-        self.assertGreater(math.dist(poses[0], poses[19]), 0.2)
-        # Not to the last bit: a block on a floor settles by nanometres.
-        for first, again in zip(poses[0], poses[20]):
-            self.assertAlmostEqual(first, again, 9)
-        self.assertEqual([10 * k for k in range(1, 108)], clocks(clock))
 
     def test_reset_simulation_starts_again_at_zero(self):
         clock, odom = self.clock_and_odometry()
@@ -187,18 +141,6 @@ class BridgeTest(BridgeCase):
         thread = threading.Thread(target=self.advance, args=words, daemon=True)
         thread.start()
         return thread
-
-    def test_time_never_passes_a_grant(self):
-        self.lock()
-        clock = self.topic("/clock", Clock)
-        for until in range(0, 401, 100):
-            answer = self.advance(until)
-            self.assertEqual((True, until), (answer.success, milliseconds(answer.now)))
-            self.assert_stands(until)
-        advance()
-        clock.wait(400)
-        ticks = clocks(clock)
-        self.assertEqual([10 * k for k in range(1, len(ticks) + 1)], ticks)
 
     def test_slowest_member_counts(self):
         self.lock()

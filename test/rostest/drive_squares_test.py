@@ -3,7 +3,6 @@
 
 import contextlib
 import http.client
-import math
 import signal
 import xmlrpc.client
 
@@ -13,7 +12,6 @@ import rostest
 from geometry_msgs.msg import Twist
 from lab_testing import NodeTest, advertised, wait_for
 from standin import RobotStandIn
-from std_msgs.msg import Time
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 
@@ -53,22 +51,6 @@ class DriveSquaresTest(NodeTest):
         self.assertEqual(Twist(), self.commands.messages[-1])
         self.assertTrue(any(any(v) for v in velocities(self.commands)))
 
-    def test_open_loop_sends_the_commands_of_the_report(self):
-        self.robot(0.1)
-        finished = self.topic("drive_squares/finished", Time, False)
-        node = self.start(sides=2, side=0.06, speed=0.2, turn_speed=-0.5, turn_commands=2)
-        self.assertEqual((0, ""), (node.wait(), node.err))
-        side = 3 * [(0.2, 0.0)] + 2 * [(0.0, -0.5)]
-        self.assert_stopped()
-        sent = velocities(self.commands)
-        self.assertEqual(2 * side, sent[: 2 * len(side)])
-        self.assertEqual({(0.0, 0.0)}, set(sent[2 * len(side) :]))
-        for number in (1, 2):
-            self.assertIn(f"side {number} of 2", node.out)
-        (message,) = finished.wait(1)
-        self.assertEqual("1", message._connection_header["latching"])
-        self.assertTrue(1.0 < message.data.to_sec() <= rospy.get_time())
-
     def test_ctrl_c_while_it_drives_the_square_of_listing_9_on_another_topic(self):
         elsewhere, self.commands = self.commands, self.topic("robot/cmd_vel", Twist, False)
         self.robot(0.1)
@@ -96,15 +78,6 @@ class DriveSquaresTest(NodeTest):
         wait_for(lambda: advertised("/cmd_vel") or not node.runs(), "the publisher of cmd_vel")
         node.signal()
         self.assertEqual((0, ""), (node.wait(), node.err))
-
-    def test_closed_loop_drives_and_turns_until_the_odometry_says_so(self):
-        robot = self.robot(0.05)
-        node = self.start(mode="closed_loop", sides=1, side=0.1, turn_speed=-1.0)
-        self.assertEqual((0, ""), (node.wait(), node.err))
-        self.assertAlmostEqual(0.1, robot.pose[0], delta=0.02)
-        self.assertAlmostEqual(0.0, robot.pose[1], delta=0.02)
-        self.assertAlmostEqual(-90.0, math.degrees(robot.pose[2]), delta=3.0)
-        self.assert_stopped()
 
     def test_odometry_that_pauses_delays_the_robot_and_its_end_is_an_error(self):
         robot = self.robot(0.05)

@@ -234,18 +234,6 @@ class DriveToGoalTest(GoalTest):
         self.robot.assert_stands()
         self.assertNotIn("uninitialized", self.driver.err)
 
-    def test_a_client_of_move_base_drives_the_robot(self):
-        client, feedback = self.client(), []
-        client.send_goal(MoveBaseGoal(goal(1.0, 0.5, 1.0)), feedback_cb=feedback.append)
-        self.assert_ends(client, GoalStatus.SUCCEEDED, "from the goal")
-        self.assert_at(1.0, 0.5, 1.0)
-        base = feedback[-1].base_position
-        self.assertEqual("odom", base.header.frame_id)
-        self.assertLess(math.dist((1.0, 0.5), (base.pose.position.x, base.pose.position.y)), 0.05)
-        self.wait_for_status(GoalStatus.SUCCEEDED)
-        said = [message.status for message in self.statuses()]
-        self.assertEqual([GoalStatus.PENDING, GoalStatus.ACTIVE, GoalStatus.SUCCEEDED], said)
-
     def test_goals_of_clients_and_of_rviz_take_each_others_places(self):
         first, second = self.client(), self.client()
         first.send_goal(MoveBaseGoal(goal(FAR, 0.0)))

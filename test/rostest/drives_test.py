@@ -1,12 +1,10 @@
 #!/usr/bin/env python3
 """Drives on the topics that programs for them use: a Kobuki, a tricycle, a car; and an actor."""
 
-import math
-
 import rospy
 import rostest
 from bridge_testing import call, spawn, twist
-from controller_manager_msgs.srv import ListControllers, LoadController, SwitchController
+from controller_manager_msgs.srv import LoadController, SwitchController
 from gazebo_msgs.srv import GetModelState
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
@@ -14,9 +12,6 @@ from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
-
-# The robots that drive curves, and their odometry.
-CURVES = {"tricycle": "tricycle/odom", "car": "car/drive/odom"}
 
 SPACE = "<robotNamespace>/car</robotNamespace>"
 ROOT_SPACE = (
@@ -97,31 +92,6 @@ class DrivesTest(NodeTest):
 
         wait_for(is_zero, "the odometry")
 
-    def test_a_tricycle_and_a_car_drive_curves(self):
-        odometry = {name: self.topic(topic, Odometry) for name, topic in CURVES.items()}
-        starts = {name: place(name) for name in CURVES}
-
-        def have_turned():
-            turns = [topic.wait(1)[-1].pose.pose.orientation for topic in odometry.values()]
-            return all(2.0 * math.atan2(turn.z, turn.w) > 1.5 for turn in turns)
-
-        commands = ("tricycle/cmd_vel", "car/drive/cmd_vel")
-        self.drive(twist(0.3, wz=0.5), have_turned, "both to turn", *commands)
-        for model, start in starts.items():
-            end = place(model)
-            # On a circle, wherever the command to stop has come.
-            radius = 0.6 / math.tan(0.5)
-            reached = math.hypot(end.x - start.x, end.y - start.y - radius)
-            self.assertAlmostEqual(radius, reached, delta=0.2, msg=model)
-        (controller,) = call("/car/controller_manager/list_controllers", ListControllers).controller
-        claimed = {one.hardware_interface: one.resources for one in controller.claimed_resources}
-        space = "hardware_interface::"
-        expected = {
-            f"{space}VelocityJointInterface": ["rear_wheel_joint"],
-            f"{space}PositionJointInterface": ["steering_joint"],
-        }
-        self.assertEqual(expected, claimed)
-
     def test_joint_limits_in_the_root_namespace_count(self):
         odometry = self.topic("drive/odom", Odometry)
         begun = place("root_car").x
@@ -133,11 +103,6 @@ class DrivesTest(NodeTest):
         speeds = [message.twist.twist.linear.x for message in odometry.messages]
         self.assertAlmostEqual(0.1, max(speeds), delta=0.005)
         self.assertGreater(place("root_car").x, begun + 0.25)
-
-    def test_an_actor_walks(self):
-        wait_for(lambda: place("walker").y > 0.5, "the actor to walk")
-        wait_for(lambda: place("walker").y < -0.5, "the actor to come back")
-        self.assertAlmostEqual(-5.0, place("walker").x, delta=0.2)
 
 
 if __name__ == "__main__":

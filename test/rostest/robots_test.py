@@ -21,21 +21,10 @@ from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rosgraph_msgs.msg import Log
-from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan, Range
-from std_msgs.msg import String
 
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.node.lock_step import publishers_know_this_node
 
-# Topic, type and frame of all that has a header.
-TOPICS = (
-    ("left/odom", Odometry, "left/odom"),
-    ("left/scan", LaserScan, "left/laser_link"),
-    ("left/beacon_0/range", Range, "left/base_footprint"),
-    ("right/odom", Odometry, "right/odom"),
-    ("right/mycamera/image_raw", Image, "right/camera_optical_frame"),
-    ("right/mycamera/camera_info", CameraInfo, "right/camera_optical_frame"),
-)
 KNOWS_PREFIX = rospkg.RosPack().get_manifest("robot_state_publisher").version != "1.15.1"
 WHY_SKIPPED = "Debian 11's robot_state_publisher has no tf_prefix: docs/platforms.md"
 BLOCK = (PACKAGE / "urdf" / "block_robot.urdf").read_text()
@@ -49,18 +38,6 @@ class RobotsTest(NodeTest):
         self.addCleanup(commands.close)
         self.addCleanup(commands.send, twist())
         commands.send(twist(speed))
-
-    def test_topics_are_in_the_namespace_and_frames_have_the_prefix(self):
-        for name, kind, frame in TOPICS:
-            message = self.topic(name, kind).wait(1)[0]
-            self.assertEqual(frame, message.header.frame_id, name)
-        for robot in ("left", "right"):
-            message = self.topic(f"{robot}/odom", Odometry).wait(1)[0]
-            self.assertEqual(f"{robot}/base_footprint", message.child_frame_id)
-        joints = self.topic("right/joint_states", JointState).wait(1)[0]
-        # Names of joints are no frames.
-        self.assertEqual({"left_wheel_joint", "right_wheel_joint"}, set(joints.name))
-        self.topic("left/beacon_0", String).wait(1)
 
     @unittest.skipUnless(KNOWS_PREFIX, WHY_SKIPPED)
     def test_no_topic_and_no_frame_is_shared(self):

@@ -14,8 +14,6 @@ from mcap.reader import make_reader
 
 FOLDER = tempfile.TemporaryDirectory()
 # Of worlds/sensors.world and urdf/sensor_robot.urdf.
-WALL_X, SONAR_X = 3.15, 0.12
-COLUMN_NEAREST = 0.45
 CRATE_WEIGHT, CRATE_FRICTION = 2.0 * 9.8, 0.5
 
 
@@ -42,20 +40,6 @@ class SensorsJobTest(unittest.TestCase):
             stamps = np.round(1000.0 * self.rows(name)[:, 0])
             self.assertEqual({period}, set(np.diff(stamps)), name)
 
-    def test_the_sonar_sees_the_wall_come(self):
-        sonar, odom = self.rows("range"), self.rows("odom")
-        first_side = (sonar[:, 0] > 1.5) & (sonar[:, 0] < 9.0)
-        x = np.interp(sonar[first_side, 0], odom[:, 0], odom[:, 1])
-        error = sonar[first_side, 1] - (WALL_X - SONAR_X - x)
-        self.assertLess(abs(error.mean()), 0.005)
-        self.assertAlmostEqual(0.005, error.std(), delta=0.002)
-
-    def test_the_scanner_passes_the_column(self):
-        scans = self.rows("scan")
-        self.assertEqual(361, scans.shape[1])
-        passing = scans[(scans[:, 0] > 4.0) & (scans[:, 0] < 6.0), 1:]
-        self.assertAlmostEqual(COLUMN_NEAREST, np.median(passing.min(axis=1)), delta=0.03)
-
     def test_the_bumper_feels_the_friction_of_the_crate(self):
         self.assertEqual(["crate"], self.summary["touched"])
         self.assertAlmostEqual(
@@ -63,11 +47,6 @@ class SensorsJobTest(unittest.TestCase):
         )
         bumper = self.rows("bumper")
         self.assertEqual(0.0, np.abs(bumper[bumper[:, 0] < 15.0, 1:]).max())
-
-    def test_gravity_and_turns(self):
-        self.assertAlmostEqual(9.8, self.summary["mean_upward_acceleration_mps2"], delta=0.01)
-        # What friction leaves of 0.52 rad/s.
-        self.assertAlmostEqual(0.39, self.summary["greatest_turn_rate_radps"], delta=0.05)
 
     def test_the_picture(self):
         self.assertTrue((self.out / "sensors.png").is_file())

@@ -45,46 +45,12 @@ class SquaresJobTest(unittest.TestCase):
             self.assertTrue(same, f"{name} differs from that of the plain run")
         self.assertEqual(figures["side_lengths_m"], summary_of(out)["side_lengths_m"])
 
-    def assert_square(self, out, side, side_within, turn, turn_within):
-        summary = summary_of(out)
-        self.assertEqual((4, 4), (len(summary["side_lengths_m"]), len(summary["turns_deg"])))
-        for length in summary["side_lengths_m"]:
-            self.assertAlmostEqual(side, length, delta=side_within)
-        for angle in summary["turns_deg"]:
-            self.assertAlmostEqual(turn, angle, delta=turn_within)
-
     def test_open_loop_is_the_same_as_without_ros(self):
         self.assert_same_files(squares())
 
     def test_closed_loop_as_published_at_another_speed_is_the_same_as_without_ros(self):
         settings = {"mode": "closed_loop", "as_published": True}
         self.assert_same_files(squares(*CLOSED_LOOP), **settings)
-
-    def test_open_loop_drives_the_published_square(self):
-        self.assert_square(squares(), 1.90, 0.01, 90.4, 0.5)
-
-    def test_closed_loop_drives_a_true_square(self):
-        out = squares(*CLOSED_LOOP)
-        self.assert_square(out, 2.00, 0.01, 90.0, 0.3)
-        self.assertLess(summary_of(out)["closure_error_m"], 0.02)
-
-    def test_summary_says_what_was_run_and_how_it_went(self):
-        summary = summary_of(squares())
-        said = {
-            "std": STD,
-            "seed": SEED,
-            "model": "report",
-            "mode": "open_loop",
-            "as_published": False,
-            "finished": True,
-            "refused_messages": 0,
-        }
-        self.assertEqual(said, {key: summary[key] for key in said})
-        self.assertAlmostEqual(4 * 13.4 + 2 * 0.5, summary["sim_time_s"], delta=0.1)
-        factor = summary["sim_time_s"] / summary["wall_time_s"]
-        self.assertAlmostEqual(factor, summary["real_time_factor"], delta=1e-6 * factor)
-        for name in ("final_error_m", "final_heading_error_deg", "ape_rmse_m"):
-            self.assertGreater(abs(summary[name]), 0.0)
 
     def test_beacons_are_measured_as_they_stand(self):
         out = run("beacons", out="")

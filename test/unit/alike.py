@@ -74,6 +74,21 @@ def lines_of(value, name):
         yield f"{name}: {' '.join(map(shown, words))}"
 
 
+def lines_of_figure(figure):
+    """Yield a line for all that is written in each part of a figure, and for each line in it."""
+    for number, axes in enumerate(figure.axes):
+        texts = [*axes.texts, *(axes.get_legend().get_texts() if axes.get_legend() else ())]
+        said = [text.get_text() for text in texts]
+        said = [axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect(), *said]
+        yield from lines_of(said, f"{number} says")
+        yield from lines_of([patch.get_facecolor() for patch in axes.patches], f"{number} patch")
+        for line in axes.lines:
+            x, y = (np.asarray(data, float) for data in line.get_data())
+            ends = [*x[:1], *y[:1], *x[-1:], *y[-1:], np.nansum(x), np.nansum(y)]
+            look = line.get_color(), line.get_marker(), len(x)
+            yield from lines_of([*look, *map(float, ends)], f"{number} line")
+
+
 def is_near(word, before, within):
     """Return whether two words are the same, or two numbers nearly so."""
     try:

@@ -9,6 +9,7 @@ from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import World
 from bullet_lab.simulation.world.sdf import read_spawned
+from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -90,6 +91,13 @@ def readings(model, topic, seconds=0.1, things=(), world=empty, seed=0, **where)
         samples = record(simulation.add(model, **where), topic)
         simulation.run_for(seconds)
     return samples
+
+
+def saved_again(simulation, folder):
+    """A simulation of the world as it is saved."""
+    text, _ = world_text(simulation.snapshot(), folder)
+    (folder / "again.world").write_text(text)
+    return Simulation.of(str(folder / "again.world"))
 
 
 def check_refusal(model, message):

@@ -1,8 +1,9 @@
 """What all figures share."""
 
 import math
+from pathlib import Path
 
-from numpy.testing import assert_allclose
+from alike import assert_as_before, lines_of_figure
 
 from bullet_lab.core.figures import draw_plan, labelled, legend_below, new_figure, show_around
 
@@ -11,10 +12,7 @@ def test_a_plan_is_to_scale_and_has_a_legend():
     figure = new_figure(4.0, 3.0)
     axes = figure.subplots()
     draw_plan(axes, [[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]], (1.0, 2.0, 0.5 * math.pi))
-    axis, marker = (line.get_xydata() for line in axes.lines)
-    assert_allclose(axis, [(1.0, 2.0), (1.0, -3.0)], atol=1e-12)
-    assert_allclose(marker, [(0.9, 2.0), (1.1, 2.0)], atol=1e-12)
-    assert (axes.get_aspect(), len(axes.patches)) == (1.0, 1)
+    assert_as_before(lines_of_figure(figure), Path(__file__).parent / "plan.txt")
     legend_below(figure, labelled(axes, axes))
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["marker"]

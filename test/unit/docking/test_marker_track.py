@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.core import se2
+from bullet_lab.docking import filter
 from bullet_lab.docking.filter import STATES, GaussianPose, predict
 from bullet_lab.docking.geometry import Viewpoint
 from bullet_lab.docking.marker_track import MarkerTrack, SizeTest
@@ -115,6 +116,15 @@ def test_a_corner_that_something_hides_is_left_out():
     hidden = np.array([(0.0, 0.0), (-6.0, 4.0), (0.0, 0.0), (0.0, 0.0)])
     track, pose = drive((1.5, 0.1, 0.0), ahead(0.05, 36), change=hidden.__add__)
     check_pose(track, pose, 0.003, 0.003, 0.4)
+
+
+@pytest.mark.parametrize("without, hidden", [(20.0, None), (11.0, 2)])
+def test_a_corner_is_left_out_only_if_it_explains_most_of_what_is_off(monkeypatch, without, hidden):
+    def update(*_, hidden=None):
+        return hidden, None, [without if hidden == 2 else 30.0]
+
+    monkeypatch.setattr(filter, "iterated_update", update)
+    assert filter.robust_update(*4 * [None])[0] == hidden
 
 
 @pytest.mark.parametrize("corner", [0, 2])

@@ -104,6 +104,17 @@ def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
     monkeypatch.setattr(docking.paths, "is_safe", refused.append)
     assert docking.search.next_view() is None
     ends = [tuple(way[-1]) for way in refused]
-    assert len(ends) > 40
+    # Those that are left of fourteen looks for a larger print.
+    assert len(ends) == 12 * 40
     # One after the other, each place is asked for once, whatever the headings there.
     assert len(set(ends[:40])) == 40
+
+
+@pytest.mark.parametrize("share, retries, unsure", [(0.41, 1, 1), (0.41, 2, 0), (0.39, 0, 0)])
+def test_a_yaw_that_is_unsure_is_measured_again_twice_at_most(monkeypatch, share, retries, unsure):
+    docking = docking_at_the_origin(0.2)
+    yaw = SimpleNamespace(deviation=share * docking.belief.dock.tolerance.yaw)
+    best = SimpleNamespace(learned=lambda: SimpleNamespace(yaw=yaw))
+    monkeypatch.setattr(docking.belief, "best", lambda: best)
+    docking.retries = retries
+    assert docking.is_yaw_unsure() == unsure

@@ -1,12 +1,14 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of_figure
 
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.types import DockingError, DockingResult
 from bullet_lab.reports import Reading
 from bullet_lab.reports.dock import (
-    STATES,
     DockReport,
     EvenSample,
     Station,
@@ -136,15 +138,10 @@ def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
     assert len(sampler._kept) <= 32
 
 
-def test_the_path_has_a_colour_for_each_state():
+def test_the_figure_is_as_before():
     along = np.arange(0.05, 2.01, 0.05)
     truth = Trajectory(along, np.column_stack([2.0 * along, 0.2 * along, 0.0 * along]))
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
     walls, plan = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))], [(0.0, 0.0), (3.0, 0.0)]
-    (axes,) = docking_figure(truth, states, plan, walls, (DOCK, DOCK), "title").axes
-    drawn = {line.get_label(): line for line in axes.lines}
-    assert {"plan", "searching", "staging", "approaching", "marker"} <= set(drawn)
-    assert drawn["staging"].get_color() == STATES["staging"]
-    assert drawn["staging"].get_xdata()[0] == pytest.approx(2.0)
-    # Wall, start and end.
-    assert len(axes.patches) == 3
+    figure = docking_figure(truth, states, plan, walls, (DOCK, DOCK), "title")
+    assert_as_before(lines_of_figure(figure), Path(__file__).parent / "dock.txt")

@@ -1,7 +1,9 @@
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of_figure
 from recorded_paths import read_paths_csv
 
 from bullet_lab.core import se2
@@ -148,19 +150,10 @@ def trajectory(count, shift=0.0):
     return Trajectory(stamps, poses)
 
 
-@pytest.mark.parametrize("count", [1, 400])
-def test_the_figure_has_both_paths_their_ends_and_their_error(count):
-    figure = noise_figure(trajectory(count + 5), (trajectory(count), trajectory(count, shift=0.3)))
-    paths, *coordinates, error = (
-        [len(line.get_xdata()) for line in axes.lines if len(line.get_xdata())]
-        for axes in figure.axes
-    )
-    assert sorted(paths) == sorted([count + 5, count, 1, 1, 1])
-    assert (coordinates, error) == ([[count, count + 5]] * 3, [count])
-    assert figure.axes[0].get_aspect() == 1.0
-    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
-    assert labels == ["Noisy odom", "Perfect odom", "start", "ends"]
-    assert figure.axes[-1].lines[0].get_ydata() == pytest.approx([0.3] * count)
+def test_the_figure_is_as_before():
+    paths = trajectory(400), trajectory(400, shift=0.3)
+    told = lines_of_figure(noise_figure(trajectory(405), paths))
+    assert_as_before(told, Path(__file__).parent / "squares.txt")
 
 
 def test_the_same_figure_is_the_same_file(tmp_path):

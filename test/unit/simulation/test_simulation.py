@@ -145,24 +145,6 @@ def test_what_is_not_usable_of_a_model_is_left_out(world, tmp_path):
     assert (made.links, made.joints) == ((good,), ())
 
 
-def test_unknown_plugins_are_named_once_and_skipped(world, caplog):
-    known = PluginTag("libgazebo_ros_joint_state_publisher", "states", {})
-    unknown = PluginTag("libgazebo_ros_teleporter.so", "beam", {})
-    robot = world.add(thing(plugins=(unknown, known)))
-    world.run_for(0.1)
-    (record,) = caplog.records
-    assert record.levelname == "WARNING"
-    assert "model 'cube': plugin 'beam' (libgazebo_ros_teleporter.so)" in record.getMessage()
-    assert len(robot.plugins) == 1
-
-
-def test_planar_move_on_what_cannot_move_is_left_out(world):
-    plugin = PluginTag("libgazebo_ros_planar_move.so", "move", {})
-    with complains("model 'cube': plugin .* needs a model that can move"):
-        world.add(thing(plugins=(plugin,), static=True))
-    assert world.models["cube"].plugins == ()
-
-
 def test_timers(world):
     calls = []
     world.run_for(0.005)

@@ -1,7 +1,6 @@
 """Links that gravity does not pull."""
 
 import pytest
-from sensor_worlds import carrier
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import change_link, find_link
@@ -62,38 +61,6 @@ def test_gravity_is_turned_off_and_on_while_it_runs(falling):
     change_link(link, inertia, gravity=True)
     falling.run_for(SECONDS)
     assert robot.pose().position[2] == pytest.approx(-FALL, rel=1e-6)
-
-
-NOSE = (
-    "<link name='nose'/><joint name='j' type='fixed'><parent link='base'/><child link='nose'/>"
-    "</joint>"
-)
-
-
-@pytest.mark.parametrize(
-    ("tags", "pulled"),
-    [
-        ("", True),
-        ("<gazebo reference='base'><turnGravityOff>true</turnGravityOff></gazebo>", False),
-        ("<gazebo reference='base'><gravity>0</gravity></gazebo>", False),
-        # The last one decides, of all that is fixed together.
-        (
-            "<gazebo reference='nose'><gravity>1</gravity></gazebo>"
-            "<gazebo reference='base'><gravity>0</gravity></gazebo>",
-            True,
-        ),
-    ],
-)
-def test_of_a_urdf(tags, pulled):
-    (link,) = carrier(tags, links=NOSE).links
-    assert link.gravity == pulled
-
-
-def test_a_link_that_turns_it_off_for_others_is_named(caplog):
-    (link,) = carrier("<gazebo reference='nose'><gravity>0</gravity></gazebo>", links=NOSE).links
-    assert not link.gravity
-    said = "carrier: 'nose', which is fixed to 'base', turns gravity off for both"
-    assert caplog.messages == [said]
 
 
 HOVERING = """<robot name="blimp"><link name="base"><inertial><mass value="1"/>

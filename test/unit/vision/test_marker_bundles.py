@@ -103,20 +103,6 @@ def test_the_covariance_is_that_of_the_errors(layout, wrong):
     assert np.mean(squares) == pytest.approx(mean, abs=stats.norm.ppf(0.9995) * deviation)
 
 
-def test_of_one_marker_a_bundle_has_the_poses_of_that_marker():
-    bundle = bundle_of(BOARD)
-    chance, squares = np.random.default_rng(8), []
-    for _ in range(200):
-        found = observed(bundle, seen(bundle, VIEW, chance, 0.02, ids=[3]))
-        assert found.seen == (3,)
-        both = found.pose.best, found.pose.alternative
-        squares.append([square_of(pose, VIEW) for pose in both])
-    squares = np.array(squares)
-    assert (squares[:, 1] < squares[:, 0]).sum() < 100
-    low, high = stats.chi2.interval(0.999, 6 * 200)
-    assert 0.8 * low < squares.min(axis=1).sum() < high
-
-
 def test_a_marker_that_is_seen_twice_and_one_of_nobody_do_not_count():
     bundle = bundle_of(BOARD)
     markers = seen(bundle, VIEW)

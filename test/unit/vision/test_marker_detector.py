@@ -8,7 +8,6 @@ from marker_images import (
     TAGS,
     Layer,
     View,
-    corner_points,
     image_of,
     marker,
     noisy,
@@ -138,18 +137,6 @@ def test_of_two_outlines_of_one_marker_the_likelier_stays():
     assert found == [marker_itself, inner, other_id, beside]
 
 
-@pytest.mark.parametrize(
-    "distance, ids", [(1.3, (0, 0)), (2.0, (17, 0)), (3.0, (0, 17))]
-)
-def test_a_marker_in_a_cell_of_another_and_the_other(distance, ids):
-    view = View(distance, yaw=12.0)
-    layers, size, centre = nested(*ids)
-    large, small = found_in(picture(view, *layers))
-    assert (large.id, small.id) == ids
-    assert off_by(large, view, size) < 0.2
-    assert off_by(small, view, 0.1, centre=centre) < 0.2
-
-
 @pytest.mark.parametrize("view", [View(1.5), View(2.8, yaw=30.0)])
 def test_nothing_is_found_in_cells_that_hold_something_else(view):
     layers, _, centre = nested(0, 0)
@@ -174,18 +161,6 @@ def test_a_marker_with_something_dark_before_a_corner(distance, corner):
     image[low[1] : high[1], low[0] : high[0]] = 2
     (found,) = found_in(image)
     assert np.delete(np.abs(found.corners - corners), corner, axis=0).max() < 1.0
-
-
-@pytest.mark.parametrize("distance, corner", [(0.6, 0), (0.6, 2), (1.0, 1), (1.5, 3)])
-def test_a_marker_with_a_corner_behind_what_is_as_grey_as_the_ground(distance, corner):
-    """The marker's black runs into the ground there, and no threshold shows four corners."""
-    view = View(distance, yaw=-3.0, roll=1.5)
-    cover = Layer(np.full((1, 1), 10.0), 0.05, tuple(corner_points(0.2)[corner, :2]))
-    layers = [marker(black=3.0, white=24.0), cover]
-    image = image_of(layers, view, background=10.0, blur=0.8, noise=2.7, seed=corner)
-    (found,) = found_in(image)
-    off = np.abs(found.corners - true_corners(view))
-    assert np.delete(off < np.maximum(0.5, 3.0 * found.deviations), corner, axis=0).all()
 
 
 def test_a_marker_at_the_edge_of_the_image_is_dropped():
@@ -238,13 +213,6 @@ def test_light(black, white, background, noise):
         view, layer = View(distance, yaw=10.0, pitch=3.0), marker(black=black, white=white)
         (found,) = found_in(picture(view, layer, background=background, noise=noise))
         assert off_by(found, view) < 0.5
-
-
-def test_light_that_changes_across_the_marker():
-    light = np.interp(np.arange(640), (260, 400), (0.15, 1.0))
-    for brightness in (light, light[::-1]):
-        lit = np.rint(picture(View(0.5)) * brightness).astype(np.uint8)
-        assert ids_in(lit, correction=0.0) == [0]
 
 
 def test_the_second_pass_is_made_only_where_nothing_was_found():

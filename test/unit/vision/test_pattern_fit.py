@@ -159,15 +159,6 @@ def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
     assert found.hidden < 0.2
 
 
-@pytest.mark.parametrize("distance, white, blur", [(0.9, 420.0, 0.9), (2.6, 600.0, 0.6)])
-def test_a_blurred_marker_that_is_over_exposed_is_as_large_as_it_is(distance, white, blur):
-    """Pixels do not separate the level of white from the blur: markers were 0.9 px too small."""
-    view = View(distance, yaw=8.0, pitch=4.0)
-    found = fit(picture(view, 12, blur, noise=2.0, black=100.0, white=white), view)
-    assert np.abs(found.corners - true_corners(view)).max() < 0.2
-    assert square_of(found, true_corners(view)) < chi2.ppf(0.999, 8)
-
-
 @pytest.mark.parametrize(
     "distance, sun, blur, shade",
     [(0.7, 420.0, 0.6, 0.25), (1.2, 230.0, 0.8, -0.25), (2.4, 420.0, 0.6, 0.0)],
@@ -260,3 +251,6 @@ def test_occlusion_is_found_also_where_a_part_is_in_the_sun():
 
 def test_no_marker_is_none():
     assert fit(np.random.default_rng(1).integers(0, 255, (480, 640))) is None
+    hidden = picture(View(0.8), noise=2.0)
+    hidden[:255] = 120
+    assert fit(hidden, View(0.8)) is None

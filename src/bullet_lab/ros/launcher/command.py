@@ -12,7 +12,7 @@ from pathlib import Path
 
 import rospkg
 
-from bullet_lab.entry import end_at_once_when_interrupted
+from bullet_lab.entry import end_at_once_when_interrupted, quick_imports
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.command import (
     STATUS_BAD_VALUE,
@@ -24,11 +24,12 @@ from bullet_lab.jobs.command import (
     status_of,
 )
 from bullet_lab.jobs.declaration import FILE, Job, find_jobs
+from bullet_lab.ros.launcher.node_server import NodeServer
 from bullet_lab.ros.launcher.output import VirtualScreen, temporary_folder, words_to
 from bullet_lab.simulation.world.resources import ros_package_folder
 from bullet_lab.simulation.world.xml import parse_text, read_text
 
-_POLL_PERIOD = 0.05
+_POLL_PERIOD = 0.02
 
 
 class StopSignals:
@@ -118,11 +119,12 @@ def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) 
             os.environ["ROS_LOG_DIR"] = str(out.log)
             # Qt needs it, and it is missing if nobody has logged in.
             os.environ.setdefault("XDG_RUNTIME_DIR", os.environ["ROS_HOME"])
+            server = stack.enter_context(NodeServer())
             screen = None
             if with_rviz and not os.environ.get("DISPLAY"):
                 screen = VirtualScreen(out.log / "xvfb.log", out.path / "rviz.png")
                 stack.enter_context(screen)
-            verdict = _launch(job, values, out, signals, screen)
+            verdict = _launch(job, values, out, signals, screen, server)
         # A node that refuses a value prints why: that line shall stand alone.
         if verdict.status == STATUS_BAD_VALUE:
             return verdict.status
@@ -146,12 +148,13 @@ def _set_up_rviz(setup: Path, signals: StopSignals) -> bool:
     return process.wait() == 0 and not signals.received
 
 
-def _launch(job, values, out: OutputFolder, signals: StopSignals, screen: VirtualScreen | None):
+def _launch(job, values, out: OutputFolder, signals, screen, server):
     """Run the nodes and return the verdict; roslaunch prints to a log, nodes to the terminal."""
     terminal = sys.stdout
     with words_to(out.log / "roslaunch.log"):
         # Imported late: these set up logging when they are imported, and read the environment.
-        from bullet_lab.ros.launcher.supervision import Launch, Verdict, prepare_master
+        with quick_imports():
+            from bullet_lab.ros.launcher.supervision import Launch, Verdict, prepare_master
 
         master = prepare_master()
         whose = "its own master" if master.own else "the master"
@@ -159,7 +162,7 @@ def _launch(job, values, out: OutputFolder, signals: StopSignals, screen: Virtua
         # The page in a browser stays after the job has finished.
         stays = values.get("view") == "browser"
         announced = not stays
-        with Launch(job, values, master) as launch:
+        with Launch(job, values, master, server) as launch:
             while True:
                 verdict = launch.verdict(out.has_summary, signals.received)
                 if verdict is not None:

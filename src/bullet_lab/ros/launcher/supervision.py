@@ -6,14 +6,26 @@ import contextlib
 import os
 import signal
 import socket
+import subprocess
+import sys
 import xmlrpc.client
+from http.client import HTTPException
 from pathlib import Path
-from typing import Callable, NamedTuple
+from types import SimpleNamespace
+from typing import Callable, Collection, NamedTuple
 from urllib.parse import urlsplit
+
+# On Debian 12, rosclean, which roslaunch imports, would import all of setuptools for distutils.
+with contextlib.suppress(ImportError):
+    if sys.version_info < (3, 12):
+        import _distutils_hack
+
+        _distutils_hack.remove_shim()
 
 import rosgraph.names
 import roslaunch
 import roslaunch.config
+import roslaunch.nodeprocess
 import roslaunch.parent
 import roslaunch.pmon
 import roslib
@@ -24,15 +36,16 @@ from roslaunch.core import Master
 from bullet_lab.entry import JOB
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import Job
+from bullet_lab.ros.launcher.node_server import NodeProcess, NodeServer, Request
 from bullet_lab.ros.launcher.output import tied
-from bullet_lab.ros.node.node import MASTER_ERRORS
 
 _SIGINT_TIMEOUT = 6.0
 _SIGTERM_TIMEOUT = 2.0
 # The setup files of ROS set this in every shell: it does not mean that the user chose it.
 STOCK_URI = "http://localhost:11311"
 _CONNECT_TIMEOUT = 2.0
-
+_PACKAGE_FOLDER = "/lib/bullet_lab"
+_NAME = "__name:="
 
 
 class RunMaster(NamedTuple):
@@ -76,7 +89,7 @@ def is_of_another_user(uri: str) -> bool:
     try:
         _, _, process = Master(uri=uri).get().getPid("/run")
         return Path(f"/proc/{process}").stat().st_uid != os.getuid()
-    except (*MASTER_ERRORS, OSError):
+    except (OSError, HTTPException, xmlrpc.client.Error):
         return False
 
 
@@ -93,7 +106,7 @@ def _answers(uri: str) -> bool:
 class Death(NamedTuple):
     """The end of a node; a negative status is the negated number of the signal that killed it."""
 
-    process: str
+    node: str
     status: int
 
 
@@ -105,8 +118,8 @@ class Verdict(NamedTuple):
 
 
 def judge(
-    deaths: list[Death],
-    names: dict[str, str],
+    deaths: Collection[Death],
+    count: int,
     required: set[str],
     has_summary: bool,
     stopped_by: int | None,
@@ -115,52 +128,41 @@ def judge(
 
     Args:
         deaths: the ends of nodes, in order.
-        names: names of the nodes by those of their processes.
+        count: number of nodes.
         required: names of the nodes whose end is the end of the job.
         has_summary: whether the summary has been written.
         stopped_by: number of the signal that asks to stop, if any.
     """
     for death in deaths:
-        name = names.get(death.process, death.process)
         if death.status < 0:
-            return Verdict(128 - death.status, f"{name} was killed by signal {-death.status}")
+            reason = f"{death.node} was killed by signal {-death.status}"
+            return Verdict(128 - death.status, reason)
         if death.status:
-            return Verdict(death.status, f"{name} ended with status {death.status}")
-        if name in required:
+            return Verdict(death.status, f"{death.node} ended with status {death.status}")
+        if death.node in required:
             if has_summary:
                 return Verdict(0)
-            return Verdict(1, f"{name} ended before there was a summary")
+            return Verdict(1, f"{death.node} ended before there was a summary")
     if stopped_by is not None:
         return Verdict(128 + stopped_by, f"stopped by {signal.Signals(stopped_by).name}")
-    if len(deaths) >= len(names):
+    if len(deaths) >= count:
         return Verdict(1, "all nodes have ended and there is no summary")
     return None
-
-
-class Deaths(roslaunch.pmon.ProcessListener):
-    """Collects the ends of nodes in order, from roslaunch's monitor thread."""
-
-    def __init__(self):
-        self.list: list[Death] = []
-
-    def process_died(self, process_name, exit_code):
-        """Add the end of a node; called by roslaunch."""
-        self.list.append(Death(process_name, 1 if exit_code is None else exit_code))
 
 
 class Launch:
     """The running nodes of a launch file; leaving the context stops them."""
 
-    def __init__(self, job: Job, values: dict[str, str], master: RunMaster):
+    def __init__(self, job: Job, values: dict[str, str], master: RunMaster, server: NodeServer):
+        self._server = server
         self._config = _load(job.path, values)
         self.required = {node.name for node in self._config.nodes if node.required}
         # At the end of a required node, roslaunch would shut down, and lose track of nodes
         # that it is about to start.
         for node in self._config.nodes:
             node.required = False
-            node.launch_prefix = " ".join(tied(node.launch_prefix or "")).strip()
-        self._deaths = Deaths()
-        self._groups: list[int] = []
+        self._deaths: dict[str, Death] = {}
+        self._processes: dict[str, subprocess.Popen | NodeProcess] = {}
         self._parent = roslaunch.parent.ROSLaunchParent(
             master.run_id,
             [str(job.path)],
@@ -182,13 +184,32 @@ class Launch:
             raise LabError(_one_line(error)) from error
         return self
 
+    def _start_process(self, words: list[str], **options) -> subprocess.Popen | NodeProcess:
+        """Start a node; roslaunch calls this function as if it were `subprocess.Popen`."""
+        process = self._fork(words, options) or subprocess.Popen(tied(*words), **options)
+        name = next(word[len(_NAME) :] for word in words if word.startswith(_NAME))
+        namespace = options["env"].get("ROS_NAMESPACE", "/")
+        self._processes[rosgraph.names.ns_join(namespace, name)] = process
+        return process
+
+    def _fork(self, words: list[str], options: dict) -> NodeProcess | None:
+        """Start a node of this package by the server of nodes; None if that is not possible."""
+        own = {name for name, _ in options["env"].items() - os.environ.items()}
+        is_of_package = os.path.dirname(words[0]).endswith(_PACKAGE_FOLDER)
+        if not is_of_package or any(not name.startswith("ROS_") for name in own):
+            return None
+        output = options["stdout"] or sys.__stdout__
+        with contextlib.suppress(OSError, EOFError):
+            request = Request(words, options["cwd"], options["env"])
+            return self._server.start(request, output.fileno())
+        return None
+
     def _start(self) -> None:
+        roslaunch.nodeprocess.subprocess = SimpleNamespace(
+            Popen=self._start_process, PIPE=subprocess.PIPE
+        )
         self._parent.config = self._config
-        # A listener that is given to ROSLaunchParent would miss nodes that end at once.
-        self._parent.pm = roslaunch.pmon.start_process_monitor()
-        self._parent.pm.add_process_listener(self._deaths)
         self._parent.start(auto_terminate=False)
-        self._groups = [process.pid for process in self._parent.pm.procs if process.pid > 0]
         failed = [node.name for node in self._config.nodes if not node.process_name]
         if failed:
             raise roslaunch.RLException(f"cannot start the nodes {', '.join(failed)}")
@@ -199,24 +220,20 @@ class Launch:
         Nodes that have not registered yet get SIGTERM at once: they may still be importing
         modules, and Python would answer SIGINT with a traceback.
         """
-        names = {node.process_name: node for node in self._config.nodes}
-        alive = list(self._parent.pm.procs) if self._parent.pm else []
-        self._end_orphans({process.pid for process in alive})
-        for process in alive:
-            if process.name in names and not self._is_registered(names[process.name]):
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    if process.pid > 0 and process.is_alive():
-                        os.kill(process.pid, signal.SIGTERM)
+        if self._parent.pm:
+            # From now on, roslaunch starts no node again, and reports no end.
+            self._parent.pm.shutdown()
+        for name, process in self._processes.items():
+            if process.poll() is not None:
+                # roslaunch starts each node in a process group: its children may still run.
+                number = signal.SIGKILL
+            else:
+                number = signal.SIGINT if self._is_registered(name) else signal.SIGTERM
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, number)
         self._parent.shutdown()
 
-    def _end_orphans(self, alive: set[int]) -> None:
-        """Kill the children of dead nodes: roslaunch starts each node in a process group."""
-        for group in set(self._groups) - alive:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(group, signal.SIGKILL)
-
-    def _is_registered(self, node) -> bool:
-        name = rosgraph.names.ns_join(node.namespace, node.name)
+    def _is_registered(self, name: str) -> bool:
         try:
             code, _, _ = self._config.master.get().lookupNode("/roslaunch", name)
         except (OSError, xmlrpc.client.Error):
@@ -225,10 +242,27 @@ class Launch:
 
     def verdict(self, has_summary: Callable[[], bool], stopped_by: int | None) -> Verdict | None:
         """Return how the job has ended; None while it runs. See `judge`."""
-        names = {node.process_name: node.name for node in self._config.nodes}
-        # Read before the summary is looked for, which a node writes before it ends.
-        deaths = list(self._deaths.list)
-        return judge(deaths, names, self.required, has_summary(), stopped_by)
+        # Before the summary is looked for, which a node writes before it ends.
+        for name, process in self._processes.items():
+            status = process.poll()
+            if status is not None:
+                self._deaths.setdefault(name, Death(name.rsplit("/", 1)[-1], status))
+        deaths = self._deaths.values()
+        return judge(deaths, len(self._config.nodes), self.required, has_summary(), stopped_by)
+
+
+class _Loader(roslaunch.xmlloader.XmlLoader):
+    """Reads launch files, but sets the parameters of roscore.xml without its two programs."""
+
+    def load(self, filename, ros_config, core=False, **options):
+        """Read a launch file; called by roslaunch."""
+        if not core:
+            super().load(filename, ros_config, core=core, **options)
+            return
+        version = rospkg.RosPack().get_manifest("roslaunch").version
+        distro = os.environ.get("ROS_DISTRO", "Debian")
+        for name, value in {"/rosversion": version, "/rosdistro": distro}.items():
+            ros_config.add_param(roslaunch.core.Param(name, f"{value}\n"))
 
 
 def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfig:
@@ -238,7 +272,8 @@ def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfi
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
     try:
         with _as_supervision_error():
-            return roslaunch.config.load_config_default([(str(path), words)], None)
+            files = [(str(path), words)]
+            return roslaunch.config.load_config_default(files, None, loader=_Loader())
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

@@ -40,6 +40,8 @@ LOCK_STEP = "lock_step"
 TF_PREFIX = "tf_prefix"
 # Wall seconds of waiting before it is reported.
 REPORT_WAIT_SECONDS = 3.0
+# Wall seconds between two looks for signals.
+SIGNAL_CHECK_SECONDS = 0.5
 # Wall seconds for which the main thread waits for the shutdown by a signal.
 LONGEST_END = 10.0
 _ROSOUT_PARAMETER = "/rosout_disable_topics_generation"
@@ -271,7 +273,9 @@ def spin() -> None:
     """Wait until ROS shuts down, which `rospy.spin` notices up to half a second later."""
     ended = threading.Event()
     rospy.on_shutdown(ended.set)
-    ended.wait()
+    # Python's handlers run in this thread, which a signal that another thread gets does not wake.
+    while not ended.wait(SIGNAL_CHECK_SECONDS):
+        pass
 
 
 def holds_within(condition: Callable[[], Any], seconds: float) -> bool:

@@ -24,7 +24,7 @@ import rospy
 
 from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.node.node import ignore_clock, node
+from bullet_lab.ros.node.node import SIGNAL_CHECK_SECONDS, ignore_clock, node
 from bullet_lab.ros.view.pad import DriverSeat
 from bullet_lab.ros.view.page import Page
 from bullet_lab.ros.view.panel import Driver, Panel, TabControls
@@ -95,9 +95,8 @@ class ViewNode:
     def run(self) -> None:
         """Serve until ROS shuts down."""
         while not rospy.is_shutdown():
-            self._opened.wait()
-            self._opened.clear()
-            if not rospy.is_shutdown():
+            if self._opened.wait(SIGNAL_CHECK_SECONDS) and not rospy.is_shutdown():
+                self._opened.clear()
                 self._show_until_closed()
         self._page.close()
 

@@ -249,14 +249,27 @@ class Camera(Plugin):
         draw, exposure = self.mount.simulation.renderer().picture, self.settings.exposure
         pose = self.pose() * turn
         picture = draw(pose, self._shot(), exposure)
-        if not self.settings.blur or not (picture == WHITE).any():
+        white = picture == WHITE
+        if not self.settings.blur or not white.any():
             return picture
-        light = BRIGHTEST * draw(pose, self._shot(), exposure / BRIGHTEST)
-        # Near white, a part of the pixel was clipped; elsewhere, the two differ by rounding.
-        return np.where(light > picture + BRIGHTEST, light, picture).astype(np.float32)
+        part = slice(None), slice(None)
+        if self.settings.samples == 1:
+            part = _span(white.any(axis=(1, 2))), _span(white.any(axis=0).any(axis=1))
+        darker = draw(pose, self._shot(), exposure / BRIGHTEST, part)
+        picture, light = picture.astype(np.float32), darker.astype(np.float32) * BRIGHTEST
+        # Samples of a grey pixel may be white, too. Elsewhere, the two differ by rounding.
+        is_brighter = light > picture[part] + BRIGHTEST
+        picture[part] = np.maximum(picture[part], light * is_brighter)
+        return picture
 
     def _shot(self) -> Shot:
         return Shot(self.lens.ideal, self.near, self.far, self.settings.samples)
+
+
+def _span(line: np.ndarray) -> slice:
+    """Return the slice from the first to the last true value."""
+    places = np.flatnonzero(line)
+    return slice(places[0], places[-1] + 1)
 
 
 def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:

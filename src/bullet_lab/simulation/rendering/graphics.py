@@ -105,6 +105,15 @@ class Canvas:
             node.set_initial_state(state)
             node.set_camera_mask(core.BitMask32.bit(bit))
 
+    def cut(self, rows: slice, columns: slice) -> None:
+        """Draw only these rows and columns of the first camera's picture."""
+        width, height = self.texture.get_x_size(), self.texture.get_y_size()
+        (left, right, _), (low, high, _) = columns.indices(width), rows.indices(height)
+        frame = panda3d().LVecBase4(left / width, right / width, low / height, high / height)
+        node = self.cameras[0].node()
+        scissors = panda3d().ScissorAttrib.make(frame)
+        node.set_initial_state(node.get_initial_state().set_attrib(scissors))
+
     def pixels(self, kind: type, channels: int) -> np.ndarray:
         """Return the result, (height, width, channels), until the next picture."""
         image = self.texture.get_ram_image()

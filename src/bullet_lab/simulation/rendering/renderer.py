@@ -138,20 +138,29 @@ class Renderer:
         # How often the static and the moving models have changed.
         self._versions = {STILL: 0, MOVING: 0}
 
-    def picture(self, pose: Pose, shot: Shot, exposure: float = 1.0) -> np.ndarray:
+    def picture(
+        self,
+        pose: Pose,
+        shot: Shot,
+        exposure: float = 1.0,
+        part: tuple[slice, slice] = (slice(None), slice(None)),
+    ) -> np.ndarray:
         """Return the picture along the x axis of a pose, with its z axis up.
 
-        Exposure is a factor of the brightness; brighter colours than white become white.
+        Exposure is a factor of the brightness; brighter colours than white become white. A part is
+        the rows and columns to draw.
 
         Returns:
-            (height, width, 3) uint8, RGB. The same world, pose and shot give the same bytes.
+            (height, width, 3) uint8, RGB; less for a part. The same world, pose and shot give the
+            same bytes.
         """
         self._root.set_shader_input("exposure", float(exposure))
         background = np.clip(exposure * self._background, 0.0, 1.0)
         target = self._aimed(pose, shot, shot.samples, background)
+        target.cut(*part)
         self._graphics.draw([*self._shadow_maps(pose, shot), target])
         # Panda3D gives blue first.
-        return cv2.cvtColor(target.pixels(np.uint8, 4), cv2.COLOR_BGRA2RGB)
+        return cv2.cvtColor(target.pixels(np.uint8, 4)[part], cv2.COLOR_BGRA2RGB)
 
     def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
         """Return the depth along the view at the centre of each pixel.

@@ -10,28 +10,27 @@ import yaml
 from bullet_lab.ros.launcher import supervision
 from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
 
-NAMES = {"bridge-1": "bridge", "drive-2": "drive", "plot-3": "plot"}
 # Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
 # exit status of the run with its reason. The bridge and the plot are required.
 VERDICTS = """
-- [{drive-2: 0, plot-3: 0}, true, null, 0, ""]
-- [{plot-3: 0}, false, null, 1, plot ended before there was a summary]
+- [{drive: 0, plot: 0}, true, null, 0, ""]
+- [{plot: 0}, false, null, 1, plot ended before there was a summary]
 # The first failure gives the status.
-- [{drive-2: 1, bridge-1: 5, plot-3: 0}, true, null, 1, drive ended with status 1]
-- [{drive-2: 77, bridge-1: 5, plot-3: 0}, true, null, 77, drive ended with status 77]
+- [{drive: 1, bridge: 5, plot: 0}, true, null, 1, drive ended with status 1]
+- [{drive: 77, bridge: 5, plot: 0}, true, null, 77, drive ended with status 77]
 # After the end of the job, it does not count.
-- [{plot-3: 0, drive-2: 1}, true, null, 0, ""]
-- [{bridge-1: -11}, true, null, 139, bridge was killed by signal 11]
+- [{plot: 0, drive: 1}, true, null, 0, ""]
+- [{bridge: -11}, true, null, 139, bridge was killed by signal 11]
 - [{}, true, SIGINT, 130, stopped by SIGINT]
 - [{}, true, SIGTERM, 143, stopped by SIGTERM]
 # It counts more than the signal that followed.
-- [{drive-2: 3}, true, SIGINT, 3, drive ended with status 3]
+- [{drive: 3}, true, SIGINT, 3, drive ended with status 3]
 """
 
 
 def judged(deaths, has_summary=True, stopped_by=None):
     deaths = [Death(*death) for death in deaths.items()]
-    return judge(deaths, NAMES, {"bridge", "plot"}, has_summary, stopped_by)
+    return judge(deaths, 3, {"bridge", "plot"}, has_summary, stopped_by)
 
 
 @pytest.mark.parametrize("deaths, summary, signal_name, status, reason", yaml.safe_load(VERDICTS))
@@ -42,11 +41,11 @@ def test_how_a_run_ends(deaths, summary, signal_name, status, reason):
 
 def test_run_goes_on_until_a_required_node_ends():
     assert judged({}) is None
-    assert judged({"drive-2": 0}) is None
+    assert judged({"drive": 0}) is None
 
 
 def test_all_nodes_ended_without_a_required_one():
-    verdict = judge([Death("drive-2", 0)], {"drive-2": "drive"}, set(), True, None)
+    verdict = judge([Death("drive", 0)], 1, set(), True, None)
     assert verdict.status == 1
 
 

@@ -16,10 +16,13 @@ from bullet_lab.ros.messages.conversions import COMMANDS, Converter
 from bullet_lab.ros.messages.gazebo_types import kobuki_msg
 from bullet_lab.ros.messages.poses import InputError, first_step_at, pose_message, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.simulation.plugins.point_lasers import RING_POINT
 from bullet_lab.simulation.plugins.samples import (
+    BlockSample,
     BumperEvent,
     CliffEvent,
     ContactsSample,
+    FixSample,
     ImuSample,
     JointCommand,
     JointCommands,
@@ -31,11 +34,13 @@ from bullet_lab.simulation.plugins.samples import (
     OdometrySample,
     PlanarCommand,
     RangeSample,
+    RingsSample,
     ShapeContact,
     Stop,
     SwitchesSample,
     TransformSample,
     Trigger,
+    VectorSample,
     VelocitySample,
     WheelDropEvent,
 )
@@ -154,6 +159,43 @@ SAMPLES = [
         d: 2.0
         i_clamp: 1.0
         antiwindup: true
+        """,
+    ),
+    (
+        FixSample(250, "earth", 1, 3, 45.0, 9.0, 105.0, FIRST),
+        """
+        header.stamp: 0.25
+        header.frame_id: earth
+        status: [1, 3]
+        latitude: 45.0
+        longitude: 9.0
+        altitude: 105.0
+        position_covariance: [1.0, 0, 0, 0, 2.0, 0, 0, 0, 3.0]
+        position_covariance_type: 2
+        """,
+    ),
+    (VectorSample(20, "earth", FIRST), "{header.frame_id: earth, vector: [1.0, 2.0, 3.0]}"),
+    (
+        BlockSample(20, "base", np.array([FIRST, SECOND]), RANGES[:2]),
+        """
+        header.frame_id: base
+        points: [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+        channels: [["", [1.5, .inf]]]
+        """,
+    ),
+    (
+        RingsSample(20, "base", np.array([[(1.0, 2.0, 3.0, 4.0, 513, 5.0)]], RING_POINT)),
+        """
+        header.frame_id: base
+        height: 1
+        width: 1
+        fields: [[x, 0, 7, 1], [y, 4, 7, 1], [z, 8, 7, 1], [intensity, 12, 7, 1], [ring, 16, 4, 1],
+          [time, 18, 7, 1]]
+        is_bigendian: false
+        point_step: 22
+        row_step: 22
+        data: !!binary AACAPwAAAEAAAEBAAACAQAECAACgQA==
+        is_dense: true
         """,
     ),
     # What is left of a command.

@@ -20,6 +20,27 @@ signals.wait()
 print(rospy.is_shutdown())
 """
 
+# The kernel may give a signal to any thread; Python's handler runs in the main thread.
+SPINNING = """
+import signal, threading, time
+from bullet_lab.ros.node.node import Signals, spin
+def kill():
+    time.sleep(0.5)
+    signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
+    time.sleep(1000)
+signals = Signals()
+threading.Thread(target=kill, daemon=True).start()
+spin()
+print(signals.number)
+"""
+
+
+def test_a_signal_that_another_thread_gets_ends_a_node_that_only_listens():
+    run = subprocess.run(
+        [sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=60
+    )
+    assert (run.stdout, run.stderr) == ("15\n", "")
+
 
 @pytest.mark.parametrize("name", [pytest.param("SIGINT", marks=pytest.mark.long), "SIGTERM"])
 def test_a_signal_ends_a_node_whose_main_thread_is_busy(name):

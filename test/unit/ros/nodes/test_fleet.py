@@ -1,5 +1,8 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of_figure
 
 from bullet_lab.core.parameters import read_parameters
 from bullet_lab.core.trajectory import Trajectory
@@ -53,19 +56,13 @@ def test_summary_has_mean_and_largest_errors():
 
 
 @pytest.mark.parametrize("number", [1, 7])
-def test_figure_shows_all_paths_to_one_scale(number):
+def test_figures_are_as_before(number):
     robots = {
         name: (path(2.5 * (k % 5), 2.5 * (k // 5)), path(2.5 * (k % 5) + 0.1))
         for k, name in enumerate(robot_names(number))
     }
-    (axes,) = fleet_figure(robots, "fleet").axes
-    assert axes.get_aspect() == 1.0
-    assert [text.get_text() for text in axes.texts] == robot_names(number)
-    drawn = {line.get_xydata().tobytes() for line in axes.lines}
-    places = [trajectory.poses[:, :2] for paths in robots.values() for trajectory in paths]
-    assert {place.tobytes() for place in places} <= drawn
-    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
-    assert (np.concatenate(places) > low).all() and (np.concatenate(places) < high).all()
+    told = lines_of_figure(fleet_figure(robots, "fleet"))
+    assert_as_before(told, Path(__file__).parent / f"fleet_of_{number}.txt")
 
 
 def test_figure_of_robots_that_have_sent_nothing_yet():

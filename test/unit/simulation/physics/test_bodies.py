@@ -2,10 +2,12 @@
 
 import random
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_alike
+import yaml
+from alike import assert_alike, assert_as_before, lines_of
 from contact_forces import pressures
 from heap import bytes_kept
 from rovers import even_inertia, wheels
@@ -32,6 +34,7 @@ from bullet_lab.simulation.world.meshes import MeshError
 from bullet_lab.simulation.world.sdf import read_world_file
 from bullet_lab.simulation.world.tree import principal_axes
 
+HERE = Path(__file__).parent
 UNIT = Inertia(2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
 G = 9.8
 PYBULLET_KINDS = {
@@ -271,79 +274,18 @@ def push(space, body, effort, seconds):
     return body.joint_state("j")
 
 
-@pytest.mark.parametrize(("kind", "inertia"), [("revolute", 0.2), ("prismatic", 2.0)])
-class TestMotion:
-    def test_friction_stops_evenly_and_holds(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, friction=0.1))
-        body.set_joint("j", 0.0, 0.2)
-        stop = 0.2 * inertia / 0.1
-        assert push(space, body, 0.0, 0.5 * stop).velocity == pytest.approx(0.1, abs=1e-4)
-        assert push(space, body, 0.0, 0.6 * stop).velocity == pytest.approx(0.0, abs=1e-9)
-        before = body.joint_state("j").position
-        assert before == pytest.approx(0.5 * 0.2 * stop, rel=1e-2)
-        assert push(space, body, 0.09, 0.2).position == pytest.approx(before, abs=1e-9)
-        gained = push(space, body, 0.15, 0.2).velocity
-        assert gained == pytest.approx((0.15 - 0.1) * 0.2 / inertia, rel=1e-6)
-
-    def test_friction_against_a_motor_and_with_it(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, friction=0.1))
-        body.drive_joint("j", 5.0, 0.3)
-        space.run_for(0.2)
-        fastest = (0.3 - 0.1) * 0.2 / inertia
-        assert body.joint_state("j").velocity == pytest.approx(fastest, rel=1e-6)
-        body.drive_joint("j", 0.0, 0.3)
-        space.run_for(0.05)
-        slower = fastest - (0.3 + 0.1) * 0.05 / inertia
-        assert body.joint_state("j").velocity == pytest.approx(slower, rel=1e-6)
-        body.set_joint("j", 0.0)
-        body.drive_joint("j", 5.0, 0.05)
-        space.run_for(0.2)
-        assert body.joint_state("j").position == pytest.approx(0.0, abs=1e-9)
-
-    def test_friction_helps_a_motor_that_holds(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, friction=0.1))
-        body.hold_joint("j", 0.0, 0.3)
-        assert push(space, body, 0.38, 0.5).position == pytest.approx(0.0, abs=1e-6)
-        gained = push(space, body, 0.5, 0.2).velocity
-        assert gained == pytest.approx((0.5 - 0.4) * 0.2 / inertia, rel=1e-6)
-
-    def test_no_effort_beyond_the_limit_of_velocity(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, limits={"velocity": 0.3}))
-        step = 2.0 * 0.001 / inertia
-        for effort in (2.0, -2.0):
-            speed = push(space, body, effort, 1.0).velocity * np.sign(effort)
-            assert 0.3 <= speed <= 0.3 + step
-        # Braking is free.
-        body.set_joint("j", 0.0, 1.0)
-        slower = push(space, body, -2.0, 0.01).velocity
-        assert slower == pytest.approx(1.0 - 10 * step, rel=1e-6)
-
-    @pytest.mark.parametrize(
-        ("limits", "lowest", "highest"),
-        [
-            ({"lower": -0.2, "upper": 0.3}, -0.2, 0.3),
-            ({"lower": 0.1, "upper": 0.1}, 0.1, 0.1),
-            ({"lower": -0.2}, -0.2, None),
-            ({"upper": 0.3}, None, 0.3),
-            ({"lower": 1.0, "upper": -1.0}, None, None),
-            ({}, None, None),
-        ],
-    )
-    def test_ends(self, space, kind, inertia, limits, lowest, highest):
-        body = body_of(space, jointed(kind, limits=limits))
-        for effort, end in ((1.0, highest), (-1.0, lowest)):
-            body.set_joint("j", 0.1)
-            position = push(space, body, 5.0 * effort, 0.9).position
-            if end is None:
-                assert abs(position) > 0.5
-            else:
-                assert position == pytest.approx(end, abs=2e-3)
-
-    def test_neither_limits_nor_the_engine_hold_a_motor_back(self, space, kind, inertia):
-        body = body_of(space, jointed(kind, limits={"velocity": 0.3, "effort": 0.1}))
-        body.drive_joint("j", 150.0, 1e4)
-        space.run_for(0.1)
-        assert body.joint_state("j").velocity == pytest.approx(150.0, rel=1e-6)
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_joints_with_friction_limits_and_motors_move_as_before(space, kind):
+    told = []
+    for name, case in yaml.safe_load((HERE / "motions.yaml").read_text()).items():
+        body = body_of(space, jointed(kind, **case["joint"]))
+        for verb, position, most, effort, seconds in case["steps"]:
+            if verb:
+                getattr(body, verb)("j", position, most)
+            state = push(space, body, effort, seconds)
+            told += lines_of([state.position, state.velocity], name)
+        space.remove("machine")
+    assert_as_before(told, HERE / f"motions.{kind}.txt")
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -382,11 +324,6 @@ def test_a_damper_of_any_strength_between_light_links_does_not_swing_up(space, k
     body.set_joint("j", 0.0, 2.0)
     space.run_for(0.05)
     assert abs(body.joint_state("j").velocity) < 1e-6
-
-
-def test_a_continuous_joint_has_no_ends(space):
-    body = body_of(space, jointed("continuous", limits={"lower": -0.1, "upper": 0.1}))
-    assert push(space, body, 1.0, 1.0).position > 2.0
 
 
 # Any number of shapes

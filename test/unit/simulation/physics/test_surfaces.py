@@ -1,24 +1,15 @@
 """What shapes are like to touch: friction of pairs and in directions, and wheels on treads."""
 
 import math
-from dataclasses import replace
 
-import numpy as np
 import pytest
-from rovers import LYING, G, Y, even_inertia
+from rovers import G, even_inertia
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.surfaces import (
-    RIM,
-    TREAD,
-    ContactSurface,
-    on_treads,
-)
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import (
     Box,
     Collision,
-    Cylinder,
     Link,
     Model,
     Plane,
@@ -72,22 +63,6 @@ def test_a_direction_of_friction_is_that_of_the_shape(heading, turned, towards, 
     assert slowing(1.0, runner, **angles) == pytest.approx(friction, abs=0.01)
 
 
-# Treads
-
-
-WHEEL = Collision(Cylinder(0.1, 0.04), LYING, name="wheel")
-
-
-def test_a_lone_wheel_gets_a_tread_and_a_rim():
-    tread, rim = on_treads((WHEEL,), Y, skids=False)
-    assert tread == replace(WHEEL, geometry=Cylinder(0.1, TREAD))
-    assert rim == replace(WHEEL, geometry=Cylinder((1.0 - RIM) * 0.1, 0.04))
-    # One that skids has a tread at each edge.
-    *treads, rim = on_treads((WHEEL,), Y, skids=True)
-    assert [tread.geometry for tread in treads] == 2 * [Cylinder(0.1, TREAD)]
-    assert [round(tread.pose.position[1], 6) for tread in treads] == [0.019, -0.019]
-
-
 def test_friction_has_a_limit_along_each_axis_of_the_world_or_for_all_directions():
     shape = Collision(Box((0.3, 0.3, 0.2)), friction=0.5)
     oblique = 0.25 * math.pi
@@ -95,14 +70,3 @@ def test_friction_has_a_limit_along_each_axis_of_the_world_or_for_all_directions
     assert slowing(1.0, shape, towards=oblique, coulomb=True) == pytest.approx(0.5, abs=0.01)
 
 
-# Directions on wheels
-
-
-@pytest.mark.parametrize(
-    ("direction", "along", "across"), [((0.0, 0.0, 1.0), 0.3, 0.6), ((0.8, 0.6, 0.0), 0.6, 0.3)]
-)
-def test_what_a_direction_on_a_wheel_means_does_not_turn_with_it(direction, along, across):
-    shape = replace(WHEEL, friction=along, cross_friction=across, direction=direction)
-    surface = ContactSurface.of(shape, Y)
-    assert np.abs(surface.axis) == pytest.approx(Y)
-    assert (surface.friction, surface.along, surface.across) == (0.6, 0.5, 1.0)

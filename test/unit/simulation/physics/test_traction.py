@@ -1,34 +1,41 @@
 """Robots that steer by slipping turn as Coulomb's law says, at any heading and on any floor."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from contact_forces import pressures
-from rovers import Drive, G, Rover, coulomb_twist, even_inertia
+from rovers import Drive, G, Rover, Y, coulomb_twist, even_inertia, wheels
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.traction import limit_friction
-from bullet_lab.simulation.world.description import Box, Collision, Link, Model
+from bullet_lab.simulation.physics.surfaces import skidding_wheels
+from bullet_lab.simulation.physics.traction import wheel_mobility
+from bullet_lab.simulation.world.description import Box, Collision, Inertia, Link, Model
+from bullet_lab.simulation.world.tree import place_links
 
-# The law
-
-
-@pytest.mark.parametrize("most", [(1.0, 1.0), (5.0, 0.5), (0.5, 5.0), (3.0, 1e-6)])
-@pytest.mark.parametrize("gains", [(1.0, 1.0), (30.0, 1.0), (0.02, 4.0)])
-def test_what_is_taken_back_is_a_slip_that_the_ellipse_is_normal_to(gains, most):
-    random = np.random.default_rng(3)
-    for wanted in random.normal(0.0, 20.0, (50, 2)):
-        *friction, left = limit_friction(tuple(wanted), gains, most)
-        assert np.hypot(*np.divide(friction, most)) == pytest.approx(1.0)
-        slip, normal = (wanted - friction) / gains, np.divide(friction, np.square(most))
-        cosine = slip @ normal / np.hypot(*slip) / np.hypot(*normal)
-        assert cosine > 0.999
-        assert 0.0 < left < 1.0
+CORNERS = [(x, y, 0.1) for x in (0.2, -0.2) for y in (0.25, -0.25)]
 
 
-def test_friction_within_its_limits_is_what_is_wanted():
-    assert limit_friction((0.3, -0.4), (2.0, 5.0), (1.0, 0.8)) == (0.3, -0.4, 1.0)
+def test_the_mobility_is_that_of_the_closed_form():
+    """Of a base with wheels that have nothing but an inertia about their axles."""
+    mass, spin, radius, centre = 5.0, 0.004, 0.1, np.array((0.05, -0.02, 0.3))
+    moments = np.diag((0.1, 0.2, 0.3))
+    links, joints = wheels(*CORNERS)
+    light = Inertia(1e-9, (0.0, 0.0, 0.0), np.diag((1e-9, spin, 1e-9)))
+    base = Link("base", Pose(), Inertia(mass, tuple(centre), moments))
+    placed = place_links((base, *(replace(link, inertia=light) for link in links)), joints)
+    told = skidding_wheels(placed, joints)
+    mobility = wheel_mobility(placed, joints, told)
+    for n, place in enumerate(CORNERS):
+        hub = np.array(place) - centre
+        # Along the way the wheel gives way, and what it holds on to is its hub.
+        along = np.cross(hub, (1.0, 0.0, 0.0))
+        wanted = 1.0 / mass + along @ np.linalg.solve(moments, along) + radius**2 / spin
+        assert mobility[2 * n, 2 * n] == pytest.approx(wanted, rel=1e-4)
+        across = np.cross(hub - (0.0, 0.0, radius), Y)
+        wanted = 1.0 / mass + across @ np.linalg.solve(moments, across)
+        assert mobility[2 * n + 1, 2 * n + 1] == pytest.approx(wanted, rel=1e-4)
 
 
 # Turning
@@ -36,18 +43,6 @@ def test_friction_within_its_limits_is_what_is_wanted():
 
 def expected(drive, left, right, **more):
     return coulomb_twist(drive.rover.places(), drive.loads(), left, right, **more)
-
-
-@pytest.mark.parametrize(
-    ("ratio", "heading"), [(0.3, 0.0), (1.5, math.pi / 4)]
-)
-def test_on_the_spot_at_the_rate_of_the_closed_form(ratio, heading):
-    """With wheels at (±a, ±b) it is b²/(a² + b²) of what it would be if none slipped."""
-    rover = Rover(length=ratio * 0.5)
-    with Drive(rover, heading) as drive:
-        vx, vy, wz = drive.steady_twist(-0.2, 0.2)
-    assert wz == pytest.approx(0.4 / 0.5 / (1.0 + ratio**2), rel=0.005)
-    assert math.hypot(vx, vy) < 5e-4
 
 
 @pytest.mark.parametrize(
@@ -106,13 +101,6 @@ def test_with_other_friction_along_than_across(one, other, rolled):
         twist = drive.steady_twist(-0.2, 0.2)
         law = expected(drive, -0.2, 0.2, coefficients=(one, max(other, 1e-6)))
     assert twist[2] == pytest.approx(law[2], rel=0.01)
-
-
-def test_the_smaller_coefficient_of_the_two_counts():
-    """Seen by how fast it comes to its speed."""
-    with Drive(Rover(wheel={"friction": 0.5}), friction=0.2) as drive:
-        drive.go(2.0, 2.0, 0.3)
-        assert drive.twist()[0] == pytest.approx(0.2 * G * 0.3, rel=0.03)
 
 
 # Slopes

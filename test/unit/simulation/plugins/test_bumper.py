@@ -3,10 +3,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor_worlds import box, check_refusal, record, thing
+from sensor_worlds import box, record, thing
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.world.description import Box, Collision, Cylinder, Mesh, Plane, Sphere
+from bullet_lab.simulation.world.description import Box, Collision, Mesh
 from bullet_lab.simulation.world.urdf import read_urdf
 
 MASS, G = 2.0, 9.8
@@ -183,33 +183,6 @@ def test_the_torque_is_about_the_centre_of_mass(world):
     # The post, ahead and to the left, pushes back: the crate is turned to the left.
     assert total(hit.forces)[0] < 0.0
     assert total(hit.torques)[2] > 0.0
-
-
-def test_names_and_the_mean_rate(world):
-    tags = "<bumperTopicName>front</bumperTopicName><frameName>/map</frameName>"
-    model = bumper(tags=tags, rate=30)
-    samples, _ = run(world, model, 1.0, "/ns/front", namespace="ns", tf_prefix="robot")
-    assert len(samples) == 30
-    assert samples[-1].frame == "map"
-
-
-def test_shapes_that_are_not_there_are_refused():
-    message = "link 'base' has no shape 'tail'; its shapes: base_collision"
-    check_refusal(bumper(["tail"]), message)
-
-
-@pytest.mark.parametrize(
-    ("geometry", "point", "distance"),
-    [
-        (Sphere(0.5), (0, 0, 0.2), 0.3),
-        (Box((2, 4, 6)), (0.9, 1.5, 0), 0.1),
-        (Cylinder(1.0, 2.0), (0, 0, 0.9), 0.1),
-        (Cylinder(1.0, 2.0), (4, 0, 5), 5.0),
-        (Plane((2.0, 0.0, 0.0)), (3, 2, -0.5), 3.0),
-    ],
-)
-def test_distances_from_surfaces(geometry, point, distance):
-    assert geometry.distance(point) == pytest.approx(distance)
 
 
 def test_a_mesh_is_taken_for_the_box_around_it(package):

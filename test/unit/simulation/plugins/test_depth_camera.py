@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
-from sensor_worlds import check_refusal, record, steps
+from sensor_worlds import record, steps
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import DepthCamera
@@ -17,22 +17,18 @@ ROBOT = """<robot name="robot">
   <link name="mast"/>
   <joint name="up" type="fixed"><parent link="base"/><child link="mast"/>
     <origin xyz="0.1 0 0.5" rpy="0 0.2 0.3"/></joint>
-  <gazebo reference="{link}"><sensor type="{kind}" name="s"><update_rate>20</update_rate>
+  <gazebo reference="{link}"><sensor type="depth" name="s"><update_rate>20</update_rate>
     <camera name="eye"><horizontal_fov>1.2</horizontal_fov>
       <image><width>160</width><height>120</height><format>{format}</format></image>
-      <clip><near>{near}</near><far>{far}</far></clip></camera>
+      <clip><near>0.05</near><far>8</far></clip></camera>
     <plugin filename="libgazebo_ros_{plugin}.so" name="c">{tags}</plugin></sensor></gazebo>
 </robot>"""
 FOCAL = 80 / math.tan(0.6)
 
 
-def robot_text(**changes):
-    values = {"link": "base", "kind": "depth", "format": "R8G8B8", "near": 0.05, "far": 8.0}
-    return ROBOT.format(**{**values, "plugin": "openni_kinect", "tags": "", **changes})
-
-
-def add(simulation, **changes):
-    robot = simulation.add(read_urdf(robot_text(**changes), "robot"))
+def add(simulation, link="base", format="R8G8B8", plugin="openni_kinect", tags=""):
+    text = ROBOT.format(link=link, format=format, plugin=plugin, tags=tags)
+    robot = simulation.add(read_urdf(text, "robot"))
     (camera,) = (device for device in robot.plugins if isinstance(device, DepthCamera))
     return robot, camera
 
@@ -40,12 +36,6 @@ def add(simulation, **changes):
 def measured(*models, **changes):
     with world(*models) as simulation:
         return add(simulation, **changes)[1].measure()
-
-
-def cutoff(least, greatest):
-    return f"<pointCloudCutoff>{least}</pointCloudCutoff>" + (
-        f"<pointCloudCutoffMax>{greatest}</pointCloudCutoffMax>"
-    )
 
 
 def rays():
@@ -123,35 +113,6 @@ def test_a_distorted_pixel_has_the_depth_of_what_it_shows():
 # Names and tags
 
 
-def test_names_follow_the_tags():
-    tags = "<cameraName>kinect</cameraName><imageTopicName>rgb/image_raw</imageTopicName>"
-    tags += "<cameraInfoTopicName>rgb/camera_info</cameraInfoTopicName>"
-    tags += "<depthImageTopicName>d/image</depthImageTopicName><frameName>optical</frameName>"
-    tags += "<depthImageCameraInfoTopicName>d/info</depthImageCameraInfoTopicName>"
-    tags += "<pointCloudTopicName>/cloud</pointCloudTopicName><robotNamespace>bot</robotNamespace>"
-    with world() as simulation:
-        _, camera = add(simulation, tags=tags)
-    assert [output.topic for output in camera.outputs] == [
-        "/bot/kinect/rgb/image_raw",
-        "/bot/kinect/rgb/camera_info",
-        "/bot/kinect/d/image",
-        "/bot/kinect/d/info",
-        "/cloud",
-    ]
-    assert camera.frame == "optical"
-
-
-@pytest.mark.parametrize("plugin", ["openni_kinect", "depth_camera"])
-def test_names_without_tags(plugin, caplog):
-    tags = "<reduceNormals>50</reduceNormals><normalsTopicName>n</normalsTopicName>"
-    with world() as simulation:
-        _, camera = add(simulation, plugin=plugin, tags=tags)
-    names = ["ir/image_raw", "ir/camera_info"]
-    names += ["depth/image_raw", "depth/camera_info", "points"]
-    assert [output.topic for output in camera.outputs] == names
-    assert not caplog.messages
-
-
 @pytest.mark.parametrize(("plugin", "seen"), [("openni_kinect", False), ("depth_camera", True)])
 def test_how_far_each_plugin_sees_by_default(plugin, seen):
     assert np.isfinite(measured(wall(6.0, 0.0)[0], plugin=plugin)).all() == seen
@@ -222,16 +183,3 @@ def test_millimetres_where_they_are_asked_for():
     assert image.pixels[60, 79:81].mean() == pytest.approx(2000.0, abs=1.0)
     # The far end of the wall is out of range.
     assert (image.pixels == 0).any()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"kind": "camera"}, 'needs a <sensor type="depth">'),
-        ({"tags": cutoff(3.0, 2.0)}, "<pointCloudCutoff>: the least depth, 3 m, is not below"),
-        ({"tags": cutoff(9.0, 20.0)}, "the least depth, 9 m, is not below the greatest, 8 m"),
-        ({"near": 3.0, "far": 2.0}, "near 3 m, far 2 m; 0 < near < far is needed"),
-    ],
-)
-def test_tags_that_make_no_depth_camera(changes, message):
-    check_refusal(read_urdf(robot_text(**changes), "robot"), message)

@@ -7,7 +7,6 @@ from sensor_worlds import box, check_refusal, drive, record, steps
 from shared import complains
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.models import find_link
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins import PluginError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -195,44 +194,6 @@ def test_odometry_comes_without_transforms_too(world, spawn, tags):
     assert len(samples) == 2
 
 
-def test_transforms_of_the_wheels(world, spawn):
-    robot = spawn(publishOdomTF="0", publishWheelTF="1", publishWheelJointState="1")
-    transforms, states = record(robot, "/tf"), record(robot, "joint_states")
-    drive(world, robot, 0.5, vx=0.3, wz=0.5)
-    assert len(transforms) == 20
-    assert len(states) == 10
-    assert states[-1].names == ("right_wheel_joint", "left_wheel_joint")
-    (body,) = robot.bodies.values()
-    for side, transform in enumerate(transforms[-2:]):
-        assert transform.frame == "base_footprint"
-        assert transform.child_frame == ("left_wheel", "right_wheel")[side]
-        there = find_link(world.models, transform.child_frame).state().pose
-        wheel = robot.pose() * transform.pose
-        assert wheel.position == pytest.approx(there.position, abs=1e-7)
-        assert wheel.rotation_matrix() == pytest.approx(there.rotation_matrix(), abs=1e-6)
-    # Positions are all that Gazebo sends.
-    assert states[-1].velocities == states[-1].efforts == ()
-    now = tuple(body.joint_state(name).position for name in states[-1].names)
-    assert states[-1].positions == now
-
-
-def test_a_namespace_and_a_tf_prefix(world, spawn):
-    tags = {"robotNamespace": "/lab/one/", "publishWheelTF": "1", "publishWheelJointState": "1"}
-    robot = spawn(tf_prefix="/left/", **tags)
-    (device,) = robot.plugins
-    assert [entry.topic for entry in device.inputs] == ["/lab/one/cmd_vel"]
-    topics = ["/lab/one/odom", "/tf", "/tf", "/lab/one/joint_states"]
-    assert [output.topic for output in device.outputs] == topics
-    samples, transforms = record(robot, "/lab/one/odom"), record(robot, "/tf")
-    world.run_for(0.05)
-    assert samples[0].frame == device.frame == "left/odom"
-    assert [(transform.frame, transform.child_frame) for transform in transforms] == [
-        ("left/odom", "left/base_footprint"),
-        ("left/base_footprint", "left/left_wheel"),
-        ("left/base_footprint", "left/right_wheel"),
-    ]
-
-
 # The encoders
 
 
@@ -293,21 +254,6 @@ def test_encoders_start_where_the_robot_starts_and_notice_no_lift(world, spawn):
     world.reset_world()
     world.run_for(0.1)
     assert samples[-1].pose.position == pytest.approx((0, 0, 0), abs=1e-4)
-
-
-def test_a_reset_is_as_good_as_a_new_robot(world, spawn):
-    robot = spawn(wheelAcceleration="0.7", odometrySource="encoder")
-    samples = record(robot, "odom")
-
-    def driven():
-        samples.clear()
-        world.run_for(0.3)
-        drive(world, robot, 1.0, vx=0.4, wz=0.5)
-        return [(sample.step, sample.pose, sample.velocity) for sample in samples], robot.pose()
-
-    first = driven()
-    world.reset_simulation()
-    assert driven() == first
 
 
 def test_dead_reckoning_is_exact_for_arcs():

@@ -20,7 +20,6 @@ from sensor_worlds import (
 
 from bullet_lab.core.pose import Pose
 
-G = 9.8
 # Metres in a degree at 45°: of the meridian and of the parallel, by the series of WGS 84.
 NORTH_45 = 111132.954 - 559.822 * math.cos(math.pi / 2) + 1.175 * math.cos(math.pi)
 EAST_45 = (
@@ -44,54 +43,10 @@ def told(kind, topic, seconds, seed=0, pose=None, **tags):
     return readings(model, topic, seconds, world=held, seed=seed, pose=pose)
 
 
-def test_without_errors_the_imu_reads_the_truth():
-    pose = Pose.from_rpy((0, 0, 0), (0.3, 0.2, 0.1))
-    samples = told("imu", "imu", 0.5, pose=pose, updateRate=100)
-    last = samples[-1]
-    assert steps(samples) == list(range(10, 501, 10))
-    assert Pose(quaternion=last.orientation).rpy() == pytest.approx((0.3, 0.2, 0.1))
-    up = Pose(quaternion=last.orientation).inverse().rotate((0.0, 0.0, G))
-    assert last.specific_force == pytest.approx(up)
-    assert last.angular_velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    assert last.frame == "base"
-
-
-def test_offset_scale_and_noise():
-    samples = told(
-        "imu",
-        "imu",
-        2.0,
-        updateRate=1000,
-        accelOffset="0.1 0.2 0.3",
-        accelScaleError=1.5,
-        rateOffset=0.5,
-        accelGaussianNoise="0.01 0.02 0.03",
-        yawGaussianNoise=0.5,
-    )
-    force = table(samples, "specific_force") - (0.1, 0.2, 1.5 * G + 0.3)
-    for axis, deviation in enumerate((0.01, 0.02, 0.03)):
-        check_normal(force[:, axis], deviation)
-    assert table(samples, "angular_velocity") == pytest.approx(0.5, abs=1e-9)
-    last = samples[-1]
-    assert last.specific_force_variance == pytest.approx((1e-4, 4e-4, 9e-4))
-    tilt = np.array((1e-4, 4e-4)) / G**2
-    assert last.orientation_variance == pytest.approx((*tilt, 0.25))
-
-
 def test_the_old_tag_gaussian_noise_counts_for_both():
     sample = told("imu", "imu", 0.01, gaussianNoise=0.1)[0]
     assert sample.specific_force_variance == pytest.approx((0.01,) * 3)
     assert sample.angular_velocity_variance == pytest.approx((0.01,) * 3)
-
-
-def test_the_biases_of_accelerometer_and_yaw_turn_the_orientation():
-    tags = {"updateRate": 50, "accelOffset": "0.098 0 0", "yawOffset": 0.2}
-    samples, biases = (told("imu", topic, 0.1, **tags) for topic in ("imu", "imu/bias"))
-    # The tilt at which gravity would explain the bias, in the small-angle form of hector.
-    turned = (0.0, -2.0 * math.atan(0.5 * 0.01), 0.2)
-    assert Pose(quaternion=samples[-1].orientation).rpy() == pytest.approx(turned)
-    assert biases[-1].orientation == pytest.approx(samples[-1].orientation)
-    assert biases[-1].specific_force == pytest.approx((0.098, 0.0, 0.0))
 
 
 def test_drift_is_a_gauss_markov_process():
@@ -143,25 +98,6 @@ def test_a_fix_is_metres_in_degrees_about_the_reference():
     assert (last.latitude, last.longitude) == pytest.approx((46.0, 10.0), abs=2e-6)
 
 
-def test_errors_of_a_fix_and_velocity():
-    tags = {
-        "updateRate": 100,
-        "referenceLatitude": 45,
-        "offset": "1 2 3",
-        "gaussianNoise": 0.5,
-        "drift": "0 0 4",
-        "velocityOffset": "0.1 0 0",
-    }
-    fix = told("gps", "fix", 20.0, **tags)
-    assert fix[0].variances == pytest.approx((0.25, 0.25, 16.25))
-    north = (table(fix, "latitude") - 45.0) * NORTH_45
-    check_normal(north, 0.5, 1.0)
-    west = -(table(fix, "longitude") - 8.9) * EAST_45
-    check_normal(west, 0.5, 2.0)
-    velocity = told("gps", "fix_velocity", 0.1, **tags)
-    assert velocity[-1].vector == pytest.approx((0.1, 0.0, 0.0))
-
-
 def test_the_velocity_is_along_north_west_and_up():
     with empty() as simulation:
         added = simulation.add(robot("gps", "<referenceHeading>90</referenceHeading>"))
@@ -170,38 +106,6 @@ def test_the_velocity_is_along_north_west_and_up():
             body.set_velocity((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
         simulation.run_for(0.25)
     assert samples[0].vector == pytest.approx((2.0, -1.0, 3.0), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("kind", "tags", "complaint"),
-    [
-        ("imu", "<rateDrift>-1</rateDrift>", "<rateDrift>: -1 is negative"),
-        ("imu", "<rateOffset>1 2</rateOffset>", "<rateOffset>: '1 2' is not 3 finite numbers"),
-        ("imu", "<bodyName>no</bodyName>", "no link 'no'"),
-        ("gps", "<referenceLatitude>90</referenceLatitude>", "90 is not within -89.9 … 89.9"),
-        ("gps", "<status>5</status>", "<status>: 5 is not within -1 … 2"),
-        ("gps", "<warp>5</warp>", "<warp> is not known"),
-    ],
-)
-def test_wrong_tags(kind, tags, complaint):
-    check_refusal(robot(kind, tags), complaint)
-
-
-def test_names_of_older_versions_are_ignored_quietly(caplog):
-    with empty() as simulation:
-        simulation.add(robot("imu", "<headingDrift>0.005</headingDrift>"))
-    assert not caplog.messages
-
-
-def test_the_drift_of_the_velocity_carries_the_position_away():
-    tags = {"driftFrequency": 0, "velocityDrift": 1, "velocityDriftFrequency": 0}
-    tags = {"updateRate": 10, "referenceLatitude": 45, **tags}
-    speed = told("gps", "fix_velocity", 0.1, **tags)[0].vector[0]
-    fix = told("gps", "fix", 5.0, **tags)
-    # The drift at a step is that of the velocities before.
-    north = (table(fix, "latitude") - 45.0) * NORTH_45
-    assert north == pytest.approx(0.1 * speed * np.arange(50), abs=1e-3)
-    assert abs(speed) > 0.01
 
 
 CONE = (

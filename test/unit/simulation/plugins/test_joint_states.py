@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import check_refusal, record, steps
+from sensor_worlds import record, steps
 
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -48,34 +48,3 @@ def test_a_hinge_swings_under_gravity(world):
     assert positions == pytest.approx(expected[:, 0], abs=0.03)
     assert velocities == pytest.approx(expected[:, 1], abs=0.1)
     assert {sample.efforts for sample in samples} == {()}
-
-
-def test_a_reset_puts_the_joints_back(world):
-    samples = record(world.add(pendulum("<updateRate>1000</updateRate>")), "joint_states")
-    world.run_for(0.5)
-    world.reset_simulation()
-    before = len(samples)
-    world.run_for(0.001)
-    (first,) = samples[before:]
-    assert first.step == 1
-    assert abs(first.positions[0]) < 1e-3
-    assert abs(first.velocities[0]) < 0.05
-
-
-@pytest.mark.parametrize(("rate", "period"), [("", 10), ("<updateRate>0</updateRate>", 1)])
-def test_rates_and_names_may_be_chosen(world, rate, period):
-    samples = record(world.add(pendulum(f"<jointName> hinge , </jointName>{rate}")), "joint_states")
-    world.run_for(0.04)
-    assert steps(samples) == list(range(period, 41, period))
-    assert samples[0].names == ("hinge",)
-
-
-def test_a_robot_without_joints_sends_no_states(world, robot):
-    samples = record(robot, "joint_states")
-    world.run_for(0.1)
-    assert samples == []
-
-
-def test_an_unknown_joint_is_refused():
-    unknown = pendulum("<jointName>hinge, knee</jointName>")
-    check_refusal(unknown, "<jointName>: no movable joint 'knee'")

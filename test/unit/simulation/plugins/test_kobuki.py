@@ -4,13 +4,10 @@ import math
 from dataclasses import replace
 
 import pytest
-from sensor_worlds import box, drive, record
-from shared import complains
+from sensor_worlds import box, drive, record, saved_again
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import MotorPower, Trigger
-from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 COMMANDS = "mobile_base/commands"
@@ -60,26 +57,6 @@ def test_it_drives_and_its_odometry_is_right(world, robot, vx, wz, seconds):
     told = odometry[-1].pose
     assert told.position[:2] == pytest.approx(driven.position[:2], abs=0.01)
     assert told.yaw == pytest.approx(driven.yaw, abs=0.01)
-
-
-def test_the_messages(world, robot):
-    topics = ("odom", "/tf", "joint_states", "mobile_base/sensors/imu_data")
-    odometry, transforms, joints, gyro = (record(robot, topic) for topic in topics)
-    core = record(robot, "mobile_base/sensors/core")
-    go(world, robot, 0.2, 0.5, 1.0)
-    assert [len(one) for one in (odometry, transforms, joints, gyro, core)] == [20] * 5
-    sample = odometry[-1]
-    assert (sample.frame, sample.child_frame) == ("odom", "base_footprint")
-    assert sample.pose_variances == (0.1, 0.1, 1e6, 1e6, 1e6, 0.05)
-    assert sample.velocity.vx == pytest.approx(0.2, abs=0.01)
-    assert gyro[-1].angular_velocity[2] == sample.velocity.wz == pytest.approx(0.5, abs=0.02)
-    assert joints[-1].names == ("wheel_left_joint", "wheel_right_joint")
-    rims = [0.035 * speed for speed in joints[-1].velocities]
-    assert rims == pytest.approx((0.2 - 0.5 * 0.115, 0.2 + 0.5 * 0.115), abs=2e-3)
-    assert {one.frame for one in (joints[-1], gyro[-1], core[-1])} == {"base_link"}
-    assert gyro[-1].angular_velocity_variance == (1e6, 1e6, 0.05)
-    assert gyro[-1].specific_force[2] == pytest.approx(9.8, abs=0.5)
-    assert (core[-1].bumpers, core[-1].cliffs, core[-1].wheel_drops) == (0, 0, 0)
 
 
 # A cliff sensor that leans sees no side of the thin plate below its edge.
@@ -133,22 +110,6 @@ def test_the_motors_and_the_odometry_have_switches(world, robot):
     assert odometry[-1].pose.position[0] < 0.02
 
 
-@pytest.mark.parametrize(
-    "tags, complaint",
-    [
-        ({"bumper_name": "nose"}, "<bumper_name>: the model has no sensor 'nose'"),
-        ({"imu_name": "bumpers"}, 'needs a <sensor type="imu">, not "contact"'),
-        ({"wheel_separation": None}, "<wheel_separation>: '' is not a finite number"),
-        ({"wheel_diameter": "-1"}, "<wheel_diameter>: -1 is not positive"),
-        ({"left_wheel_joint_name": "it"}, "<left_wheel_joint_name>: no movable joint 'it'"),
-    ],
-)
-def test_wrong_tags_are_named(world, model, tags, complaint):
-    with complains(complaint):
-        robot = world.add(with_tags(model, **tags))
-    assert not any(plugin.inputs for plugin in robot.plugins)
-
-
 def test_robots_without_wheel_drop_sensors(world, model):
     sides = {f"wheel_drop_{side}_sensor_name": None for side in ("left", "right")}
     robot = world.add(with_tags(model, **sides))
@@ -158,11 +119,9 @@ def test_robots_without_wheel_drop_sensors(world, model):
 
 
 def test_it_drives_again_in_a_saved_world(world, robot, tmp_path):
-    text, _ = world_text(world.snapshot(), tmp_path)
-    # A sensor has no plugin of its own.
-    assert 'filename=""' not in text
-    (tmp_path / "again.world").write_text(text)
-    with Simulation.of(str(tmp_path / "again.world")) as again:
+    with saved_again(world, tmp_path) as again:
+        # A sensor has no plugin of its own.
+        assert 'filename=""' not in (tmp_path / "again.world").read_text()
         robot = again.models[robot.name]
         go(again, robot, 0.2, 0.0, 1.0)
         assert robot.pose().position[0] > 0.15

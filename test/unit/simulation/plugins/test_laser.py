@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from noise_checks import check_normal
 from scipy import stats
-from sensor_worlds import box, carrier, check_refusal, empty, readings, record, sensor, table, thing
-from shared import PACKAGE
+from sensor_worlds import box, carrier, empty, readings, record, sensor, table, thing
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.rays import RAYS_AT_A_TIME
-from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.urdf import read_urdf_file
 
 PLUGIN = "libgazebo_ros_laser.so"
 TAGS = "<topicName>scan</topicName><frameName>laser_link</frameName>"
@@ -25,11 +22,9 @@ def ray(samples=360, angles=(-math.pi, math.pi), limits=(0.1, 10.0), more="", re
     )
 
 
-def laser(inner=None, rate=10, tags=TAGS, plugin=PLUGIN, kind="ray", **robot):
-    inner = ray() if inner is None else inner
-    return carrier(
-        sensor(kind, f"<update_rate>{rate}</update_rate>{inner}", plugin, tags), **robot
-    )
+def laser(inner="", **robot):
+    inner = f"<update_rate>10</update_rate>{inner or ray()}"
+    return carrier(sensor("ray", inner, PLUGIN, TAGS), **robot)
 
 
 def noise(deviation, mean=0.0):
@@ -38,8 +33,8 @@ def noise(deviation, mean=0.0):
     )
 
 
-def one_scan(simulation, model, topic="scan", **where):
-    scans = record(simulation.add(model, **where), topic)
+def one_scan(simulation, model):
+    scans = record(simulation.add(model), "scan")
     simulation.run_for(0.1)
     return scans[-1]
 
@@ -66,15 +61,6 @@ def test_four_walls_to_the_micrometre(world):
     assert scan.ranges == pytest.approx(np.minimum(x, y), abs=1e-6)
 
 
-def test_what_a_scan_says(world):
-    scan = one_scan(world, laser(ray(181, (-1.5, 1.4), (0.2, 7.0)), rate=20))
-    assert (scan.step, scan.frame) == (100, "laser_link")
-    assert (scan.angle_min, scan.angle_max) == (-1.5, 1.4)
-    assert scan.angle_increment == pytest.approx(2.9 / 180)
-    assert (scan.range_min, scan.range_max) == (0.2, 7.0)
-    assert scan.intensities.tolist() == [0.0] * 181
-
-
 def test_too_near_reads_minus_infinity_and_too_far_infinity(world):
     world.add(box("0.01 1 1", "0.15 0 0 0 0 0", "near"))
     world.add(box("1 9 1", "2.5 0 0 0 0 0", "far"))
@@ -96,13 +82,6 @@ def test_the_robots_own_parts_are_seen_beyond_the_least_range_only(world):
     world.remove("carrier")
     unseen = one_scan(world, laser(ray(2, (0.0, math.pi), (0.36, 5.0)), collision=CAN + mast))
     assert unseen.ranges[0] == pytest.approx(2.0, abs=1e-6)
-
-
-def test_the_floor_is_seen_by_a_laser_that_looks_down(world):
-    world.add(thing("<plane><normal>0 0 1</normal></plane>", "0 0 -1 0 0 0"))
-    scan = one_scan(world, laser(f"<pose>0 0 0 0 {math.pi / 6} 0</pose>" + ray(1)))
-    assert scan.ranges.tolist() == pytest.approx([2.0], abs=1e-6)
-    assert scan.angle_increment == 0.0
 
 
 def test_the_sensors_pose_its_merged_link_and_the_robots_pose_count(world):
@@ -137,19 +116,6 @@ def test_a_scan_may_go_clockwise(world):
     )
     assert back.ranges == pytest.approx(there.ranges[::-1])
     assert (back.angle_min, back.angle_max, back.angle_increment) == (0.4, -0.6, -0.25)
-
-
-def test_rows_come_one_after_the_other_from_below(world):
-    rows = ray(3, (-0.1, 0.1)).replace(
-        "</scan>",
-        "<vertical><samples>2</samples><min_angle>-0.5</min_angle><max_angle>0.5</max_angle>"
-        "</vertical></scan>",
-    )
-    world.add(box("0.1 9 5", "1.05 0 2.4 0 0 0"))
-    scan = one_scan(world, laser(rows))
-    assert len(scan.ranges) == 6
-    assert scan.ranges[1] == pytest.approx(np.inf)
-    assert scan.ranges[4] == pytest.approx(1.0 / math.cos(0.5), abs=1e-6)
 
 
 def test_more_rays_than_one_call_takes(world):
@@ -238,73 +204,5 @@ def test_a_resolution_does_not_round_the_readings(world):
     assert one_scan(world, laser(inner)).ranges[0] == pytest.approx(2.013, abs=1e-6)
 
 
-# Names, refusals
-
-
-def test_defaults_of_topic_and_frame(world):
-    scan = one_scan(world, laser(tags=""), "/world")
-    assert scan.frame == "world"
-
-
-@pytest.mark.parametrize(
-    ("slash", "topic", "frame"),
-    [("", "/one/scan", "one_tf/laser_link"), ("/", "/scan", "laser_link")],
-)
-def test_names_are_relative_or_absolute(world, slash, topic, frame):
-    tags = f"<topicName>{slash}scan</topicName><frameName>{slash}laser_link</frameName>"
-    model = laser(tags=tags, plugin="libgazebo_ros_gpu_laser.so", kind="gpu_ray")
-    scan = one_scan(world, model, topic, namespace="one", tf_prefix="one_tf")
-    assert scan.frame == frame
-
-
-def in_range(tag, value):
-    return ray().replace(f"<{tag}>", f"<{tag}>{value}<!--").replace(f"</{tag}>", f"--></{tag}>")
-
-
-@pytest.mark.parametrize(
-    ("inner", "message"),
-    [
-        (in_range("samples", "0"), "<samples>: 0 is not a whole number in 1"),
-        (in_range("samples", "1000000000"), "<samples>"),
-        (in_range("resolution", "1e9"), "<samples>: more than 100000 rays"),
-        (in_range("max", "0.05"), "<max>: 0.05 is not beyond <min>"),
-        (in_range("min", "-1"), "<min>: -1 is negative"),
-        (ray(more=noise(-1)), "<stddev>: -1 is negative"),
-        ("<pose>0 0 0</pose>" + ray(), "<pose>: '0 0 0' is not 6 finite numbers"),
-    ],
-)
-def test_refusals(inner, message):
-    check_refusal(laser(inner), f"model 'carrier': plugin 'the_sensor_plugin': <sensor>: {message}")
-
-
-@pytest.mark.parametrize(
-    "model",
-    [
-        laser(kind="camera"),
-        carrier(f'<gazebo><plugin name="p" filename="{PLUGIN}"/></gazebo>'),
-    ],
-)
-def test_a_plugin_outside_a_ray_sensor_is_refused(model):
-    check_refusal(model, 'needs a <sensor type="ray">')
-
-
-def test_noise_of_another_kind_is_reported(world, caplog):
-    with caplog.at_level("WARNING"):
-        world.add(laser(ray(more="<noise><type>pink</type></noise>")))
-    (warning,) = caplog.messages
-    assert "'pink' is not simulated" in warning
-
 
 # The block robot
-
-
-def test_the_block_robot_sees_the_beacons():
-    with Simulation.of("package://bullet_lab/worlds/beacons.world") as simulation:
-        scan = one_scan(simulation, read_urdf_file(PACKAGE / "urdf" / "block_robot.urdf"))
-        models = simulation.models.items()
-        beacons = [model.pose().position for name, model in models if "beacon" in name]
-    assert (len(scan.ranges), scan.frame) == (360, "laser_link")
-    assert len(beacons) == 3
-    for x, y, _ in beacons:
-        ahead = round((math.atan2(y, x) - scan.angle_min) / scan.angle_increment)
-        assert scan.ranges[ahead] == pytest.approx(math.hypot(x, y) - 0.25, abs=0.02)

@@ -1,8 +1,6 @@
 """What the drives have in common, and the friction of planar_move."""
 
-import math
 
-import numpy as np
 import pytest
 
 from bullet_lab.core.pose import Pose
@@ -40,19 +38,6 @@ def test_odometry_is_of_the_model_and_not_of_its_first_link(world, plugin, wheel
 @pytest.mark.parametrize("slow", [(1e-3, 0, 0), (0, -1e-3, 0), (0, 0, 0.01), (1e-3, 1e-3, -0.01)])
 def test_friction_stops_and_never_reverses(slow):
     assert BLOCK.slow_down(*slow, 100 * LOAD, DT) == (0, 0, 0)
-
-
-def test_force_and_moment_lie_on_the_limit_surface():
-    before = np.array([0.3, 0.1, 7.0])
-    after = np.array(BLOCK.slow_down(*before, LOAD, DT))
-    vx, vy, wz = (before - after) / DT
-    force, moment = BLOCK.mass * math.hypot(vx, vy), BLOCK.inertia * wz
-    largest = BLOCK.friction * LOAD
-    share, turn = force / largest, moment / (largest * BLOCK.radius)
-    assert share**2 + turn**2 == pytest.approx(1.0)
-    # Opposed to the slip: normal to the surface, the shares are as v is to r·w.
-    assert turn / share == pytest.approx(BLOCK.radius * 7.0 / math.hypot(0.3, 0.1))
-    assert vy / vx == pytest.approx(1 / 3)
 
 
 def test_no_friction_without_load_slip_or_radius():

@@ -6,14 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
-from sensor_worlds import carrier, check_refusal, record, sensor, steps
+from sensor_worlds import carrier, record, saved_again, sensor, steps
 from shared import complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import Trigger
-from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Sphere
-from bullet_lab.simulation.world.sdf_writer import world_text
 
 RED = (1.0, 0.0, 0.0, 1.0)
 IMAGE = "<image><width>{}</width><height>{}</height><format>{}</format></image>"
@@ -96,10 +94,8 @@ def test_a_saved_pair_is_a_pair_again(tmp_path):
 
     with floating() as simulation:
         expected = topics(simulation.add(pair()))
-        text, _ = world_text(simulation.snapshot(), tmp_path)
-    (tmp_path / "saved.world").write_text(text)
-    with Simulation.of(str(tmp_path / "saved.world")) as again:
-        assert topics(again.models["carrier"]) == expected
+        with saved_again(simulation, tmp_path) as again:
+            assert topics(again.models["carrier"]) == expected
     assert len(expected) == 4
 
 
@@ -196,34 +192,6 @@ def test_a_point_is_where_the_lens_function_maps_it(kind, fov, angles, cutoff, m
         assert (picture.pixels[0, 0] == 0).all()
 
 
-def test_without_scaling_f_counts_and_the_middle_is_published():
-    lens = "<lens><type>equidistant</type><scale_to_hfov>false</scale_to_hfov></lens>"
-    robot = single("camera", "wideanglecamera", width=400, fov=2.0, more=lens)
-    ((info,),) = sent(robot, "camera_info")
-    assert (info.camera.fx, info.camera.cx) == pytest.approx((200.0, 199.5))
-    assert not any(info.camera.distortion)
-
-
-TINY = "<custom_function><c1>1e-17</c1><fun>id</fun></custom_function>"
-
-
-@pytest.mark.parametrize(
-    ("fov", "kind", "more", "complaint"),
-    [
-        (3.2, "gnomonical", "", "a gnomonical lens does not reach 3.2 rad"),
-        (7.0, "equidistant", "", "7 is not within 0 … 2 pi"),
-        (2.0, "fish", "", "'fish' is not one of stereographic, gnomonical"),
-        (2.0, "equidistant", "<cutoff_angle>1e-9</cutoff_angle>", "<lens>: shows nothing"),
-        (2.0, "custom", f"<scale_to_hfov>0</scale_to_hfov>{TINY}", "<lens>: shows nothing"),
-        (2.0, "custom", TINY.replace("1e-17", "-1"), "<c1>: -1 is not positive"),
-    ],
-)
-def test_wrong_lenses(fov, kind, more, complaint):
-    lens = f"<lens><type>{kind}</type>{more}</lens>"
-    robot = single("camera", "wideanglecamera", width=41, height=41, fov=fov, more=lens)
-    check_refusal(robot, complaint)
-
-
 def picture_in(format):
     back = thing("back", Box((0.1, 9.0, 9.0)), Pose((4.0, 0.0, 0.0)), (0.2, 0.5, 0.8, 1.0))
     return sent(single(format=format), "image_raw", things=[TARGET, back])[0][0]
@@ -254,8 +222,3 @@ def test_other_formats(format, encoding, plain, factor):
     assert found.encoding == encoding
     assert found.pixels.dtype == (np.uint16 if factor > 1 else np.uint8)
     assert (found.pixels == factor * eight.pixels.astype(int)).all()
-
-
-def test_a_depth_camera_has_no_bayer():
-    robot = single("depth_camera", "depth", format="BAYER_RGGB8")
-    check_refusal(robot, "'BAYER_RGGB8' is not one of R8G8B8")

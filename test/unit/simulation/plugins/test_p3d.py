@@ -1,8 +1,7 @@
 import math
 
 import pytest
-from noise_checks import check_normal
-from sensor_worlds import carrier, check_refusal, empty, readings, record, steps
+from sensor_worlds import carrier, empty, readings, record, steps
 
 from bullet_lab.core.pose import Pose
 
@@ -35,18 +34,6 @@ def motion(model, step=1, pose=None, linear=(0, 0, 0), angular=(0, 0, 0), joint=
     return samples[-1]
 
 
-def test_pose_and_velocity_of_the_robots_link_in_the_world():
-    start = Pose.from_rpy((1, 2, 3), (0, 0, 0.5 * math.pi))
-    sample = motion(p3d(), pose=start, linear=(0.1, 0.2, 0.3), angular=(0, 0, 0.5))
-    assert sample.pose.position == pytest.approx((1, 2, 3), abs=1e-3)
-    assert sample.pose.yaw == pytest.approx(0.5 * math.pi, abs=1e-3)
-    # Along the axes of the world, not of the robot.
-    assert sample.linear == pytest.approx((0.1, 0.2, 0.3), abs=2e-3)
-    assert sample.angular == pytest.approx((0, 0, 0.5), abs=2e-3)
-    assert (sample.step, sample.frame, sample.child_frame) == (1, "robot/world", "robot/base")
-    assert sample.variance == 0.0
-
-
 def test_a_merged_link_on_a_moving_one_in_the_frame_of_another_link():
     tags = "<frameName>base</frameName>"
     start = Pose.from_rpy((5, 5, 5), (0.3, 0.2, 0.1))
@@ -59,34 +46,6 @@ def test_a_merged_link_on_a_moving_one_in_the_frame_of_another_link():
     assert sample.angular == pytest.approx((0, 0, 2.0), abs=1e-2)
 
 
-def test_the_offsets_move_the_pose_in_the_frame_and_nothing_else():
-    tags = "<xyzOffset>1 2 3</xyzOffset><rpyOffset>0 0 0.5</rpyOffset>"
-    start = Pose.from_rpy((1, 1, 1), (0, 0, 0.25))
-    sample = motion(p3d(tags), pose=start, angular=(0, 0, 0.5))
-    assert sample.pose.position == pytest.approx((2, 3, 4), abs=1e-3)
-    assert sample.pose.yaw == pytest.approx(0.75, abs=1e-3)
-    assert sample.linear == pytest.approx((0, 0, 0), abs=1e-3)
-
-
-def test_noise_is_on_the_velocity_and_its_square_in_the_covariances():
-    samples = readings(p3d("<gaussianNoise>0.2</gaussianNoise>"), "truth", 1.0, seed=2)
-    check_normal([(*sample.linear, *sample.angular) for sample in samples], 0.2)
-    assert {sample.pose.position for sample in samples} == {(0.0, 0.0, 0.0)}
-    assert samples[0].variance == pytest.approx(0.04)
-
-
 def test_each_sample_waits_for_a_period():
     samples = readings(p3d("<updateRate>7</updateRate>"), "truth", 1.0)
     assert steps(samples) == [143 * k for k in range(1, 7)]
-
-
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        (p3d(body=""), "<bodyName>: is missing"),
-        (p3d(topic=""), "<topicName>: is missing"),
-        (p3d("<frameName>nowhere</frameName>"), "no link 'nowhere'"),
-    ],
-)
-def test_refusals(model, message):
-    check_refusal(model, message)

@@ -3,29 +3,26 @@
 import math
 
 import pytest
-from sensor_worlds import record
-from shared import complains
+from sensor_worlds import record, saved_again
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_world_file
-from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf
 
 ACROSS = ((0, "0 0 1 0 0 0"), (2, "2 0 1 0 0 0"), (3, "2 0 1 0 0 3.1"), (5, "0 0 1 0 0 3.1"))
-SQUARE = ((0, "1 0 0 0 0 0"), (1, "0 1 0 0 0 0"), (2, "-1 0 0 0 0 0"), (3, "0 -1 0 0 0 0"))
 LINK = (
     '<link name="box"><collision name="c"><geometry><box><size>1 1 1</size></box></geometry>'
     "</collision></link>"
 )
 
 
-def script(waypoints, tension=1, **tags):
+def script(waypoints, **tags):
     points = "".join(
         f"<waypoint><time>{time}</time><pose>{pose}</pose></waypoint>" for time, pose in waypoints
     )
     others = "".join(f"<{tag}>{text}</{tag}>" for tag, text in tags.items())
-    return f'{others}<trajectory id="0"><tension>{tension}</tension>{points}</trajectory>'
+    return f'{others}<trajectory id="0"><tension>1</tension>{points}</trajectory>'
 
 
 def actor(inner, links=""):
@@ -58,24 +55,12 @@ def where(simulation, seconds):
         # Straight with the tension 1: it speeds up and slows down.
         ({}, {1: (1, 0, 0, 0), 2.5: (2, 0, 0, 1.55), 4: (1, 0, 0, 3.1), 6: (1, 0, 0, 0)}),
         ({"delay_start": 1}, {0.9: (5, 5, 0, 0), 2: (1, 0, 0, 0), 3.5: (2, 0, 0, 1.55)}),
-        ({"loop": "false"}, {4: (1, 0, 0, 3.1), 9: (0, 0, 0, 3.1)}),
-        ({"auto_start": "false"}, {1: (5, 5, 0, 0), 3: (5, 5, 0, 0)}),
     ],
 )
 def test_a_figure_walks_on_the_floor(world_of, tags, places):
     with world_of(actor(script(ACROSS, **tags))) as simulation:
         for seconds, place in places.items():
             assert where(simulation, seconds) == pytest.approx(place, abs=5e-3), seconds
-
-
-def test_without_tension_the_path_is_round(world_of):
-    closed = (*SQUARE, (4, "1 0 0 0 0 0"))
-    with world_of(actor(script(closed, 0))) as simulation:
-        places = [where(simulation, seconds) for seconds in (0.5, 1.5, 2.5, 4.5)]
-    for place, angle in zip(places, (45, 135, 225, 45)):
-        # The mean of the ends and an eighth of the difference of the tangents, (0, 1) and (-1, 0).
-        assert math.hypot(*place[:2]) == pytest.approx(0.625 * math.sqrt(2.0), abs=3e-3)
-        assert math.degrees(math.atan2(place[1], place[0])) % 360 == pytest.approx(angle, abs=0.3)
 
 
 def test_links_of_an_actor_have_full_poses(world_of):
@@ -106,10 +91,8 @@ def test_a_model_with_the_plugin_and_a_saved_world(world_of, tmp_path):
     plugin = f'<plugin name="p" filename="libbullet_lab_path.so">{script(ACROSS)}</plugin>'
     with world_of(f'<model name="walker">{LINK}{plugin}</model>') as simulation:
         assert where(simulation, 1.0) == pytest.approx((1, 0, 1, 0), abs=5e-3)
-        text, _ = world_text(simulation.snapshot(), tmp_path)
-    (tmp_path / "again.world").write_text(text)
-    with Simulation.of(str(tmp_path / "again.world")) as again:
-        assert where(again, 2.5) == pytest.approx((2, 0, 1, 1.55), abs=5e-3)
+        with saved_again(simulation, tmp_path) as again:
+            assert where(again, 2.5) == pytest.approx((2, 0, 1, 1.55), abs=5e-3)
 
 
 def test_an_actor_without_a_path_stands(world_of, caplog):
@@ -117,16 +100,3 @@ def test_an_actor_without_a_path_stands(world_of, caplog):
         assert simulation.models["walker"].model.static
         assert where(simulation, 1.0) == pytest.approx((5, 5, 0, 0), abs=1e-6)
     assert not caplog.messages
-
-
-@pytest.mark.parametrize(
-    "waypoints, complaint",
-    [
-        (ACROSS[:1], "1 waypoints; it needs two"),
-        ((ACROSS[1], ACROSS[0]), "<time>: 0 s is not after the last one"),
-        ((*ACROSS, (6, "0 0")), "<pose>: '0 0' is not 6 finite numbers"),
-    ],
-)
-def test_wrong_paths_are_named(world_of, waypoints, complaint):
-    with complains(complaint), world_of(actor(script(waypoints))) as simulation:
-        assert not simulation.models["walker"].plugins

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import box, check_refusal, drive, record, steps
+from sensor_worlds import box, drive, record, steps
 from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
@@ -128,45 +128,16 @@ def test_in_the_air_it_sinks_as_in_gazebo_and_no_floor_slows_it(world):
     assert drive(world, robot, 0.5, vx=0.2).position == pytest.approx((0.1, 0.0, -4.9e-3), abs=1e-6)
 
 
-@pytest.mark.parametrize(("rate", "gap"), [(7, 143), (20, 51), (50, 21)])
-def test_odometry_comes_when_more_than_a_period_has_passed(world, rate, gap):
-    samples = record(world.add(block(f"<odometryRate>{rate}</odometryRate>")), "odom")
-    world.run_for(0.5)
-    assert steps(samples) == list(range(gap, 501, gap))
-
-
-def test_what_odometry_and_transform_say(world):
-    tags = (
-        "<odometryFrame>world_odom</odometryFrame><robotBaseFrame>base</robotBaseFrame>"
-        "<odometryTopic>wheels</odometryTopic><commandTopic>go</commandTopic>"
-    )
-    robot = world.add(block(tags), pose=Pose((1, 2, 0.3)))
-    odometry, transforms = record(robot, "wheels"), record(robot, "/tf")
-    drive(world, robot, 0.102, vx=0.1, topic="go")
-    first, last = odometry
-    assert (first.step, last.step) == (51, 102)
-    assert (last.frame, last.child_frame) == ("world_odom", "base")
-    x, y, z = robot.pose().position
-    assert z > 0.29
-    assert last.pose == Pose((x, y, 0.0), robot.pose().quaternion)
-    assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
-    sent = transforms[-1]
-    assert (sent.step, sent.frame, sent.child_frame) == (102, "world_odom", "base")
-    assert sent.pose.position == (x, y, z)
-
-
-@pytest.mark.parametrize("reset", ["reset_world", "reset_simulation"])
-def test_no_spike_after_a_reset(world, robot, reset):
+def test_no_spike_after_a_reset(world, robot):
     samples = record(robot, "odom")
     drive(world, robot, 1.025, vx=0.2, wz=0.2)
     samples.clear()
-    getattr(world, reset)()
+    world.reset_world()
     world.run_for(0.5)
     for sample in samples:
         assert dataclasses.astuple(sample.velocity) == pytest.approx((0, 0, 0), abs=1e-3)
         assert sample.pose.position == pytest.approx((0, 0, 0), abs=1e-4)
-    first, end = (1071, 1526) if reset == "reset_world" else (51, 501)
-    assert steps(samples) == list(range(first, end, 51))
+    assert steps(samples) == list(range(1071, 1526, 51))
 
 
 def test_a_robot_that_is_put_elsewhere_drives_on_from_there(world, robot):
@@ -207,18 +178,6 @@ def test_topics_are_known_by_their_full_names_only(world):
         robot.command("cmd_vel", PlanarCommand())
     with pytest.raises(SimulationError, match="has no output 'odom'"):
         record(robot, "odom")
-
-
-@pytest.mark.parametrize(
-    ("tags", "message"),
-    [
-        ("<odometryRate>2000</odometryRate>", "<odometryRate>: a rate of 2000 Hz is not within"),
-        ("<cmdTimeout>soon</cmdTimeout>", "<cmdTimeout>: 'soon' is not a finite number"),
-        ("<supportRadius>-1</supportRadius>", "<supportRadius>: -1 is negative"),
-    ],
-)
-def test_bad_tags_name_model_plugin_and_tag(tags, message):
-    check_refusal(block(tags), f"model 'block': plugin 'move': {message}")
 
 
 def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_down(world):

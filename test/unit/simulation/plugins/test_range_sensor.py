@@ -2,7 +2,7 @@ import math
 
 import pytest
 from noise_checks import check_normal
-from sensor_worlds import box, carrier, check_refusal, readings, sensor
+from sensor_worlds import box, carrier, readings, sensor
 
 FAN = (
     "<update_rate>{rate}</update_rate><ray><scan>"
@@ -29,15 +29,6 @@ def test_it_reads_the_nearest_of_all_rays():
         assert sample.range == pytest.approx(nearest, abs=1e-6)
 
 
-def test_what_a_reading_says():
-    (sample,) = readings(sonar(TAGS + "<fov>0.4</fov>"), "sonar")
-    assert (sample.step, sample.frame) == (100, "sonar_link")
-    assert (sample.range_min, sample.range_max, sample.field_of_view) == (0.05, 3.0, 0.4)
-    assert not sample.infrared
-    (other,) = readings(sonar(TAGS + "<radiation>infrared</radiation>"), "sonar")
-    assert other.infrared
-
-
 def test_nothing_in_range_reads_the_greatest_one_without_noise():
     samples = readings(sonar(TAGS + "<gaussianNoise>0.5</gaussianNoise>"), "sonar", 0.4)
     assert [sample.range for sample in samples] == [3.0] * 4
@@ -54,18 +45,3 @@ def test_noise_is_gaussian_and_stays_within_the_limits():
     check_normal(errors, 0.1, mean=2.0)
     wild = ranges(9, 0.1)
     assert (min(wild), max(wild)) == (0.05, 3.0)
-
-
-@pytest.mark.parametrize(("of_plugin", "of_sensor", "rate"), [(0, 20, 20), (5, 20, 5), (50, 7, 7)])
-def test_rates(of_plugin, of_sensor, rate):
-    model = sonar(TAGS + f"<updateRate>{of_plugin}</updateRate>", rate=of_sensor)
-    assert len(readings(model, "sonar", 1.0)) == rate
-
-
-def test_defaults():
-    (sample,) = readings(sonar(""), "/range")
-    assert (sample.frame, sample.field_of_view, sample.infrared) == ("world", 0.05, False)
-
-
-def test_refusals():
-    check_refusal(sonar(TAGS + "<gaussianNoise>-1</gaussianNoise>"), "<gaussianNoise>: -1")

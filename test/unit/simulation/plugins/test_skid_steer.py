@@ -2,10 +2,9 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import check_refusal, drive, record, steps
+from sensor_worlds import check_refusal, drive, record
 from shared import EMPTY_WORLD
 
-from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.urdf import read_urdf
@@ -85,22 +84,6 @@ def test_the_wheels_of_a_side_turn_alike_with_the_torque_that_is_given(coulomb_w
     assert speeds == pytest.approx([2.0, 4.0, 2.0, 4.0], abs=0.01)
 
 
-def test_what_the_odometry_says(world):
-    start = Pose.from_rpy((1, 2, 0), (0, 0, 0.5))
-    tags = SIZES + (
-        "<covariance_x>0.1</covariance_x><covariance_y>0.2</covariance_y>"
-        "<covariance_yaw>0.3</covariance_yaw>"
-    )
-    robot = world.add(rover(tags), pose=start)
-    samples = record(robot, "odom")
-    drive(world, robot, 1.0, vx=0.3)
-    last, pose = samples[-1], robot.pose()
-    assert last.pose.position == (*pose.position[:2], 0.0)
-    assert last.pose.quaternion == pose.quaternion
-    assert (last.velocity.vx, last.velocity.vy) == pytest.approx((0.3, 0.0), abs=0.01)
-    assert last.pose_variances == last.twist_variances == (0.1, 0.2, 1e12, 1e12, 1e12, 0.3)
-
-
 @pytest.mark.parametrize(
     ("mass", "wheel_mass", "degrees"), [(2.0, 1.5, 99.6), (20.0, 0.5, 83.3), (60.0, 4.0, 90.8)]
 )
@@ -115,28 +98,6 @@ def test_hard_wheels_creep_by_their_load_as_in_gazebo(world, mass, wheel_mass, d
     for seconds, vx, wz in (1.0, 0.2, 0.0), (0.5, 0.0, 0.0), (5.0, 0.0, 0.5):
         driven = drive(world, robot, seconds, vx, wz)
     assert math.degrees(driven.yaw) == pytest.approx(degrees, rel=0.08)
-
-
-def test_defaults(coulomb_world):
-    world = coulomb_world
-    robot = world.add(rover(""))
-    samples = record(robot, "odom")
-    (device,) = robot.plugins
-    drive(world, robot, 1.0, vx=0.15, wz=1.0)
-    speeds = [robot.bodies["base"].joint_state(joint).velocity for joint in PLACES]
-    assert [output.topic for output in device.outputs] == ["odom"]
-    assert len(samples) == 100
-    assert samples[0].pose_variances == (1e-4, 1e-4, 1e12, 1e12, 1e12, 1e-2)
-    # (v ∓ ω·0.4/2) / 0.075.
-    assert speeds == pytest.approx([-2 / 3, 14 / 3, -2 / 3, 14 / 3], abs=0.02)
-
-
-def test_a_transform_where_it_is_asked_for(world):
-    robot = world.add(rover(SIZES + "<broadcastTF>true</broadcastTF><updateRate>50</updateRate>"))
-    odometry, transforms = record(robot, "odom"), record(robot, "/tf")
-    world.run_for(0.04)
-    for samples in (odometry, transforms):
-        assert steps(samples) == [20, 40]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering import graphics
-from bullet_lab.simulation.rendering.graphics import RendererError, panda3d, shared_graphics
+from bullet_lab.simulation.rendering.graphics import RendererError, shared_graphics
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Light, Plane
@@ -30,15 +30,6 @@ def cube(name, colour, x=2.0):
 
 def middle(simulation):
     return tuple(simulation.renderer().picture(AHEAD, Shot(CAMERA))[240, 320])
-
-
-def test_another_model_by_the_same_name():
-    with simulation_of() as simulation:
-        for colour, seen in ((RED, (255, 0, 0)), (GREEN, (0, 255, 0))):
-            simulation.add(cube("a", colour))
-            assert middle(simulation) == seen
-            simulation.remove("a")
-            assert middle(simulation) == BLUE
 
 
 def test_physics_does_not_notice_the_pictures():
@@ -193,30 +184,6 @@ def test_buffers_and_shadow_maps_of_other_sizes_are_given_back():
 
         # A buffer with its depths has 6 MB, a shadow map 64 MB.
         assert bytes_kept(draw, graphics.KEPT_BUFFERS) < 1e6
-
-
-def test_shadow_maps_have_no_colours_and_leave_nothing_behind():
-    shared, maps = shared_graphics(), []
-
-    def draw(*targets):
-        for target in targets:
-            target.aim(panda3d().NodePath("nothing"), shared.state(), 0, [np.eye(4)])
-        shared.draw(targets)
-
-    def make():
-        maps.append(shared.shadow_target(4096, (1, 1)))
-        draw(*maps, shared.target(64, 64, 1))
-
-    def come_and_go():
-        make()
-        shared.remove(maps.pop())
-        draw(shared.target(64, 64, 1))
-
-    # Depths of four bytes.
-    assert bytes_kept(make, 1) == pytest.approx(4 * 4096**2, rel=0.02)
-    assert bytes_kept(come_and_go, 2) < 1e6
-    for target in maps:
-        shared.remove(target)
 
 
 def test_textures_that_are_gone_are_given_back(tmp_path):

@@ -126,11 +126,6 @@ def test_without_such_a_part_the_whole_mesh_is_used(bounds_of, caplog, name):
     assert f"{name}: no submesh 'fourth'; the whole mesh is used" in caplog.text
 
 
-def test_a_part_of_two_materials(tmp_path):
-    (tmp_path / "m.obj").write_text(PARTS)
-    assert len(mesh_parts(Mesh(tmp_path / "m.obj", "", submesh="second"))) == 2
-
-
 @pytest.mark.parametrize(
     ("name", "content"),
     [

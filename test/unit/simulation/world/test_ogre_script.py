@@ -1,6 +1,9 @@
 """OGRE's scripts, with what real ones have in them."""
 
+from pathlib import Path
+
 import pytest
+from alike import assert_as_before, lines_of
 
 from bullet_lab.simulation.world.ogre_script import (
     ScriptError,
@@ -9,36 +12,8 @@ from bullet_lab.simulation.world.ogre_script import (
     substituted,
 )
 
-NESTED = """
-// A wall, /* not here */
-import * from "base.material"
-set $file wall.png
-material Lab/Wall : Lab/Base, Lab::Other
-{ /* braces in
-     comments { */
-  receive_shadows on
-  technique
-  {
-
-    pass first { ambient 0 0 1
-      ambient 1 0 0 // red, the last of two lines
-      diffuse "0 1 0"
-      texture_unit base { texture "a wall.png" 2d }
-    }
-    pass
-    {
-      texture_unit {
-        texture model://things/b.png
-      }
-    }
-  }
-}
-abstract material Lab/Base{
-technique{
-pass{
-lighting off
-}}}
-"""
+HERE = Path(__file__).parent
+CHILDREN = "ByName", "ByPlace", "ByPattern", "New", "Deep"
 
 
 def blocks(text):
@@ -52,97 +27,16 @@ def whole(text, name):
     return substituted(inherited(known[name], lambda _, other: known.get(other)))
 
 
-def test_blocks_properties_comments_and_quotes():
-    root, mistake = parse_script(NESTED)
-    assert mistake == ""
-    assert root.properties == [("import", "*", "from", "base.material")]
-    assert root.variables == {"file": "wall.png"}
-    wall, base = root.blocks
-    assert (wall.kind, wall.name, wall.parents) == (
-        "material",
-        "Lab/Wall",
-        ("Lab/Base", "Lab::Other"),
-    )
-    assert wall.words("receive_shadows") == ("on",)
-    (technique,) = wall.all("technique")
-    first, second = technique.all("pass")
-    assert (first.name, first.words("ambient"), first.words("diffuse")) == (
-        "first",
-        ("1", "0", "0"),
-        ("0", "1", "0"),
-    )
+def test_blocks_are_read_and_go_over_those_of_their_parents_as_before():
+    text = (HERE / "scripts.material").read_text()
+    root, mistake = parse_script(text)
+    first, _ = root.blocks[0].blocks[0].blocks
+    assert (first.words("ambient"), first.all("pass")) == (("1", "0", "0"), [])
     assert first.blocks[0].properties == [("texture", "a wall.png", "2d")]
-    assert second.blocks[0].words("texture") == ("model://things/b.png",)
-    assert (base.kind, base.name, base.parents) == ("material", "Lab/Base", ())
-    assert base.blocks[0].blocks[0].words("lighting") == ("off",)
-
-
-VARIABLES = """
-set $shade 0.5
-abstract material Base
-{
-  set $file base.png
-  set $shade 0.25
-  technique { pass { diffuse $shade $shade $shade
-    texture_unit { set $file2 $file
-      texture $file2 } } }
-}
-material Plain : Base { }
-material Own : Base { set $file own.png }
-material Unset { technique { pass { diffuse $nothing
-    texture_unit { texture $file } } } }
-"""
-
-
-@pytest.mark.parametrize(
-    ("name", "colour", "file"),
-    [
-        ("Plain", ("0.25",) * 3, ("base.png",)),
-        ("Own", ("0.25",) * 3, ("own.png",)),
-        ("Unset", ("$nothing",), ("$file",)),
-    ],
-)
-def test_variables_of_the_child_stand_for_those_of_its_parent(name, colour, file):
-    seen = whole(VARIABLES, name).blocks[0].blocks[0]
-    assert seen.words("diffuse") == colour
-    assert seen.blocks[0].words("texture") == file
-
-
-LAYERS = """
-material Base { technique { pass one { ambient 1 0 0
-      diffuse 1 0 0 }
-    pass two { emissive 0 0 1
-      texture_unit { texture a.png
-        scale 2 2 } } } }
-material ByName : Base { technique { pass two { texture_unit { texture b.png } } } }
-material ByPlace : Base { technique { pass { ambient 0 1 0 } pass { texture_unit { scale 3 3 } } } }
-material ByPattern : Base { technique { pass t* { emissive 0 1 1 } } }
-material New : Base { technique { pass three { diffuse 0 0 0 } } }
-material Deep : ByName { technique { pass two { emissive 1 1 1 } } }
-"""
-
-
-@pytest.mark.parametrize(
-    ("name", "key", "words"),
-    [
-        ("ByName", "diffuse", ["1 0 0", ""]),
-        ("ByName", "emissive", ["", "0 0 1"]),
-        ("ByName", "texture", ["", "b.png"]),
-        ("ByName", "scale", ["", "2 2"]),
-        ("ByPlace", "ambient", ["0 1 0", ""]),
-        ("ByPlace", "diffuse", ["1 0 0", ""]),
-        ("ByPlace", "scale", ["", "3 3"]),
-        ("ByPattern", "emissive", ["", "0 1 1"]),
-        ("New", "diffuse", ["1 0 0", "", "0 0 0"]),
-        ("Deep", "emissive", ["", "1 1 1"]),
-        ("Deep", "texture", ["", "b.png"]),
-    ],
-)
-def test_children_go_over_the_blocks_of_their_parents(name, key, words):
-    passes = whole(LAYERS, name).blocks[0].all("pass")
-    assert [block.name for block in passes] == ["one", "two", "three"][: len(words)]
-    found = [(block, *block.all("texture_unit")) for block in passes]
-    assert ["".join(" ".join(part.words(key)) for part in parts) for parts in found] == words
+    told = [*lines_of(root, "read"), f"mistake: {mistake}"]
+    for name in CHILDREN:
+        told += lines_of(whole(text, name), name)
+    assert_as_before(told, HERE / "scripts.txt")
 
 
 @pytest.mark.parametrize(

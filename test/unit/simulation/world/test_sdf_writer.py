@@ -3,7 +3,6 @@
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -109,31 +108,6 @@ def test_a_saved_world_is_valid(busy, tmp_path, package):
     assert result.returncode == 0, result.stderr
 
 
-def in_order(model, pose):
-    """The model at a pose, with its plugins in the order of their names."""
-    plugins = sorted(model.plugins, key=lambda plugin: plugin.name)
-    return replace(model, plugins=tuple(plugins), pose=pose)
-
-
-def test_all_that_makes_up_a_model_is_saved(busy, tmp_path):
-    path, _ = save(busy, tmp_path)
-    found = {model.name: model for model in read_world_file(path).models}
-    assert list(found) == list(busy.models)
-    for name, again in found.items():
-        model = in_order(busy.models[name].model, again.pose)
-        assert_alike(model, in_order(again, again.pose), "element", "covers")
-    assert '<deep kind="x">kept</deep>' in path.read_text()
-
-
-@pytest.mark.parametrize("name", ["docking_backlit", "beacons"])
-def test_surroundings_are_saved(tmp_path, name):
-    with Simulation.of(f"package://bullet_lab/worlds/{name}.world") as simulation:
-        simulation.set_gravity((0.1, 0.0, -3.7))
-        world = simulation.world
-        assert world.gravity == (0.1, 0.0, -3.7)
-        assert_alike(world, saved_and_read(simulation, tmp_path), "models", "states")
-
-
 @pytest.mark.parametrize(
     ("tag", "given", "saved"),
     [
@@ -148,17 +122,6 @@ def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag, gi
     world.add(read_spawned(text, "machine"), namespace=given)
     plugins = saved_and_read(world, tmp_path).models[-1].plugins
     assert {plugin.tags["robotNamespace"] for plugin in plugins} == saved
-
-
-def test_spawned_moved_and_deleted_models_are_saved_as_they_are(tmp_path):
-    with Simulation.of("package://bullet_lab/worlds/beacons.world") as simulation:
-        simulation.remove("beacon_1")
-        moved = Pose.from_rpy((7.0, 8.0, 0.5), (0.0, 0.0, 1.0))
-        simulation.models["beacon_2"].place(moved)
-        simulation.add(simulation.models["beacon_0"].model, 'a "b" & <c>', Pose((3.0, 3.0, 0.0)))
-        with Simulation(saved_and_read(simulation, tmp_path)) as again:
-            assert_alike(states(simulation), states(again))
-            assert again.models["beacon_2"].pose().position == pytest.approx((7.0, 8.0, 0.5))
 
 
 def test_meshes_are_named_so_that_they_are_found(tmp_path, package):

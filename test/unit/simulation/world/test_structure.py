@@ -36,65 +36,12 @@ def model(inside, version="1.7", name="m"):
     return read_spawned(text, "s")
 
 
-def poses(described):
-    return {link.name: link.pose for link in described.links}
-
-
 def near(pose, *numbers):
     wanted = Pose.from_rpy(numbers[:3], numbers[3:] or (0, 0, 0))
     assert_alike(wanted, pose, within=1e-9)
 
 
 TURN = math.pi / 2
-
-
-def test_models_in_models_stand_where_the_outer_ones_have_them():
-    cup = f'<model name="cup"><pose>0 0 1 0 0 0</pose>{link("l", "0.1 0 0 0 0 0")}</model>'
-    table = f'<model name="table"><pose>1 0 0 0 0 {TURN}</pose>{link("l")}{cup}</model>'
-    found = model(link("floor") + table)
-    assert list(poses(found)) == ["floor", "table::l", "table::cup::l"]
-    near(poses(found)["table::l"], 1, 0, 0, 0, 0, TURN)
-    near(poses(found)["table::cup::l"], 1, 0.1, 1, 0, 0, TURN)
-    link_, pose = found.frames["table::cup"]
-    near(poses(found)[link_] * pose, 1, 0, 1, 0, 0, TURN)
-
-
-def test_joints_lead_into_nested_models_and_within_them():
-    arm = link("a") + link("b", "0 0 1 0 0 0") + joint("revolute", "a", "b", axis("1 0 0"))
-    found = model(
-        link("base")
-        + f'<model name="arm"><pose>0 0 0.5 0 0 0</pose>{arm}</model>'
-        + joint("prismatic", "base", "arm::a", axis("0 0 1"), name="lift")
-        + joint("fixed", "m::base", "m::arm::b", name="loop")
-    )
-    joints = {joint.name: joint for joint in found.joints}
-    assert (joints["arm::j"].parent, joints["arm::j"].child) == ("arm::a", "arm::b")
-    assert (joints["lift"].parent, joints["lift"].child) == ("base", "arm::a")
-    near(joints["lift"].pose, 0, 0, 0.5)
-    # A loop of joints has one less.
-    assert set(joints) == {"arm::j", "lift"} or "arm::b" in found.frames
-
-
-def test_frames_are_given_in_each_other():
-    frames = (
-        f'<frame name="f"><pose relative_to="a">0 1 0 0 0 {TURN}</pose></frame>'
-        '<frame name="g" attached_to="f"><pose>1 0 0 0 0 0</pose></frame>'
-    )
-    found = model(link("a", "1 0 0 0 0 0") + link("b", "0 0 2 0 0 0", base="g") + frames)
-    near(poses(found)["b"], 1, 2, 2, 0, 0, TURN)
-    near(found.frames["g"][1], 0, 2, 0, 0, 0, TURN)
-    shape = f'<visual name="v"><pose relative_to="a">0 0 0 0 0 0</pose>{BOX}</visual>'
-    found = model(link("a", "1 0 0 0 0 0") + link("b", "5 0 0 0 0 0", shape))
-    near(found.links[1].visuals[0].pose, -4, 0, 0)
-
-
-def test_a_frame_in_itself_or_in_nothing_is_named(caplog):
-    frames = '<frame name="f"><pose relative_to="g"/></frame><frame name="g" attached_to="f"/>'
-    found = model(link("a", "1 0 0 0 0 0", base="f") + link("b", "2 0 0 0 0 0", base="x") + frames)
-    near(poses(found)["a"], 1, 0, 0)
-    near(poses(found)["b"], 2, 0, 0)
-    assert "is given in itself" in caplog.text
-    assert "frame 'x' is unknown" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -169,30 +116,6 @@ def test_a_urdf_on_the_link_world_stays_unless_it_floats(kind, joints, caplog, f
     assert list(instance.state().joints) == joints
 
 
-def test_two_joints_to_one_link_make_a_tree(caplog):
-    found = model(
-        link("a") + link("b", "1 0 0 0 0 0") + link("c", "2 0 0 0 0 0")
-        + joint("revolute", "a", "c", axis("0 0 1"), name="ac")
-        + joint("revolute", "b", "c", "<pose>0.5 0 0 0 0 0</pose>" + axis("0 1 0"), name="bc")
-    )  # fmt: skip
-    assert caplog.text == ""
-    turned = {joint.name: joint for joint in found.joints}["bc"]
-    assert (turned.parent, turned.child) == ("c", "b")
-    assert turned.axis == (0, -1, 0)
-    assert turned.anchor == pytest.approx((1.5, 0, 0))
-    near(turned.pose, -1, 0, 0)
-
-
-def test_a_static_model_in_one_that_moves_stays(falling):
-    rail = f'<model name="rail"><static>1</static>{link("l", "0 0 1 0 0 0")}</model>'
-    car = link("car", "1 0 1 0 0 0")
-    slide = joint("prismatic", "car", "rail::l", axis("1 0 0"))
-    instance = falling.add(model(car + rail + slide))
-    falling.run_for(0.2)
-    near(instance.frame("rail::l").pose(), 0, 0, 1)
-    assert instance.frame("car").pose().position[2] == pytest.approx(1.0, abs=1e-3)
-
-
 PLUGIN = """<plugin name="p" filename="libgazebo_ros_p3d.so"><bodyName>l</bodyName>
   <topicName>truth</topicName></plugin>"""
 
@@ -202,47 +125,6 @@ def chair(save_model):
     inside = f"<pose>9 9 9 0 0 0</pose>{link('l', '0 0 0.5 0 0 0')}{PLUGIN}"
     save_model("chair", f'<sdf version="1.6"><model name="chair">{inside}</model></sdf>')
     return "<include><uri>model://chair</uri>{}</include>"
-
-
-def test_models_are_included_anywhere(read_world, chair):
-    at = "<name>one</name><pose>1 0 0 0 0 0</pose><static>true</static>"
-    inner = chair.format("<name>two</name><pose>0 2 0 0 0 0</pose>")
-    room = f'<model name="room"><pose>0 0 1 0 0 0</pose>{link("floor")}{inner}</model>'
-    world = read_world(chair.format(at) + room + chair.format(""))
-    one, room, other = world.models
-    assert (one.name, one.static, one.pose.position) == ("one", True, (1, 0, 0))
-    assert (other.name, other.static, other.pose.position) == ("chair", False, (9, 9, 9))
-    near(poses(room)["two::l"], 0, 2, 0.5)
-    with Simulation(world) as simulation:
-        (truth,) = simulation.models["room"].plugins
-        near(truth._place.pose(), 0, 2, 1.5)
-
-
-def test_models_are_placed_relative_to_others(read_world, chair):
-    placed = "<name>a</name><pose>0 1 0 0 0 0</pose>"
-    frame = f'<frame name="f" attached_to="a"><pose>0 0 3 0 0 {TURN}</pose></frame>'
-    on_it = '<name>b</name><pose relative_to="f">1 0 0 0 0 0</pose>'
-    world = read_world(frame + chair.format(placed) + chair.format(on_it))
-    near(world.models[1].pose, 0, 2, 3, 0, 0, TURN)
-
-
-def test_an_odd_model_leaves_the_rest_of_its_world(read_world, chair, caplog):
-    world = read_world(
-        "<include><uri>model://nix</uri></include><include/>"
-        '<model name="hollow"/><model><link name="l"/></model>'
-        '<light name="l" type="dark"/>' + chair.format("") * 2 + "<gravity>0 0 -1</gravity>"
-    )
-    assert [model.name for model in world.models] == ["chair"]
-    assert world.gravity == (0, 0, -1)
-    for said in (
-        "'model://nix': in none",
-        "an <include> without <uri>",
-        "model 'hollow': there is no link",
-        "a <model> without a name",
-        "type 'dark' is not point",
-        "model 'chair' appears twice",
-    ):
-        assert caplog.text.count(said) == 1, said
 
 
 def test_what_is_nested_and_held_is_saved(read_world, chair, tmp_path):

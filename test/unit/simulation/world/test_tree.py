@@ -1,25 +1,17 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from alike import assert_alike
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
-    Box,
-    Collision,
     Inertia,
     Joint,
     Link,
-    Model,
-    Visual,
 )
 from bullet_lab.simulation.world.tree import (
     check_tree,
     combine,
-    lump_fixed_joints,
-    place_links,
     principal_axes,
     top_down,
 )
@@ -61,45 +53,6 @@ def test_what_is_no_tree_is_refused(names, ends, message):
 def test_joint_names_are_not_shared():
     with pytest.raises(XmlError, match="joint 'j0' appears twice"):
         check_tree(links("abc"), joints("ab") + joints("ac"), "s")
-
-
-# These do not commute.
-UP = Pose.from_rpy((0, 0, 1), (0.5, 0, 0))
-TURN = Pose.from_rpy((1, 0, 0), (0, 0, np.pi / 2))
-
-
-def test_links_are_placed_along_the_joints():
-    chain = (Joint("j", "fixed", "a", "b", TURN), Joint("k", "revolute", "b", "c", UP * TURN))
-    placed = [link.pose for link in place_links(links("abc"), chain)]
-    assert_alike([Pose(), TURN, TURN * (UP * TURN)], placed, within=1e-9)
-
-
-def test_lumping_moves_shapes_frames_and_joints_to_the_link_that_stays():
-    """For masses see test_camera_robot."""
-    shape = Visual(Box((1, 1, 1)), Pose((0, 0, 0.1)))
-    touch = Collision(Box((1, 1, 1)), Pose((0, 0, 0.2)), 0.3)
-    mast = Link("mast", visuals=(shape,), collisions=(touch,), self_collide=True)
-    hung = (
-        Joint("a", "fixed", "base", "plate", UP),
-        Joint("b", "fixed", "plate", "mast", TURN),
-        Joint("c", "revolute", "mast", "wheel", Pose((2, 0, 0)), axis=(0, 1, 0)),
-    )
-    parts = (Link("base"), Link("plate"), mast, Link("wheel"))
-    lumped = lump_fixed_joints(Model("m", parts, hung, frames={"tip": ("mast", TURN)}))
-    base, wheel = lumped.links
-    there = UP * TURN
-    assert lumped.frames == {
-        "plate": ("base", UP), "mast": ("base", there), "tip": ("base", there * TURN)
-    }  # fmt: skip
-    assert base.visuals == (replace(shape, pose=there * shape.pose),)
-    assert base.collisions == (replace(touch, pose=there * touch.pose),)
-    assert (base.name, base.self_collide, wheel) == ("base", True, parts[3])
-    assert lumped.joints == (replace(hung[2], parent="base", pose=there * hung[2].pose),)
-
-
-def test_nothing_is_lumped_without_fixed_joints():
-    model = Model("m", links("ab"), (Joint("j", "revolute", "a", "b"),))
-    assert lump_fixed_joints(model) == model
 
 
 def box(mass, x, y, z, centre=(0.0, 0.0, 0.0)):

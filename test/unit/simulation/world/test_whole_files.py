@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from alike import assert_as_before, lines_of, shown
+from shared import PACKAGE
 
 from bullet_lab.simulation.world.description import Mesh, ModelState, PluginTag, Snapshot
 from bullet_lab.simulation.world.mesh_parts import mesh_parts
@@ -17,6 +18,7 @@ from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 HERE = Path(__file__).parent
+DOCKS = "docking", "docking_dots", "docking_nested", "docking_decoy"
 
 
 def parts_of(path):
@@ -44,10 +46,16 @@ def saved(path):
         ("whole.world", read_world_file),
         ("whole.world", saved),
         ("whole.urdf", read_urdf_file),
+        (PACKAGE / "worlds" / "beacons.world", read_world_file),
+        *((PACKAGE / "worlds" / f"{name}.world", read_world_file) for name in DOCKS),
+        (PACKAGE / "urdf" / "beacon.urdf", read_urdf_file),
+        (PACKAGE / "urdf" / "block_robot.urdf", read_urdf_file),
+        (PACKAGE / "urdf" / "camera_robot.urdf", read_urdf_file),
         ("whole.obj", parts_of),
         ("whole.dae", parts_of),
     ],
 )
 def test_whole_files_are_read_as_before(file, read, caplog):
-    told = [*lines_of(read(HERE / file), file), *caplog.messages]
-    assert_as_before(told, HERE / f"{file}.{read.__name__}.txt")
+    path = HERE / file
+    told = [*lines_of(read(path), path.name), *caplog.messages]
+    assert_as_before(told, HERE / f"{path.name}.{read.__name__}.txt")

@@ -2,16 +2,17 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from alike import assert_as_before, lines_of_figure
 from study_runs import csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
 from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.detection_range.figures import COLOURS, HIDDEN, heat_map, range_figure
+from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.study import (
     RangeSettings,
     describe,
@@ -33,6 +34,7 @@ from bullet_lab.studies.detection_range.trial import (
 from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
 
+HERE = Path(__file__).parent
 WANTED = WORLDS["docking"][0]
 # Places of other markers.
 LEFT, RIGHT = (3.3, 0.9, 0.5), (3.3, -0.9, 0.5)
@@ -195,17 +197,13 @@ def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_the
     }
     figure = range_figure(rows, ranges_of(rows), pictures)
     assert "from 0.5 m to 2 m" in figure._suptitle.get_text()
-    shown = {axes.get_title(): axes.get_xlabel() for axes in figure.axes[3:]}
-    assert shown == {"0.5 m": "found", "1 m": "found", "2 m": "found", "3 m": "not found"}
+    assert_as_before(lines_of_figure(figure), HERE / "range.txt")
 
 
 def test_a_heat_map_tells_hidden_cells_from_those_where_nothing_is_found():
     rows = rows_of({1.0: 0.0, 2.0: 0.0, 3.0: 0.955})
     rows[1]["visible"] = False
-    axes = heat_map("docking", rows).axes[0]
-    colours = [to_hex(patch.get_facecolor()) for patch in axes.patches]
-    assert colours == [COLOURS[0], HIDDEN, COLOURS[5]]
-    assert [text.get_text() for text in axes.texts] == ["0", "95"]
+    assert_as_before(lines_of_figure(heat_map("docking", rows)), HERE / "heat_map.txt")
 
 
 # ---- The job ----

@@ -1,17 +1,14 @@
 """Tests of what is drawn under stress, and of what it does to a scenario."""
 
 import math
-from collections import Counter
 
 import numpy as np
 import pytest
 from study_runs import summary_of
 from test_dock_campaign import assert_same_results, fake_trial, in_order, outcome_of, shuffled
 
-from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.types import CalibrationErrors, Learned
-from bullet_lab.simulation.world.description import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file
 from bullet_lab.studies.dock_campaign import study
@@ -19,32 +16,25 @@ from bullet_lab.studies.dock_campaign.stress import (
     STRESSES,
     Stress,
     StressedOdometry,
-    draw_stress,
     found_columns,
     robot_under,
     stress_columns,
-    world_under,
 )
 from bullet_lab.studies.dock_campaign.study import DockCampaignSettings, run_each
 from bullet_lab.studies.dock_campaign.trial import (
     CAMERA_FRAME,
-    MARKER_POSE,
     DrawSettings,
     dock_of,
     draw_scenario,
     run_trial,
 )
-from bullet_lab.studies.worlds import ROBOT, read_world
+from bullet_lab.studies.worlds import ROBOT
 
 FINDER = ResourceFinder.anywhere()
 
 
 def scenario_of(index, *stress):
     return draw_scenario(DrawSettings(seed=5, stress=stress or ("none",)), index)
-
-
-def test_without_a_name_nothing_is_otherwise():
-    assert scenario_of(3).stress == draw_stress(("none",), 5, 3) == Stress()
 
 
 @pytest.mark.parametrize("name", STRESSES)
@@ -56,51 +46,6 @@ def test_a_stress_changes_nothing_that_another_one_or_the_scenario_draws(name):
     assert alone.start == together.start == plain.start
     assert alone.image_seed == plain.image_seed
     assert alone.stress.seed == together.stress.seed
-
-
-def test_all_stay_within_what_is_said_and_come_near_it():
-    drawn = [draw_stress(tuple(STRESSES), 1, index) for index in range(150)]
-    for name, limit in (
-        *((f"mount_{axis}_deg", 2.0) for axis in ("roll", "pitch", "yaw")),
-        *((f"mount_{axis}_m", 0.010) for axis in "xyz"),
-        *(("focal_error", 0.02), ("size_error", 0.03)),
-        *(("scale_error", 0.05), ("base_error", 0.05)),
-        *(("dock_x_m", 5.0), ("dock_y_m", 5.0), ("dock_yaw_deg", 180.0)),
-    ):
-        values = np.array([getattr(stress, name) for stress in drawn])
-        assert -limit <= values.min() < -0.95 * limit, name
-        assert limit >= values.max() > 0.95 * limit, name
-    assert set(Counter(stress.hidden_corner for stress in drawn)) == {0, 1, 2, 3}
-
-
-def test_the_dock_stands_elsewhere_with_all_that_stands_about_it():
-    stress = draw_stress(("pose",), 2, 1)
-    world = read_world("docking_decoy")
-    moved = world_under(stress, world, MARKER_POSE, dock_of(scenario_of(0, "pose")))
-    before, after = (
-        np.array([(*box.centre, box.yaw) for box in footprints(one)]) for one in (world, moved)
-    )
-    there = se2.between(np.array(stress.dock), after)
-    assert there[:, :2] == pytest.approx(se2.between(MARKER_POSE, before)[:, :2], abs=1e-9)
-    assert [m for m in moved.models if m.name == "ground_plane"] == [
-        m for m in world.models if m.name == "ground_plane"
-    ]
-
-
-@pytest.mark.parametrize("corner", range(4))
-def test_what_hides_a_corner_is_before_it_and_touches_nothing(corner):
-    stress = Stress(hidden_corner=corner, cover=0.2)
-    world = read_world("docking")
-    cover = world_under(stress, world, MARKER_POSE, dock_of(scenario_of(0))).models[-1]
-    (link,) = cover.links
-    (square,) = link.visuals
-    assert link.collisions == ()
-    x, y, z = (cover.pose * square.pose).position
-    assert 3.99 < x < 4.0
-    # As one looks at it: top left, top right, bottom right, bottom left; the robot looks along x.
-    left, up = y > 0.0, z > 0.5
-    assert (left, up) == (corner in (0, 3), corner in (0, 1))
-    assert (abs(y), abs(z - 0.5)) == pytest.approx((0.1, 0.1))
 
 
 def test_the_camera_is_where_the_mount_says():

@@ -66,18 +66,6 @@ def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, car, sett
     assert told.velocity.wz == pytest.approx(0.2 * math.tan(angle) / LENGTH, rel=0.02)
 
 
-def test_multipliers(world, car, settings):
-    given = {
-        "wheel_separation_h_multiplier": 2.0,
-        "wheel_radius_multiplier": 1.5,
-        "steer_pos_multiplier": 0.5,
-    }
-    driven, told = drive(world, car, settings, 0.2, 0.4, 2.0, **given)
-    assert math.hypot(*driven.position) == pytest.approx(0.4, rel=0.02)
-    assert told.velocity.vx == pytest.approx(1.5 * 0.2, rel=0.02)
-    assert told.velocity.wz == pytest.approx(1.5 * 0.2 * math.tan(0.2) / 1.2, rel=0.02)
-
-
 def test_it_stops_after_the_timeout_and_claims_both_joints(world, car, settings):
     driven, _ = drive(world, car, settings, 0.2, 0.3, 2.0, cmd_vel_timeout=0.5)
     assert math.hypot(*driven.position) == pytest.approx(0.1, abs=0.01)

@@ -63,25 +63,6 @@ def test_it_stops_when_no_command_comes(world):
     assert robot.pose().position[0] == pytest.approx(0.14, abs=0.005)
 
 
-def test_it_says_what_is_left_of_a_command_by_its_limits(world):
-    limits = {
-        "has_velocity_limits": True,
-        "max_velocity": 0.4,
-        "min_velocity": -0.1,
-        "has_acceleration_limits": True,
-        "max_acceleration": 2.0,
-    }
-    _, controller, _ = drive(world, linear={"x": limits}, publish_cmd=True)
-    told = listen(controller.commanded)
-    for command, seconds, left, within in (
-        (9.0, 0.101, 0.2, 0.005),
-        (9.0, 0.3, 0.4, 0.0),
-        (-9.0, 0.4, -0.1, 0.0),
-    ):
-        go(world, controller, seconds, vx=command)
-        assert told[-1].velocity.vx == pytest.approx(left, rel=0.0, abs=within)
-
-
 def test_a_jerk_is_limited():
     limiter = SpeedLimiter(jerk=(-10.0, 10.0))
     speeds = [0.0, 0.0]
@@ -91,57 +72,10 @@ def test_a_jerk_is_limited():
     assert speeds[2:] == pytest.approx([0.2, 0.6, 1.2])
 
 
-@pytest.mark.parametrize(
-    ("parameters", "left", "right"),
-    [
-        ({}, 2.5, 7.5),
-        ({"wheel_separation": 0.2, "wheel_radius": 0.1}, 2.0, 4.0),
-        ({"wheel_separation_multiplier": 2.0}, 0.0, 0.6 / 0.06),
-        ({"wheel_radius_multiplier": 0.5}, 0.15 / 0.03, 0.45 / 0.03),
-        ({"left_wheel_radius_multiplier": 0.5}, 0.15 / 0.03, 0.45 / 0.06),
-    ],
-)
-def test_wheels_are_measured_by_the_urdf_or_by_parameters(world, parameters, left, right):
-    _, controller, _ = drive(world, **parameters)
-    command = PlanarCommand(vx=0.3, wz=1.0)
-    assert rim_speeds(world, controller, command) == pytest.approx((left, right))
-
-
 def rim_speeds(world, controller, command):
     controller.command(command)
     world.run_for(0.002)
     return tuple(joint.command for joint in controller.joints)
-
-
-def test_open_loop_believes_its_commands(world):
-    robot, controller, odometry = drive(world, open_loop=True, cmd_vel_timeout=10.0)
-    for joint in controller.joints:
-        # Something blocks the wheels.
-        joint.limits = joint.limits.__class__(velocity=0.0)
-    go(world, controller, 2.0, vx=0.2)
-    assert abs(robot.pose().position[0]) < 0.01
-    assert odometry[-1].pose.position[0] == pytest.approx(0.4, abs=0.005)
-
-
-NAMED = {"odom_frame_id": "a", "base_frame_id": "b"}
-
-
-@pytest.mark.parametrize(
-    ("parameters", "number", "frames"),
-    [
-        (NAMED, 25, {("a", "b")}),
-        ({"publish_rate": 41.2, "enable_odom_tf": False}, 20, set()),
-        # A window of any length is taken.
-        ({"velocity_rolling_window_size": -1.0}, 25, {("odom", "base_link")}),
-        ({"velocity_rolling_window_size": 1e308}, 25, {("odom", "base_link")}),
-    ],
-)
-def test_rate_and_transform_are_parameters(world, parameters, number, frames):
-    _, controller, odometry = drive(world, **parameters)
-    transforms = listen(controller.transform)
-    world.run_for(0.5)
-    assert abs(len(odometry) - number) <= 1
-    assert {(sample.frame, sample.child_frame) for sample in transforms} == frames
 
 
 def settings(controller, **changed):

@@ -36,7 +36,7 @@ def controller_of(world, name, robot="bot", parameters=None, velocity=None):
     return run(manager, name, **parameters), command
 
 
-def test_states_are_as_before():
+def test_states_are_as_before(caplog):
     told = []
     for name, case in yaml.safe_load((HERE / "controllers.yaml").read_text()).items():
         with Simulation.of(FLOOR) as world:
@@ -49,5 +49,6 @@ def test_states_are_as_before():
         told += lines_of(joints, name)
         for topic, found in samples.items():
             told += [f"{topic}: {len(found)}", *lines_of(found[-1:], topic)]
+    told += caplog.messages
     # Errors of controllers by efforts grow from one step to the next.
     assert_as_before(told, HERE / "controllers.txt", 1e-4)
