@@ -7,6 +7,7 @@ come through other nodes, such as relays.
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 import time
 from collections import Counter
@@ -392,3 +393,7 @@ class DeviceTopics:
                 entry.handle(command)
             except PluginError as error:
                 self._refusals.refuse(entry.topic, str(error))
+            except Exception as error:
+                # A fault in the plugin. Other inputs get the command, and others may follow.
+                self._refusals.refuse(entry.topic, f"{type(error).__name__}: {error}")
+                logging.getLogger("rospy").info("Traceback", exc_info=True)

@@ -23,6 +23,7 @@ from bullet_lab.core.parameters import (
 from bullet_lab.ros.nodes.bridge import BridgeParameters, serve
 from bullet_lab.simulation.world.resources import listed_folders, package_share
 
+EMPTY_WORLD = "worlds/empty.world"
 CLOCK_RATE = "/gazebo/pub_clock_frequency"
 # Beginning of the file names of Gazebo's ROS interface, which the bridge has.
 ROS_PLUGINS = "libgazebo_ros_"
@@ -66,7 +67,7 @@ def parse_server_arguments(words: Sequence[str]) -> Namespace:
         ArgumentsError: an option that is unknown or refused.
     """
     parser = ArgumentParser(prog="gzserver", add_help=False, allow_abbrev=False)
-    parser.add_argument("world", nargs="?", default="worlds/empty.world")
+    parser.add_argument("world", nargs="?", default=EMPTY_WORLD)
     parser.add_argument("-u", "--pause", dest="paused", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-s", "--server-plugin", dest="plugins", action="append", default=[])
@@ -108,20 +109,19 @@ def find_world(name: str) -> str:
     """Return the path or URI of a world file.
 
     As in Gazebo, a relative name is looked up in the working folder, then in the folders of
-    GAZEBO_RESOURCE_PATH, then in this package, which has worlds/empty.world. A URI is returned
-    unchanged.
-
-    Raises:
-        ArgumentsError: there is no such file.
+    GAZEBO_RESOURCE_PATH, then in this package; and without such a file, the world is empty. A
+    URI is returned unchanged.
     """
-    if "://" in name or Path(name).is_absolute():
+    if "://" in name:
         return name
     folders = [Path.cwd(), *listed_folders("GAZEBO_RESOURCE_PATH"), package_share()]
     for place in folders:
         if (place / name).is_file():
             return str((place / name).absolute())
     searched = ", ".join(map(str, folders))
-    raise ArgumentsError(f"world '{name}' is in none of {searched} (GAZEBO_RESOURCE_PATH)")
+    line = "no world file '%s' (looked up in %s); the world is empty, as in Gazebo"
+    rospy.logwarn(line, name, searched)
+    return str(package_share() / EMPTY_WORLD)
 
 
 def main() -> None:
