@@ -14,9 +14,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
 
 SPACE = "<robotNamespace>/car</robotNamespace>"
-ROOT_SPACE = (
-    "<robotNamespace>/</robotNamespace><robotParam>/car/robot_description</robotParam>"
-)
+ROOT_SPACE = "<robotNamespace>/</robotNamespace><robotParam>/car/robot_description</robotParam>"
 
 
 def place(model):

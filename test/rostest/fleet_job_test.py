@@ -54,5 +54,6 @@ class FleetJobTest(unittest.TestCase):
                 first.poses + (*place, 0.0), other.poses, rtol=0.0, atol=ROUNDING
             )
 
+
 if __name__ == "__main__":
     rostest.rosrun("bullet_lab", "fleet_job_test", "__main__")

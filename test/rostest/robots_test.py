@@ -60,9 +60,7 @@ class RobotsTest(NodeTest):
         left, right = self.topic("left/odom", Odometry), self.topic("right/odom", Odometry)
         starts = [topic.wait(1)[-1].pose.pose.position for topic in (left, right)]
         self.drive("left", -0.5)
-        wait_for(
-            lambda: left.messages[-1].pose.pose.position.x < starts[0].x - 0.2, "left to move"
-        )
+        wait_for(lambda: left.messages[-1].pose.pose.position.x < starts[0].x - 0.2, "left to move")
         moved = right.messages[-1].pose.pose.position
         self.assertAlmostEqual(starts[1].x, moved.x, delta=0.002)
 
@@ -87,9 +85,7 @@ class RobotsTest(NodeTest):
         about, until = "{std: 0.1, job: squares}", "drive_squares/finished"
         plot = self.node("plot_noise.py", remap=space, out=out, until=until, about=about)
         pairs = out / "paths.csv"
-        wait_for(
-            lambda: pairs.is_file() and len(pairs.read_text().splitlines()) > 1, "a recording"
-        )
+        wait_for(lambda: pairs.is_file() and len(pairs.read_text().splitlines()) > 1, "a recording")
         noisy = self.topic("right/noisy_odom", Odometry).wait(1)[0]
         # Late, and so what is latched.
         paths = [

@@ -66,6 +66,7 @@ def spawn_model(line, stdin=None):
     lines = [text for text in (out + err).splitlines() if text]
     return status, lines[-1] if lines else ""
 
+
 class Process:
     """Something that runs until it is ended, with what it says in a file."""
 

@@ -59,5 +59,6 @@ class VisionJobTest(unittest.TestCase):
         self.assertGreater(int(marker.max()) - int(marker.min()), 120)
         self.assertLess(marker.max(), 255)
 
+
 if __name__ == "__main__":
     rostest.rosrun("bullet_lab", "vision_job_test", "__main__")

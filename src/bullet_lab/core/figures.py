@@ -26,6 +26,8 @@ PURPLE = "#CC79A7"
 BLACK = "#000000"
 GREY = "#999999"
 DOTS_PER_INCH = 110
+# Style of a line that guides the eye.
+THIN = {"color": GREY, "linewidth": 0.8}
 # m; the second one is that of meshes/beacon.dae.
 MARKER_SIDE = 0.2
 BEACON_RADIUS = 0.25
@@ -33,10 +35,12 @@ BEACON_RADIUS = 0.25
 Outline = Sequence[Tuple[float, float]]
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float, title: str = "") -> Figure:
     """Return an empty figure of a size in inches; it needs no window system."""
     figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH)
     FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title)
     return figure
 
 
@@ -64,9 +68,7 @@ def panels(
         grid: whether to draw grids.
         more: as in `Figure.subplots`.
     """
-    figure = new_figure(*size)
-    if title:
-        figure.suptitle(title)
+    figure = new_figure(*size, title)
     every = figure.subplots(*shape, squeeze=False, **more)
     for axes in every.flat if grid else ():
         axes.grid(alpha=0.3)
@@ -110,11 +112,16 @@ def labelled(*every: Axes) -> list[Artist]:
     return list(handles.values())
 
 
-def plan_axes(axes: Axes, **more: str) -> None:
-    """Prepare axes for a view from above, in m and to scale; `more` is passed to `Axes.set`."""
-    axes.set(**{"xlabel": "x (m)", "ylabel": "y (m)", **more})
-    axes.set_aspect("equal", adjustable="datalim")
+def gridded(axes: Axes, **more: Any) -> None:
+    """Draw a grid on axes; `more` is passed to `Axes.set`."""
+    axes.set(**more)
     axes.grid(alpha=0.3)
+
+
+def plan_axes(axes: Axes, **more: Any) -> None:
+    """Prepare axes for a view from above, in m and to scale; `more` is passed to `Axes.set`."""
+    scale = {"aspect": "equal", "adjustable": "datalim"}
+    gridded(axes, **{"xlabel": "x (m)", "ylabel": "y (m)", **scale, **more})
 
 
 def show_around(axes: Axes, points: Sequence[Sequence[Sequence[float]]], margin: float) -> None:
@@ -134,15 +141,13 @@ def draw_plan(axes: Axes, outlines: Iterable[Outline], dock: Sequence[float]) ->
         outlines: of all obstacles.
         dock: x, y (m) and yaw (rad) of the floor below the marker's face.
     """
-    axes.set(xlabel="x (m)", ylabel="y (m)")
-    axes.set_aspect("equal")
-    axes.grid(alpha=0.3)
+    plan_axes(axes, adjustable="box")
     for outline in outlines:
         axes.add_patch(Polygon(outline, facecolor="#d5d5d5", edgecolor=GREY, linewidth=0.8))
     x, y, yaw = dock
     cosine, sine = math.cos(yaw), math.sin(yaw)
     axis = [(x, y), (x - 5.0 * cosine, y - 5.0 * sine)]
-    axes.plot(*zip(*axis), color=GREY, linewidth=0.8, linestyle=(0, (8, 4)), zorder=0.5)
+    axes.plot(*zip(*axis), **THIN, linestyle=(0, (8, 4)), zorder=0.5)
     half = 0.5 * MARKER_SIDE
     marker = [(x - half * sine, y + half * cosine), (x + half * sine, y - half * cosine)]
     axes.plot(*zip(*marker), color=BLACK, linewidth=3.0, solid_capstyle="butt", label="marker")

@@ -16,6 +16,9 @@ from bullet_lab.core.trajectory import Trajectory, tum_row
 from bullet_lab.errors import LabError
 
 NANOSECONDS = 1_000_000_000
+Summary = Mapping[str, Any]
+"""Content of summary.json, or of an entry in it, by name."""
+
 PART = ".part_"
 """Prefix of the names of incomplete files."""
 
@@ -73,7 +76,7 @@ def move_file(path: Path, folder: Path) -> None:
         path.replace(folder / path.name)
 
 
-def write_json(path: Path, values: Mapping[str, Any]) -> None:
+def write_json(path: Path, values: Summary) -> None:
     """Write values as indented JSON, keys in the given order.
 
     Raises:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.errors import LabError
 
@@ -62,11 +63,11 @@ class PinholeCamera:
             raise PinholeError(f"focal lengths {self.fx:g}, {self.fy:g}; both must be > 0")
 
     @property
-    def matrix(self) -> np.ndarray:
+    def matrix(self) -> ndarray:
         """The (3, 3) matrix K."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
-    def project(self, points: np.ndarray) -> np.ndarray:
+    def project(self, points: ndarray) -> ndarray:
         """Return the (n, 2) pixels of (n, 3) points of the optical frame.
 
         The distortion model is that of OpenCV and sensor_msgs/distortion_models. Points that
@@ -79,7 +80,7 @@ class PinholeCamera:
             seen = np.column_stack(self._bent(seen[:, 0], seen[:, 1]))
         return seen * (self.fx, self.fy) + (self.cx, self.cy)
 
-    def slopes(self, pixels: np.ndarray) -> np.ndarray:
+    def slopes(self, pixels: ndarray) -> ndarray:
         """Return the slopes x/z and y/z, (n, 2), of the rays of (n, 2) pixels; NaN without a ray.
 
         The inverse of `project`, by Newton's method. If the distortion folds the picture over,
@@ -103,7 +104,7 @@ class PinholeCamera:
             missed = np.abs(np.array(self._bent(*found)) - seen).max(axis=0)
             return np.where(missed < FOUND, found, np.nan).T
 
-    def _bent(self, x: np.ndarray, y: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    def _bent(self, x: ndarray, y: ndarray) -> Tuple[ndarray, ndarray]:
         """Return the distorted slopes."""
         k1, k2, p1, p2, k3 = self.distortion
         square = x * x + y * y
@@ -112,7 +113,7 @@ class PinholeCamera:
         v = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
         return u, v
 
-    def _straightening(self, radii: np.ndarray) -> np.ndarray:
+    def _straightening(self, radii: ndarray) -> ndarray:
         """Return slope / distorted slope for the radial distortion alone; NaN beyond the fold."""
         k1, k2, _, _, k3 = self.distortion
         slopes = np.linspace(0.0, STEEPEST, 20_000)
@@ -123,9 +124,7 @@ class PinholeCamera:
         found = np.interp(radii, bent[:end], slopes[:end], right=np.nan)
         return np.where(radii > 0.0, found / radii, 1.0)
 
-    def _solved(
-        self, x: np.ndarray, y: np.ndarray, u: np.ndarray, v: np.ndarray
-    ) -> Tuple[np.ndarray, np.ndarray]:
+    def _solved(self, x: ndarray, y: ndarray, u: ndarray, v: ndarray) -> Tuple[ndarray, ndarray]:
         """Return the change of the slopes x, y that changes the distorted slopes by u, v."""
         k1, k2, p1, p2, k3 = self.distortion
         square = x * x + y * y

@@ -8,7 +8,7 @@ from typing import Tuple
 
 import numpy as np
 
-from bullet_lab.core.se2 import atan2
+from bullet_lab.core.se2 import PlanarPose, atan2
 
 Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]
@@ -50,6 +50,11 @@ class Pose:
             cr * cp * cy + sr * sp * sy,
         )
         return cls(_vector(position), quaternion)
+
+    @classmethod
+    def on_floor(cls, x: float, y: float, yaw: float) -> Pose:
+        """Make an upright pose at height 0 from a planar one (m, m, rad)."""
+        return cls.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
 
     @classmethod
     def from_matrix(cls, position: Vector, rotation: np.ndarray) -> Pose:
@@ -123,6 +128,11 @@ class Pose:
         x, y, z, w = self.quaternion
         return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
+    @property
+    def planar(self) -> PlanarPose:
+        """The pose seen from above: x (m), y (m) and yaw (rad)."""
+        return (*self.position[:2], self.yaw)
+
 
 def heading_of(quaternion: Quaternion) -> Tuple[float, float]:
     """Return the cosine and sine of the yaw of a unit quaternion (x, y, z, w)."""
@@ -141,6 +151,11 @@ def add(one: Vector, other: Vector) -> Vector:
 def subtract(one: Vector, other: Vector) -> Vector:
     """Return the difference of two vectors."""
     return (one[0] - other[0], one[1] - other[1], one[2] - other[2])
+
+
+def dot(one: Vector, other: Vector) -> float:
+    """Return the scalar product of two vectors."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
 def cross(one: Vector, other: Vector) -> Vector:

@@ -7,9 +7,10 @@ broadcast as everywhere in numpy. Every yaw that is returned lies in [-pi, pi).
 from __future__ import annotations
 
 import math
-from typing import List, Sequence, Tuple
+from typing import Any, List, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 PlanarPose = Tuple[float, float, float]
 """A single pose as numbers: x (m), y (m) and yaw (rad)."""
@@ -46,6 +47,26 @@ def wrap(angle):
     # fmod is slow and exact, and so is the one subtraction that may follow.
     wrapped = angle if largest < math.tau else np.fmod(angle, math.tau)
     return wrapped - math.tau * ((wrapped >= math.pi) * 1.0 - (wrapped < -math.pi) * 1.0)
+
+
+def columns(rows) -> ndarray:
+    """Return the columns of rows such as poses or points, (..., n) -> (n, ...).
+
+    >>> columns([(1.0, 2.0, 0.0), (3.0, 4.0, 0.0)]).tolist()
+    [[1.0, 3.0], [2.0, 4.0], [0.0, 0.0]]
+    """
+    return np.moveaxis(np.asarray(rows, dtype=float), -1, 0)
+
+
+def wrapped(poses: ndarray) -> ndarray:
+    """Return poses, or their differences, with the yaw wrapped, shape (..., 3 or more).
+
+    >>> wrapped(np.array([1.0, 4.0, 4.0])).round(6)
+    array([ 1.      ,  4.      , -2.283185])
+    """
+    poses = poses.copy()
+    poses[..., 2] = wrap(poses[..., 2])
+    return poses
 
 
 def hypot(x, y):
@@ -101,7 +122,17 @@ def quaternion_from_yaw(yaw: float) -> tuple[float, float, float, float]:
     return 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
 
 
-def compose(a, b) -> np.ndarray:
+def pose_from_above(place: Any, turn: Any) -> PlanarPose:
+    """Return the pose of a position and a quaternion, each with fields such as x, seen from above.
+
+    >>> from types import SimpleNamespace as Message
+    >>> pose_from_above(Message(x=1.0, y=2.0), Message(x=0.0, y=0.0, z=0.0, w=1.0))
+    (1.0, 2.0, 0.0)
+    """
+    return place.x, place.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
+
+
+def compose(a, b) -> ndarray:
     """Return the pose `b`, given in the frame of pose `a`, in the frame in which `a` is given.
 
     Args:
@@ -120,7 +151,7 @@ def compose(a, b) -> np.ndarray:
     return _poses(ax + cos * bx - sin * by, ay + sin * bx + cos * by, wrap(ayaw + byaw))
 
 
-def between(a, b) -> np.ndarray:
+def between(a, b) -> ndarray:
     """Return pose `b` in the frame of pose `a`, the inverse of `compose`.
 
     Args:
@@ -145,14 +176,14 @@ def _parts(poses) -> Sequence:
     return poses.tolist() if poses.ndim == 1 else (poses[..., 0], poses[..., 1], poses[..., 2])
 
 
-def _poses(x, y, yaw) -> np.ndarray:
+def _poses(x, y, yaw) -> ndarray:
     # Several times as fast as np.stack of np.broadcast_arrays.
     poses = np.empty((*np.broadcast(x, y, yaw).shape, 3))
     poses[..., 0], poses[..., 1], poses[..., 2] = x, y, yaw
     return poses
 
 
-def inverse(pose) -> np.ndarray:
+def inverse(pose) -> ndarray:
     """Return the pose of the origin in the frame of each pose, shape (..., 3).
 
     >>> inverse([1.0, 0.0, 0.0])
@@ -161,7 +192,7 @@ def inverse(pose) -> np.ndarray:
     return between(pose, np.zeros(3))
 
 
-def steps(poses) -> np.ndarray:
+def steps(poses) -> ndarray:
     """Return each pose of a path in the frame of the previous one: (..., n, 3) to (..., n-1, 3).
 
     >>> steps([(0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (1.0, 0.0, 0.0)])
@@ -172,7 +203,7 @@ def steps(poses) -> np.ndarray:
     return between(poses[..., :-1, :], poses[..., 1:, :])
 
 
-def logarithm(poses) -> np.ndarray:
+def logarithm(poses) -> ndarray:
     """Return the exponential coordinates (m, m, rad) of poses, shape (..., 3).
 
     They are the constant velocity that leads from the origin to the pose in one unit of time, along
@@ -184,13 +215,13 @@ def logarithm(poses) -> np.ndarray:
     array([[ 3.141593,  0.      ,  1.570796],
            [ 1.      , -2.      ,  0.      ]])
     """
-    x, y, yaw = np.moveaxis(np.asarray(poses, dtype=float), -1, 0)
+    x, y, yaw = columns(poses)
     yaw = wrap(yaw)
     velocity = straightening(yaw) * (x + 1j * y)
     return np.stack([velocity.real, velocity.imag, yaw], axis=-1)
 
 
-def straightening(yaw) -> np.ndarray:
+def straightening(yaw) -> ndarray:
     """Return (h/2) (cot(h/2) - i) for angles h (rad, within a turn), 1 for 0; see `logarithm`."""
     half = 0.5 * np.asarray(yaw, dtype=float)
     small = np.abs(half) < 1e-4
@@ -228,7 +259,7 @@ SQUARE_RADIUS = -2.0 * math.log(1.0 - LEVEL)
 """Of the ellipse, in variances: the quantile of chi-square with two degrees of freedom."""
 
 
-def ellipse_points(covariance, count: int = 73) -> np.ndarray:
+def ellipse_points(covariance, count: int = 73) -> ndarray:
     """Return points of the 95 % ellipse around the origin, the first and the last the same.
 
     Args:

@@ -8,6 +8,7 @@ from os import PathLike
 from typing import Any, Iterable, List, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.se2 import hypot, quaternion_from_yaw, wrap, yaw_from_quaternion
 from bullet_lab.errors import LabError
@@ -35,8 +36,8 @@ class Trajectory:
         TrajectoryError: a shape or a value is wrong.
     """
 
-    stamps: np.ndarray
-    poses: np.ndarray
+    stamps: ndarray
+    poses: ndarray
     remark: str = ""
 
     def __post_init__(self):
@@ -61,7 +62,7 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def travelled(self) -> np.ndarray:
+    def travelled(self) -> ndarray:
         """Return the distance (m) travelled up to each pose, shape (n,)."""
         dx, dy = np.diff(self.poses[:, :2], axis=0).T
         return np.concatenate([[0.0], np.cumsum(hypot(dx, dy))])
@@ -71,7 +72,7 @@ class Trajectory:
         return float(self.travelled()[-1])
 
 
-def _read_only(values) -> np.ndarray:
+def _read_only(values) -> ndarray:
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):
@@ -173,7 +174,7 @@ def trajectory_of(
         raise TrajectoryError(f"{where}: {error}") from None
 
 
-def integrated(stamps: np.ndarray, speed: np.ndarray, turn_rate: np.ndarray) -> np.ndarray:
+def integrated(stamps: ndarray, speed: ndarray, turn_rate: ndarray) -> ndarray:
     """Return the poses (m, m, rad) if each velocity is held until the next stamp, (n, 3).
 
     Args:
@@ -214,9 +215,9 @@ class PathError:
     heading_rmse_deg: float
     final_error_m: float
     final_heading_error_deg: float
-    travelled: np.ndarray
-    error: np.ndarray
-    heading_error: np.ndarray
+    travelled: ndarray
+    error: ndarray
+    heading_error: ndarray
 
 
 def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
@@ -246,5 +247,5 @@ def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
     )
 
 
-def _rms(values: np.ndarray) -> float:
+def _rms(values: ndarray) -> float:
     return math.sqrt(np.mean(np.square(values)))

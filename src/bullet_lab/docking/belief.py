@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrapped
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import UNKNOWN_ODOMETRY, DriftingPose, GaussianPose, true_steps
 from bullet_lab.docking.geometry import (
@@ -96,8 +97,7 @@ class DockParticles:
         position = _MARGIN * dock.uncertainty.position + 0.01
         yaw = _MARGIN * dock.uncertainty.yaw + 0.005
         off = rng.uniform(-1.0, 1.0, (count, 3)) * (position, position, yaw)
-        self._poses = np.asarray(rough, dtype=float) + off
-        self._poses[:, 2] = wrap(self._poses[:, 2])
+        self._poses = wrapped(rough + off)
         # What the robot has moved since the poses were; and m since `stands_free` looked at them.
         self._ahead: MotionStep | None = None
         self._travelled = math.inf
@@ -115,7 +115,7 @@ class DockParticles:
         self._travelled += math.hypot(dx, dy) + _LEVER * abs(turn)
 
     @property
-    def poses(self) -> np.ndarray:
+    def poses(self) -> ndarray:
         """Of the dock (n, 3) in the robot's present frame."""
         if self._ahead is not None:
             roots = _root(self._ahead.covariance)
@@ -139,7 +139,7 @@ class DockParticles:
             self._learn(np.where(free, 1.0, 1e-6), counts=False)
         return bool(np.any(free))
 
-    def add_failed_look(self, expected: np.ndarray, missed: float, counts: bool = True) -> None:
+    def add_failed_look(self, expected: ndarray, missed: float, counts: bool = True) -> None:
         """Learn from a look that found nothing.
 
         Args:
@@ -161,7 +161,7 @@ class DockParticles:
         self._poses, self._ahead = se2.compose(drawn, beside), None
         self.weights = np.full(count, 1.0 / count)
 
-    def mix_in(self, poses: np.ndarray, share: float) -> None:
+    def mix_in(self, poses: ndarray, share: float) -> None:
         """Replace a share of the particles by other poses (n, 3)."""
         count = int(share * len(self.poses))
         keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
@@ -169,7 +169,7 @@ class DockParticles:
         self._take(np.concatenate([keep, np.arange(count)]))
         self._poses[len(keep) :] = drawn
 
-    def _take(self, chosen: np.ndarray) -> None:
+    def _take(self, chosen: ndarray) -> None:
         """Keep the particles of these indices (n,), with equal weights."""
         self._poses, self._errors = self.poses[chosen], self._errors[chosen]
         self.reach = self.reach[chosen]
@@ -180,17 +180,16 @@ class DockParticles:
         mean = self.weights @ self.poses
         turn = np.exp(1j * self.poses[:, 2])
         mean[2] = np.angle(self.weights @ turn)
-        off = self.poses - mean
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(self.poses - mean)
         covariance = (self.weights[:, None] * off).T @ off
         return GaussianPose(mean, 1.2 * covariance + np.diag([0.05, 0.05, 0.03]) ** 2)
 
-    def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def samples(self, count: int) -> tuple[ndarray, ndarray]:
         """Draw (count, 3) poses and the light's reach (count,) at each."""
         chosen = self._rng.choice(len(self.poses), count, p=self.weights)
         return self.poses[chosen], self.reach[chosen]
 
-    def _learn(self, likelihood: np.ndarray, counts: bool) -> None:
+    def _learn(self, likelihood: ndarray, counts: bool) -> None:
         weights = self.weights * likelihood
         total = float(np.sum(weights))
         if counts:
@@ -205,7 +204,7 @@ class DockParticles:
         self._poses += self._rng.standard_normal((count, 3)) * (0.02, 0.02, 0.008)
 
 
-def _root(covariance: np.ndarray) -> np.ndarray:
+def _root(covariance: ndarray) -> ndarray:
     """Return a matrix whose product with its transpose is a covariance, which may be singular."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))
@@ -286,7 +285,7 @@ class DockBelief:
         """Return whether some more images may show that a track is the marker."""
         return any(t.frames < 3 and t.real > _HARDLY_REAL for t in self.tracks)
 
-    def samples(self, count: int) -> np.ndarray:
+    def samples(self, count: int) -> ndarray:
         """Draw (count, 3) poses of the dock in the odometry frame."""
         best = self.best()
         if best is None:
@@ -298,7 +297,7 @@ class DockBelief:
                 drawn = np.concatenate([drawn, self._possible(others)])
         return se2.compose(self.pose, drawn)
 
-    def _possible(self, count: int) -> np.ndarray:
+    def _possible(self, count: int) -> ndarray:
         """Draw (count, 3) poses of a dock whose marker is not seen, in the robot's frame."""
         of_walls = int(_WALL_SHARE * count)
         particles, _ = self.particles.samples(count - of_walls)
@@ -310,7 +309,7 @@ class DockBelief:
         self.walls.stands_free(radius)
         return self.particles.stands_free(radius)
 
-    def obstacles(self) -> np.ndarray:
+    def obstacles(self) -> ndarray:
         """Return copies of the marker as obstacles (n, 4): x, y, radius (m, odometry), weight."""
         rows = [np.empty((0, 4))]
         for track in self.tracks:
@@ -432,7 +431,7 @@ class DockBelief:
                 self.tracks.remove(min(self.tracks, key=lambda t: (t.frames >= 3, t.last_seen)))
 
 
-def _inside(corners: np.ndarray, camera: PinholeCamera) -> float:
+def _inside(corners: ndarray, camera: PinholeCamera) -> float:
     """Return how far within the image (4, 2) corners are, px; NaN if a corner is NaN."""
     return float(np.minimum(corners, (camera.width - 1, camera.height - 1) - corners).min())
 

@@ -21,9 +21,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrap, wrapped
 from bullet_lab.docking.geometry import Viewpoint, corner_points, extent_of
 from bullet_lab.docking.types import MotionStep, Sighting
 
@@ -79,11 +80,11 @@ _SUSPICIOUS, _EXPLAINED = 26.0, 0.4
 class GaussianPose:
     """Pose of a dock in the robot's frame: mean (3,) of m, m, rad and covariance (3, 3)."""
 
-    mean: np.ndarray
-    covariance: np.ndarray
+    mean: ndarray
+    covariance: ndarray
 
     @property
-    def deviations(self) -> np.ndarray:
+    def deviations(self) -> ndarray:
         """Standard deviations of x, y (m) and yaw (rad)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
@@ -106,10 +107,9 @@ class GaussianPose:
         away = np.array([math.sin(yaw), -math.cos(yaw), -(x * math.cos(yaw) + y * math.sin(yaw))])
         return math.sqrt(max(float(away @ self.covariance @ away), 0.0))
 
-    def excess(self, poses: np.ndarray) -> np.ndarray:
+    def excess(self, poses: ndarray) -> ndarray:
         """Return by how much (n, 3) poses are farther off than 3.3 standard deviations, squared."""
-        off = poses - self.mean
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(poses - self.mean)
         squares = np.sum((off @ np.linalg.inv(self.covariance)) * off, axis=1)
         return np.maximum(squares - 11.0, 0.0)
 
@@ -127,9 +127,7 @@ class GaussianPose:
                 return self
             own = own * excess
         gain = own[:, 2] / (own[2, 2] + variance)
-        mean = self.mean + gain * off
-        mean[2] = wrap(float(mean[2]))
-        return GaussianPose(mean, own - np.outer(gain, own[2]))
+        return GaussianPose(wrapped(self.mean + gain * off), own - np.outer(gain, own[2]))
 
 
 class DriftingPose:
@@ -160,7 +158,7 @@ class DriftingPose:
         self._steps.append(motion)
 
 
-def true_steps(step, errors: np.ndarray) -> np.ndarray:
+def true_steps(step, errors: ndarray) -> ndarray:
     """Return the true steps (..., 3) of one reported step, given odometry errors (..., 4).
 
     >>> true_steps((0.5, 0.0, 1.0), np.array([0.0, 0.1, 0.2, 0.0]))
@@ -177,7 +175,7 @@ def true_steps(step, errors: np.ndarray) -> np.ndarray:
     return steps
 
 
-def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> tuple[np.ndarray, np.ndarray]:
+def carried(x: ndarray, p: ndarray, motion: MotionStep) -> tuple[ndarray, ndarray]:
     """Return states (n, i) and covariances (n, i, i) in the robot's frame after a step.
 
     The first three numbers are a pose, the last four the odometry errors.
@@ -210,7 +208,7 @@ def carried(x: np.ndarray, p: np.ndarray, motion: MotionStep) -> tuple[np.ndarra
 class _Prior:
     """A part of the states, with its standard deviations if nominal and if not."""
 
-    def __init__(self, where: slice, known: np.ndarray, unknown: np.ndarray):
+    def __init__(self, where: slice, known: ndarray, unknown: ndarray):
         self.where, self.known = where, np.diag(known**2)
         self.log_unknown = np.sum(np.log(unknown))
 
@@ -224,7 +222,7 @@ _AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
 _DRIFTING_ODOMETRY = _Prior(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
-def as_known(x: np.ndarray, p: np.ndarray, priors=_PRIORS) -> tuple[np.ndarray, np.ndarray]:
+def as_known(x: ndarray, p: ndarray, priors=_PRIORS) -> tuple[ndarray, ndarray]:
     """Return states (n, i) and covariances, given that much is probably nominal.
 
     A camera, an odometry and corners are nominal more often than not. By Bayes' rule, with the
@@ -248,9 +246,7 @@ def as_known(x: np.ndarray, p: np.ndarray, priors=_PRIORS) -> tuple[np.ndarray, 
     return x, p
 
 
-def predict(
-    states: np.ndarray, sizes: np.ndarray, view: Viewpoint
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def predict(states: ndarray, sizes: ndarray, view: Viewpoint) -> tuple[ndarray, ndarray, ndarray]:
     """Return where corners of (n, 20) states with sizes (n,) are seen, and its derivatives.
 
     Returns:
@@ -274,7 +270,7 @@ def predict(
     return seen + states[:, CORNERS], by_state, tilts
 
 
-def _camera_turns(turns: np.ndarray) -> np.ndarray:
+def _camera_turns(turns: ndarray) -> ndarray:
     """Return what optical points have to be multiplied by from the right: (n, 3, 3).
 
     `turns` are (n, 3) roll, pitch and yaw of the camera against its known place, rad, in its frame.
@@ -299,7 +295,7 @@ class Measurement:
     view: Viewpoint
     repeated: float = 1.0
 
-    def covariance(self, tilts: np.ndarray) -> np.ndarray:
+    def covariance(self, tilts: ndarray) -> ndarray:
         """Return the (n, 8, 8) covariance of the corners, px².
 
         `tilts` are the (n, 8, 3) derivatives by roll, pitch and yaw.
@@ -325,14 +321,12 @@ def innovations(start, x, p, sizes, measured: Measurement):
     if bad.any():
         seen = predicted.copy()
         seen[bad], by_state[bad], tilts[bad] = 1e4, 0.0, 0.0
-    off = start - x
-    off[:, 2] = wrap(off[:, 2])
-    rest = measured.sighting.corners.reshape(8) - seen - applied(by_state, off)
+    rest = measured.sighting.corners.reshape(8) - seen - applied(by_state, wrapped(start - x))
     covariance = measured.covariance(tilts) + by_state @ p @ by_state.transpose(0, 2, 1)
     return rest, by_state, covariance, predicted
 
 
-def squared_distances(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def squared_distances(rest: ndarray, covariance: ndarray) -> ndarray:
     """Return the squared Mahalanobis distances (n,) of (n, i) with covariances (n, i, i).
 
     >>> squared_distances(np.array([[3.0, 4.0]]), np.array([np.diag([9.0, 4.0])]))
@@ -341,7 +335,7 @@ def squared_distances(rest: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return (rest * np.linalg.solve(covariance, rest[..., None])[..., 0]).sum(axis=1)
 
 
-def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def applied(matrices: ndarray, vectors: ndarray) -> ndarray:
     """Return products (n, i) of matrices (n, i, j) and vectors (n, j).
 
     Not by einsum, whose last bits depend on where the arrays happen to lie in memory.
@@ -349,7 +343,7 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hidden=None):
+def iterated_update(start, p, sizes, measured: Measurement, rounds: int, hidden=None):
     """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
     Args:
@@ -371,8 +365,7 @@ def iterated_update(start, p, sizes, measured: Measurement, rounds: int = 3, hid
             pixel = [2 * hidden, 2 * hidden + 1]
             covariance[:, pixel, pixel] += _HIDDEN**2
         gain = np.linalg.solve(covariance, by_state @ p).transpose(0, 2, 1)
-        before, x = x, start + applied(gain, rest)
-        x[:, 2] = wrap(x[:, 2])
+        before, x = x, wrapped(start + applied(gain, rest))
         if number == 0 and rounds < 6 and np.abs(rest).max() < _LINEAR:
             break
         if np.abs(x - before).max() < 1e-4:

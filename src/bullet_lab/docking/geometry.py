@@ -11,10 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.core.se2 import PlanarPose, columns
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.types import CameraMount, Point
 
@@ -27,7 +28,7 @@ QUIET_ZONE = 0.125
 """Width of a marker's white border, as part of its edge: the whole of it has to be seen."""
 
 
-def wall_boxes(dock: Dock) -> np.ndarray:
+def wall_boxes(dock: Dock) -> ndarray:
     """Return the walls as (n, 4) boxes x_min, x_max, y_min, y_max in the dock's frame, m."""
     walls = dock.walls
     if walls is None:
@@ -43,18 +44,18 @@ def wall_boxes(dock: Dock) -> np.ndarray:
     )
 
 
-def extent_of_walls(boxes: np.ndarray) -> float:
+def extent_of_walls(boxes: ndarray) -> float:
     """Return the distance (m) from the dock's origin beyond which there are no boxes (n, 4)."""
     return math.hypot(*np.abs(boxes.reshape(-1, 2, 2)).max(axis=(0, 2), initial=0.0))
 
 
-def clearance(points, boxes: np.ndarray) -> np.ndarray:
+def clearance(points, boxes: ndarray) -> ndarray:
     """Return the distance of (..., 2) points from the nearest of (n, 4) boxes, m; inf without any.
 
     >>> clearance([[-1.0, 0.0], [3.0, 4.0]], np.array([[-1.0, 0.0, -1.0, 0.0]]))
     array([0., 5.])
     """
-    x, y = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
+    x, y = columns(points)
     squares = np.full(x.shape, np.inf)
     for x_min, x_max, y_min, y_max in boxes:
         dx = np.maximum(np.maximum(x_min - x, x - x_max), 0.0)
@@ -71,7 +72,7 @@ class Viewpoint:
     mount: CameraMount
     moved: PlanarPose = (0.0, 0.0, 0.0)  #: the robot then, in its present frame
 
-    def optical(self, points: np.ndarray) -> np.ndarray:
+    def optical(self, points: ndarray) -> ndarray:
         """Turn (..., 3) points of the robot's present frame into the optical frame, m."""
         cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
         x, y = points[..., 0] - self.moved[0], points[..., 1] - self.moved[1]
@@ -82,12 +83,12 @@ class Viewpoint:
         optical[..., 2] = there[..., 0]
         return optical
 
-    def pixels(self, optical: np.ndarray) -> np.ndarray:
+    def pixels(self, optical: ndarray) -> ndarray:
         """Return (..., 2) pixels of (..., 3) points of the optical frame."""
         return self.camera.project(optical.reshape(-1, 3)).reshape(*optical.shape[:-1], 2)
 
     @property
-    def origin(self) -> np.ndarray:
+    def origin(self) -> ndarray:
         """Place (3,) of the camera at the time of the image, in the robot's present frame, m."""
         x, y = self._turn(self.mount.x, self.mount.y)
         return np.array([self.moved[0] + x, self.moved[1] + y, self.mount.z])
@@ -97,7 +98,7 @@ class Viewpoint:
         cos, sin = math.cos(self.moved[2]), math.sin(self.moved[2])
         return cos * x - sin * y, sin * x + cos * y
 
-    def line_of_sight(self, corners: np.ndarray, size: float) -> tuple[np.ndarray, float]:
+    def line_of_sight(self, corners: ndarray, size: float) -> tuple[ndarray, float]:
         """Return the direction (3,) of a marker in the robot's frame, and its range in m.
 
         The direction is scaled to unit length on the floor. A slanted marker is narrower than it
@@ -116,7 +117,7 @@ class Viewpoint:
 _ACROSS, _UP = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 
 
-def corner_points(states: np.ndarray, sizes) -> np.ndarray:
+def corner_points(states: ndarray, sizes) -> ndarray:
     """Return the corners of markers in the robot's frame, m.
 
     For states (..., 5), or longer, and edges of the black square (...), m, they are (..., 4, 3):
@@ -140,7 +141,7 @@ def corner_points(states: np.ndarray, sizes) -> np.ndarray:
     return points
 
 
-def extent_of(corners: np.ndarray) -> float:
+def extent_of(corners: ndarray) -> float:
     """Return the size of a marker in the image: its mean diagonal over the root of two, in px.
 
     >>> round(extent_of(np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 30.0], [0.0, 30.0]])), 9)
@@ -151,8 +152,8 @@ def extent_of(corners: np.ndarray) -> float:
 
 
 def whole_in_image(
-    dock: Dock, camera: PinholeCamera, mount: CameraMount, distances: np.ndarray
-) -> np.ndarray:
+    dock: Dock, camera: PinholeCamera, mount: CameraMount, distances: ndarray
+) -> ndarray:
     """Return at which distances (n,), m, the whole marker is in a camera's image.
 
     That is for a robot in the dock, wherever the dock's tolerances let it stand.
@@ -208,7 +209,7 @@ class MarkerVisibility:
         other.farthest, other._half = farthest, max(half, self._half)
         return other
 
-    def unobstructed(self, x, y) -> np.ndarray:
+    def unobstructed(self, x, y) -> ndarray:
         """Return whether nothing is between cameras at (x, y) m in the dock's frame and the marker.
 
         Range and slant count as well, the camera's heading does not. Shapes broadcast.
@@ -225,14 +226,14 @@ class MarkerVisibility:
         at_opening = np.abs(y) * along + self._half * (1.0 - along)
         return good & (at_opening < inner)
 
-    def visible(self, cameras: np.ndarray) -> np.ndarray:
+    def visible(self, cameras: ndarray) -> ndarray:
         """Return whether (..., 3) cameras in the dock's frame should find the marker."""
         x, y, heading = cameras[..., 0], cameras[..., 1], cameras[..., 2]
         off = np.arctan2(-y, -x) - heading
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
         return self.unobstructed(x, y) & (off < self.half_angle(np.hypot(x, y)))
 
-    def found(self, cameras: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    def found(self, cameras: ndarray, reach: ndarray) -> ndarray:
         """Return whether (..., 3) cameras in the dock's frame should find the marker in a light.
 
         `reach` (...) is the share of the range of good light up to which it is found.
@@ -240,6 +241,6 @@ class MarkerVisibility:
         distance = np.hypot(cameras[..., 0], cameras[..., 1])
         return self.visible(cameras) & (distance < reach * self.farthest)
 
-    def half_angle(self, distance) -> np.ndarray:
+    def half_angle(self, distance) -> ndarray:
         """Return how far off the image's middle (rad) a marker at a distance (m) is whole."""
         return self._half_angle - np.arctan2(self._half, np.maximum(distance, 0.1))

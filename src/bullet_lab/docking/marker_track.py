@@ -13,8 +13,9 @@ import math
 from collections import defaultdict
 
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import wrap, wrapped
 from bullet_lab.docking.database import DockMarker
 from bullet_lab.docking.filter import (
     CAMERA,
@@ -146,11 +147,11 @@ class MarkerTrack:
         self._size, self._height = marker.size, marker.height
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
-        self._spot: np.ndarray | None = None
+        self._spot: ndarray | None = None
         self._spot_frames = 0
         self._outliers = 0
         # Poses and covariances of the real ones, which are needed many times at each tick.
-        self._known: tuple[np.ndarray, np.ndarray] | None = None
+        self._known: tuple[ndarray, ndarray] | None = None
         self._extent = extent_of(sighting.corners)
         self._start(sighting, view, prior)
 
@@ -160,17 +161,14 @@ class MarkerTrack:
         if not len(weights):
             return None
         best = poses[np.argmax(weights)]
-        off = poses - best
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(poses - best)
         shift = weights @ off
         spread = off - shift
         covariance = np.sum(weights[:, None, None] * covariances, axis=0)
         covariance += (weights[:, None] * spread).T @ spread
-        mean = best + shift
-        mean[2] = wrap(float(mean[2]))
-        return GaussianPose(mean, covariance)
+        return GaussianPose(wrapped(best + shift), covariance)
 
-    def components(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def components(self) -> tuple[ndarray, ndarray, ndarray]:
         """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
         real = self._scale == 0
         weights = self._weights[real]
@@ -179,16 +177,14 @@ class MarkerTrack:
             self._known = x[:, :3].copy(), p[:, :3, :3].copy()
         return (*self._known, weights / float(np.sum(weights)))
 
-    def samples(self, rng: np.random.Generator, count: int) -> np.ndarray:
+    def samples(self, rng: np.random.Generator, count: int) -> ndarray:
         """Draw (count, 3) poses of the dock, if it is real."""
         poses, covariances, weights = self.components()
         chosen = rng.choice(len(weights), size=count, p=weights)
         roots = np.linalg.cholesky(covariances + 1e-12 * np.eye(3))
-        drawn = poses[chosen] + applied(roots[chosen], rng.standard_normal((count, 3)))
-        drawn[:, 2] = wrap(drawn[:, 2])
-        return drawn
+        return wrapped(poses[chosen] + applied(roots[chosen], rng.standard_normal((count, 3))))
 
-    def copies(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def copies(self) -> tuple[ndarray, ndarray, ndarray]:
         """Return where the thing may be (n, 2) in the robot's frame, its size and weights (n,)."""
         return self._x[:, :2].copy(), self._actual_sizes(), self._weights.copy()
 
@@ -226,11 +222,11 @@ class MarkerTrack:
         return int(np.argmax(np.where(self._scale == 0, self._within, -1.0)))
 
     @property
-    def _sizes(self) -> np.ndarray:
+    def _sizes(self) -> ndarray:
         """Assumed sizes (n,), m."""
         return self._size * SCALES[self._scale]
 
-    def _actual_sizes(self) -> np.ndarray:
+    def _actual_sizes(self) -> ndarray:
         return self._sizes * np.exp(self._x[:, 4])
 
     def move(self, motion: MotionStep) -> None:
@@ -250,7 +246,7 @@ class MarkerTrack:
         if self._spot is not None:
             self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
-    def nearest(self, sighting: Sighting, view: Viewpoint) -> tuple[float, np.ndarray]:
+    def nearest(self, sighting: Sighting, view: Viewpoint) -> tuple[float, ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
 
         And the (4, 2) corners as that one predicts them; NaN if behind the camera.
@@ -261,7 +257,7 @@ class MarkerTrack:
         best = int(np.argmin(squares))
         return float(squares[best]), seen[best].reshape(4, 2)
 
-    def predict_corners(self, view: Viewpoint) -> np.ndarray:
+    def predict_corners(self, view: Viewpoint) -> ndarray:
         """Return where the corners (4, 2) would be seen, if it is real; NaN if behind."""
         best = self._best_real()
         return predict(self._x[best, None], self._sizes[best, None], view)[0].reshape(4, 2)
@@ -316,7 +312,7 @@ class MarkerTrack:
         self._within[real] = real == best
         self._reduce()
 
-    def _reach(self, corners: np.ndarray, view: Viewpoint) -> tuple[float, float]:
+    def _reach(self, corners: ndarray, view: Viewpoint) -> tuple[float, float]:
         """Return the seeming range in m and its standard deviation."""
         _, reach = view.line_of_sight(corners, self._size)
         pixels = view.camera.fy * self._size / reach
@@ -381,11 +377,9 @@ class MarkerTrack:
         """Fuse the belief before the marker was seen with the Gaussians of the real size."""
         real = self._scale == 0
         x, p = self._x[real], self._p[real]
-        off = prior.mean - x[:, :3]
-        off[:, 2] = wrap(off[:, 2])
+        off = wrapped(prior.mean - x[:, :3])
         gain = np.linalg.solve(p[:, :3, :3] + prior.covariance, p[:, :3]).transpose(0, 2, 1)
-        x = x + applied(gain, off)
-        x[:, 2] = wrap(x[:, 2])
+        x = wrapped(x + applied(gain, off))
         p = p - gain @ p[:, :3]
         self._x[real], self._p[real] = x, 0.5 * (p + p.transpose(0, 2, 1))
 
@@ -398,8 +392,7 @@ class MarkerTrack:
         spreads[:, CORNERS] = np.inf
         for index in np.argsort(-self._within).tolist():
             rivals = rivals_of[self._scale[index]]
-            off = self._x[rivals] - self._x[index]
-            off[:, 2] = wrap(off[:, 2])
+            off = wrapped(self._x[rivals] - self._x[index])
             alike = (np.abs(off) < spreads[rivals]).all(axis=1)
             if alike.any():
                 self._within[rivals[int(alike.argmax())]] += self._within[index]

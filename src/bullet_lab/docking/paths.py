@@ -10,6 +10,7 @@ import math
 from typing import Any, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose
@@ -17,7 +18,7 @@ from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import QUIET_ZONE, clearance, extent_of_walls, wall_boxes
 from bullet_lab.docking.types import TURNING_RADIUS, Point
-from bullet_lab.navigation.paths import CostGrid, along
+from bullet_lab.navigation.paths import CostGrid, points_of
 
 # Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
 CELL = 0.1
@@ -65,9 +66,9 @@ class Costmap(CostGrid):
     def __init__(
         self,
         robot: Sequence[float],
-        docks: np.ndarray,
-        boxes: np.ndarray,
-        obstacles: np.ndarray,
+        docks: ndarray,
+        boxes: ndarray,
+        obstacles: ndarray,
         radius: float,
         reach: float = 4.0,
     ):
@@ -90,7 +91,7 @@ class Costmap(CostGrid):
         flat = np.zeros((*shape, 3))
         flat[..., :2] = self.points
 
-        def add(away: np.ndarray, weight: float, cells: Any = ...) -> None:
+        def add(away: ndarray, weight: float, cells: Any = ...) -> None:
             touch[cells][away < radius] += weight
             near[cells][away < radius + _NEAR] += weight
 
@@ -104,7 +105,7 @@ class Costmap(CostGrid):
             add(np.hypot(self.points[..., 0] - x, self.points[..., 1] - y) - size, weight)
         return touch, near
 
-    def risk(self, points: np.ndarray) -> float:
+    def risk(self, points: ndarray) -> float:
         """Return the largest share of docks that a robot at any of (n, 2) points would touch."""
         return float(np.max(self.touch.ravel()[self._index(points)], initial=0.0))
 
@@ -149,7 +150,7 @@ class PathPlanner:
             for x, y, size, weight in self._obstacles()
         )
 
-    def _obstacles(self) -> np.ndarray:
+    def _obstacles(self) -> ndarray:
         """Return the obstacles (n, 4) of `DockBelief.obstacles` that are not where the robot is.
 
         A print of unknown size could otherwise be a tiny one right before the camera.
@@ -158,11 +159,9 @@ class PathPlanner:
         away = np.hypot(*(rows[:, :2] - self._belief.pose[:2]).T) - rows[:, 2]
         return rows[away > self._radius]
 
-    def _ahead_of_robot(self, way, begin: float = 0.15) -> np.ndarray:
+    def _ahead_of_robot(self, way, begin: float = 0.15) -> ndarray:
         """Return points of a path from `begin` (m) on; the robot occupies what is before."""
-        pieces = [along(first, second, 0.05) for first, second in zip(way, way[1:])]
-        points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
-        travelled = np.cumsum(np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)]))
+        points, travelled = points_of(way, 0.05)
         return points[(travelled > begin) & (travelled < 1.6)]
 
     def way_to_staging(self, estimate: GaussianPose) -> list[Point] | None:

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
@@ -90,7 +91,7 @@ class MarkerSearch:
             return False
         return bool(self._belief.visibility.visible(self._cameras(estimate.mean)))
 
-    def _cameras(self, docks: np.ndarray) -> np.ndarray:
+    def _cameras(self, docks: ndarray) -> ndarray:
         """Return the camera's poses (..., 3) against docks (..., 3) in the robot's frame."""
         return se2.between(docks, (self._ahead, 0.0, 0.0))
 
@@ -164,11 +165,11 @@ class MarkerSearch:
 
     def _probabilities(
         self,
-        points: np.ndarray,
-        docks: np.ndarray,
-        reach: np.ndarray,
+        points: ndarray,
+        docks: ndarray,
+        reach: ndarray,
         visibility: MarkerVisibility,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """Return the probability of finding the marker, (n, 36) for each point and heading.
 
         The robot is at `points` (n, 2); `docks` are (m, 3), in light that has `reach` (m,).
@@ -178,10 +179,10 @@ class MarkerSearch:
         ahead = self._ahead / np.maximum(distance, self._ahead)
         eyes = points[:, None] + to_dock * ahead[..., None]
         flat = np.pad(eyes, ((0, 0), (0, 0), (0, 1)))
-        x, y, _ = np.moveaxis(se2.between(docks[None], flat), -1, 0)
+        x, y, _ = se2.columns(se2.between(docks[None], flat))
         found = visibility.unobstructed(x, y) & (np.hypot(x, y) < reach * visibility.farthest)
         shares, some = np.zeros((len(points), len(_HEADINGS))), found.any(axis=1)
-        found, (x, y) = found[some], np.moveaxis(to_dock[some], -1, 0)
+        found, (x, y) = found[some], se2.columns(to_dock[some])
         bearing, aside = np.arctan2(y, x), visibility.half_angle(distance[some]) - _EDGE
         for index, heading in enumerate(_HEADINGS):
             off = np.abs(bearing - heading)
@@ -189,9 +190,7 @@ class MarkerSearch:
             shares[some, index] = np.mean(found & ahead, axis=1)
         return shares
 
-    def _first_safe(
-        self, points: np.ndarray, costmap: Costmap, worth: np.ndarray
-    ) -> NextView | None:
+    def _first_safe(self, points: ndarray, costmap: Costmap, worth: ndarray) -> NextView | None:
         """Return the best view with a safe path; the robot is at the first point."""
         headings = np.argmax(worth, axis=1)
         # Each place once: the next best headings there are refused for the same path.
@@ -205,7 +204,7 @@ class MarkerSearch:
         return None
 
 
-def _worth(found: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+def _worth(found: ndarray, seconds: ndarray) -> ndarray:
     """Return the probability per time of views (n, 36), 0 where the probability is small."""
     # Of headings with the same probability, the one with the likely place in the middle is best.
     smooth = (np.roll(found, 1, axis=1) + found + np.roll(found, -1, axis=1)) / 3.0

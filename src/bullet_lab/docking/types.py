@@ -15,6 +15,7 @@ from enum import IntEnum
 from typing import NamedTuple, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import integer, number
@@ -82,15 +83,15 @@ class Odometry:
 
     stamp: float
     pose: PlanarPose
-    twist_covariance: np.ndarray | None = None
+    twist_covariance: ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class MotionStep:
     """A step of the robot in its frame before it: (dx m, dy m, dyaw rad) and (3, 3) covariance."""
 
-    step: tuple[float, float, float]
-    covariance: np.ndarray
+    step: PlanarPose
+    covariance: ndarray
 
     def then(self, after: MotionStep) -> MotionStep:
         """Return this step and the next one as one, for short ones: the covariances are added."""
@@ -157,7 +158,7 @@ class CameraMount:
     yaw: float = 0.0
 
     @functools.cached_property
-    def rotation(self) -> np.ndarray:
+    def rotation(self) -> ndarray:
         """The (3, 3) matrix that turns directions of the camera into base_footprint."""
         sr, cr = np.sin(self.roll), np.cos(self.roll)
         sp, cp = np.sin(self.pitch), np.cos(self.pitch)
@@ -181,8 +182,8 @@ class Sighting:
 
     id: int
     dictionary: str
-    corners: np.ndarray
-    deviations: np.ndarray | None = None
+    corners: ndarray
+    deviations: ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from typing import Sequence, Tuple
 from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy import ndarray
 from PIL import Image
 
 from bullet_lab.core.files import make_folder, replace_file
@@ -110,7 +111,7 @@ _CONFIG = """<?xml version="1.0"?>
 """
 
 
-def paste(canvas: np.ndarray, patch: np.ndarray, column: int, row: int) -> None:
+def paste(canvas: ndarray, patch: ndarray, column: int, row: int) -> None:
     """Draw a picture over another, its upper left pixel at a column and row.
 
     Raises:
@@ -126,7 +127,7 @@ def paste(canvas: np.ndarray, patch: np.ndarray, column: int, row: int) -> None:
 
 def scatter_dots(
     width: float, height: float, keep_out: Rectangle, rng: np.random.Generator
-) -> np.ndarray:
+) -> ndarray:
     """Return the centres of dots on a sheet, as dense as those of the report's figure 8.
 
     They are (n, 2), m from the upper left corner to the right and downwards. All dots are whole,
@@ -154,7 +155,7 @@ def scatter_dots(
     raise LabError(f"no room for {amount} dots on {width:g} x {height:g} m")
 
 
-def draw_dots(canvas: np.ndarray, centres: np.ndarray, metres_per_pixel: float) -> None:
+def draw_dots(canvas: ndarray, centres: ndarray, metres_per_pixel: float) -> None:
     """Draw black dots with soft edges onto a picture, (h, w) of uint8, in place."""
     radius = DOT_RADIUS / metres_per_pixel
     reach = int(np.ceil(radius + 1.0))
@@ -186,7 +187,7 @@ class Print:
             raise LabError(f"the quiet zone must be {allowed} wide, not {self.quiet}")
         self.cells()
 
-    def cells(self) -> np.ndarray:
+    def cells(self) -> ndarray:
         """Return the cells as one sees them, with the border: (n, n) of bool, True is white.
 
         >>> Print("4x4_50", 0).cells().astype(int)[:3]
@@ -201,7 +202,7 @@ class Print:
         count = len(self.cells())
         return self.size * (count + 2 * self.quiet) / count
 
-    def image(self, pixels: int) -> np.ndarray:
+    def image(self, pixels: int) -> ndarray:
         """Return the picture with the quiet zone, uint8, `pixels` for each cell.
 
         A marker whose border touches something dark has no outline that a detector could find.
@@ -215,7 +216,7 @@ class Print:
 class Face:
     """A square picture, (n, n) of uint8, grey, and its edge in metres."""
 
-    image: np.ndarray
+    image: ndarray
     size: float
 
 
@@ -271,11 +272,11 @@ def nested_face(marker: Print, around: Print) -> Face:
     return _with_marker(canvas, marker)
 
 
-def _wall(grey: int) -> np.ndarray:
+def _wall(grey: int) -> ndarray:
     return np.full((WALL_PIXELS, WALL_PIXELS), grey, dtype=np.uint8)
 
 
-def _with_marker(canvas: np.ndarray, marker: Print) -> Face:
+def _with_marker(canvas: ndarray, marker: Print) -> Face:
     """Return a wall with a marker in its middle."""
     patch = marker.image(_pixels(marker))
     corner = (len(canvas) - len(patch)) // 2

@@ -6,10 +6,11 @@ import math
 from typing import Any, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, OccupancyMap
-from bullet_lab.navigation.paths import CostGrid, Point, along
+from bullet_lab.navigation.paths import CostGrid, Point, points_of
 
 # Larger maps are planned on with larger cells.
 MOST_CELLS = 160_000
@@ -69,7 +70,7 @@ class RobotCostmap:
         self._seen = np.zeros_like(self._standing)
         self._distance = self._static
 
-    def see(self, sensor: Pose, angles: np.ndarray, ranges: np.ndarray, greatest: float) -> bool:
+    def see(self, sensor: Pose, angles: ndarray, ranges: ndarray, greatest: float) -> bool:
         """Take a scan; return whether it has changed the costmap.
 
         Args:
@@ -93,29 +94,29 @@ class RobotCostmap:
         seen.ravel()[cells] = True
         return self._remember(seen)
 
-    def mark(self, points: np.ndarray) -> None:
+    def mark(self, points: ndarray) -> None:
         """Mark the cells of points (n, 2) as if the laser had seen something there."""
         seen = self._seen.copy()
         seen.ravel()[self._inside(points)] = True
         self._remember(seen)
 
-    def _remember(self, seen: np.ndarray) -> bool:
+    def _remember(self, seen: ndarray) -> bool:
         if np.array_equal(seen, self._seen):
             return False
         self._seen = seen
         self._distance = np.minimum(self._static, _distances(seen) * self._cell)
         return True
 
-    def _cells(self, points: Sequence[Any]) -> np.ndarray:
+    def _cells(self, points: Sequence[Any]) -> ndarray:
         return np.round((np.asarray(points)[..., :2] - self._low) / self._cell).astype(int)
 
-    def _inside(self, points: Sequence[Any]) -> np.ndarray:
+    def _inside(self, points: Sequence[Any]) -> ndarray:
         """Return the indices of the cells of points, without those off the map."""
         cells, shape = self._cells(points), self._standing.shape
         cells = cells[np.all((cells >= 0) & (cells < shape), axis=-1)]
         return cells[:, 0] * shape[1] + cells[:, 1]
 
-    def clearance(self, points: Sequence[Any]) -> np.ndarray:
+    def clearance(self, points: Sequence[Any]) -> ndarray:
         """Return the distances (…) in m of points (…, 2) from the nearest occupied cell."""
         cells = self._cells(points).clip(0, np.array(self._standing.shape) - 1)
         return self._distance[tuple(np.moveaxis(cells, -1, 0))]
@@ -123,13 +124,12 @@ class RobotCostmap:
     def is_free(self, way: Sequence[Point], robot: Sequence[float]) -> bool:
         """Return whether a robot can drive to the next points of a way, as far as is known."""
         way = [(robot[0], robot[1]), *way]
-        points = np.concatenate([along(*ends, self._cell) for ends in zip(way, way[1:])])
-        gone = np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
+        points, gone = points_of(way, self._cell)
         here = float(self.clearance(robot))
         least = min(self._radius, here - NEARER)
         return bool(np.all(self.clearance(points[gone <= AHEAD]) >= least))
 
-    def _rates(self, robot: Sequence[float]) -> np.ndarray:
+    def _rates(self, robot: Sequence[float]) -> ndarray:
         """Return the costs of a metre in each cell, infinite where the robot cannot be."""
         beyond = self._distance - self._least
         rates = np.where(
@@ -173,7 +173,7 @@ class RobotCostmap:
         return OccupancyMap(costs.T.astype(np.int8), self._cell, self.map.origin)
 
 
-def _distances(occupied: np.ndarray) -> np.ndarray:
+def _distances(occupied: ndarray) -> ndarray:
     """Return each cell's distance from the nearest occupied one, in cells; inf without any."""
     # Imported late: most jobs have no map, and it takes a tenth of a second.
     from scipy.ndimage import distance_transform_edt
@@ -189,8 +189,8 @@ def _with_fewer_cells(known: OccupancyMap) -> OccupancyMap:
     A joined cell is occupied if one of its cells is, else free if one is.
     """
     # Cells that are neither sure to be free nor occupied are unknown.
-    cells = np.where(known.cells >= 65, OCCUPIED, np.where(known.cells > 19, UNKNOWN, known.cells))
-    cells = np.where(cells == OCCUPIED, OCCUPIED, cells.clip(UNKNOWN, FREE))
+    cells = np.where(known.cells > 19, UNKNOWN, known.cells.clip(UNKNOWN, FREE))
+    cells[known.cells >= 65] = OCCUPIED
     rows, columns = (np.flatnonzero((cells != UNKNOWN).any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         rows, columns = (np.arange(count) for count in cells.shape)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import yaml
 
+from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.errors import LabError
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
@@ -47,7 +48,7 @@ class OccupancyMap:
 
     cells: np.ndarray
     resolution: float
-    origin: Tuple[float, float, float] = (0.0, 0.0, 0.0)
+    origin: PlanarPose = (0.0, 0.0, 0.0)
 
     def extent(self) -> Tuple[float, float, float, float]:
         """Return left, right, bottom and top in m, as of matplotlib's `imshow`."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from typing import Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive import STANDSTILL, Command, approach, clip
@@ -42,13 +44,13 @@ class CostGrid:
         costs: (rows, columns) of the cheapest way to each cell; infinite without a way.
     """
 
-    def __init__(self, low: np.ndarray, cell: float, rate: np.ndarray, start: Sequence[float]):
+    def __init__(self, low: ndarray, cell: float, rate: ndarray, start: Sequence[float]):
         self.cell, self._low, self._shape = cell, low, rate.shape
         self._start = (float(start[0]), float(start[1]))
         self._rate = rate.ravel()
         self.costs, self._before = self._dijkstra()
 
-    def _dijkstra(self) -> tuple[np.ndarray, np.ndarray]:
+    def _dijkstra(self) -> tuple[ndarray, ndarray]:
         """Return the costs of all cells, and each one's predecessor on the way there, by index."""
         # Imported late: most jobs plan nothing, and it takes a tenth of a second.
         from scipy.sparse import coo_matrix
@@ -70,7 +72,7 @@ class CostGrid:
         found = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
         return found[0].reshape(self._shape), found[1]
 
-    def _index(self, points) -> np.ndarray:
+    def _index(self, points) -> ndarray:
         """Return the index of the cell nearest each of (..., 2 or more) points."""
         places = np.round((np.asarray(points)[..., :2] - self._low) / self.cell).astype(int)
         places = np.clip(places, 0, np.array(self._shape) - 1)
@@ -96,9 +98,7 @@ class CostGrid:
 
     def _straighten(self, way: list[Point]) -> list[Point]:
         """Leave out points where the straight way costs hardly more."""
-        costs = [0.0]
-        for first, second in zip(way, way[1:]):
-            costs.append(costs[-1] + self._straight_cost(first, second))
+        costs = list(accumulate(map(self._straight_cost, way, way[1:]), initial=0.0))
         kept, here = [way[0]], 0
         while here < len(way) - 1:
             there = len(way) - 1
@@ -118,7 +118,7 @@ class CostGrid:
         return length * float(np.mean(self._rate[self._index(points)]))
 
 
-def along(first: Point, second: Point, spacing: float) -> np.ndarray:
+def along(first: Point, second: Point, spacing: float) -> ndarray:
     """Return (n, 2) points on a line, both ends included, no farther apart than `spacing`.
 
     >>> along((0.0, 0.0), (1.0, 0.0), 0.5)
@@ -129,6 +129,17 @@ def along(first: Point, second: Point, spacing: float) -> np.ndarray:
     count = max(2, math.ceil(math.dist(first, second) / spacing) + 1)
     part = np.linspace(0.0, 1.0, count)[:, None]
     return (1.0 - part) * np.asarray(first) + part * np.asarray(second)
+
+
+def points_of(way: Sequence[Point], spacing: float) -> tuple[ndarray, ndarray]:
+    """Return points (n, 2) of a way, as `along`, and how far each one is from its start, m.
+
+    >>> points_of([(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)], 2.0)[1]
+    array([0., 1., 1., 3.])
+    """
+    pieces = [along(*ends, spacing) for ends in zip(way, way[1:])]
+    points = np.concatenate(pieces or [np.asarray(way, dtype=float)])
+    return points, np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
 
 
 class PathFollower:

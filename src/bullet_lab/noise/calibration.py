@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 from scipy.stats import chi2
 
 from bullet_lab.noise.likelihood import Problem
@@ -53,11 +54,11 @@ class Optimum:
         information: Fisher's, in the coordinates, shape (b, k, k).
     """
 
-    coordinates: np.ndarray
-    log_likelihood: np.ndarray
-    information: np.ndarray
+    coordinates: ndarray
+    log_likelihood: ndarray
+    information: ndarray
 
-    def some(self, rows: np.ndarray) -> Optimum:
+    def some(self, rows: ndarray) -> Optimum:
         """Return those of some of the odometries."""
         return Optimum(self.coordinates[rows], self.log_likelihood[rows], self.information[rows])
 
@@ -74,7 +75,7 @@ class Fit(Optimum):
 
     model: str
     names: Tuple[str, ...]
-    estimates: np.ndarray
+    estimates: ndarray
 
     def values(self, row: int = 0) -> Dict[str, float]:
         """Return the estimates of one of the odometries by name."""
@@ -108,7 +109,7 @@ def on_limit(problem: Problem, found: Fit) -> List[str]:
     return [name for name, is_there in zip(found.names, beyond) if is_there]
 
 
-def intervals(problem: Problem, found: Fit) -> np.ndarray:
+def intervals(problem: Problem, found: Fit) -> ndarray:
     """Return the 95 % intervals of a fit, shape (b, k, 2): lower and upper ends.
 
     An end is 0 or infinite if the likelihood does not limit the interval there. If the steps do not
@@ -127,7 +128,7 @@ def intervals(problem: Problem, found: Fit) -> np.ndarray:
     return result
 
 
-def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) -> np.ndarray:
+def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) -> ndarray:
     """Return by how much twice the logarithm of the likelihood falls if a parameter is held fixed.
 
     Args:
@@ -152,7 +153,7 @@ def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) ->
 
 
 def _maximise(
-    problem: Problem, rows: np.ndarray, start: np.ndarray, held: int = -1, most: int = _MAX_STEPS
+    problem: Problem, rows: ndarray, start: ndarray, held: int = -1, most: int = _MAX_STEPS
 ) -> Optimum:
     """Find the maximum for some of the odometries; coordinate `held`, if >= 0, is fixed."""
     x = np.clip(start, problem.low, problem.high)
@@ -189,7 +190,7 @@ def _mirrored(problem: Problem, best: Optimum) -> Iterator[Tuple[int, Optimum]]:
         yield int(j), _maximise(problem, np.arange(len(start)), start, most=_MIRRORED_STEPS)
 
 
-def _ends(problem: Problem, rows: np.ndarray, optimum: Optimum, best: np.ndarray) -> np.ndarray:
+def _ends(problem: Problem, rows: ndarray, optimum: Optimum, best: ndarray) -> ndarray:
     """Return the ends of the intervals around a maximum of some of the odometries, (rows, k, 2).
 
     `best` is the logarithm of the largest likelihood, (rows,).
@@ -200,8 +201,8 @@ def _ends(problem: Problem, rows: np.ndarray, optimum: Optimum, best: np.ndarray
 
 
 def _end(
-    problem: Problem, rows: np.ndarray, optimum: Optimum, best: np.ndarray, j: int, side: float
-) -> np.ndarray:
+    problem: Problem, rows: ndarray, optimum: Optimum, best: ndarray, j: int, side: float
+) -> ndarray:
     """Return the lower (side -1) or upper (1) end of the interval of parameter j."""
     limit = (problem.low if side < 0.0 else problem.high)[j]
     tangent, reach = _ahead(problem, optimum, j)
@@ -240,7 +241,7 @@ def _end(
     return np.where(at_limit, nothing, problem.values(x)[:, j])
 
 
-def _ahead(problem: Problem, optimum: Optimum, j: int) -> Tuple[np.ndarray, np.ndarray]:
+def _ahead(problem: Problem, optimum: Optimum, j: int) -> Tuple[ndarray, ndarray]:
     """Return the way to the ends of the interval of parameter j, by the information.
 
     Returns:
@@ -258,12 +259,12 @@ def _ahead(problem: Problem, optimum: Optimum, j: int) -> Tuple[np.ndarray, np.n
 
 def _step(
     problem: Problem,
-    x: np.ndarray,
-    gradient: np.ndarray,
-    information: np.ndarray,
-    damping: np.ndarray,
+    x: ndarray,
+    gradient: ndarray,
+    information: ndarray,
+    damping: ndarray,
     held: int,
-) -> Tuple[np.ndarray, np.ndarray]:
+) -> Tuple[ndarray, ndarray]:
     """Return the step, and its gain if the likelihood were a parabola."""
     outwards = ((x <= problem.low) & (gradient < 0.0)) | ((x >= problem.high) & (gradient > 0.0))
     free = ~outwards & (np.arange(x.shape[1]) != held)
@@ -277,19 +278,19 @@ def _step(
     return np.clip(step, -problem.longest, problem.longest), gain
 
 
-def covariance(information: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+def covariance(information: ndarray) -> Tuple[ndarray, ndarray]:
     """Return the inverse of information scaled to diagonals of 1, (b, k, k), and scales, (b, k)."""
     scale = np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-12))
     relative = information / (scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
     return np.linalg.inv(relative + 1e-9 * np.eye(scale.shape[1])), scale
 
 
-def _beyond_end(best: np.ndarray, logarithm: np.ndarray) -> np.ndarray:
+def _beyond_end(best: ndarray, logarithm: ndarray) -> ndarray:
     """Return how far beyond the end of an interval a likelihood is, in standard deviations."""
     return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - ROOT
 
 
-def _between(inner, below, outer, above) -> np.ndarray:
+def _between(inner, below, outer, above) -> ndarray:
     """Return the false position between points on both sides of the root, or the middle.
 
     The middle is taken where the outer point is too far for the false position to be accurate.

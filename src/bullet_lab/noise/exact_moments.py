@@ -71,6 +71,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.se2 import straightening
 from bullet_lab.noise.noisy_paths import NoisySteps
@@ -95,16 +96,16 @@ class Moments:
         covariance: shape (n+1, 3, 3), in the odometry frame.
     """
 
-    mean: np.ndarray
-    covariance: np.ndarray
+    mean: ndarray
+    covariance: ndarray
 
-    def rms_distance(self) -> np.ndarray:
+    def rms_distance(self) -> ndarray:
         """Return the root mean square distance (m) from the perfect position, shape (n+1,)."""
         bias = np.sum(np.square(self.mean[:, :2]), axis=1)
         spread = self.covariance[:, 0, 0] + self.covariance[:, 1, 1]
         return np.sqrt(bias + np.maximum(spread, 0.0))
 
-    def about_perfect(self) -> np.ndarray:
+    def about_perfect(self) -> ndarray:
         """Return E(e e') of the errors, shape (n+1, 3, 3): the covariance of `NoisyPath`."""
         return self.covariance + self.mean[:, :, None] * self.mean[:, None, :]
 
@@ -140,7 +141,7 @@ def exact_moments(steps: NoisySteps) -> Moments:
     )
 
 
-def _fading_sum(terms: np.ndarray, factors: np.ndarray) -> np.ndarray:
+def _fading_sum(terms: ndarray, factors: ndarray) -> ndarray:
     """Return r with r[0] = 0 and r[k+1] = (r[k] + terms[k]) factors[k], shape of the terms.
 
     The closed form would divide by products of factors, which may be zero to rounding.
@@ -167,7 +168,7 @@ def first_order_moments(steps: NoisySteps) -> Moments:
     return Moments(np.zeros((len(covariance), 3)), covariance)
 
 
-def quadratic_covariances(steps: NoisySteps) -> np.ndarray:
+def quadratic_covariances(steps: NoisySteps) -> ndarray:
     """Return the covariance of what is quadratic in the noise, at each pose.
 
     To second order, the error of translation k is
@@ -195,7 +196,7 @@ def quadratic_covariances(steps: NoisySteps) -> np.ndarray:
     return _covariance(_sums(c), g, 0.0 * g, 0.0)
 
 
-def quadratic_shares(quadratic, covariance) -> np.ndarray:
+def quadratic_shares(quadratic, covariance) -> ndarray:
     """Return the largest share of the variance that is quadratic in the noise, of all directions.
 
     It is the largest of u' Q u / u' C u over all directions u of (x, y, heading): 0 for a Gaussian
@@ -259,7 +260,7 @@ def exponential_moments(steps: NoisySteps, at) -> Moments:
     return Moments(mean, covariance)
 
 
-def _harmonics(steps: NoisySteps, at: np.ndarray, c: np.ndarray):
+def _harmonics(steps: NoisySteps, at: ndarray, c: ndarray):
     """Return M, S and G for each pose and its c, shape (k, 33); see the module docstring."""
     shifted = c + np.array([-1.0, 0.0, 1.0, 2.0])[:, None, None]
     rates = -0.5 * shifted * shifted
@@ -296,7 +297,7 @@ def _moments(period, c, variance, m, s, g):
     waves = np.exp(-1j * c[:, :, None] * h[:, None, :]) * (0.5 * weights)
     straight = straightening(h)
 
-    def mean_of(function: np.ndarray, harmonics: np.ndarray) -> np.ndarray:
+    def mean_of(function: ndarray, harmonics: ndarray) -> ndarray:
         return np.einsum("kcn,kn,kc->k", waves, function, harmonics, optimize=True)
 
     v = mean_of(straight, m)
@@ -308,12 +309,12 @@ def _moments(period, c, variance, m, s, g):
     return mean, _covariance(size, pseudo, cross, turned)
 
 
-def _acting_variances(steps: NoisySteps) -> np.ndarray:
+def _acting_variances(steps: NoisySteps) -> ndarray:
     """Return V_k, the variance (rad²) of the heading along which each translation is made."""
     return np.cumsum(steps.variance1 + steps.variance2) - steps.variance2
 
 
-def _covariance(c, g, heading, turned) -> np.ndarray:
+def _covariance(c, g, heading, turned) -> ndarray:
     """Return 3x3 covariances from C, G, the covariance of P and heading, and that of heading."""
     result = np.empty((*np.shape(c), 3, 3))
     result[..., 0, 0] = 0.5 * (c + g.real)
@@ -325,6 +326,6 @@ def _covariance(c, g, heading, turned) -> np.ndarray:
     return result
 
 
-def _sums(terms: np.ndarray) -> np.ndarray:
+def _sums(terms: ndarray) -> ndarray:
     """Return the sums of the terms before each pose, 0 for the first, shape (n+1,)."""
     return np.concatenate([np.zeros(1, dtype=terms.dtype), np.cumsum(terms)])

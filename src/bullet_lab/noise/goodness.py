@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import List
 
 import numpy as np
+from numpy import ndarray
 from scipy.special import ndtr
 
 from bullet_lab.noise.calibration import Fit, Problem, fit
@@ -54,12 +55,12 @@ class Goodness:
         nees: mean of the squares of a step, over the number of its parts; 1 is right.
     """
 
-    whitened: np.ndarray
+    whitened: ndarray
     distance: float
     shape_p: float
-    mean_squares: np.ndarray
+    mean_squares: ndarray
     size_p: float
-    correlations: np.ndarray
+    correlations: ndarray
     neighbours_p: float
     nees: float
 
@@ -100,7 +101,7 @@ class Goodness:
         return found
 
 
-def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> np.ndarray:
+def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> ndarray:
     """Return the errors of all parts over their standard deviations, shape (b, n, 3).
 
     If rule and expectation are right, they are standard normal. NaN if the rule gives the part less
@@ -150,7 +151,7 @@ def drawn_pairs(
     return replace(pairs, odometry=np.stack(steps, axis=-1))
 
 
-def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Goodness:
+def goodness(problem: Problem, found: Fit, follows: ndarray, seed: int) -> Goodness:
     """Test the fit of a problem with one odometry.
 
     Args:
@@ -179,7 +180,7 @@ def goodness(problem: Problem, found: Fit, follows: np.ndarray, seed: int) -> Go
     )
 
 
-def _whitened(problem: Problem, found: Fit) -> np.ndarray:
+def _whitened(problem: Problem, found: Fit) -> ndarray:
     values = found.estimates
     rule, expected = problem.rule(values), problem.expected(values)
     if problem.pairs.within is None:
@@ -218,7 +219,7 @@ def _replicas(problem: Problem, found: Fit, seed: int):
     return distances, spread
 
 
-def _distance(seen: np.ndarray) -> float:
+def _distance(seen: ndarray) -> float:
     values = np.sort(seen[np.isfinite(seen)])
     if not values.size:
         return 0.0
@@ -226,13 +227,13 @@ def _distance(seen: np.ndarray) -> float:
     return float(max(np.max(ranks[1:] - share), np.max(share - ranks[:-1])))
 
 
-def _mean_squares(seen: np.ndarray) -> np.ndarray:
+def _mean_squares(seen: ndarray) -> ndarray:
     counts = np.isfinite(seen).sum(axis=0)
     total = np.nansum(seen**2, axis=0)
     return np.where(counts >= _MIN_COUNT, total / np.maximum(counts, 1), np.nan)
 
 
-def _correlations(seen: np.ndarray, follows: np.ndarray):
+def _correlations(seen: ndarray, follows: ndarray):
     """Return the correlation of each part with that of the next step, and their number, (3,)."""
     # Clipped, as a few large residuals would dominate.
     clipped = np.clip(seen, -3.0, 3.0)
@@ -246,7 +247,7 @@ def _correlations(seen: np.ndarray, follows: np.ndarray):
     return np.where(count >= _MIN_COUNT, found, np.nan), count
 
 
-def _smallest_p(deviations: np.ndarray) -> float:
+def _smallest_p(deviations: ndarray) -> float:
     """Return the p-value of the largest of some standard normal numbers (Bonferroni)."""
     known = np.abs(deviations[np.isfinite(deviations)])
     return float(min(1.0, 2.0 * len(known) * ndtr(-known.max()))) if known.size else 1.0

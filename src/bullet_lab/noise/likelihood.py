@@ -30,9 +30,10 @@ from dataclasses import astuple, dataclass, replace
 from typing import Optional, Sequence, Tuple, Union
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import declarations
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import columns, wrap, wrapped
 from bullet_lab.noise.odometry_noise import (
     LARGEST_PARAMETER,
     MIN_TRANSLATION,
@@ -73,11 +74,11 @@ class StepPairs:
             (n, m, 3), if they are known.
     """
 
-    true: np.ndarray
-    odometry: np.ndarray
+    true: ndarray
+    odometry: ndarray
     truth_std_m: float = RESOLUTION
     truth_std_rad: float = RESOLUTION
-    within: Optional[np.ndarray] = None
+    within: Optional[ndarray] = None
 
     def some(self, rows) -> StepPairs:
         """Return some of the odometries, by their indices."""
@@ -97,14 +98,14 @@ class PartErrors:
         floor: variances of a step from the truth's errors: p, p (m²) and q (rad²).
     """
 
-    lever: np.ndarray
-    sideways: np.ndarray
-    along: np.ndarray
-    turned: np.ndarray
-    parts: np.ndarray
+    lever: ndarray
+    sideways: ndarray
+    along: ndarray
+    turned: ndarray
+    parts: ndarray
     floor: Tuple[float, float, float]
 
-    def residuals(self, rule: NoiseRule) -> Tuple[np.ndarray, np.ndarray]:
+    def residuals(self, rule: NoiseRule) -> Tuple[ndarray, ndarray]:
         """Return the noise that was added to each part of each step, and its variance by a rule.
 
         Args:
@@ -144,7 +145,7 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
     expected = pairs.true if expected is None else expected
     direction, trans = line_of_travel(expected[..., 0], expected[..., 1])
     cos, sin = np.cos(direction), np.sin(direction)
-    dx, dy, turn = np.moveaxis(pairs.odometry, -1, 0)
+    dx, dy, turn = columns(pairs.odometry)
     ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
     side = np.where(ahead < 0.0, -1.0, 1.0)
     # The true step decides whether there is a direction. Otherwise the likelihood would jump where
@@ -163,7 +164,7 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
     )
 
 
-def walk_shares(within: np.ndarray) -> np.ndarray:
+def walk_shares(within: ndarray) -> ndarray:
     """Return what a random walk's variances do to the ends of long steps of shorter ones.
 
     Args:
@@ -196,27 +197,25 @@ class LongErrors:
         floor: variances of these errors from the truth's own, (3,).
     """
 
-    error: np.ndarray
-    shares: np.ndarray
-    floor: np.ndarray
+    error: ndarray
+    shares: ndarray
+    floor: ndarray
 
     @classmethod
-    def of(cls, pairs: StepPairs, expected: np.ndarray, shares: np.ndarray) -> LongErrors:
+    def of(cls, pairs: StepPairs, expected: ndarray, shares: ndarray) -> LongErrors:
         """Compare odometries with steps without noise, (b, n, 3)."""
-        difference = pairs.odometry - expected
-        turned = wrap(difference[..., 2])
-        error = np.stack((difference[..., 1], difference[..., 0], turned), axis=-1)
+        error = wrapped(pairs.odometry - expected)[..., [1, 0, 2]]
         stds = np.array((pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad))
         return cls(error, shares, 2.0 * stds * stds)
 
-    def covariance(self, rule: NoiseRule) -> np.ndarray:
+    def covariance(self, rule: NoiseRule) -> ndarray:
         """Return the covariances by a random walk with parameters of shape (b, 1), (b, n, 3, 3)."""
         (on_ways, moved), (in_turns, _) = rule.walked(1.0, 0.0), rule.walked(0.0, 1.0)
         rows = zip((moved, on_ways, in_turns), self.shares)
         every = (np.asarray(size)[..., np.newaxis, np.newaxis] * share for size, share in rows)
         return sum(every) + np.diag(self.floor)
 
-    def residuals(self, rule: NoiseRule) -> Tuple[np.ndarray, np.ndarray]:
+    def residuals(self, rule: NoiseRule) -> Tuple[ndarray, ndarray]:
         """Return independent errors and their variances, as `PartErrors` does, (b, n, 3)."""
         root = np.linalg.cholesky(self.covariance(rule))
         size = np.diagonal(root, axis1=-2, axis2=-1)
@@ -253,7 +252,7 @@ class Problem:
         model: str,
         systematic: Sequence[str] = (),
         wheel_base: float = SystematicErrors.wheel_base,
-        start: Optional[np.ndarray] = None,
+        start: Optional[ndarray] = None,
     ):
         self.pairs = pairs
         self.model = model
@@ -276,20 +275,20 @@ class Problem:
     def __len__(self) -> int:
         return len(self.pairs.odometry)
 
-    def values(self, coordinates: np.ndarray) -> np.ndarray:
+    def values(self, coordinates: ndarray) -> ndarray:
         """Return the parameters of coordinates, shapes (b, k)."""
         return np.where(self.logarithmic, np.exp(coordinates), _UNIT * coordinates)
 
-    def coordinates(self, values: np.ndarray) -> np.ndarray:
+    def coordinates(self, values: ndarray) -> ndarray:
         """Return the coordinates of parameters; the logarithm of 0 is that of 1e-300."""
         positive = np.log(np.maximum(values, 1e-300))
         return np.where(self.logarithmic, positive, values / _UNIT)
 
-    def rule(self, values: np.ndarray) -> NoiseRule:
+    def rule(self, values: ndarray) -> NoiseRule:
         """Return the rule of b sets of parameters, (b, k), with arrays of shape (b, 1)."""
         return self._kind(*values.T[: self._own, :, np.newaxis])
 
-    def expected(self, values: np.ndarray) -> np.ndarray:
+    def expected(self, values: ndarray) -> ndarray:
         """Return the steps that odometry without noise would report, shape (b, n, 3)."""
         if not self.systematic:
             return np.broadcast_to(self.pairs.true, (len(values), *self.pairs.true.shape))
@@ -297,7 +296,7 @@ class Problem:
             return self.errors(values, 1).steps(self.pairs.true)
         return end_of(self.errors(values, 2).steps(self.pairs.within))
 
-    def errors(self, values: np.ndarray, axes: int) -> SystematicErrors:
+    def errors(self, values: ndarray, axes: int) -> SystematicErrors:
         """Return the systematic errors of b sets of parameters, in arrays (b, 1 …) of more axes."""
         shape = (len(values), *(1,) * axes)
         columns = dict.fromkeys(SYSTEMATIC, np.zeros(shape))
@@ -305,7 +304,7 @@ class Problem:
         columns.update((name, column.reshape(shape)) for name, column in names)
         return SystematicErrors(**columns, wheel_base=self.wheel_base)
 
-    def step_errors(self, values: np.ndarray, rows: np.ndarray) -> Union[PartErrors, LongErrors]:
+    def step_errors(self, values: ndarray, rows: ndarray) -> Union[PartErrors, LongErrors]:
         """Return the errors of the steps of some of the odometries, by parameters (rows, k)."""
         if self._shares is not None:
             return LongErrors.of(self.pairs.some(rows), self.expected(values), self._shares)
@@ -319,18 +318,18 @@ class Problem:
             turned=true.turned[rows],
         )
 
-    def _evaluate(self, values: np.ndarray, errors) -> Tuple[np.ndarray, np.ndarray]:
+    def _evaluate(self, values: ndarray, errors) -> Tuple[ndarray, ndarray]:
         """Return residuals and the logarithms of their variances, (rows, 3 n)."""
         found, variances = errors.residuals(self.rule(values))
         shape = (len(values), -1)
         return found.reshape(shape), np.log(variances).reshape(shape)
 
-    def logarithm(self, coordinates: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def logarithm(self, coordinates: ndarray, rows: ndarray) -> ndarray:
         """Return the logarithm of the likelihood of some of the odometries, (rows,)."""
         values = self.values(coordinates)
         return _logarithm(*self._evaluate(values, self.step_errors(values, rows)))
 
-    def slopes(self, coordinates: np.ndarray, rows: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    def slopes(self, coordinates: ndarray, rows: ndarray) -> Tuple[ndarray, ndarray]:
         """Return gradient, (rows, k), and Fisher's information, (rows, k, k), of some of them."""
         values = self.values(coordinates)
         errors = self.step_errors(values, rows)
@@ -356,7 +355,7 @@ class Problem:
         information = weighted @ by_found.swapaxes(1, 2) + 0.5 * (by_log @ by_log.swapaxes(1, 2))
         return gradient[..., 0], information
 
-    def _start(self) -> np.ndarray:
+    def _start(self) -> ndarray:
         """Return the level of noise that fits best, as coordinates, shape (b, k)."""
         values = np.zeros((len(self), len(self.names)))
         errors = self.step_errors(values, np.arange(len(self)))
@@ -372,7 +371,7 @@ class Problem:
             found[better], best[better] = logarithms[better], values[better]
         return self.coordinates(best)
 
-    def _robust(self) -> np.ndarray:
+    def _robust(self) -> ndarray:
         """Return systematic errors that minimise the absolute errors of the parts, (b, s).
 
         With least squares, the large errors of turns would outweigh the far smaller ones of
@@ -399,11 +398,11 @@ class Problem:
             values = self.values(np.clip(self.coordinates(values), -self.high, self.high))
         return values[:, self._own :]
 
-    def _raw(self, values: np.ndarray) -> np.ndarray:
+    def _raw(self, values: ndarray) -> ndarray:
         errors = part_errors(self.pairs, self.expected(values))
         return np.stack((errors.sideways, errors.along, errors.turned), axis=-1)
 
 
-def _logarithm(found: np.ndarray, logarithms: np.ndarray) -> np.ndarray:
+def _logarithm(found: ndarray, logarithms: ndarray) -> ndarray:
     terms = found * found * np.exp(-logarithms) + logarithms
     return -0.5 * (terms.sum(axis=1) + terms.shape[1] * math.log(2.0 * math.pi))

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Iterator
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, decompose_steps, line_of_travel
@@ -39,13 +40,13 @@ class NoisySteps:
         variance2: rad², of the rotation after each translation, shape (n,).
     """
 
-    position: np.ndarray
-    direction: np.ndarray
-    angle: np.ndarray
-    trans: np.ndarray
-    variance1: np.ndarray
-    variance_trans: np.ndarray
-    variance2: np.ndarray
+    position: ndarray
+    direction: ndarray
+    angle: ndarray
+    trans: ndarray
+    variance1: ndarray
+    variance_trans: ndarray
+    variance2: ndarray
 
     def __len__(self) -> int:
         return len(self.trans)
@@ -88,8 +89,8 @@ class NoisyBlock:
     """
 
     first: int
-    position: np.ndarray
-    heading_error: np.ndarray
+    position: ndarray
+    heading_error: ndarray
 
     def __len__(self) -> int:
         return len(self.position)

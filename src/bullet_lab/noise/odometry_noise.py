@@ -14,9 +14,10 @@ from dataclasses import dataclass, field, fields, make_dataclass, replace
 from typing import Any, ClassVar, Dict, Mapping, Sequence, Tuple, Type
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import declarations, number
-from bullet_lab.core.se2 import PlanarPose, atan2, hypot, wrap
+from bullet_lab.core.se2 import PlanarPose, atan2, columns, hypot, wrap
 from bullet_lab.errors import LabError
 
 MIN_TRANSLATION = 1e-4
@@ -53,15 +54,15 @@ def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
     return rot1, trans, wrap(dyaw - rot1)
 
 
-def decompose_steps(steps) -> np.ndarray:
+def decompose_steps(steps) -> ndarray:
     """Decompose an array of (dx, dy, dyaw), shape (..., 3), like `decompose`."""
-    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    dx, dy, dyaw = columns(steps)
     direction, trans = line_of_travel(dx, dy)
     rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
     return np.stack([rot1, trans, wrap(dyaw - rot1)], axis=-1)
 
 
-def line_of_travel(dx, dy) -> Tuple[np.ndarray, np.ndarray]:
+def line_of_travel(dx, dy) -> Tuple[ndarray, ndarray]:
     """Return the line of travel (rad, in [-pi/2, pi/2]) and the signed length (m) along it.
 
     Unlike in `decompose`, even the shortest step has a direction.
@@ -372,7 +373,7 @@ class RunningMoments:
         self._mirrored += step * faded * lost
         self._acted, self._turned = v, v + variance2
 
-    def second_moments(self) -> np.ndarray:
+    def second_moments(self) -> ndarray:
         """Return E(e e') of the error e = noisy - perfect, (x, y, yaw), shape (3, 3), read-only.
 
         It is about the perfect pose, not about the mean of the noisy ones: covariance plus the
@@ -403,9 +404,9 @@ class NoisyStep:
     """
 
     pose: PlanarPose
-    covariance: np.ndarray
-    motion_error: tuple[float, float, float]
-    motion_covariance: np.ndarray
+    covariance: ndarray
+    motion_error: PlanarPose
+    motion_covariance: ndarray
 
 
 class NoisyPath:
@@ -488,7 +489,7 @@ class NoisyPath:
         return root1 * draw1, root_trans * draw_trans, root2 * draw2
 
 
-def body_step(before, after) -> tuple[float, float, float]:
+def body_step(before, after) -> PlanarPose:
     """Return what `se2.between` returns, for two poses of floats, and many times as fast."""
     dx, dy = after[0] - before[0], after[1] - before[1]
     cos, sin = math.cos(before[2]), math.sin(before[2])

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 from scipy.stats import chi2
 
 from bullet_lab.core import se2
@@ -62,15 +63,15 @@ class Windows:
     """
 
     length: float
-    error: np.ndarray
-    noise: np.ndarray
-    slopes: np.ndarray
-    apart: np.ndarray
+    error: ndarray
+    noise: ndarray
+    slopes: ndarray
+    apart: ndarray
 
     def __len__(self) -> int:
         return len(self.error)
 
-    def squares(self, parameters: np.ndarray, dispersion: float = 1.0):
+    def squares(self, parameters: ndarray, dispersion: float = 1.0):
         """Return whitened squares, (w,), and logarithms of the density, (w,).
 
         Args:
@@ -120,7 +121,7 @@ class Prediction:
         return sum(score.density for score in self.scores)
 
 
-def judged(found: Sequence[Tuple[Windows, np.ndarray]]) -> Prediction:
+def judged(found: Sequence[Tuple[Windows, ndarray]]) -> Prediction:
     """Return the dispersion and the scores of windows, each with a fit's variances V."""
     lengths = sorted({one.length for one, _ in found})
     groups = [[(one, v) for one, v in found if one.length == length] for length in lengths]
@@ -135,7 +136,7 @@ def judged(found: Sequence[Tuple[Windows, np.ndarray]]) -> Prediction:
     return Prediction(dispersion, tuple(_score(group, dispersion) for group in groups))
 
 
-def _score(group: Sequence[Tuple[Windows, np.ndarray]], dispersion: float) -> Score:
+def _score(group: Sequence[Tuple[Windows, ndarray]], dispersion: float) -> Score:
     both = [one.squares(v, dispersion) for one, v in group]
     squares, densities = (np.concatenate(columns) for columns in zip(*both))
     apart = sum(int(one.apart.sum()) for one, _ in group)
@@ -166,8 +167,7 @@ def predicted(problem: Problem, found: Fit, pairs: StepPairs, follows, length: f
         for begin, end in zip(begins, ends)
     ]
     turned = paths[0][begins, 2]
-    error = se2.between(reported[begins], reported[ends]) - expected
-    error[:, 2] = se2.wrap(error[:, 2])
+    error = se2.wrapped(se2.between(reported[begins], reported[ends]) - expected)
     size = np.array([pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad])
     floor = np.diag(2.0 * size * size + 1e-12)
     shape = (len(begins), 3, 3)
@@ -180,7 +180,7 @@ def predicted(problem: Problem, found: Fit, pairs: StepPairs, follows, length: f
     )
 
 
-def parameter_variances(problem: Problem, found: Fit) -> np.ndarray:
+def parameter_variances(problem: Problem, found: Fit) -> ndarray:
     """Return the variances of the systematic errors by the information of a fit, (s,)."""
     inverse, scale = covariance(found.information)
     units = problem.values(np.ones((1, len(problem.names))))[0]
@@ -188,7 +188,7 @@ def parameter_variances(problem: Problem, found: Fit) -> np.ndarray:
     return variances[~problem.logarithmic]
 
 
-def windows(true: np.ndarray, follows: np.ndarray, length: float):
+def windows(true: ndarray, follows: ndarray, length: float):
     """Return indices of the poses at begin and end of windows, which go over no gap, (w,), (w,).
 
     Args:
@@ -207,7 +207,7 @@ def windows(true: np.ndarray, follows: np.ndarray, length: float):
     return begins[whole], ends[whole]
 
 
-def _apart(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def _apart(begins: ndarray, ends: ndarray) -> ndarray:
     last, apart = -1, np.zeros(len(begins), dtype=bool)
     for index, (begin, end) in enumerate(zip(begins, ends)):
         if begin >= last:
@@ -215,7 +215,7 @@ def _apart(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return apart
 
 
-def path_of(steps: np.ndarray) -> np.ndarray:
+def path_of(steps: ndarray) -> ndarray:
     """Return the poses that steps lead to, the start included: (n, 3) to (n + 1, 3)."""
     heading = np.concatenate(([0.0], np.cumsum(steps[:, 2])))
     moves = (steps[:, 0] + 1j * steps[:, 1]) * np.exp(1j * heading[:-1])
@@ -223,14 +223,14 @@ def path_of(steps: np.ndarray) -> np.ndarray:
     return np.column_stack((places.real, places.imag, se2.wrap(heading)))
 
 
-def _slopes(moved: Sequence[np.ndarray], expected: np.ndarray) -> np.ndarray:
+def _slopes(moved: Sequence[ndarray], expected: ndarray) -> ndarray:
     """Return slopes (w, 3, s) from the changes of ends as seen from the expected ones."""
     if not moved:
         return np.zeros((*expected.shape, 0))
     return _rotations(expected[:, 2]) @ np.stack(moved, axis=-1) / _DIFFERENCE
 
 
-def _rotations(angles: np.ndarray) -> np.ndarray:
+def _rotations(angles: ndarray) -> ndarray:
     matrices = np.zeros((len(angles), 3, 3))
     matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(angles)
     matrices[:, 1, 0] = np.sin(angles)
@@ -239,6 +239,6 @@ def _rotations(angles: np.ndarray) -> np.ndarray:
     return matrices
 
 
-def _turned(matrices: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def _turned(matrices: ndarray, angles: ndarray) -> ndarray:
     rotations = _rotations(angles)
     return rotations @ matrices @ rotations.swapaxes(1, 2)

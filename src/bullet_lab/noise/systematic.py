@@ -35,9 +35,10 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Optional, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import number
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, columns, wrap, wrapped
 from bullet_lab.noise.odometry_noise import body_step
 
 LARGEST_ERRORS = {
@@ -141,7 +142,7 @@ class SystematicErrors:
         mean = (1.0 + self.scale_error) / (1.0 + 0.5 * self.diameter_error)
         return mean, mean * (1.0 + self.diameter_error)
 
-    def matrix(self) -> np.ndarray:
+    def matrix(self) -> ndarray:
         """Return the 2x2 matrix from true to reported distance and turn (m, rad), without gyro."""
         left, right = self.diameters
         total, difference = 1.0 / right + 1.0 / left, 1.0 / right - 1.0 / left
@@ -153,7 +154,7 @@ class SystematicErrors:
             )
         )
 
-    def steps(self, steps) -> np.ndarray:
+    def steps(self, steps) -> ndarray:
         """Return the reported steps for true steps, by encoders without ticks.
 
         Args:
@@ -163,7 +164,7 @@ class SystematicErrors:
         Returns:
             The reported ones, shape (..., 3), |dyaw| not wrapped.
         """
-        ahead, across, turn = np.moveaxis(arcs(steps), -1, 0)
+        ahead, across, turn = columns(arcs(steps))
         loss = self.way_per_turn * np.abs(turn)
         ahead = ahead + np.where(2.0 * np.abs(ahead) > np.abs(loss), np.sign(ahead) * loss, 0.0)
         matrix = self.matrix()
@@ -172,7 +173,7 @@ class SystematicErrors:
         new_turn = matrix[1, 0] * ahead + matrix[1, 1] * turn + drift
         return chords(np.stack((new_ahead, matrix[0, 0] * across, new_turn), axis=-1))
 
-    def path(self, poses) -> np.ndarray:
+    def path(self, poses) -> ndarray:
         """Return the reported path for a true path, bit for bit that of `SystematicPath`.
 
         Args:
@@ -182,7 +183,7 @@ class SystematicErrors:
         return np.array([path.update(*pose).pose for pose in np.asarray(poses, float).tolist()])
 
 
-def arcs(steps) -> np.ndarray:
+def arcs(steps) -> ndarray:
     """Return the arcs from pose to pose: distance ahead, distance across (m) and turn (rad).
 
     Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot with two wheels
@@ -194,19 +195,19 @@ def arcs(steps) -> np.ndarray:
     >>> arcs([2.0, 2.0, np.pi / 2.0]).round(6)
     array([3.141593, 0.      , 1.570796])
     """
-    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    dx, dy, dyaw = columns(steps)
     half = 0.5 * dyaw
     cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
     return np.stack(((cos * dx + sin * dy) / chord, (cos * dy - sin * dx) / chord, dyaw), axis=-1)
 
 
-def chords(arcs_) -> np.ndarray:
+def chords(arcs_) -> ndarray:
     """Return the steps (dx m, dy m, dyaw rad) that arcs lead to: the inverse of `arcs`.
 
     >>> chords([np.pi, 0.0, np.pi / 2.0]).round(6)
     array([2.      , 2.      , 1.570796])
     """
-    ahead, across, turn = np.moveaxis(np.asarray(arcs_, dtype=float), -1, 0)
+    ahead, across, turn = columns(arcs_)
     half = 0.5 * turn
     cos, sin, chord = np.cos(half), np.sin(half), np.sinc(half / np.pi)
     return np.stack(
@@ -224,7 +225,7 @@ class SystematicStep(NamedTuple):
     """
 
     pose: PlanarPose
-    motion_error: Tuple[float, float, float]
+    motion_error: PlanarPose
 
 
 _NO_ERROR = (0.0, 0.0, 0.0)
@@ -271,7 +272,7 @@ class SystematicPath:
         error = (dx - true[0], dy - true[1], dyaw - true[2])
         return SystematicStep(self._reported, error)
 
-    def _step(self, dx: float, dy: float, dyaw: float) -> Tuple[float, float, float]:
+    def _step(self, dx: float, dy: float, dyaw: float) -> PlanarPose:
         """Return what `SystematicErrors.steps` returns, for floats, and many times as fast."""
         half = 0.5 * dyaw
         cos, sin, chord = math.cos(half), math.sin(half), _sinc(half)
@@ -374,13 +375,13 @@ class SpreadPath:
         """
         if self._others:
             known = self._known.update(x, y, yaw).pose
-            rows = np.array([path.update(x, y, yaw).pose for path in self._others]) - known
-            rows[:, 2] = wrap(rows[:, 2])
+            others = np.array([path.update(x, y, yaw).pose for path in self._others])
+            rows = wrapped(others - known)
             self.covariance = rows.T @ rows
         return self._own.update(x, y, yaw)
 
 
-def end_of(steps) -> np.ndarray:
+def end_of(steps) -> ndarray:
     """Return the pose that steps lead to: (dx m, dy m, dyaw rad), (..., n, 3) -> (..., 3).
 
     The heading is not wrapped.
@@ -388,7 +389,7 @@ def end_of(steps) -> np.ndarray:
     >>> end_of([[1.0, 0.0, np.pi / 2.0], [1.0, 0.0, 0.0]]).round(6)
     array([1.      , 1.      , 1.570796])
     """
-    dx, dy, dyaw = np.moveaxis(np.asarray(steps, dtype=float), -1, 0)
+    dx, dy, dyaw = columns(steps)
     heading = np.cumsum(dyaw, axis=-1)
     before = heading - dyaw
     x = np.sum(np.cos(before) * dx - np.sin(before) * dy, axis=-1)

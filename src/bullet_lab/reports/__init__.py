@@ -15,7 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLACK, save
-from bullet_lab.core.files import NANOSECONDS, PathSeries, Series, make_folder, write_json
+from bullet_lab.core.files import NANOSECONDS, PathSeries, Series, Summary, make_folder, write_json
+
+Figures = Mapping[str, Figure]
+"""Figures by the names of their files."""
 
 
 class Reading(NamedTuple):
@@ -62,7 +65,7 @@ class Report(ABC):
 
     def __init__(self, folder: Path):
         self.folder = make_folder(folder)
-        self.about: Mapping[str, Any] = {}
+        self.about: Summary = {}
         self.topics: dict[str, str] = {}
         self.series: dict[str, Series] = {}
         self.until: int | None = None
@@ -93,7 +96,7 @@ class Report(ABC):
         return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
 
     @abstractmethod
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         """Return the entries of summary.json after those of `about`.
 
         Args:
@@ -102,14 +105,14 @@ class Report(ABC):
         """
 
     @abstractmethod
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         """Return the figures by their file names."""
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         """Return the outcome in one line."""
         return f"results are in {self.folder}"
 
-    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+    def has_failed(self, summary: Summary) -> bool:
         """Return whether the job ended without reaching its goal."""
         return False
 
@@ -134,8 +137,8 @@ class DriveReport(Report):
 
 def save_results(
     report: Report,
-    summary: Mapping[str, Any],
-    figures: Mapping[str, Figure],
+    summary: Summary,
+    figures: Figures,
     summary_first: bool = False,
 ) -> None:
     """Write the figures and summary.json; raises FileError."""
@@ -147,14 +150,12 @@ def save_results(
         save_summary(report, summary)
 
 
-def save_summary(report: Report, summary: Mapping[str, Any]) -> None:
+def save_summary(report: Report, summary: Summary) -> None:
     """Write summary.json; raises FileError."""
     write_json(report.folder / "summary.json", {**report.about, **summary})
 
 
-def save_all(
-    report: Report, finished: bool, run: Mapping[str, Any] | None = None
-) -> Mapping[str, Any]:
+def save_all(report: Report, finished: bool, run: Summary | None = None) -> Summary:
     """Write all files of a report that is not run by a recorder, and return the summary."""
     report.finish()
     summary = report.summary(finished, run or {})

@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 from pathlib import Path
-from typing import Any, Iterable, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Iterable, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from numpy import ndarray
 
 from bullet_lab.core import figures, se2
 from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, Outline
@@ -28,7 +29,7 @@ from bullet_lab.docking.database import (
     largest_errors,
 )
 from bullet_lab.docking.types import HALF_WIDTH, DockingError, DockingResult
-from bullet_lab.reports import DriveReport, Reading, earliest
+from bullet_lab.reports import DriveReport, Figures, Reading, Summary, earliest
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
@@ -129,9 +130,9 @@ class DockReport(DriveReport):
     def is_complete(self) -> bool:
         return self.result is not None and super().is_complete()
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         result, dock = self.result or UNFINISHED, self._station.entry
-        touches: Mapping[str, int] = self._touched.detail if self._touched else {}
+        touches = self._touched.detail if self._touched else {}
         contacts = sum(touches.values())
         errors = self._errors()
         verdict = judge(result.error, errors, dock.tolerance, contacts)
@@ -162,7 +163,7 @@ class DockReport(DriveReport):
             truth.poses[-1], station.dock, station.camera_ahead, station.entry.docked_distance
         )
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         station = self._station
         docks = (station.dock, station.entry.pose)
         path = docking_figure(
@@ -177,7 +178,7 @@ class DockReport(DriveReport):
         strip = {"camera.png": strip_figure(frames)} if frames else {}
         return {"path.png": path, **strip}
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         if summary["error_name"] != "NONE":
             return f"not docked: {summary['message']} ({summary['error_name']})"
         trouble = {DOCKED: "", INACCURATE: "not within the dock's tolerance: "}
@@ -190,7 +191,7 @@ class DockReport(DriveReport):
             f"{summary['yaw_error_deg']:+.2f} deg"
         )
 
-    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+    def has_failed(self, summary: Summary) -> bool:
         return summary["finished"] and not summary["docked"]
 
     def _state_at(self, seconds: float) -> str:
@@ -198,7 +199,7 @@ class DockReport(DriveReport):
         return before[-1] if before else "at rest"
 
 
-def _small(picture: np.ndarray) -> np.ndarray:
+def _small(picture: ndarray) -> ndarray:
     """Return a picture (h, w, 3) in BGR as a small one in RGB."""
     height = round(PICTURE_WIDTH * picture.shape[0] / picture.shape[1])
     coloured = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -254,9 +255,8 @@ def docking_figure(
         docks: x, y (m) and yaw (rad) of the dock, the true ones and those that the robot got.
         title: of the figure.
     """
-    figure = figures.new_figure(9.0, 6.6)
+    figure = figures.new_figure(9.0, 6.6, title)
     axes = figure.add_axes((0.08, 0.09, 0.89, 0.81))
-    figure.suptitle(title)
     shown = [np.asarray(outline, dtype=float) for outline in outlines]
     figures.draw_plan(axes, shown, docks[0])
     (x, y, yaw), half = docks[1], 0.5 * figures.MARKER_SIDE
@@ -271,7 +271,7 @@ def docking_figure(
         _draw_robot(axes, truth.poses[-1], VERMILION, "end")
         shown.append(truth.poses[:, :2])
     figures.show_around(axes, shown, MARGIN)
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_adjustable("datalim")
     axes.legend(loc="best", fontsize="small")
     return figure
 
@@ -299,7 +299,7 @@ def _draw_robot(axes: Axes, pose: Sequence[float], colour: str, label: str) -> N
     axes.plot(*zip(pose[:2], front), color=colour, linewidth=1.6, zorder=3)
 
 
-def strip_figure(frames: Sequence[tuple[float, str, np.ndarray]]) -> Figure:
+def strip_figure(frames: Sequence[tuple[float, str, ndarray]]) -> Figure:
     """Draw pictures of the camera in a row or two, each with its time and the state.
 
     Args:

@@ -5,15 +5,25 @@ from __future__ import annotations
 import contextlib
 import itertools
 from pathlib import Path
-from typing import Any, Collection, Mapping, Optional, Sequence, Tuple
+from typing import Collection, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bullet_lab.core.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, new_figure
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    new_figure,
+    plan_axes,
+)
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.reports import Reading, Report, earliest
+from bullet_lab.reports import Figures, Reading, Report, Summary, earliest
 from bullet_lab.reports.squares import SquaresReport, settings_line, squares_summary
 
 # Robots beside each other differ in colour; their numbers tell the others apart.
@@ -67,14 +77,14 @@ class FleetReport(Report):
     def seconds(self) -> float:
         return max(paths.seconds() for paths in self.robots.values())
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         robots = []
         for name, paths in self.robots.items():
             figures = squares_summary(paths.perfect(), paths.pairs())
             robots.append({"name": name, "seed": self._seeds[name], **figures})
         return {"finished": finished, **run, **fleet_summary(robots)}
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         drawn = {}
         for name, paths in self.robots.items():
             pairs = paths.pairs()
@@ -82,7 +92,7 @@ class FleetReport(Report):
         title = f"{len(drawn)} robots with noisy odometry{settings_line(self.about)}"
         return {"fleet.png": fleet_figure(drawn, title)}
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         robots = summary["robots"]
         squares = sum(len(robot["side_lengths_m"]) for robot in robots)
         parts = [f"{len(robots)} robots, {squares} sides"]
@@ -109,12 +119,12 @@ def clear_away(folder: Path, names: Collection[str]) -> None:
             old.rmdir()
 
 
-def fleet_summary(robots: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def fleet_summary(robots: Sequence[Summary]) -> Summary:
     """Return the entries of the robots, and the root mean square and the largest of each error.
 
     Those are None if a robot has no error.
     """
-    values: dict[str, Any] = {}
+    values = {}
     for name in ERRORS:
         errors = [robot[name] for robot in robots]
         complete = bool(errors) and None not in errors
@@ -128,12 +138,10 @@ def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     drawn = [path.poses[:, :2] for paths in robots.values() for path in paths if path is not None]
     places = np.concatenate(drawn) if drawn else np.zeros((1, 2))
     low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
-    figure, axes = _figure_for(high - low)
-    figure.suptitle(title)
-    axes.set(xlabel="x Distance (m)", ylabel="y Distance (m)")
-    axes.set_aspect("equal")
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.grid(alpha=0.3)
+    figure, axes = _figure_for(high - low, title)
+    limits = {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}
+    labels = {"xlabel": "x Distance (m)", "ylabel": "y Distance (m)"}
+    plan_axes(axes, **labels, adjustable="box", **limits)
     for (name, paths), colour in zip(robots.items(), itertools.cycle(COLOURS)):
         _draw(axes, name, paths, colour)
     # The legend has no robot's colour.
@@ -144,13 +152,13 @@ def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
     return figure
 
 
-def _figure_for(size: np.ndarray) -> tuple[Figure, Axes]:
+def _figure_for(size: np.ndarray, title: str) -> tuple[Figure, Axes]:
     """Return a figure, and axes in it for an area (m, m) with one scale in both directions."""
     left, right, below, above = FRAME
     across, along = size
     width = WIDTH - left - right
     height = float(np.clip(width / across * along + below + above, *HEIGHTS))
-    figure = new_figure(WIDTH, height)
+    figure = new_figure(WIDTH, height, title)
     place = (left, below, width, height - below - above)
     return figure, figure.add_axes(np.divide(place, (WIDTH, height, WIDTH, height)))
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Mapping, NamedTuple, Sequence, Tuple
+from typing import Callable, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from bullet_lab.core import figures
@@ -18,7 +17,7 @@ from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.navigation.costmap import RobotCostmap
-from bullet_lab.reports import DriveReport, Reading, Report, draw_path
+from bullet_lab.reports import DriveReport, Figures, Reading, Report, Summary, draw_path
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS
@@ -131,7 +130,7 @@ class GoalReport(DriveReport):
         first = next(iter(self._answers.values()), None)
         return bool(self._poses) and first is not None and first.over
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         truth = self.truth.path()
         goals = [goal_figures(record, truth) for record in self._records()]
         return {
@@ -142,11 +141,11 @@ class GoalReport(DriveReport):
             **run,
         }
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         goals = summary["goals"]
         return self._refused[0] if self._refused and not goals else title_of(goals)
 
-    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+    def has_failed(self, summary: Summary) -> bool:
         # The only goal was refused or not reached.
         missed = any(one.ended is not None and not one.reached for one in self._records())
         return not self._stay and (missed or bool(self._refused))
@@ -163,18 +162,15 @@ class GoalReport(DriveReport):
             records.append(record)
         return records
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         truth, goals = self.truth.path(), self._records()
-        figure = figures.new_figure(10.5, 5.6)
-        figure.suptitle(self.line(summary))
+        figure = figures.new_figure(10.5, 5.6, self.line(summary))
         grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
         figure.subplots_adjust(left=0.07, right=0.98, top=0.9, bottom=0.1, hspace=0.28, wspace=0.2)
         self._draw_path(figure.add_subplot(grid[:, 0]), truth, goals)
         left, speed = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-        left.set(ylabel="distance to the goal (m)")
-        speed.set(xlabel="simulated time (s)", ylabel="speed (m/s)")
-        for axes in (left, speed):
-            axes.grid(alpha=0.3)
+        figures.gridded(left, ylabel="distance to the goal (m)")
+        figures.gridded(speed, xlabel="simulated time (s)", ylabel="speed (m/s)")
         if truth is not None:
             self._draw_distance(left, truth, goals)
             speed.plot(truth.stamps[1:], _speeds(truth), color=ORANGE, linewidth=1.2)
@@ -212,7 +208,7 @@ class GoalReport(DriveReport):
             x, y, _ = truth.poses[chosen].T
             away = hypot(x - record.goal[0], y - record.goal[1])
             axes.plot(truth.stamps[chosen], away, color=BLUE, linewidth=1.2)
-        axes.axhline(self._tolerance, color=GREY, linewidth=0.8, linestyle="--", label="tolerance")
+        axes.axhline(self._tolerance, **figures.THIN, linestyle="--", label="tolerance")
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="upper right")
 
@@ -253,7 +249,7 @@ class MapDriveReport(GoalReport):
     def is_complete(self) -> bool:
         return Report.is_complete(self)
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         found = super().summary(finished, run)
         for record, entry in zip(self._records(), found["goals"]):
             ends = record.begun, math.inf if record.ended is None else record.ended
@@ -279,13 +275,13 @@ class MapDriveReport(GoalReport):
         shortest = sum(math.dist(*ends) for ends in zip(way or (), (way or ())[1:]))
         return driven / shortest if shortest else None
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         return (
             f"{summary['reached']} of {self._count} goals reached, {summary['contacts']} contacts, "
             f"{summary['boxes']} unknown boxes"
         )
 
-    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+    def has_failed(self, summary: Summary) -> bool:
         return summary["reached"] < self._count or summary["contacts"] > 0
 
     def _draw_path(self, axes: Axes, truth: Trajectory | None, goals: Sequence[GoalRecord]) -> None:
@@ -309,13 +305,13 @@ def _arrow(axes: Axes, pose: Sequence[float], colour: str, label: str) -> None:
     axes.plot(x, y, "s", color=colour, markersize=4, label=label)
 
 
-def goal_figures(record: GoalRecord, truth: Trajectory | None) -> dict[str, Any]:
+def goal_figures(record: GoalRecord, truth: Trajectory | None) -> Summary:
     """Return the entry of a goal in summary.json; `truth` is None without a pose.
 
     The errors are those of the last pose within a second after the end, when the robot stands.
     """
     x, y, yaw = record.goal
-    found: dict[str, Any] = {
+    found = {
         "x_m": x,
         "y_m": y,
         "yaw_deg": math.degrees(yaw),
@@ -347,7 +343,7 @@ def _speeds(truth: Trajectory) -> np.ndarray:
     return hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
 
 
-def title_of(goals: Sequence[dict[str, Any]]) -> str:
+def title_of(goals: Sequence[Summary]) -> str:
     """Return the outcome of the drives in one line, from the `goal_figures` of each."""
     if not goals:
         return "no goal was given"

@@ -9,12 +9,11 @@ from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import BLUE, ORANGE, new_figure, plan_axes
 from bullet_lab.core.files import NANOSECONDS, PathSeries, replace_file
 from bullet_lab.core.se2 import PlanarPose, between
-from bullet_lab.reports import Reading, Report
+from bullet_lab.reports import Figures, Reading, Report, Summary
 
 # Names of the two paths.
 TRUTH = "truth"
@@ -116,7 +115,7 @@ class Count:
             return False
         return abs(seen / self.declared - 1.0) > RATE_TOLERANCE
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Summary:
         """Return the topic's entry in summary.json."""
         seen = self.rate()
         return {
@@ -245,7 +244,7 @@ class Leg:
         off = math.hypot(*(odometry[name] - truth[name] for name in names))
         return 100.0 * off / abs(self.true())
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Summary:
         """Return the part's entry in summary.json."""
         return {
             "asked": self.target,
@@ -344,7 +343,7 @@ class RobotReport(Report):
         """Return the topics whose rate is not the declared one."""
         return [topic for topic, count in self.counts.items() if count.is_off()]
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         return {
             "finished": finished,
             "robot": self._parts(),
@@ -360,7 +359,7 @@ class RobotReport(Report):
             **run,
         }
 
-    def _parts(self) -> dict[str, Any]:
+    def _parts(self) -> Summary:
         plugins = [
             {name: getattr(plugin, name) for name in plugin.__slots__}
             for plugin in self.robot.plugins
@@ -371,21 +370,21 @@ class RobotReport(Report):
         ]
         return {**vars(self.robot), "plugins": plugins, "controllers": controllers}
 
-    def line(self, summary: Mapping[str, Any]) -> str:
+    def line(self, summary: Summary) -> str:
         if not self.robot.drive:
             left_out = f"; left out: {', '.join(self.left_out())}" if self.left_out() else ""
             shown = "listens to no velocities: it is shown, not driven"
             return f"'{self.robot.name}' {shown}{left_out}"
         return "; ".join(leg.line() for leg in self.legs) or "it was not driven"
 
-    def has_failed(self, summary: Mapping[str, Any]) -> bool:
+    def has_failed(self, summary: Summary) -> bool:
         return any(leg.has_failed() for leg in self.legs)
 
     def table(self) -> str:
         """Return robot.md: plugins, controllers, topics, the drive and warnings, in Markdown."""
         return "\n".join(_lines(self)) + "\n"
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    def figures(self, summary: Summary) -> Figures:
         pictures = [] if self.picture is None else [(self.robot.name, self.picture)]
         pictures += list(self.seen.items())[:2]
         figure = new_figure(5.6 * (len(pictures) + 1), 5.0)

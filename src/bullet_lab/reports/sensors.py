@@ -8,8 +8,8 @@ from typing import Any, Callable, Iterator, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from numpy import ndarray
 
 from bullet_lab.core.figures import (
     BEACON_RADIUS,
@@ -19,13 +19,14 @@ from bullet_lab.core.figures import (
     ORANGE,
     PURPLE,
     VERMILION,
+    gridded,
     new_figure,
     plan_axes,
 )
 from bullet_lab.core.files import Join, Series, Values
 from bullet_lab.core.se2 import hypot
 from bullet_lab.errors import LabError
-from bullet_lab.reports import Reading, Report, draw_path
+from bullet_lab.reports import Figures, Reading, Report, Summary, draw_path
 
 # N; a smaller force is a touch that has just ended.
 TOUCH = 0.1
@@ -68,16 +69,16 @@ class SensorsReport(Report):
             self.touched.update(reading.detail)
         return True
 
-    def table(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    def table(self, topic: str) -> tuple[ndarray, ndarray]:
         """Return the stamps (s) and the rows of a sensor."""
         return self.series[topic].table()
 
-    def push(self) -> tuple[np.ndarray, np.ndarray]:
+    def push(self) -> tuple[ndarray, ndarray]:
         """Return the stamps (s) of the bumper's messages and the horizontal forces (N)."""
         stamps, rows = self.table("bumper")
         return stamps, hypot(rows[:, 1], rows[:, 2])
 
-    def scan_points(self) -> np.ndarray:
+    def scan_points(self) -> ndarray:
         """Return the points (m) of all scans in the frame of the odometry, shape (n, 2).
 
         The pose of a scan is that of its stamp, or the last one before. The scanner is taken to be
@@ -97,7 +98,7 @@ class SensorsReport(Report):
         points = np.stack([x + reach * np.cos(bearing), y + reach * np.sin(bearing)], axis=-1)
         return points[seen]
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         _, ranges = self.table("sonar")
         _, scans = self.table("scan")
         _, inertial = self.table("imu")
@@ -117,9 +118,8 @@ class SensorsReport(Report):
             **run,
         }
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
-        figure = new_figure(12.5, 7.6)
-        figure.suptitle("Measurements of the sensors")
+    def figures(self, summary: Summary) -> Figures:
+        figure = new_figure(12.5, 7.6, "Measurements of the sensors")
         grid = figure.add_gridspec(5, 2, width_ratios=(1.0, 1.1))
         figure.subplots_adjust(
             left=0.06, right=0.98, top=0.93, bottom=0.07, hspace=0.22, wspace=0.18
@@ -130,8 +130,7 @@ class SensorsReport(Report):
         units = ("nearest ray (m)", "range (m)", "IMU (m/s²)", "IMU (rad/s)", "bumper (N)")
         times = np.concatenate([series.table()[0] for series in self.series.values()])
         for panel, unit in zip(panels, units):
-            panel.set(ylabel=unit)
-            panel.grid(alpha=0.3)
+            gridded(panel, ylabel=unit)
             if times.size:
                 panel.set_xlim(times.min(), times.max())
         for panel in panels[:-1]:
@@ -164,7 +163,7 @@ class SensorsReport(Report):
         bumper.set(xlabel="simulated time (s)")
 
 
-def _of(figure: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
+def _of(figure: Callable[[ndarray], Any], values: ndarray) -> float | None:
     """Return a figure of some values; None without a value."""
     return float(figure(values)) if values.size else None
 
@@ -198,13 +197,13 @@ class BeaconsReport(Report):
         true = [hypot(x - bx, y - by) for bx, by in self.beacons.values()]
         self._rows.add(stamp, [*pose, *measured, *true])
 
-    def _distances(self) -> list[np.ndarray]:
+    def _distances(self) -> list[ndarray]:
         """Return the measured and the true distances in m, shape (n, beacons)."""
         return np.hsplit(self._rows.table()[1][:, 3:], 2)
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         path, (measured, true) = self._rows.path(), self._distances()
-        figures: dict[str, Any] = {"closest_m": [], "largest_error_m": []}
+        figures = {"closest_m": [], "largest_error_m": []}
         if path is not None:
             figures = {
                 "closest_m": measured.min(axis=0).tolist(),
@@ -214,9 +213,8 @@ class BeaconsReport(Report):
         counts = {"rows": len(measured), "beacons": list(self.beacons)}
         return {"finished": finished, **counts, **figures, **run}
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
-        figure = new_figure(9.5, 7.0)
-        figure.suptitle("Distances to the beacons")
+    def figures(self, summary: Summary) -> Figures:
+        figure = new_figure(9.5, 7.0, "Distances to the beacons")
         above, below = figure.subplots(2, 1, gridspec_kw={"height_ratios": (1.0, 1.8)})
         figure.subplots_adjust(left=0.08, right=0.86, top=0.92, bottom=0.08, hspace=0.26)
         plan_axes(above)
@@ -225,8 +223,7 @@ class BeaconsReport(Report):
             above.annotate(name, (x, y + 1.2 * BEACON_RADIUS), ha="center", va="bottom")
             # Matplotlib ignores patches when it computes the limits of the axes.
             above.plot(x, y, ".", color=colour)
-        below.set(xlabel="simulated time (s)", ylabel="distance (m)")
-        below.grid(alpha=0.3)
+        gridded(below, xlabel="simulated time (s)", ylabel="distance (m)")
         if len(self._rows):
             self._draw_rows(above, below)
             for axes in (above, below):

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import Any, Mapping, Sequence
+from typing import Any, Sequence
 
 import cv2
 import numpy as np
-from matplotlib.figure import Figure
 
 from bullet_lab.core.figures import new_figure
 from bullet_lab.core.files import FileError, replace_file
-from bullet_lab.reports import Reading, Report
+from bullet_lab.reports import Figures, Reading, Report, Summary
 from bullet_lab.vision.drawing import enlarged
 
 # Topics of the pictures by the name of their detector, in the order of figure 7.
@@ -66,14 +65,13 @@ class VisionReport(Report):
         for name, picture in self._pictures.items():
             replace_file(self.folder / f"{name}.png", lambda path, p=picture: _write(path, p))
 
-    def summary(self, finished: bool, run: Mapping[str, Any]) -> dict[str, Any]:
+    def summary(self, finished: bool, run: Summary) -> Summary:
         markers = [marker_figures(marker) for marker in self._markers()]
         return {"stamp_s": self._stamp_s(), "found": self.found, "markers": markers}
 
-    def figures(self, summary: Mapping[str, Any]) -> dict[str, Figure]:
-        figure = new_figure(14.0, 8.6)
+    def figures(self, summary: Summary) -> Figures:
         name = self.about.get("picture", f"{self._stamp_s():.3f} s")
-        figure.suptitle(f"The detectors on one image ({name})")
+        figure = new_figure(14.0, 8.6, f"The detectors on one image ({name})")
         rows = -(-len(self._pictures) // _COLUMNS)
         grid = figure.subplots(rows, _COLUMNS, squeeze=False)
         lines = [textwrap.fill(self.found[name], _LINE_LENGTH) for name in self._pictures]
@@ -112,7 +110,7 @@ class VisionReport(Report):
         }
 
 
-def marker_figures(marker: Any) -> dict[str, Any]:
+def marker_figures(marker: Any) -> Summary:
     """Return the entry of a bullet_lab/MarkerDetection in summary.json."""
     figures = {
         "id": marker.id,

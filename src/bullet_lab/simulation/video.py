@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.simulation import Simulation, View, take_picture
@@ -35,7 +36,7 @@ class VideoError(LabError):
     """A video cannot be written."""
 
 
-def overview(low: np.ndarray, high: np.ndarray) -> View:
+def overview(low: ndarray, high: ndarray) -> View:
     """Return a view from above in which a box with two opposite corners in m just fits."""
     middle = 0.5 * (low + high)
     corners = np.array(list(itertools.product(*zip(low, high)))) - middle
@@ -47,7 +48,7 @@ def overview(low: np.ndarray, high: np.ndarray) -> View:
     return View(tuple(eye.tolist()), tuple(middle.tolist()), *size, far=distance + 100.0)
 
 
-def pixels_of(points: np.ndarray, view: View) -> np.ndarray:
+def pixels_of(points: ndarray, view: View) -> ndarray:
     """Return where points (n, 3) in m in the world are in the picture of a view, (n, 2) int."""
     across, up, back = AXES @ (points - view.eye).T
     focal = 0.5 * WIDTH / HALF_WIDTH
@@ -72,7 +73,7 @@ class Video:
         self._simulation = simulation
         self._low = np.full(3, math.inf)
         self._high = np.full(3, -math.inf)
-        self._paths: dict[str, list[np.ndarray]] = {}
+        self._paths: dict[str, list[ndarray]] = {}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -97,7 +98,7 @@ class Video:
         cv2.polylines(picture, paths, False, TRAIL, 1, cv2.LINE_AA)
         self._writer.write(picture)
 
-    def _follow(self, name: str, place: np.ndarray) -> None:
+    def _follow(self, name: str, place: ndarray) -> None:
         """Extend a model's path and the box in the view to where the model is now."""
         self._paths.setdefault(name, []).append(place)
         self._low = np.minimum(self._low, GRID * np.floor((place - MARGIN) / GRID))

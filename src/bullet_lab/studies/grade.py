@@ -6,13 +6,13 @@ import math
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, NamedTuple, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
 import yaml
 
-from bullet_lab.core.files import replace_file, write_json
+from bullet_lab.core.files import Summary, replace_file, write_json
 from bullet_lab.core.parameters import (
     checked,
     choice,
@@ -263,7 +263,7 @@ def _read(kind: type, given: Any, where: str, allowed: list[str]) -> dict[str, A
     return {key: known[key].read(value, f"{where}: {key}") for key, value in given.items()}
 
 
-def grade(name: str, exercise: Exercise, records: Sequence[Record]) -> dict[str, Any]:
+def grade(name: str, exercise: Exercise, records: Sequence[Record]) -> Summary:
     """Return the mark of a submission for its runs, as in grade.json."""
     rows = []
     for criterion in exercise.criteria:
@@ -288,9 +288,7 @@ def _plain(line: str) -> str:
     return "".join(one if one.isprintable() else "?" for one in line)
 
 
-def write_grade(
-    folder: Path, mark: Mapping[str, Any], exercise: Exercise, records: Sequence[Record]
-) -> None:
+def write_grade(folder: Path, mark: Summary, exercise: Exercise, records: Sequence[Record]) -> None:
     """Write grade.png, grade.xml and grade.json; raises FileError."""
     # The process of each run imports this module, and draws nothing.
     from matplotlib.patches import Circle, Rectangle

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, Iterator, Mapping, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.core.se2 import wrap, yaw_from_quaternion
+from bullet_lab.core.se2 import pose_from_above, wrap
 from bullet_lab.core.trajectory import (
     Trajectory,
     finite_numbers,
@@ -154,9 +155,7 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
 
 
 def _pose_row(message: Any) -> list[float]:
-    place, turn = _POSES[message._type](message)
-    yaw = yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
-    return [message.header.stamp.to_sec(), place.x, place.y, yaw]
+    return [message.header.stamp.to_sec(), *pose_from_above(*_POSES[message._type](message))]
 
 
 def tum_text(trajectory: Trajectory) -> str:
@@ -199,7 +198,7 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     return Trajectory(stamps, np.column_stack(columns))
 
 
-def snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
+def snapped(stamps: ndarray, known: ndarray) -> ndarray:
     """Replace stamps by known ones that are equal except for rounding."""
     after = np.minimum(np.searchsorted(known, stamps), len(known) - 1)
     before = np.maximum(after - 1, 0)
@@ -207,7 +206,7 @@ def snapped(stamps: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.where(np.abs(known[nearer] - stamps) <= _SAME_STAMP, known[nearer], stamps)
 
 
-def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
+def find_corners(trajectory: Trajectory, most: int = 12) -> ndarray:
     """Return the indices of the poses between which a path is nearly straight, without the start.
 
     They are the vertices of Ramer, Douglas and Peucker's simplification with a tolerance of 5 % of
@@ -229,7 +228,7 @@ def find_corners(trajectory: Trajectory, most: int = 12) -> np.ndarray:
     return np.array(kept[1:])
 
 
-def _farthest(position: np.ndarray, first: int, last: int) -> tuple[float, int]:
+def _farthest(position: ndarray, first: int, last: int) -> tuple[float, int]:
     """Return the largest distance (m) from the line between two poses of a path, and its index."""
     between = position[first:last] - position[first]
     chord = position[last] - position[first]

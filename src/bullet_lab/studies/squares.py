@@ -9,9 +9,10 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Callable, Iterator, Mapping, Sequence
+from typing import Callable, Iterator, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, part_of
 from bullet_lab.core.pose import Pose
@@ -25,7 +26,7 @@ from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.studies.study import MOST_SEED, Tell, run_from
+from bullet_lab.studies.study import MOST_SEED, Summary, Tell, run_from
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -47,14 +48,14 @@ class SquareDrive:
         corners: start of each side, and end of the last one (m), shape (sides + 1, 2).
     """
 
-    steps: np.ndarray
-    poses: np.ndarray
-    sides: np.ndarray
-    variances: np.ndarray
-    corners: np.ndarray
+    steps: ndarray
+    poses: ndarray
+    sides: ndarray
+    variances: ndarray
+    corners: ndarray
 
     @property
-    def stamps(self) -> np.ndarray:
+    def stamps(self) -> ndarray:
         """Stamps of the messages in s, shape (n,)."""
         return self.steps * SECONDS_PER_STEP
 
@@ -113,7 +114,7 @@ class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread):
     as_published: bool = boolean(False, "apply the report's noise with all its defects")
 
 
-def run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
+def run_squares(folder: Path, settings: SquaresSettings) -> Summary:
     """Drive the square; write paths.csv, paths.png, TUM files and summary.json.
 
     The same settings give the same files, byte for byte: those of the job with ROS, whose
@@ -126,7 +127,7 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
     return _run_squares(folder, settings)
 
 
-def _run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
+def _run_squares(folder: Path, settings: SquaresSettings) -> Summary:
     """Run with settings that have been checked."""
     noisy = _noise(settings)
     report = SquaresReport(folder)
@@ -145,7 +146,7 @@ def _run_squares(folder: Path, settings: SquaresSettings) -> Mapping[str, Any]:
 
 def _noise(
     settings: SquaresSettings,
-) -> Callable[[int, Sequence[float]], Iterator[tuple[PlanarPose, np.ndarray]]]:
+) -> Callable[[int, Sequence[float]], Iterator[tuple[PlanarPose, ndarray]]]:
     """Return a function that yields the noisy poses (0 or 1) for a perfect one, as noisy_odom.
 
     With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
@@ -156,7 +157,7 @@ def _noise(
     path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
     published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
 
-    def noisy(step: int, pose: Sequence[float]) -> Iterator[tuple[PlanarPose, np.ndarray]]:
+    def noisy(step: int, pose: Sequence[float]) -> Iterator[tuple[PlanarPose, ndarray]]:
         reported = errors.update(*pose).pose
         if not settings.as_published:
             moved = path.update(*reported)

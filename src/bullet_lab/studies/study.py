@@ -20,7 +20,7 @@ from typing import Any, Callable, Iterable, Iterator, Mapping, NoReturn, Sequenc
 from scipy.special import betaincinv
 from tqdm import tqdm
 
-from bullet_lab.core.files import PART, file_errors, make_folder, write_json
+from bullet_lab.core.files import PART, Summary, file_errors, make_folder, write_json
 from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
@@ -186,12 +186,12 @@ def write_table(path: Path, records: Iterable[Record]) -> None:
 
 def write_results(
     folder: Path,
-    summary: dict[str, Any],
+    summary: Summary,
     tables: Mapping[str, Iterable[Record]],
     figures: Mapping[str, Any],
     texts: Mapping[str, str],
     name: str = SUMMARY,
-) -> dict[str, Any]:
+) -> Summary:
     """Write all results of a study, or none of them, and return the summary.
 
     Args:

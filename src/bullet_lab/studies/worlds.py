@@ -17,7 +17,7 @@ LIGHTS = (DEFAULT_LIGHT, "dark", "bright", "backlit")
 `docking_dark` and so on."""
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def read_world(name: str) -> World:
     """Return a world of the package; raises LabError."""
     uri = f"package://bullet_lab/worlds/{name}.world"

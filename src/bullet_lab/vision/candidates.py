@@ -459,7 +459,7 @@ def _quads_within(
     return (quads + 0.5) / scale - 0.5 + (left, top)
 
 
-@lru_cache(maxsize=None)
+@lru_cache
 def _cell_samples(cells: int) -> ndarray:
     """Return (n, 2) points of the unit square, cell by cell, row by row."""
     within = 0.5 + _COVERED * (np.arange(_SAMPLES) / (_SAMPLES - 1.0) - 0.5)

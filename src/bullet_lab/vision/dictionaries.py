@@ -15,6 +15,7 @@ from bullet_lab.vision.images import (
     PREVIOUS,
     Picture,
     VisionError,
+    grid,
     homography,
     intersections,
     lengths_of,
@@ -128,7 +129,7 @@ def dictionary_named(name: str) -> MarkerDictionary:
     return _load(found)
 
 
-@lru_cache(maxsize=None)
+@lru_cache
 def _load(name: str) -> MarkerDictionary:
     source = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     cells = source.markerSize
@@ -189,7 +190,7 @@ def _levels(picture: Picture, corners: ndarray, places: ndarray) -> ndarray:
     return picture.at(there[..., :2] / there[..., 2:])
 
 
-@lru_cache(maxsize=None)
+@lru_cache
 def _glance(cells: int) -> ndarray:
     """Return (p, 3) places of the unit square: outside the border, in it, in the data cells."""
     cell = 1.0 / (cells + 2)
@@ -199,20 +200,16 @@ def _glance(cells: int) -> ndarray:
         low, high = np.full(_GLANCES, ring), np.full(_GLANCES, 1.0 - ring)
         for pair in ((along, low), (along, high), (low, along), (high, along)):
             places.append(np.column_stack(pair))
-    places.append(_grid((np.arange(cells) + 1.5) * cell))
+    middles = (np.arange(cells) + 1.5) * cell
+    places.append(grid(middles, middles))
     return _homogeneous(np.vstack(places))
-
-
-def _grid(line: ndarray) -> ndarray:
-    """Return the (n², 2) points whose x and y are each of (n,) values, row by row."""
-    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
 
 
 def _homogeneous(points: ndarray) -> ndarray:
     return np.column_stack((points, np.ones(len(points))))
 
 
-@lru_cache(maxsize=None)
+@lru_cache
 def _half_planes(cells: int) -> ndarray:
     """Return (p, k): from levels outside and in the border to the grey half way between them.
 
@@ -342,11 +339,12 @@ def _likeness(pattern: ndarray, levels: ndarray) -> float:
     return float(pattern @ levels / np.sqrt((pattern @ pattern) * (levels @ levels)))
 
 
-@lru_cache(maxsize=None)
+@lru_cache
 def _cell_places(cells: int) -> ndarray:
     """Return (p, 3) places of the unit square: some in each cell, the border and a ring around."""
     middles = np.arange(cells + 4) - 0.5
-    return _homogeneous(_grid((middles[:, None] + _OFFSETS).ravel() / (cells + 2)))
+    line = (middles[:, None] + _OFFSETS).ravel() / (cells + 2)
+    return _homogeneous(grid(line, line))
 
 
 def _sharpened_cells(levels: ndarray) -> ndarray:
@@ -374,7 +372,7 @@ def _sharpened_cells(levels: ndarray) -> ndarray:
     return own + _SHARPENING * (4.0 * own - neighbours)
 
 
-@lru_cache(maxsize=None)
+@lru_cache
 def _second_ring(side: int) -> ndarray:
     """Return which of (side, side) cells are the border: the second ring."""
     border = np.ones((side, side), dtype=bool)
@@ -395,7 +393,7 @@ def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
     return np.einsum("nq,qp->np", numbers, terms).reshape(levels.shape)
 
 
-@lru_cache(maxsize=None)
+@lru_cache
 def _plane_terms(side: int) -> tuple[ndarray, ndarray]:
     """Return 1, row, column (3, side²), and their products (9, side²)."""
     row, column = np.indices((side, side), dtype=float).reshape(2, -1)

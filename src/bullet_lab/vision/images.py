@@ -71,6 +71,11 @@ def grey(pixels: ndarray, encoding: str = "") -> ndarray:
     return cv2.cvtColor(pixels, conversions[encoding])
 
 
+def grid(x: ndarray, y: ndarray) -> ndarray:
+    """Return the points (n m, 2) whose coordinates are each of (n,) and (m,) values, row by row."""
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
 def sample(image: ndarray, points: ndarray) -> ndarray:
     """Return the bilinear values of a (h, w) image at points (..., 2) of u, v in px.
 

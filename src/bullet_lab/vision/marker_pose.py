@@ -11,7 +11,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
-from bullet_lab.vision.images import Lens, VisionError, cross, homography, solve_symmetric
+from bullet_lab.vision.images import Lens, VisionError, cross, grid, homography, solve_symmetric
 from bullet_lab.vision.marker_detector import (
     DetectedMarker,
     Detections,
@@ -41,7 +41,7 @@ _UP = np.array([0.0, -1.0, 0.0])
 SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 # Tilts (n, 2) at which the likelihood is evaluated, up to so many standard deviations.
 _REACH = 3.5
-_TILTS = np.stack(np.meshgrid(*2 * [np.linspace(-_REACH, _REACH, 15)]), axis=-1).reshape(-1, 2)
+_TILTS = grid(*2 * [np.linspace(-_REACH, _REACH, 15)])
 # The square of the tilt (rad) that hardly shows, in units of the corners' noise as a share of the
 # marker's edge: foreshortening moves each corner by 0.4 of its deviation.
 _FAINT = 1.5

@@ -222,7 +222,7 @@ def _moved(
     return means[0], means[1:3], np.stack(by_blur)
 
 
-_legendre = lru_cache(maxsize=None)(np.polynomial.legendre.leggauss)
+_legendre = lru_cache(np.polynomial.legendre.leggauss)
 
 
 def _blurred(

@@ -19,6 +19,7 @@ from numpy import ndarray
 from bullet_lab.vision.images import (
     UNIT_SQUARE,
     Picture,
+    grid,
     homography,
     lengths_of,
     mapped,
@@ -247,8 +248,7 @@ def _box(image: ndarray, outline: ndarray, step: int) -> tuple[ndarray, ndarray]
 
 def _ideal_grid(picture: Picture, columns: ndarray, rows: ndarray) -> ndarray:
     """Return the ideal px (2, m) of the pixels in columns and rows, row by row."""
-    grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(float)
-    return np.ascontiguousarray(picture.ideal(grid).T)
+    return np.ascontiguousarray(picture.ideal(grid(columns, rows).astype(float)).T)
 
 
 def _over_exposed(levels: ndarray) -> float:

@@ -53,7 +53,7 @@ def test_on_free_floor_the_plan_is_straight():
 def test_the_plan_goes_through_a_door_at_a_distance(radius):
     costmap = RobotCostmap(floor(WALL, DOOR), radius)
     way = costmap.plan((0.6, 0.6), (3.4, 0.6))
-    points = np.concatenate([costmaps.along(*ends, 0.01) for ends in zip(way, way[1:])])
+    points, _ = costmaps.points_of(way, 0.01)
     assert costmap.clearance(points).min() >= radius
     # It is about the shortest through the middle of the door.
     shortest = 2.0 * math.hypot(1.45, 1.3)

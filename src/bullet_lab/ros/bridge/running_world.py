@@ -151,7 +151,7 @@ class WorldMarkers:
     has no markers.
     """
 
-    def __init__(self, world: RunningWorld, frame: str, hidden: str = ""):
+    def __init__(self, world: RunningWorld, frame: str, hidden: str):
         self._world = world
         self._frame = frame
         self._hidden = hidden

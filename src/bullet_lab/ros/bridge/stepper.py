@@ -132,7 +132,7 @@ class SpeedWatch:
 class TimeGate:
     """Keeps the grants of the lock step's members; time starts when all `expected` have joined."""
 
-    def __init__(self, expected: Iterable[str] = ()):
+    def __init__(self, expected: Iterable[str]):
         self._granted: dict[str, float] = dict.fromkeys(expected, NOT_YET)
         self._lock = threading.Lock()
 

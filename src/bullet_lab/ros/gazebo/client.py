@@ -13,11 +13,12 @@ from typing import Any, Iterable, NamedTuple
 
 import numpy as np
 import rospy
+from numpy import ndarray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.poses import InputError, pose_of
+from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.node import NodeError, Refusals, wait_until
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Mesh
@@ -60,8 +61,8 @@ def numbered(names: Iterable[str], name: str) -> list[str]:
 class _BoundingBox(NamedTuple):
     """The axis-aligned box around a shape in the world: two corners and the shape's origin, m."""
 
-    least: np.ndarray
-    greatest: np.ndarray
+    least: ndarray
+    greatest: ndarray
     origin: Vector
 
     def distance(self, x: float, y: float) -> float:
@@ -89,10 +90,8 @@ class StandingModels:
                 elif marker.action == Marker.DELETE:
                     self._shapes.pop((marker.ns, marker.id), None)
                 else:
-                    try:
+                    with self._refusals.on(WORLD):
                         self._shapes[marker.ns, marker.id] = _bounding_box(marker)
-                    except InputError as error:
-                        self._refusals.refuse(WORLD, str(error))
 
     def is_known(self) -> bool:
         """Return whether a message has arrived."""
@@ -129,7 +128,7 @@ def _bounding_box(marker: Marker) -> _BoundingBox:
     return _BoundingBox(corners.min(axis=0), corners.max(axis=0), pose.position)
 
 
-def _bounds(marker: Marker) -> np.ndarray:
+def _bounds(marker: Marker) -> ndarray:
     """Return the lower and upper corner of a shape in its own frame, (2, 3)."""
     scale = (marker.scale.x, marker.scale.y, marker.scale.z)
     if marker.type != Marker.MESH_RESOURCE:

@@ -115,7 +115,7 @@ def _type_of(settings: Sequence[Setting]) -> Any:
     )
 
 
-def _described(setting: Setting) -> dict[str, Any]:
+def _described(setting: Setting) -> Values:
     """Return the description of a setting for dynamic_reconfigure."""
     kind = TYPES[type(setting.default)]
     entries = [
@@ -153,7 +153,7 @@ class GazeboPhysics:
         values.update({f"gravity_{axis}": getattr(values["gravity"], axis) for axis in "xyz"})
         return {key: values[key] for key in LIMITS}
 
-    def _get(self, _request: Any) -> dict[str, Any]:
+    def _get(self, _request: Any) -> Values:
         stepper = self._world.stepper
         return {
             "time_step": STEP_SECONDS,

@@ -75,7 +75,7 @@ def offer(
     fields = kind._response_class.__slots__
 
     def handle(request: Any) -> Any:
-        values: dict[str, Any] = {"success": True, "status_message": done}
+        values = {"success": True, "status_message": done}
         try:
             values.update(answer(request) or {})
         except LabError as error:
@@ -269,7 +269,7 @@ def _link_properties(world: RunningWorld, request: Any) -> Answer:
 
 def _set_link_properties(world: RunningWorld, request: Any) -> None:
     link = find_link(world.models, request.link_name)
-    elements: dict[str, float] = {key: getattr(request, key) for key in INERTIA_KEYS}
+    elements = {key: getattr(request, key) for key in INERTIA_KEYS}
     if not all(map(math.isfinite, (request.mass, *elements.values()))):
         raise InputError("mass or inertia is not finite")
     centre = vector_of(request.com.position, "the centre of mass")
@@ -366,14 +366,12 @@ def offer_services(world: RunningWorld) -> None:
     # As in Gazebo, both services accept SDF and URDF.
     for name in ("spawn_sdf_model", "spawn_urdf_model"):
         offer(f"/gazebo/{name}", srv.SpawnModel, spawn, *messages)
+
+    def between_steps(answer: Callable[[RunningWorld, Any], Answer]) -> Callable[[Any], Answer]:
+        return lambda request: world.do(partial(answer, world, request))
+
     for name, kind, answer, done in SERVICES:
-        offer_gazebo(name, kind, partial(_between_steps, world, answer), done)
-
-
-def _between_steps(
-    world: RunningWorld, answer: Callable[[RunningWorld, Any], Answer], request: Any
-) -> Answer:
-    return world.do(lambda: answer(world, request))
+        offer_gazebo(name, kind, between_steps(answer), done)
 
 
 def offer_gazebo(name: str, kind: Any, answer: Callable[[Any], Answer], done: str = "") -> None:

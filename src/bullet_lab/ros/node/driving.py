@@ -11,6 +11,7 @@ from actionlib import ActionServer, ServerGoalHandle
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import Twist
 
+from bullet_lab.drive import STANDSTILL, Command
 from bullet_lab.ros.node.lock_step import Rate, in_lock_step
 from bullet_lab.ros.node.odometry import FrameFinder, MessageQueue
 from bullet_lab.ros.node.publishers import Publisher, publisher
@@ -35,7 +36,7 @@ class StoppableSender:
         """Return a ticket for `send`; called before a command is computed."""
         return self._stops
 
-    def send(self, command: tuple[float, float], ticket: int | None = None) -> None:
+    def send(self, command: Command, ticket: int | None = None) -> None:
         """Send a command (m/s, rad/s), unless there was a stop after its ticket."""
         with self._lock:
             if ticket in (None, self._stops) and not self._ended:
@@ -46,7 +47,7 @@ class StoppableSender:
         with self._lock:
             self._stops += 1
             if not self._ended:
-                self._publish((0.0, 0.0))
+                self._publish(STANDSTILL)
 
     def end(self) -> None:
         """Stop the robot and send no further commands."""
@@ -54,7 +55,7 @@ class StoppableSender:
             self.stop()
             self._ended = True
 
-    def _publish(self, command: tuple[float, float]) -> None:
+    def _publish(self, command: Command) -> None:
         twist = Twist()
         twist.linear.x, twist.angular.z = command
         self._publisher.publish(twist)

@@ -21,7 +21,7 @@ import rospy
 from geometry_msgs.msg import Twist
 
 from bullet_lab.core import parameters
-from bullet_lab.ros.node.node import LOCK_STEP, NodeError, is_ending, wait_until
+from bullet_lab.ros.node.node import LOCK_STEP, NodeError, check_running, is_ending, wait_until
 from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 
 SERVICE = "/bullet_lab/advance"
@@ -37,7 +37,7 @@ INBOUND = "i"
 OUTBOUND = "o"
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def in_lock_step() -> bool:
     """Return whether this node is in lock step; raises ParameterError.
 
@@ -136,7 +136,7 @@ class Member:
         return tuple(zip(*sent)) or ((), (), ())
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def member() -> Member:
     """Return the membership of this process."""
     return Member()
@@ -177,8 +177,7 @@ class Rate:
         except rospy.exceptions.ROSTimeMovedBackwardsException:
             self._rate = rospy.Rate(self._hz)
         # Without simulated time, rospy.Rate raises nothing at a shutdown.
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
+        check_running()
         self.now = rospy.Time.now()
 
     def leave(self) -> None:

@@ -278,6 +278,12 @@ def spin() -> None:
         pass
 
 
+def check_running() -> None:
+    """Raise ROSInterruptException if ROS shuts down."""
+    if rospy.is_shutdown():
+        raise rospy.ROSInterruptException("shutdown")
+
+
 def holds_within(condition: Callable[[], Any], seconds: float) -> bool:
     """Wait in wall time, and return whether a condition holds within `seconds`.
 

@@ -13,11 +13,11 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.core.se2 import PlanarPose, yaw_from_quaternion
+from bullet_lab.core.se2 import PlanarPose, pose_from_above
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import InputError, pose_of, twist_of
 from bullet_lab.ros.node.lock_step import in_lock_step
-from bullet_lab.ros.node.node import NodeError, Refusals, tf_prefix
+from bullet_lab.ros.node.node import NodeError, Refusals, check_running, tf_prefix
 from bullet_lab.ros.node.publishers import subscriber
 
 # m; larger than all coordinates on Earth in any grid. Squares of smaller numbers stay finite.
@@ -58,7 +58,7 @@ def planar_pose(message: Odometry) -> PlanarPose:
     if max(abs(position.x), abs(position.y)) > FARTHEST:
         place = f"({position.x:.3g}, {position.y:.3g}) m"
         raise InputError(f"position {place} exceeds {FARTHEST:.0e} m")
-    return position.x, position.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)
+    return pose_from_above(position, turn)
 
 
 def check_twist(message: Odometry) -> None:
@@ -97,8 +97,7 @@ def _wait_for(new: threading.Condition, holds: Callable[[], bool], seconds: floa
     """
     deadline = time.monotonic() + seconds
     while not holds():
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
+        check_running()
         if time.monotonic() >= deadline:
             return False
         new.wait(SHUTDOWN_CHECK_SECONDS)
@@ -306,16 +305,13 @@ class FrameFinder:
             return pose
         return self.pose_in(target, source, wait) * pose
 
-    def planar(
-        self, message: PoseStamped, target: str, wait: bool = True
-    ) -> tuple[float, float, float]:
+    def planar(self, message: PoseStamped, target: str, wait: bool = True) -> PlanarPose:
         """Return a message's pose in another frame as x (m), y (m) and yaw (rad).
 
         Raises InputError for an invalid pose, and the errors of `bring`.
         """
         pose = pose_of(message.pose.position, message.pose.orientation)
-        placed = self.bring(pose, message.header.frame_id, target, wait)
-        return placed.position[0], placed.position[1], placed.yaw
+        return self.bring(pose, message.header.frame_id, target, wait).planar
 
     def pose_in(self, target: str, source: str, wait: bool = True) -> Pose:
         """Return the pose of the frame `source` in the frame `target`; errors as of `bring`."""

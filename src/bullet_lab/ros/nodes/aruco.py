@@ -43,7 +43,13 @@ from bullet_lab.ros.messages.images import (
 )
 from bullet_lab.ros.node.node import node, tf_prefix
 from bullet_lab.ros.node.publishers import publisher
-from bullet_lab.ros.nodes.image_node import CameraImage, Health, ImageNode, ImageParameters
+from bullet_lab.ros.nodes.image_node import (
+    CameraImage,
+    Diagnostics,
+    Health,
+    ImageNode,
+    ImageParameters,
+)
 from bullet_lab.vision.drawing import draw_axes, draw_marker, draw_text
 from bullet_lab.vision.marker_bundles import (
     Bundle,
@@ -127,11 +133,11 @@ class Aruco(ImageNode):
         self._prefix = tf_prefix(rospy.get_name())
         self._tf = publisher("/tf", TFMessage, 10) if parameters.publish_tf else None
 
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the markers."""
         camera, problem = self._camera(image)
         detections = self._observer.observe(image.grey, camera)
-        markers: Sequence[Any] = detections.markers
+        markers = detections.markers
         if camera is None:
             poses, bundles = [None] * len(markers), []
         else:
@@ -232,7 +238,7 @@ class Aruco(ImageNode):
         return Health(DiagnosticStatus.OK, ", ".join(found))
 
 
-def _figures(detections: Detections) -> dict[str, Any]:
+def _figures(detections: Detections) -> Diagnostics:
     report = detections.report
     sides = [marker.side for marker in detections.markers]
     return {

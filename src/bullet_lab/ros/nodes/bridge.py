@@ -217,7 +217,7 @@ class PyBulletBridge:
 
     def _offer_services(self) -> None:
         stepper, simulation = self.stepper, self.simulation
-        answers: dict[str, Callable[[Any], None]] = {
+        answers = {
             "pause_physics": lambda _: stepper.set_paused(True),
             "unpause_physics": lambda _: stepper.set_paused(False),
             "reset_world": lambda _: self._reset(simulation.reset_world),

@@ -204,8 +204,7 @@ def rough_pose(goal: DockGoal, dock: Dock, frame: str, lookup: Lookup) -> Planar
     if goal.dock_pose.header.frame_id:
         given, pose = goal.dock_pose.header.frame_id, _pose_given(goal)
     else:
-        x, y, yaw = dock.pose
-        given, pose = dock.frame, Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+        given, pose = dock.frame, Pose.on_floor(*dock.pose)
     if given.lstrip("/") != frame:
         try:
             pose = lookup(frame, given) * pose
@@ -213,7 +212,7 @@ def rough_pose(goal: DockGoal, dock: Dock, frame: str, lookup: Lookup) -> Planar
             raise NotYetError(DockingError.NOT_VALID, str(error)) from None
     if pose.rotate((0.0, 0.0, 1.0))[2] < math.cos(LARGEST_TILT):
         raise DockingFailureError(DockingError.NOT_VALID, "the pose of the dock is not upright")
-    return pose.position[0], pose.position[1], pose.yaw
+    return pose.planar
 
 
 def result_message(goal: DockGoal | UndockGoal, result: DockingResult) -> DockResult | UndockResult:

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Mapping
 
 import cv2
 from sensor_msgs.msg import Image
@@ -20,7 +19,7 @@ from bullet_lab.core.parameters import integer, number, odd
 from bullet_lab.msg import ImagePoints
 from bullet_lab.ros.messages.images import image_message, points_message
 from bullet_lab.ros.node.node import node
-from bullet_lab.ros.nodes.image_node import CameraImage, ImageNode, ImageParameters
+from bullet_lab.ros.nodes.image_node import CameraImage, Diagnostics, ImageNode, ImageParameters
 from bullet_lab.vision import features
 from bullet_lab.vision.drawing import draw_area, draw_points
 
@@ -40,7 +39,7 @@ class CannyEdges(ImageNode):
     task = "edge detection"
     outputs = {"edges": Image}
 
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the edges."""
         given = self.parameters
         edges = cv2.Canny(image.grey, given.low, given.high, apertureSize=given.aperture)
@@ -68,7 +67,7 @@ class HarrisCorners(ImageNode):
     task = "corner detection"
     outputs = {"points": ImagePoints}
 
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the corners."""
         given = self.parameters
         area, points = features.harris_corners(
@@ -96,7 +95,7 @@ class GoodFeatures(ImageNode):
     task = "feature detection"
     outputs = {"points": ImagePoints}
 
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the features."""
         given = self.parameters
         points = features.good_features(

@@ -27,9 +27,9 @@ from dataclasses import dataclass
 from typing import Any, Callable, Mapping, NamedTuple
 
 import cv2
-import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy import ndarray
 from sensor_msgs.msg import CameraInfo, Image
 
 from bullet_lab.core.parameters import text
@@ -51,6 +51,9 @@ _CHECK_SECONDS = 0.05
 # Wall seconds between two messages on /diagnostics, and over which rates are counted.
 _PERIOD = 1.0
 _WINDOW = 2.0
+
+Diagnostics = Mapping[str, Any]
+"""Figures of an image by their names on /diagnostics."""
 
 
 @dataclass(frozen=True)
@@ -77,11 +80,11 @@ class CameraImage:
         self._message = message
 
     @functools.cached_property
-    def grey(self) -> np.ndarray:
+    def grey(self) -> ndarray:
         """The image in grey levels, (height, width) uint8; raises ImageError."""
         return pixels_of(self._message, "mono8")
 
-    def colour(self) -> np.ndarray:
+    def colour(self) -> ndarray:
         """Return a copy to draw into, (height, width, 3) uint8 BGR; raises ImageError."""
         return pixels_of(self._message, "bgr8").copy()
 
@@ -160,7 +163,7 @@ class ImageNode(ABC):
         self._traffic = Traffic()
         self._refusals = Refusals()
         self._trouble = ""
-        self._figures: Mapping[str, Any] = {}
+        self._figures: Diagnostics = {}
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
         self._publishers = {
             # Old images are of no use.
@@ -172,7 +175,7 @@ class ImageNode(ABC):
     # For subclasses
 
     @abstractmethod
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the results and return figures for the diagnostics; raises LabError."""
 
     def process_unusable(self, image: CameraImage) -> None:
@@ -193,7 +196,7 @@ class ImageNode(ABC):
         """Publish on an output."""
         self._publishers[topic].publish(message)
 
-    def annotate(self, image: CameraImage, draw: Callable[[np.ndarray], None]) -> None:
+    def annotate(self, image: CameraImage, draw: Callable[[ndarray], None]) -> None:
         """Publish the image if it has a subscriber; `draw` gets (height, width, 3) uint8 BGR."""
         if self.has_listeners("image_annotated"):
             canvas = image.colour()
@@ -320,7 +323,7 @@ class ViewCamera(ImageNode):
 
     task = "camera view"
 
-    def process(self, image: CameraImage) -> Mapping[str, Any]:
+    def process(self, image: CameraImage) -> Diagnostics:
         """Publish the image."""
         size = f"{image.width} x {image.height}"
         stamp = image.header.stamp.to_sec()

@@ -31,7 +31,6 @@ from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive import Command, GoalLimits
-from bullet_lab.errors import LabError
 from bullet_lab.navigation.costmap import RobotCostmap
 from bullet_lab.navigation.driver import MapDriver, MapLimits
 from bullet_lab.navigation.occupancy import OccupancyMap, read_map
@@ -116,8 +115,7 @@ def read_grid(message: OccupancyGrid) -> OccupancyMap:
 def grid_message(made: OccupancyMap, header: Header) -> OccupancyGrid:
     """Return a map as a message."""
     rows, columns = made.cells.shape
-    x, y, yaw = made.origin
-    pose = pose_message(Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw)))
+    pose = pose_message(Pose.on_floor(*made.origin))
     info = MapMetaData(header.stamp, made.resolution, columns, rows, pose)
     return OccupancyGrid(header, info, made.cells.ravel().tolist())
 
@@ -176,7 +174,7 @@ class Floor:
         except FrameError as error:
             rospy.logwarn_throttle(5.0, str(error))
             return None
-        self._pose = _planar(origin * _spatial(self._places[-1].pose))
+        self._pose = (origin * Pose.on_floor(*self._places[-1].pose)).planar
         for scan in scans:
             self._see(scan, origin)
         return self._pose
@@ -186,7 +184,7 @@ class Floor:
         with self._refusals.on(self._parameters.scan):
             robot = self._places[-1].robot
             mount = self._frames.bring(Pose(), scan.frame, robot, wait=False)
-            sensor = origin * _spatial(self._pose_at(scan.seconds)) * mount
+            sensor = origin * Pose.on_floor(*self._pose_at(scan.seconds)) * mount
             self._costmap.see(sensor, scan.angles, scan.ranges, scan.greatest)
 
     def _pose_at(self, seconds: float) -> PlanarPose:
@@ -251,26 +249,16 @@ class Floor:
         self._costmap, self._frame = made, frame
 
     def _make_plan(self, request: GetPlanRequest) -> Path | None:
-        try:
+        with self._refusals.on("make_plan"):
             frame, start = self.frame(), self._pose
             if request.start.header.frame_id:
                 start = self._frames.planar(request.start, frame)
             goal = self._frames.planar(request.goal, frame)
-        except LabError as error:
-            self._refusals.refuse("make_plan", str(error))
-            return None
-        way = None if start is None else self._costmap.plan(start, goal)
-        return self._path(rospy.Time.now(), way or [])
+            way = None if start is None else self._costmap.plan(start, goal)
+            return self._path(rospy.Time.now(), way or [])
+        return None
 
     def _clear_costmap(self, _request: Any = None) -> list:
         if self._costmap is not None:
             self._costmap.clear()
         return []
-
-
-def _spatial(pose: PlanarPose) -> Pose:
-    return Pose.from_rpy((pose[0], pose[1], 0.0), (0.0, 0.0, pose[2]))
-
-
-def _planar(pose: Pose) -> PlanarPose:
-    return (*pose.position[:2], pose.yaw)

@@ -218,10 +218,7 @@ def _at(msg: Odometry, pose: PlanarPose) -> Odometry:
 
 
 def _add_noise(
-    message: Odometry,
-    step: NoisyStep,
-    errors: Sequence[tuple[float, float, float]],
-    seconds: float | None,
+    message: Odometry, step: NoisyStep, errors: Sequence[PlanarPose], seconds: float | None
 ) -> None:
     """Add the errors of a step to the twist, and its covariances to those of the odometry."""
     _add_covariance(message.pose.covariance, step.covariance, 1.0)

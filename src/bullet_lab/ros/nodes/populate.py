@@ -36,7 +36,6 @@ from bullet_lab.core.parameters import (
 )
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw
-from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call, numbered
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
@@ -202,15 +201,12 @@ class PlaceBeacon:
         self._clicks = rospy.Subscriber(CLICKED, PointStamped, self._receive, queue_size=10)
 
     def _receive(self, message: PointStamped) -> None:
-        try:
+        with self._refusals.on(CLICKED):
             point = vector_of(message.point, "the point")
             x, y, _ = self._frames.bring(Pose(point), message.header.frame_id, FRAME).position
             name = self._spawn(x, y)
-        except LabError as error:
-            self._refusals.refuse(CLICKED, str(error))
-            return
-        rospy.loginfo("%s placed at (%.2f, %.2f) m", name, x, y)
-        self._placed.publish(String(name))
+            rospy.loginfo("%s placed at (%.2f, %.2f) m", name, x, y)
+            self._placed.publish(String(name))
 
     def _spawn(self, x: float, y: float) -> str:
         names = call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names

@@ -28,7 +28,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
 from bullet_lab.navigation.costmap import RobotCostmap
 from bullet_lab.navigation.occupancy import FREE, read_map
-from bullet_lab.navigation.paths import Point, along
+from bullet_lab.navigation.paths import Point, points_of
 from bullet_lab.reports.goal import BOX
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
@@ -93,7 +93,7 @@ def spot_in_the_way(
     way = costmap.plan(robot, goal)
     if way is None:
         return None
-    points = np.concatenate([along(*ends, 0.05) for ends in zip(way, way[1:])])
+    points, _ = points_of(way, 0.05)
     square = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12) * size] * 2), axis=-1).reshape(-1, 2)
     for share in (0.5, 0.4, 0.6, 0.3, 0.7):
         spot = points[int(share * len(points))]

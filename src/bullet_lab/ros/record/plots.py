@@ -39,7 +39,7 @@ from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import marker, stamped_pose
 from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import NodeError, holds_within, node
+from bullet_lab.ros.node.node import NodeError, check_running, holds_within, node
 from bullet_lab.ros.node.odometry import own_frame
 from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock import docking_result
@@ -456,8 +456,7 @@ def first_image(topics: Mapping[str, str], settle: float, timeout: float) -> dic
     subscribers = [one.sub for one in filters]
     join_when(lambda: all(one.get_num_connections() for one in subscribers), "the detectors")
     if not holds_within(lambda: found, timeout):
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
+        check_running()
         what = ", ".join(topic for topic in topics if topic in silent) or "results of one image"
         raise NodeError(f"nothing on {what} within {timeout:g} s")
     for one in subscribers:

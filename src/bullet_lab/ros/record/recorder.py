@@ -17,18 +17,17 @@ from typing import Any, Callable, Iterable, Mapping, NamedTuple
 import rospy
 from actionlib_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
-from matplotlib.figure import Figure
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import Image, Imu, LaserScan, Range
 from std_msgs.msg import Time
 
 from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import mapping, number, text
-from bullet_lab.core.se2 import yaw_from_quaternion
+from bullet_lab.core.se2 import pose_from_above
 from bullet_lab.docking.types import DockingState
 from bullet_lab.errors import LabError
 from bullet_lab.msg import DockActionFeedback, ImagePoints, MarkerDetectionArray, TouchedModels
-from bullet_lab.reports import Reading, Report, save_results
+from bullet_lab.reports import Figures, Reading, Report, Summary, save_results
 from bullet_lab.reports.goal import GoalAnswer
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.images import pixels_of
@@ -209,7 +208,7 @@ class Recorder:
             time.sleep(POLL_SECONDS)
         return False
 
-    def _finish(self, complete: bool) -> Mapping[str, Any]:
+    def _finish(self, complete: bool) -> Summary:
         for one in self._subscribers:
             one.unregister()
         with self._lock:
@@ -265,7 +264,7 @@ class Recorder:
         except (FileError, OSError) as error:
             rospy.logerr_throttle(10.0, f"cannot write: {error}")
 
-    def _contents(self, finished: bool) -> tuple[dict[str, Any], dict[str, Figure]]:
+    def _contents(self, finished: bool) -> tuple[Summary, Figures]:
         """Return the summary and the figures; those are rendered later, without the lock."""
         seconds, wall = self._report.seconds(), max(0.0, self._last - self._first)
         run = {
@@ -313,11 +312,6 @@ def _contacts(message: msg.ContactsState) -> tuple:
     return (points, *sums), [state.collision2_name.split("::")[0] for state in message.states]
 
 
-def _goal(message: PoseStamped) -> tuple:
-    place, turn = message.pose.position, message.pose.orientation
-    return ((place.x, place.y, yaw_from_quaternion(turn.x, turn.y, turn.z, turn.w)),)
-
-
 def _goal_status(message: GoalStatus) -> tuple:
     rejected = message.status in (GoalStatus.REJECTED, GoalStatus.RECALLED)
     reached, over = message.status == GoalStatus.SUCCEEDED, message.status not in UNDER_WAY
@@ -336,7 +330,10 @@ READERS: dict[str, tuple[type, Callable[[Any], tuple]]] = {
     "sensor_msgs/LaserScan": (LaserScan, lambda m: (m.ranges, (m.angle_min, m.angle_increment))),
     "sensor_msgs/Imu": (Imu, _inertial),
     "gazebo_msgs/ContactsState": (msg.ContactsState, _contacts),
-    "geometry_msgs/PoseStamped": (PoseStamped, _goal),
+    "geometry_msgs/PoseStamped": (
+        PoseStamped,
+        lambda m: (pose_from_above(m.pose.position, m.pose.orientation),),
+    ),
     "actionlib_msgs/GoalStatus": (GoalStatus, _goal_status),
     "std_msgs/Time": (Time, lambda m: ()),
     # Detail: the number of touches of each model.

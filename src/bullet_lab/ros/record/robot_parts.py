@@ -27,7 +27,7 @@ from bullet_lab.msg import ModelDescription
 from bullet_lab.reports.robot import Robot
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError
+from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, check_running
 from bullet_lab.srv import DescribeModels, DescribeModelsResponse
 
 # Wall seconds for roslaunch to end its nodes; this node itself has six.
@@ -109,7 +109,7 @@ def failures_in(log: str) -> list[str]:
     return [line if n == 1 else f"{line} ({n} times)" for line, n in counts.items()]
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def debian_package(package: str, forms: Sequence[str] = DEBIAN) -> str:
     """Return the Debian package with a ROS package's nodes, by the lists of apt.
 
@@ -236,8 +236,7 @@ def find_robot(name: str, launched: Launched) -> ModelDescription:
         if waited > ARRIVAL and found is None:
             what = f"no model '{name}'" if name else "no robot"
             raise NodeError(f"{what} was spawned within {ARRIVAL:g} s; {candidates(models)}")
-        if rospy.is_shutdown():
-            raise rospy.ROSInterruptException("shutdown")
+        check_running()
         time.sleep(CHECK_PERIOD)
 
 

@@ -25,6 +25,7 @@ from geometry_msgs.msg import Twist
 
 from bullet_lab.core.parameters import number, text
 from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.drive import STANDSTILL, Command
 from bullet_lab.errors import LabError
 from bullet_lab.msg import ModelDescription
 from bullet_lab.reports import Reading, save_all
@@ -213,7 +214,7 @@ class Trial:
 
     # The drive
 
-    def _drive(self, leg: Leg, velocity: tuple[float, float], seconds: float) -> None:
+    def _drive(self, leg: Leg, velocity: Command, seconds: float) -> None:
         """Drive until the odometry, or without any the truth, has reached the target."""
         self._leg = leg
         touched: set[str] = set()
@@ -237,9 +238,9 @@ class Trial:
 
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds * COMMANDS)):
-            self._tick((0.0, 0.0))
+            self._tick(STANDSTILL)
 
-    def _tick(self, velocity: tuple[float, float]) -> None:
+    def _tick(self, velocity: Command) -> None:
         if self._robot.drive:
             self._sender.send(velocity)
         self._rate.sleep()
@@ -251,10 +252,9 @@ class Trial:
         if not state.success:
             raise NodeError(f"'{self._name}' was deleted: {state.status_message}")
         pose = pose_of(state.pose.position, state.pose.orientation)
-        x, y, _ = pose.position
         _, _, upright = pose.rotate((0.0, 0.0, 1.0))
         self._report.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
-        true = (x, y, pose.yaw)
+        true = pose.planar
         self._report.take(TRUTH, Reading(self._now(), true))
         odometry = self._newest_odometry() if self._robot.odometry else None
         if self._leg is not None:

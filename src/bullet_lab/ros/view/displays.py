@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
+from numpy import ndarray
 from sensor_msgs.msg import Image, LaserScan, PointCloud2, PointField, Range
 
 from bullet_lab.core.pose import Pose, Vector
@@ -123,14 +124,14 @@ class PathDisplay(Display):
         self._waypoints = _cloud(context, f"{self.node}/points", colour, 2.0 * POINT_SIZE)
         self._parts = [self._line, self._waypoints]
 
-    def show(self, message: tuple[str, np.ndarray]) -> None:  # noqa: D102 - inherited
+    def show(self, message: tuple[str, ndarray]) -> None:  # noqa: D102 - inherited
         frame, positions = message
         points = placed(self.context.pose_of(frame), positions) + (0.0, 0.0, self._height)
         self._line.set(points)
         self._waypoints.set(points if self._is_plan else NO_POINTS)
 
 
-def read_path(data: bytes) -> tuple[str, np.ndarray]:
+def read_path(data: bytes) -> tuple[str, ndarray]:
     """Return frame and positions (n, 3), m, of a serialised nav_msgs/Path; raises MessageError.
 
     The positions are read from the bytes, as a path may have thousands of poses, and genpy makes
@@ -157,7 +158,7 @@ def read_path(data: bytes) -> tuple[str, np.ndarray]:
     return frame, finite(positions, "the path")
 
 
-def finite(values: np.ndarray, name: str) -> np.ndarray:
+def finite(values: ndarray, name: str) -> ndarray:
     """Return an array; raises MessageError if a number is not finite."""
     if not np.isfinite(values).all():
         raise MessageError(f"{name} has numbers that are not finite")
@@ -197,7 +198,7 @@ class OdometryDisplay(Display):
         self._line.set(self._trail[: self._count])
 
 
-def _ellipse(xx: float, xy: float, yy: float) -> np.ndarray:
+def _ellipse(xx: float, xy: float, yy: float) -> ndarray:
     """Return points (n, 3) of the ellipse of a covariance (m²); none if it is not definite."""
     if not math.isfinite(xx + xy + yy) or xx <= 0.0 or xx * yy <= xy * xy:
         return NO_POINTS
@@ -224,7 +225,7 @@ class ScanDisplay(Display):
         self._points.set(placed(self.context.pose_of(message.header.frame_id), points))
 
 
-def _directions(angles: np.ndarray) -> np.ndarray:
+def _directions(angles: ndarray) -> ndarray:
     """Return horizontal unit vectors (n, 3)."""
     return np.column_stack((np.cos(angles), np.sin(angles), np.zeros(len(angles))))
 
@@ -301,7 +302,7 @@ def height_of(topic: str) -> float:
     return NOISY_HEIGHT if is_noisy(topic) else PERFECT_HEIGHT
 
 
-def placed(pose: Pose, points: np.ndarray) -> np.ndarray:
+def placed(pose: Pose, points: ndarray) -> ndarray:
     """Transform points (n, 3) from a frame, given by its pose, to the frame that the pose is in."""
     return points @ pose.rotation_matrix().T + pose.position
 
@@ -314,7 +315,7 @@ class CameraDisplay:
         rate: images per second at most.
     """
 
-    def __init__(self, show: Callable[[np.ndarray], None], rate: float):
+    def __init__(self, show: Callable[[ndarray], None], rate: float):
         self._show = show
         self._period = 1.0 / rate
         self._topic = ""
@@ -347,7 +348,7 @@ class CameraDisplay:
         self._topic = ""
 
 
-def visible(message: Image) -> np.ndarray:
+def visible(message: Image) -> ndarray:
     """Return an image as (h, w, 3) uint8 RGB, scaled down if wide; raises ImageError."""
     if message.encoding in DEPTHS:
         pixels = cv2.cvtColor(_grey_of_depths(message), cv2.COLOR_GRAY2RGB)
@@ -360,7 +361,7 @@ def visible(message: Image) -> np.ndarray:
     return pixels
 
 
-def _grey_of_depths(message: Image) -> np.ndarray:
+def _grey_of_depths(message: Image) -> ndarray:
     kind, metres = DEPTHS[message.encoding]
     rows = pixels_of(message, message.encoding).astype(kind) * metres
     rows = np.nan_to_num(rows, nan=MAX_DEPTH, posinf=MAX_DEPTH)
@@ -380,13 +381,13 @@ class PointsDisplay(Display):
         points = placed(self.context.pose_of(message.header.frame_id), points)
         self._cloud.set(points, colors=colours)
 
-    def _make(self, points: np.ndarray, colors: np.ndarray) -> Any:
+    def _make(self, points: ndarray, colors: ndarray) -> Any:
         return self.context.scene.add_point_cloud(
             self.node, points, colors, point_size=CLOUD_POINT_SIZE, precision="float32"
         )
 
 
-def points_of(message: PointCloud2, most: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
+def points_of(message: PointCloud2, most: int = MAX_POINTS) -> tuple[ndarray, ndarray]:
     """Return positions (n, 3) in m and colours (n, 3) uint8 of at most so many points of a cloud.
 
     Points that are not finite are left out. Raises MessageError if the cloud is invalid.
@@ -403,7 +404,7 @@ def points_of(message: PointCloud2, most: int = MAX_POINTS) -> tuple[np.ndarray,
             "itemsize": message.point_step,
         }
         shape, strides = (message.height, message.width), (message.row_step, message.point_step)
-        rows = np.ndarray(shape, layout, message.data, strides=strides).reshape(-1)
+        rows = ndarray(shape, layout, message.data, strides=strides).reshape(-1)
     except (KeyError, TypeError, ValueError) as error:
         raise MessageError(f"the cloud does not match its declared layout: {error}") from error
     positions = np.column_stack([rows[name] for name in "xyz"]).astype(np.float64)

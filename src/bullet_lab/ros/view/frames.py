@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Tuple
 
 from geometry_msgs.msg import Pose as PoseMessage
 from tf2_msgs.msg import TFMessage
@@ -19,6 +19,9 @@ MAX_DEPTH = 200
 AXES_LENGTH = 0.2
 AXES_RADIUS = 0.006
 
+Placed = Tuple[str, Pose]
+"""A frame, and a pose in it."""
+
 
 class FrameTree:
     """Frames, each with a parent and its newest pose there.
@@ -33,8 +36,8 @@ class FrameTree:
     """
 
     def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, Pose]] = {}
-        self._from_root: dict[str, tuple[str, Pose]] = {}
+        self._parents: dict[str, Placed] = {}
+        self._from_root: dict[str, Placed] = {}
 
     def put(self, frame: str, parent: str, pose: Pose) -> None:
         """Set the pose of a frame in its parent."""
@@ -67,12 +70,12 @@ class FrameTree:
         found = [self.root(frame) for frame in self._parents]
         return sorted(set(found), key=lambda root: (-found.count(root), root))
 
-    def _in_root(self, frame: str) -> tuple[str, Pose]:
+    def _in_root(self, frame: str) -> Placed:
         if frame not in self._from_root:
             self._from_root[frame] = self._climb(frame)
         return self._from_root[frame]
 
-    def _climb(self, frame: str) -> tuple[str, Pose]:
+    def _climb(self, frame: str) -> Placed:
         pose = _IDENTITY
         for _ in range(MAX_DEPTH):
             if frame not in self._parents:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 from visualization_msgs.msg import Marker as MarkerMessage
 from visualization_msgs.msg import MarkerArray
 
@@ -62,8 +63,8 @@ class Marker:
     pose: Pose
     scale: Vector
     colour: Colour
-    points: np.ndarray
-    colours: np.ndarray
+    points: ndarray
+    colours: ndarray
     text: str
     mesh: str
     embedded: bool
@@ -91,7 +92,7 @@ def read_marker(message: MarkerMessage) -> Marker:
     )
 
 
-def _rows(values: Sequence[tuple[float, ...]], columns: int) -> np.ndarray:
+def _rows(values: Sequence[tuple[float, ...]], columns: int) -> ndarray:
     return finite(np.array(values, float).reshape(-1, columns), "the marker")
 
 
@@ -286,7 +287,7 @@ class MarkersDisplay(Display):
         return f"{self.node}/{namespace or '_'}/{number}"
 
 
-def _whole(points: np.ndarray, size: int) -> np.ndarray:
+def _whole(points: ndarray, size: int) -> ndarray:
     """Return points less those at the end that make no whole group of a size."""
     return points[: len(points) // size * size]
 

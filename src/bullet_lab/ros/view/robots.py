@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import rospy
 
@@ -156,7 +155,7 @@ def _text(name: str) -> str:
 
 def _with_links(robot: Description, names: set[str]) -> set[str]:
     try:
-        models: Any = rospy.ServiceProxy(MODELS, DescribeModels)().models
+        models = rospy.ServiceProxy(MODELS, DescribeModels)().models
     except (rospy.ServiceException, rospy.ROSException):
         return set()
     # Frames have a prefix.

@@ -11,12 +11,13 @@ import logging
 from typing import Any, Callable, Hashable, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.rendering.drawables import Surface, read_pixels, surfaces_of
 from bullet_lab.simulation.world.description import Texture, Visual
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
-from bullet_lab.simulation.world.xml import leaving_out
+from bullet_lab.simulation.world.xml import Report, leaving_out
 
 LOG = logging.getLogger(__name__)
 # Segments of one piece of a polyline. A full piece is never sent again.
@@ -62,7 +63,7 @@ class Copies:
         names: of the arrays.
     """
 
-    def __init__(self, make: Callable[[dict[str, np.ndarray]], Any], names: Sequence[str]):
+    def __init__(self, make: Callable[[dict[str, ndarray]], Any], names: Sequence[str]):
         self._make = make
         self._names = names
         self._rows: dict[Hashable, Row] = {}
@@ -157,7 +158,7 @@ class Solids(CopyGroups):
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
 
-        def make(arrays: dict[str, np.ndarray]) -> Any:
+        def make(arrays: dict[str, ndarray]) -> Any:
             arrays["batched_colors"] = arrays["batched_colors"].astype(np.uint8)
             return self._scene.add_batched_meshes_simple(name, corners, faces, lod="off", **arrays)
 
@@ -168,14 +169,14 @@ class Solids(CopyGroups):
 class VisualCopies(CopyGroups):
     """Copies of what visuals show together; `report` is called as by `glb_of`."""
 
-    def __init__(self, scene: Any, name: str, report: Callable[[str], None]):
+    def __init__(self, scene: Any, name: str, report: Report):
         super().__init__(self._copies)
         self._scene, self._name, self._report = scene, name, report
 
     def _copies(self, visuals: tuple[Visual, ...], number: int) -> Copies:
         glb, name = glb_of(visuals, self._report), f"{self._name}/{number}"
 
-        def make(arrays: dict[str, np.ndarray]) -> Any:
+        def make(arrays: dict[str, ndarray]) -> Any:
             return self._scene.add_batched_glb(name, glb, lod="off", **arrays) if glb else None
 
         return Copies(make, ("batched_positions", "batched_wxyzs"))
@@ -190,7 +191,7 @@ class Polyline:
         self._colour = rgb(colour)
         self._nodes: list[Any] = []
 
-    def set(self, points: np.ndarray) -> None:
+    def set(self, points: ndarray) -> None:
         """Draw the line through points, (n, 3) in m."""
         pieces = segments(np.asarray(points, np.float32))
         starts = range(0, len(pieces), PIECE)
@@ -210,12 +211,12 @@ class Polyline:
         self.set(np.zeros((0, 3)))
 
 
-def segments(points: np.ndarray) -> np.ndarray:
+def segments(points: ndarray) -> ndarray:
     """Return the segments (n - 1, 2, 3) between successive points (n, 3)."""
     return np.stack((points[:-1], points[1:]), axis=1)
 
 
-def segments_node(scene: Any, name: str, ends: np.ndarray, colour: Sequence[int]) -> Any:
+def segments_node(scene: Any, name: str, ends: ndarray, colour: Sequence[int]) -> Any:
     """Make a node of segments (n, 2, 3) in m, of a colour within [0, 255]."""
     return scene.add_line_segments(
         name, ends, colour, thickness=LINE_PIXELS, thickness_units="screen"
@@ -293,7 +294,7 @@ def floor_point(
     return origin[0] + share * direction[0], origin[1] + share * direction[1]
 
 
-def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warning) -> bytes:
+def glb_of(visuals: Sequence[Visual], report: Report = LOG.warning) -> bytes:
     """Return visuals of one frame as binary glTF; empty if nothing is visible.
 
     Visuals that cannot be read are left out, each with a call of `report`.
@@ -306,7 +307,7 @@ def glb_of(visuals: Sequence[Visual], report: Callable[[str], None] = LOG.warnin
     return trimesh.Scene(meshes).export(file_type="glb", include_normals=True)
 
 
-def _surfaces(visual: Visual, report: Callable[[str], None]) -> Sequence[Surface]:
+def _surfaces(visual: Visual, report: Report) -> Sequence[Surface]:
     if visual.colour[3] <= 0.0:
         return []
     with leaving_out(report):
@@ -315,7 +316,7 @@ def _surfaces(visual: Visual, report: Callable[[str], None]) -> Sequence[Surface
     return []
 
 
-def _mesh(surface: Surface, report: Callable[[str], None]) -> Any:
+def _mesh(surface: Surface, report: Report) -> Any:
     import trimesh
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
@@ -342,7 +343,7 @@ def _mesh(surface: Surface, report: Callable[[str], None]) -> Any:
     )
 
 
-def _picture(texture: Texture, report: Callable[[str], None]) -> Any:
+def _picture(texture: Texture, report: Report) -> Any:
     import PIL.Image
 
     with leaving_out(report):

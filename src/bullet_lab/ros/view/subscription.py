@@ -56,10 +56,8 @@ class Subscription:
         """Return the new messages as `read` makes them, in their order."""
         found = []
         while self._waiting:
-            try:
+            with self._refusals.on(self.topic):
                 found.append(self._read(self._waiting.popleft()))
-            except LabError as error:
-                self._refusals.refuse(self.topic, str(error))
         return found
 
     def newest(self) -> Any:

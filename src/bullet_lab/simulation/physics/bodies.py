@@ -8,11 +8,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Callable, Sequence
 
-from bullet_lab.core.pose import Pose, Vector, add, cross
+from bullet_lab.core.pose import Pose, Vector, add, cross, dot
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics import PhysicsError, pybullet
 from bullet_lab.simulation.physics.surfaces import ContactSurface
-from bullet_lab.simulation.world.description import Collision, Inertia, Joint, Link
+from bullet_lab.simulation.world.description import (
+    NO_LIMIT,
+    Collision,
+    Inertia,
+    Joint,
+    Link,
+)
 from bullet_lab.simulation.world.tree import mobility, principal_axes
 
 # PyBullet's index of the root link.
@@ -30,8 +36,6 @@ SETTLING_STEPS = 1000
 DEEP = 2e-4
 # ... and leaves faster than this (m/s).
 SLOW = 0.1
-# Limit (rad or m) of a joint on the side where it has none, as in SDF.
-NO_LIMIT = 1e16
 ZERO: Vector = (0.0, 0.0, 0.0)
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 # Bullet's collision group and mask of bodies that move: they collide with everything.
@@ -435,7 +439,7 @@ class Body:
             self._exit_direction = deepest[7]
         if self._exit_direction != ZERO:
             linear, _ = self.velocity()
-            if sum(v * n for v, n in zip(linear, self._exit_direction)) > SLOW:
+            if dot(linear, self._exit_direction) > SLOW:
                 self.set_velocity(*self._placed_velocity)
         if not deep:
             self.settling = 0

@@ -6,9 +6,10 @@ the places are computed, for all rays of a scan at once. Only rays near a mesh a
 
 from __future__ import annotations
 
-from typing import Any, Callable, NamedTuple, Sequence
+from typing import Any, Callable, NamedTuple, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import pybullet
@@ -23,6 +24,9 @@ PART = 4096
 # Of so few rays, Bullet finds faster what they hit.
 FEW = 16
 ALL = slice(None)
+# Of the rays of a fan: the distance (m) of what each hits from the origin, infinite without a hit,
+# and the unique id of the body there, -1 without a hit; both of shape (rays,).
+Hits = Tuple[ndarray, ndarray]
 # How much larger the boxes of meshes are taken, for the margins of shapes in Bullet, in m.
 MARGIN = 1e-3
 # Instead of lengths and components of 0, by which one cannot divide.
@@ -73,8 +77,8 @@ class Fan(NamedTuple):
         farthest: distance at which they end.
     """
 
-    origin: np.ndarray
-    ways: np.ndarray
+    origin: ndarray
+    ways: ndarray
     nearest: float
     farthest: float
 
@@ -89,11 +93,11 @@ class RayScene:
     def __init__(self, client: int):
         self._client = client
         # For each body, PyBullet's indices of its links with shapes, and these shapes.
-        self._bodies: dict[Body, list[tuple[int, np.ndarray]]] = {}
+        self._bodies: dict[Body, list[tuple[int, ndarray]]] = {}
         self._is_whole = self._is_current = False
         # What was asked for by somebody, and is known.
         self._asked: dict[Any, Fan] = {}
-        self._answers: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
+        self._answers: dict[Any, Hits] = {}
 
     def add(self, body: Body) -> None:
         """Let rays see a body; raises LabError if one of its meshes cannot be read."""
@@ -119,7 +123,7 @@ class RayScene:
         """Cast a fan of rays for somebody together with others, when the first wants to know."""
         self._asked[who] = fan
 
-    def answer(self, who: Any, fan: Callable[[], Fan]) -> tuple[np.ndarray, np.ndarray]:
+    def answer(self, who: Any, fan: Callable[[], Fan]) -> Hits:
         """Return what `cast` says of the fan that somebody asked for, or asks for now."""
         if who not in self._answers:
             self._asked[who] = self._asked.get(who) or fan()
@@ -127,17 +131,12 @@ class RayScene:
             self._asked.clear()
         return self._answers.pop(who)
 
-    def cast(self, fans: Sequence[Fan]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Cast fans of rays; many at once take little longer than one.
-
-        Returns:
-            For each fan, the distance of what each ray hits from the origin in m, infinite
-            without a hit, and the unique id of the body there, -1 without a hit; of shape (rays,).
-        """
+    def cast(self, fans: Sequence[Fan]) -> list[Hits]:
+        """Cast fans of rays; many at once take little longer than one."""
         found = iter(self._compute([fan for fan in fans if fan.ways.shape[1] > FEW]))
         return [next(found) if fan.ways.shape[1] > FEW else self._look(fan) for fan in fans]
 
-    def _look(self, fan: Fan, rays: Any = ALL) -> tuple[np.ndarray, np.ndarray]:
+    def _look(self, fan: Fan, rays: Any = ALL) -> Hits:
         """Return what rays of a fan hit as Bullet finds it, as `cast`."""
         limits = fan.nearest, fan.farthest
         ends = (fan.origin + limit * fan.ways[:, rays].T for limit in limits)
@@ -147,7 +146,7 @@ class RayScene:
         distances = fan.nearest + shares * (fan.farthest - fan.nearest)
         return np.where(bodies < 0, np.inf, distances), bodies
 
-    def _compute(self, fans: Sequence[Fan]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _compute(self, fans: Sequence[Fan]) -> list[Hits]:
         """Return what the rays of fans hit, as `cast`; what is near a mesh is left to Bullet."""
         if not fans:
             return []
@@ -186,8 +185,8 @@ class RayScene:
         return hits
 
     def _candidates(
-        self, fans: Sequence[Fan], origins: np.ndarray, starts: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, fans: Sequence[Fan], origins: ndarray, starts: ndarray
+    ) -> tuple[ndarray, ndarray]:
         """Return pairs of rays and shapes that they may hit.
 
         Such a ray is in the cone around the corners of the shape's box.
@@ -224,7 +223,7 @@ class RayScene:
         rays, shapes = (np.concatenate(column) for column in zip(*pairs))
         return rays, shapes
 
-    def _contain(self, points: np.ndarray) -> np.ndarray:
+    def _contain(self, points: ndarray) -> ndarray:
         """Return which of the computed shapes contain points in their frames in m.
 
         The points are of shape (3, points, shapes), the result is of (points, shapes).
@@ -235,9 +234,7 @@ class RayScene:
         apart = np.sum(across * points * points, axis=0)
         return inside & ~self._by_bullet & (~is_round | (apart < self._radius**2))
 
-    def _crossings(
-        self, start: np.ndarray, ways: np.ndarray, shapes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _crossings(self, start: ndarray, ways: ndarray, shapes: ndarray) -> tuple[ndarray, ndarray]:
         """Return the distances (m) at which rays enter and leave shapes, one shape for each ray.
 
         A ray that misses its shape enters after it leaves.
@@ -304,7 +301,7 @@ class RayScene:
         self._is_whole = True
 
 
-def _targets(body: Body, shapes: Sequence[Collision], principal: Pose) -> np.ndarray:
+def _targets(body: Body, shapes: Sequence[Collision], principal: Pose) -> ndarray:
     """Return the shapes of a link with a principal frame as rays see them."""
     found = np.zeros(len(shapes), TARGET)
     found["body"] = body.unique_id
@@ -331,7 +328,7 @@ def _standing(normal: Sequence[float]) -> Pose:
     return Pose.from_matrix((0.0, 0.0, 0.0), np.column_stack((side, np.cross(up, side), up)))
 
 
-def _rotations(quaternions: np.ndarray) -> np.ndarray:
+def _rotations(quaternions: ndarray) -> ndarray:
     """Return the rotation matrices (3, 3, n) of unit quaternions x, y, z, w, (n, 4)."""
     x, y, z, w = quaternions.T
     return np.array(
@@ -343,11 +340,11 @@ def _rotations(quaternions: np.ndarray) -> np.ndarray:
     )
 
 
-def _turned(rotations: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _turned(rotations: ndarray, vectors: ndarray) -> ndarray:
     """Return vectors (3, n), each turned by its matrix (3, 3, n)."""
     return np.sum(rotations * vectors, axis=1)
 
 
-def _norm(vectors: np.ndarray) -> np.ndarray:
+def _norm(vectors: ndarray) -> ndarray:
     """Return the lengths of vectors (3, …)."""
     return np.sqrt(np.sum(vectors * vectors, axis=0))

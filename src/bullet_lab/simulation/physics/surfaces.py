@@ -15,7 +15,7 @@ from typing import Any, Collection, Sequence, Tuple
 
 import numpy as np
 
-from bullet_lab.core.pose import Pose, Vector, cross, subtract
+from bullet_lab.core.pose import Pose, Vector, cross, dot, subtract
 from bullet_lab.simulation.world.description import Collision, Joint, Link
 from bullet_lab.simulation.world.shapes import Cylinder, Mesh, Sphere, hull_corners
 
@@ -96,7 +96,7 @@ class ContactSurface:
         implicitly, as ODE does, so that stiff ones stay stable.
         """
         friction = min(self.friction, 1.0) if static else self.friction
-        properties: dict[str, Any] = {"lateralFriction": friction}
+        properties = {"lateralFriction": friction}
         if self.along != self.across:
             # Bullet knows principal axes alone: the one next to our axis stands for it.
             cosines = [abs(value) for value in frame.inverse().rotate(self.axis)]
@@ -180,11 +180,6 @@ def is_wheel(shapes: Sequence[Collision], axle: Vector | None) -> bool:
     if len(shapes) != 1 or axle is None or not isinstance(shapes[0].geometry, Cylinder):
         return False
     return _turns_about(shapes[0], axle) and shapes[0].geometry.length > 2.0 * TREAD
-
-
-def dot(one: Vector, other: Vector) -> float:
-    """Return the scalar product of two vectors."""
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
 def _parallel_and_apart(one: Axle, other: Axle) -> bool:

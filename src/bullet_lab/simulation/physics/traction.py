@@ -18,12 +18,13 @@ from functools import partial
 from typing import Iterable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.core.pose import Pose, Vector, add, cross, subtract
+from bullet_lab.core.pose import Pose, Vector, add, cross, dot, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.physics.bodies import Body, is_contact
-from bullet_lab.simulation.physics.surfaces import RoundWheel, dot
+from bullet_lab.simulation.physics.surfaces import RoundWheel
 from bullet_lab.simulation.world.description import Joint, Link
 
 # Something along a wheel's rolling direction, and the same along its axle.
@@ -252,7 +253,7 @@ class Traction:
             # The engine's contact points are still those of the place before.
             self._points_are_valid = True
             return
-        touching: dict[int, list[tuple]] = {wheel.index: [] for wheel in self._wheels}
+        touching = {wheel.index: [] for wheel in self._wheels}
         for point in self._body.near_points():
             if point[3] in self.owners and is_contact(point):
                 touching[self.owners[point[3]].index].append(point)
@@ -356,12 +357,12 @@ def _velocity_of(body: Body, index: int, place: Vector) -> Vector:
 
 
 # A degree of freedom: its axis, and a place on the axis; the place is None for a translation.
-Freedom = Tuple[np.ndarray, Optional[np.ndarray]]
+Freedom = Tuple[ndarray, Optional[ndarray]]
 
 
 def wheel_mobility(
     links: Sequence[Link], joints: Sequence[Joint], wheels: Sequence[RoundWheel]
-) -> np.ndarray:
+) -> ndarray:
     """Return how easily friction moves the points where wheels touch the floor.
 
     The matrix J M⁻¹ Jᵀ, of shape (2n, 2n) and in 1/kg, maps impulses along the rolling direction
@@ -395,8 +396,8 @@ def _freedoms(
 ) -> tuple[list[Freedom], dict[str, list[int]]]:
     """Return the freedoms, those of the root first, and which of them move each link."""
     above = {joint.child: joint for joint in joints}
-    freedoms: list[Freedom] = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
-    columns: dict[str, list[int]] = {links[0].name: list(range(len(freedoms)))}
+    freedoms = [(axis, at) for at in (None, np.zeros(3)) for axis in np.eye(3)]
+    columns = {links[0].name: list(range(len(freedoms)))}
     for link in links[1:]:
         joint = above[link.name]
         place = np.array((link.pose * Pose(joint.anchor)).position)
@@ -409,8 +410,8 @@ def _freedoms(
 
 
 def _jacobian(
-    place: np.ndarray, freedoms: Sequence[Freedom], columns: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray]:
+    place: ndarray, freedoms: Sequence[Freedom], columns: Sequence[int]
+) -> tuple[ndarray, ndarray]:
     """Return the linear and angular Jacobian of a place (m) that some of the freedoms move."""
     linear, angular = np.zeros((2, 3, len(freedoms)))
     for column in columns:

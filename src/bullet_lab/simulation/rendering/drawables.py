@@ -14,6 +14,7 @@ from io import BytesIO
 from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.rendering.graphics import panda3d
@@ -32,9 +33,9 @@ from bullet_lab.simulation.world.description import (
     Texture,
     Visual,
 )
-from bullet_lab.simulation.world.mesh_parts import Report, mesh_parts
+from bullet_lab.simulation.world.mesh_parts import mesh_parts
 from bullet_lab.simulation.world.meshes import file_version, flat_normals, read_bytes, unit
-from bullet_lab.simulation.world.xml import ReportOnce
+from bullet_lab.simulation.world.xml import Report, ReportOnce
 
 LOG = logging.getLogger(__name__)
 # The longest side of a texture in pixels; larger pictures are shrunk.
@@ -57,7 +58,7 @@ class TextureError(LabError):
     """A file is not a readable picture."""
 
 
-def read_pixels(texture: Texture) -> np.ndarray:
+def read_pixels(texture: Texture) -> ndarray:
     """Return a picture of limited size, (height, width, 3) uint8, or RGBA if it blends."""
     import PIL.Image
 
@@ -86,16 +87,16 @@ class Surface:
         texture: its picture, or None.
     """
 
-    corners: np.ndarray
-    normals: np.ndarray
-    picture: np.ndarray | None = None
+    corners: ndarray
+    normals: ndarray
+    picture: ndarray | None = None
     look: Appearance | None = None
     colour: Colour = WHITE
     glow: Sequence[float] = (0.0, 0.0, 0.0)
     shine: float = 0.0
     texture: Texture | None = None
 
-    def shown(self, visual: Visual, ambient: np.ndarray, report: Report) -> Surface:
+    def shown(self, visual: Visual, ambient: ndarray, report: Report) -> Surface:
         """Return the surface with the look of a visual, in the link's frame.
 
         `ambient` is the world's light, RGB; `report` gets a line if the texture is left out.
@@ -121,7 +122,7 @@ class Surface:
             texture=texture,
         )
 
-    def floats(self) -> np.ndarray:
+    def floats(self) -> ndarray:
         """Return the columns of `_vertex_format` for all corners, (3 n, 16)."""
         shape, plain = self.corners.shape[:2], (self.colour, self.glow, (self.shine,))
         colour, glow, shine = (np.broadcast_to(c, (*shape, len(c))) for c in plain)
@@ -130,7 +131,7 @@ class Surface:
         return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 16)
 
 
-def _glow(colour: Colour, material: Material, ambient: np.ndarray) -> tuple[float, ...]:
+def _glow(colour: Colour, material: Material, ambient: ndarray) -> tuple[float, ...]:
     """Return the light of a surface that does not depend on lamps.
 
     That is what it emits, and what its ambient colour adds to its diffuse one in ambient light.
@@ -195,7 +196,7 @@ def _sphere(sphere: Sphere) -> Surface:
     return Surface(corners, unit(corners), np.stack((turns, height), axis=2))
 
 
-def _turns(angles: np.ndarray) -> np.ndarray:
+def _turns(angles: ndarray) -> ndarray:
     """Return angles (rad) of corners (n, 3) as shares of a turn, without a jump in a triangle.
 
     Corners at poles have no angle (NaN); they get the mean of the others.
@@ -225,7 +226,7 @@ SURFACES: dict[type, Callable[[Any], Surface]] = {
 }
 
 
-def flat(corners: np.ndarray) -> Surface:
+def flat(corners: ndarray) -> Surface:
     """Return triangles whose corners have the normal of the triangle."""
     return Surface(corners, flat_normals(corners))
 
@@ -241,7 +242,7 @@ class LoadedTexture:
 
 # The centre of a textured surface, m in the link's frame, and its mean normal, which has the length
 # 1 for a plane and 0 for a closed surface.
-Patch = Tuple[np.ndarray, np.ndarray]
+Patch = Tuple[ndarray, ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +256,7 @@ class Drawable:
     """
 
     nodes: list[tuple[Any, Patch | None]]
-    boxes: np.ndarray
+    boxes: ndarray
     textures: list[LoadedTexture]
 
 
@@ -393,7 +394,7 @@ def _patch(surface: Surface) -> Patch:
     return centre, areas.sum(axis=0) / (total or 1.0)
 
 
-def _box_around(corners: np.ndarray) -> np.ndarray:
+def _box_around(corners: ndarray) -> ndarray:
     """Return the corners of the box around triangles (n, 3, 3), (1, 8, 3)."""
     ends = np.stack((corners.min(axis=(0, 1)), corners.max(axis=(0, 1))), axis=1)
     return np.array([list(itertools.product(*ends))])

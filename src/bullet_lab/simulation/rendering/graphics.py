@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.entry import hidden_native_output
@@ -92,9 +93,9 @@ class Canvas:
         # A buffer that must exist as long as this one.
         self.sharer: Any = None
         # Panda3D's own picture, and a numpy view of it.
-        self._seen: tuple[Any, np.ndarray] = (None, np.zeros(0, np.uint8))
+        self._seen: tuple[Any, ndarray] = (None, np.zeros(0, np.uint8))
 
-    def aim(self, root: Any, state: Any, bit: int, matrices: Sequence[np.ndarray]) -> None:
+    def aim(self, root: Any, state: Any, bit: int, matrices: Sequence[ndarray]) -> None:
         """Let the cameras show the nodes with a bit below a root, with projection matrices."""
         core = panda3d()
         for path, matrix in zip(self.cameras, matrices):
@@ -114,7 +115,7 @@ class Canvas:
         scissors = panda3d().ScissorAttrib.make(frame)
         node.set_initial_state(node.get_initial_state().set_attrib(scissors))
 
-    def pixels(self, kind: type, channels: int) -> np.ndarray:
+    def pixels(self, kind: type, channels: int) -> ndarray:
         """Return the result, (height, width, channels), until the next picture."""
         image = self.texture.get_ram_image()
         # Panda3D uses the same memory again, and leaks 32 bytes with each view of it.
@@ -283,7 +284,7 @@ def _properties() -> Any:
     return properties
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def panda3d() -> Any:
     """Return Panda3D's core with our settings; raise RendererError if it is not installed."""
     if importlib.util.find_spec("panda3d") is None:
@@ -295,7 +296,7 @@ def panda3d() -> Any:
     return core
 
 
-def panda_matrix(columns: np.ndarray) -> Any:
+def panda_matrix(columns: ndarray) -> Any:
     """Return Panda3D's form of a (4, 4) matrix that multiplies column vectors."""
     return panda3d().LMatrix4f(*columns.T.ravel().tolist())
 
@@ -306,7 +307,7 @@ def set_pose(path: Any, pose: Pose) -> None:
     path.set_pos_quat(panda3d().LPoint3(*pose.position), panda3d().LQuaternion(w, x, y, z))
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def _made() -> tuple[int, Graphics | RendererError]:
     """Return the id of the process that made the graphics, and the graphics or the error."""
     try:

@@ -26,6 +26,7 @@ import math
 from typing import Any, Callable, Iterator, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.simulation.rendering.graphics import Canvas, Graphics, panda_matrix, program_text
 from bullet_lab.simulation.world.description import BLACK, Light, World
@@ -61,7 +62,7 @@ WIDEST_SPOT = math.radians(160.0)
 
 # For a shadow map: a matrix (4, 4) from the world to clip coordinates for each tile; its size in
 # pixels; how far a surface is lifted, in m, or per m of distance from a spot or point light.
-Aim = Tuple[Sequence[np.ndarray], int, float]
+Aim = Tuple[Sequence[ndarray], int, float]
 
 # A sun's position is the direction to it.
 CORNER_LINE = """  LIGHT_cosine = max(0.0, dot(normal, LIGHT_position.xyz));
@@ -136,7 +137,7 @@ def _each(lights: Sequence[Lit], of_light: str, of_map: str = "", end: str = "")
     return texts
 
 
-def aim_at(boxes: np.ndarray, light: Light, kind: str) -> Aim:
+def aim_at(boxes: ndarray, light: Light, kind: str) -> Aim:
     """Return the smallest map, STILL or MOVING, for the boxes (n, 8, 3) that a light reaches."""
     place = np.asarray(light.pose.position)
     size, limits, rim = SPOT_SIZE[kind], np.full(3, math.inf), PIXEL[kind]
@@ -171,7 +172,7 @@ def aim_at(boxes: np.ndarray, light: Light, kind: str) -> Aim:
     return [fit @ matrix], size, LIFT * extent / size
 
 
-def _perspective(axes: np.ndarray, place: np.ndarray) -> np.ndarray:
+def _perspective(axes: ndarray, place: ndarray) -> ndarray:
     """Return the projection from a point along the last of three axes, 45° to each side.
 
     A depth, from 0 to 1, is 1 - NEAREST / distance.
@@ -183,7 +184,7 @@ def _perspective(axes: np.ndarray, place: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def axes_along(direction: Sequence[float]) -> np.ndarray:
+def axes_along(direction: Sequence[float]) -> ndarray:
     """Return orthogonal unit axes as rows (3, 3); the last one is along a direction."""
     along = np.asarray(direction) / np.linalg.norm(direction)
     first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
@@ -202,7 +203,7 @@ class _ShadowMap:
         # Both sides of a triangle cast shadows, since a mesh may be open.
         self._state = graphics.state(graphics.depth_program, cull="none")
 
-    def update(self, version: int, boxes: Callable[[str], np.ndarray]) -> list[Canvas]:
+    def update(self, version: int, boxes: Callable[[str], ndarray]) -> list[Canvas]:
         """Return the map if it must be drawn again: for another version."""
         if self._version == version:
             return []
@@ -234,7 +235,7 @@ class Lighting:
 
     def __init__(self, world: World, graphics: Graphics, root: Any):
         self._maps: list[_ShadowMap] = []
-        self._positions: list[np.ndarray] = []
+        self._positions: list[ndarray] = []
         self.programs: dict[bool, dict[str, Any]] = {False: {}, True: {}}
         planned = list(zip(world.lights, plan_maps(world)))
         root.set_shader_input("ambient", *world.ambient[:3])
@@ -251,7 +252,7 @@ class Lighting:
             program = graphics.program(*picture_programs(lit, paint))
             self.programs[moving][paint] = program
 
-    def update(self, now: dict[str, int], boxes: Callable[[str], np.ndarray]) -> list[Canvas]:
+    def update(self, now: dict[str, int], boxes: Callable[[str], ndarray]) -> list[Canvas]:
         """Return the maps that must be drawn again.
 
         `now` has the version of the STILL models, and of the MOVING ones if these are needed; a
@@ -260,7 +261,7 @@ class Lighting:
         known = (shadow_map for shadow_map in self._maps if shadow_map.kind in now)
         return [target for each in known for target in each.update(now[each.kind], boxes)]
 
-    def shadows_of(self, boxes: np.ndarray) -> Iterator[np.ndarray]:
+    def shadows_of(self, boxes: ndarray) -> Iterator[ndarray]:
         """Yield for each light the hulls of moving boxes (n, 8, 3) with their shadows, (n, 16, 4).
 
         These are homogeneous: the corners, and the directions of the infinite shadows.

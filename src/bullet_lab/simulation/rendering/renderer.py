@@ -10,6 +10,7 @@ from typing import Any, Mapping
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
@@ -144,7 +145,7 @@ class Renderer:
         shot: Shot,
         exposure: float = 1.0,
         part: tuple[slice, slice] = (slice(None), slice(None)),
-    ) -> np.ndarray:
+    ) -> ndarray:
         """Return the picture along the x axis of a pose, with its z axis up.
 
         Exposure is a factor of the brightness; brighter colours than white become white. A part is
@@ -162,7 +163,7 @@ class Renderer:
         # Panda3D gives blue first.
         return cv2.cvtColor(target.pixels(np.uint8, 4)[part], cv2.COLOR_BGRA2RGB)
 
-    def depths(self, pose: Pose, shot: Shot) -> np.ndarray:
+    def depths(self, pose: Pose, shot: Shot) -> ndarray:
         """Return the depth along the view at the centre of each pixel.
 
         Returns:
@@ -186,7 +187,7 @@ class Renderer:
         # A target that drew this scene last still refers to its root.
         self._root.set_state(panda3d().RenderState.make_empty())
 
-    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: np.ndarray) -> Canvas:
+    def _aimed(self, pose: Pose, shot: Shot, samples: int, background: ndarray) -> Canvas:
         self._update()
         target = self._graphics.target(shot.camera.width, shot.camera.height, samples)
         target.buffer.set_clear_color((*background, 1.0))
@@ -226,7 +227,7 @@ class Renderer:
         for link in links:
             link.path.remove_node()
 
-    def _boxes(self, kind: str) -> np.ndarray:
+    def _boxes(self, kind: str) -> ndarray:
         """Return the corners of the boxes around shadow casters, (n, 8, 3)."""
         links = (link for i, links in self._shown.values() if _kind(i) == kind for link in links)
         return np.concatenate([np.zeros((0, 8, 3)), *(link.boxes for link in links)])
@@ -251,7 +252,7 @@ def _kind(instance: Any) -> str:
     return STILL if instance.model.static else MOVING
 
 
-def projection(shot: Shot) -> np.ndarray:
+def projection(shot: Shot) -> ndarray:
     """Return the matrix from x right, y ahead, z up to clip coordinates, upside down: (4, 4).
 
     OpenGL's pixels begin at their edges, OpenCV's at their centres.
@@ -268,7 +269,7 @@ def projection(shot: Shot) -> np.ndarray:
     )
 
 
-def in_view(hulls: np.ndarray, pose: Pose, shot: Shot) -> bool:
+def in_view(hulls: ndarray, pose: Pose, shot: Shot) -> bool:
     """Return whether any of several convex hulls may be visible.
 
     Hulls are (n, m, 4): homogeneous points of each in the world, with a last value of 0 for

@@ -13,6 +13,7 @@ from typing import Mapping, Tuple, Union
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
@@ -28,6 +29,8 @@ WORLD_LINK = "world"
 SEPARATOR = "::"
 # The limits of a joint that are read.
 LIMITS = ("lower", "upper", "effort", "velocity")
+# The limit (rad or m) by which SDF says that there is none.
+NO_LIMIT = 1e16
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
 # The corners of a footprint, as shares of its sides.
 FOOTPRINT_CORNERS = ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))
@@ -52,7 +55,7 @@ class Texture:
     blends: bool = False
     sharp: bool = False
 
-    def coordinates(self, surface: np.ndarray) -> np.ndarray:
+    def coordinates(self, surface: ndarray) -> ndarray:
         """Return points in the picture, (…, 2) from its lower left, for points of a surface."""
         usual = Texture.scale, Texture.scroll, Texture.rotation
         if (self.scale, self.scroll, self.rotation) == usual:
@@ -132,7 +135,7 @@ class Inertia:
 
     mass: float
     centre: Vector
-    matrix: np.ndarray
+    matrix: ndarray
     axes: Quaternion = Pose.quaternion
 
     def elements(self, axes: Quaternion = Pose.quaternion) -> dict[str, float]:

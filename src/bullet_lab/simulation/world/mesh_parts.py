@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from pathlib import Path
-from typing import Any, Callable, Sequence
+from typing import Any, Sequence
 from urllib.parse import unquote
 
 import numpy as np
@@ -34,13 +34,11 @@ from bullet_lab.simulation.world.meshes import (
 )
 from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
 from bullet_lab.simulation.world.shapes import load_triangles, middle_of
-from bullet_lab.simulation.world.xml import finite
+from bullet_lab.simulation.world.xml import Report, finite
 
 LOG = logging.getLogger(__name__)
 # The word by which a file with own materials is recognised.
 OWN_LOOKS = {".obj": b"usemtl", ".dae": b"instance_material"}
-
-Report = Callable[[str], None]
 
 
 def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> list[MeshPart]:

@@ -15,6 +15,7 @@ from typing import Any, Collection, Iterator, NamedTuple, Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.xml import file_bytes, numbers, parse_text, read_text
@@ -44,25 +45,25 @@ class MeshPart(NamedTuple):
         material: pycollada's effect or the name of trimesh's material; None without any.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray | None
-    picture: np.ndarray | None
+    vertices: ndarray
+    faces: ndarray
+    normals: ndarray | None
+    picture: ndarray | None
     material: Any
 
     @property
-    def corners(self) -> np.ndarray:
+    def corners(self) -> ndarray:
         """The corners of the triangles, (m, 3, 3) in m."""
         return self.vertices[self.faces]
 
 
-def flat_normals(corners: np.ndarray) -> np.ndarray:
+def flat_normals(corners: ndarray) -> ndarray:
     """Return the normal of each triangle at its corners; both are of shape (n, 3, 3)."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.repeat(unit(normals)[:, None], 3, axis=1)
 
 
-def unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: ndarray) -> ndarray:
     """Return vectors (…, 3) with length 1; zero vectors become (0, 0, 1)."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(lengths > 0.0, vectors / np.where(lengths > 0.0, lengths, 1.0), (0.0, 0.0, 1.0))
@@ -248,7 +249,7 @@ def _collada_parts(path: Path, submesh: str) -> Iterator[MeshPart]:
 
 
 def _in_nodes(
-    nodes: Sequence[Any], outer: np.ndarray | None = None, name: str = ""
+    nodes: Sequence[Any], outer: ndarray | None = None, name: str = ""
 ) -> Iterator[tuple[str, Any]]:
     """Yield the bound geometries in nodes, with the names of the nodes that they are in."""
     from collada.scene import Node

@@ -14,6 +14,7 @@ from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.world.actors import actor_model
 from bullet_lab.simulation.world.description import (
     LIMITS,
+    NO_LIMIT,
     SEPARATOR,
     WHITE,
     WORLD_LINK,
@@ -58,8 +59,6 @@ DEFAULT_COLOUR: Colour = (0.7, 0.7, 0.7, 1.0)
 # A longer chain of models that include models is a circle.
 DEEPEST_INCLUDE = 10
 JOINT_KINDS = ("fixed", "revolute", "continuous", "prismatic", "ball")
-# SDF's default limits mean "none".
-NO_BOUND = 1e16
 # Before version 1.5, axes were given in the model's frame.
 AXES_IN_JOINTS = (1, 5)
 # Before version 1.7, a frame moved with the one that its pose was given in.
@@ -422,7 +421,7 @@ def _joint(tag: SdfTag, frames: Frames, links: Collection[str], model: str) -> J
         child,
         frames.pose(parent).inverse() * frames.pose(child),
         _axis(tag, frames, place, frames.pose(child)),
-        {key: value for key, value in limits.items() if abs(value) < NO_BOUND},
+        {key: value for key, value in limits.items() if abs(value) < NO_LIMIT},
         tag.number("axis/dynamics/damping"),
         tag.number("axis/dynamics/friction"),
         place.position,

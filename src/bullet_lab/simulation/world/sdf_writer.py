@@ -11,13 +11,14 @@ import logging
 import math
 from dataclasses import asdict, astuple
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Dict, Iterable, Iterator, Mapping
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from bullet_lab.core.pose import Pose, add, cross, subtract
+from bullet_lab.core.pose import Pose, add, cross, dot, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import (
     LIMITS,
+    NO_LIMIT,
     SEPARATOR,
     WORLD_LINK,
     Collision,
@@ -43,8 +44,8 @@ LOG = logging.getLogger(__name__)
 VERSION = "1.6"
 NANOSECONDS = 10**9
 INDENT = "  "
-# The limit that means "none" in SDF.
-FAR = 1e16
+# Child elements by their tags; None stands for none.
+Content = Dict[str, Any]
 NAMESPACE = "robotNamespace"
 # The end of the name of a joint to the world, after the name of its link.
 ANCHOR = "_to_world"
@@ -77,8 +78,8 @@ def world_text(snapshot: Snapshot, folder: Path) -> tuple[str, list[str]]:
 def _add(parent: Element, tag: str, content: Any, **attributes: str) -> Element:
     """Add an element with its attributes and its content.
 
-    The content is a dict of child elements by tag, in which None stands for none, or a text, a
-    truth value, a pose or numbers. Numbers are not rounded.
+    The content is a `Content`, or a text, a truth value, a pose or numbers. Numbers are not
+    rounded.
     """
     element = SubElement(parent, tag, attributes)
     if isinstance(content, dict):
@@ -153,7 +154,7 @@ def _add_model(parent: Element, model: Model, pose: Pose, uris: _Uris) -> None:
         # SDF has no continuous joints; they are revolute joints without limits.
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         _add(element, "joint", _joint(joint), name=joint.name, type=kind)
-    scopes: dict[str, Element] = {"": element}
+    scopes = {"": element}
     for plugin in (plugin for plugin in model.plugins if plugin.sensor is None):
         _in_scope(scopes, plugin.scope).append(plugin_element(plugin))
 
@@ -193,7 +194,7 @@ def _add_link(parent: Element, link: Link, model: Model, uris: _Uris) -> None:
 def _add_material(parent: Element, visual: Visual, uris: _Uris) -> None:
     """Add the material of a visual, without what is in the file of a mesh."""
     material, shape = visual.material, visual.geometry
-    content: dict[str, Any] = {}
+    content: Content = {}
     if material.covers or not (isinstance(shape, Mesh) and has_own_looks(shape)):
         content = {
             "ambient": material.ambient or visual.colour,
@@ -225,9 +226,9 @@ def _named(shapes: Iterable[Any], kind: str) -> Iterator[tuple[str, Any]]:
         yield name, shape
 
 
-def _shape(shape: Collision | Visual, uris: _Uris) -> dict[str, Any]:
+def _shape(shape: Collision | Visual, uris: _Uris) -> Content:
     geometry = shape.geometry
-    content: dict[str, Any] = {}
+    content: Content = {}
     if isinstance(geometry, Mesh):
         content["uri"] = uris.of(geometry.uri, geometry.path)
         if geometry.submesh:
@@ -235,7 +236,7 @@ def _shape(shape: Collision | Visual, uris: _Uris) -> dict[str, Any]:
     return {"pose": shape.pose, "geometry": {geometry.tag: {**content, **geometry.measures()}}}
 
 
-def _surface(collision: Collision) -> dict[str, Any]:
+def _surface(collision: Collision) -> Content:
     mu, cross, direction = collision.friction, collision.cross_friction, collision.direction
     friction = {"mu": mu, "mu2": mu if cross is None else cross, "fdir1": direction}
     spring = {"kp": collision.stiffness, "kd": collision.damping}
@@ -243,10 +244,10 @@ def _surface(collision: Collision) -> dict[str, Any]:
     return {"friction": {"ode": friction}, "contact": None if is_hard else {"ode": spring}}
 
 
-def _joint(joint: Joint) -> dict[str, Any]:
-    limits = {"lower": -FAR, "upper": FAR, **joint.limits}
+def _joint(joint: Joint) -> Content:
+    limits = {"lower": -NO_LIMIT, "upper": NO_LIMIT, **joint.limits}
     if joint.kind == "continuous":
-        limits.update(lower=-FAR, upper=FAR)
+        limits.update(lower=-NO_LIMIT, upper=NO_LIMIT)
     axis = {
         "xyz": joint.axis,
         "limit": {key: value for key, value in limits.items() if key in LIMITS},
@@ -297,7 +298,7 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
         yield element
 
 
-def _surroundings(world: World) -> dict[str, Any]:
+def _surroundings(world: World) -> Content:
     return {
         "gravity": world.gravity,
         "physics": {
@@ -314,7 +315,7 @@ def _surroundings(world: World) -> dict[str, Any]:
     }
 
 
-def _light(light: Light) -> dict[str, Any]:
+def _light(light: Light) -> Content:
     spot = dict(zip(("inner_angle", "outer_angle", "falloff"), astuple(light.cone)))
     return {
         "pose": light.pose,
@@ -403,11 +404,7 @@ def _joint_state(joint: Joint, links: Mapping[str, FrameState]) -> tuple[float, 
     if joint.kind == "prismatic":
         arm = subtract(child.pose.position, parent.pose.position)
         carried = add(parent.linear, cross(parent.angular, arm))
-        return _dot(joint.axis, moved.position), _dot(axis, subtract(child.linear, carried))
+        return dot(joint.axis, moved.position), dot(axis, subtract(child.linear, carried))
     *turn, w = moved.quaternion
-    angle = math.remainder(2.0 * math.atan2(_dot(joint.axis, turn), w), math.tau)
-    return angle, _dot(axis, subtract(child.angular, parent.angular))
-
-
-def _dot(one: Sequence[float], other: Sequence[float]) -> float:
-    return sum(a * b for a, b in zip(one, other))
+    angle = math.remainder(2.0 * math.atan2(dot(joint.axis, turn), w), math.tau)
+    return angle, dot(axis, subtract(child.angular, parent.angular))

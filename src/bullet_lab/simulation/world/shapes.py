@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import ClassVar, Sequence
 
 import numpy as np
+from numpy import ndarray
 
-from bullet_lab.core.pose import Vector
+from bullet_lab.core.pose import Vector, dot
 from bullet_lab.simulation.world.meshes import (
     MeshError,
     MeshPart,
@@ -45,7 +46,7 @@ class Shape(ABC):
         return {name: v if isinstance(v, tuple) else (v,) for name, v in values.items()}
 
     @abstractmethod
-    def bounds(self) -> np.ndarray:
+    def bounds(self) -> ndarray:
         """Return the least and the greatest corner of the box around it in m, shape (2, 3).
 
         >>> Box((2.0, 1.0, 0.5)).bounds().tolist()
@@ -79,7 +80,7 @@ class Box(Shape):
     size: Vector
     tag = "box"
 
-    def bounds(self) -> np.ndarray:
+    def bounds(self) -> ndarray:
         return np.outer((-0.5, 0.5), self.size)
 
     def _gaps(self, point: Vector) -> Sequence[float]:
@@ -94,7 +95,7 @@ class Cylinder(Shape):
     length: float
     tag = "cylinder"
 
-    def bounds(self) -> np.ndarray:
+    def bounds(self) -> ndarray:
         return np.outer((-1.0, 1.0), (self.radius, self.radius, 0.5 * self.length))
 
     def _gaps(self, point: Vector) -> Sequence[float]:
@@ -109,7 +110,7 @@ class Sphere(Shape):
     radius: float
     tag = "sphere"
 
-    def bounds(self) -> np.ndarray:
+    def bounds(self) -> ndarray:
         return np.outer((-1.0, 1.0), 3 * (self.radius,))
 
     def _gaps(self, point: Vector) -> Sequence[float]:
@@ -124,12 +125,11 @@ class Plane(Shape):
     size: tuple[float, float] = (100.0, 100.0)
     tag = "plane"
 
-    def bounds(self) -> np.ndarray:
+    def bounds(self) -> ndarray:
         return np.outer((-math.inf, math.inf), np.ones(3))
 
     def _gaps(self, point: Vector) -> Sequence[float]:
-        along = sum(p * n for p, n in zip(point, self.normal))
-        return (along / math.hypot(*self.normal),)
+        return (dot(point, self.normal) / math.hypot(*self.normal),)
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Mesh(Shape):
     def measures(self) -> dict[str, tuple[float, ...]]:
         return {"scale": self.scale}
 
-    def bounds(self) -> np.ndarray:
+    def bounds(self) -> ndarray:
         vertices = load_triangles(self).vertices
         return np.array((vertices.min(axis=0), vertices.max(axis=0)))
 
@@ -202,7 +202,7 @@ def _load(mesh: Mesh, _version: tuple[int, int]) -> MeshPart:
     return triangles
 
 
-def middle_of(parts: Sequence[np.ndarray], mesh: Mesh) -> np.ndarray:
+def middle_of(parts: Sequence[ndarray], mesh: Mesh) -> ndarray:
     """Return the point, among the points (…, 3) of an unscaled mesh, that becomes its origin."""
     if not (mesh.submesh and mesh.centred and any(map(len, parts))):
         return np.zeros(3)
@@ -210,7 +210,7 @@ def middle_of(parts: Sequence[np.ndarray], mesh: Mesh) -> np.ndarray:
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def hull_corners(mesh: Mesh) -> np.ndarray:
+def hull_corners(mesh: Mesh) -> ndarray:
     """Return at most MOST_CORNERS corners (n, 3) with the same convex hull as a mesh.
 
     Bullet itself drops corners inside the hull. Of a larger mesh, the farthest corner in each of
@@ -231,7 +231,7 @@ def hull_corners(mesh: Mesh) -> np.ndarray:
     return corners[np.unique([np.argmax(block @ normalised, axis=1) for block in blocks])]
 
 
-def triangle_corners(mesh: Mesh) -> list[np.ndarray]:
+def triangle_corners(mesh: Mesh) -> list[ndarray]:
     """Return a mesh in pieces for PyBullet: corners (n, 3), three for each triangle."""
     corners = load_triangles(mesh).corners.reshape(-1, 3)
     piece = MOST_CORNERS // 3 * 3

@@ -279,7 +279,7 @@ def mobility(inertia: Inertia, axis: Vector, turning: bool) -> float:
     return float(np.dot(axis, np.linalg.solve(inertia.matrix, axis)))
 
 
-def principal_axes(inertia: Inertia) -> tuple[tuple[float, float, float], Pose]:
+def principal_axes(inertia: Inertia) -> tuple[Vector, Pose]:
     """Return the principal moments and the pose of the principal frame in the link's frame.
 
     A diagonal inertia keeps the axes of the link.

@@ -66,9 +66,9 @@ LINK_PARTS = ("inertial", "visual", "collision")
 LOOSE_JOINTS = ("floating", "planar")
 
 # These are read elsewhere, are only for Gazebo's window, or are settings of its engine ODE.
-QUIET_TAGS = frozenset(
-    ("plugin", "sensor", "visualize", "visual")
-    + ("minDepth", "maxVel", "maxContacts", "provideFeedback", "implicitSpringDamper")
+QUIET_TAGS = (
+    *("plugin", "sensor", "visualize", "visual"),
+    *("minDepth", "maxVel", "maxContacts", "provideFeedback", "implicitSpringDamper"),
 )
 
 

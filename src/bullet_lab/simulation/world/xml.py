@@ -39,6 +39,9 @@ LARGEST_NUMBER = 1e18
 # A coefficient of friction at which nothing slips.
 NO_SLIP = 1e6
 
+# Logs a warning.
+Report = Callable[[str], None]
+
 
 class XmlError(LabError):
     """A document cannot be read, or its content is invalid."""
@@ -59,7 +62,7 @@ class ReportOnce:
 
 
 @contextlib.contextmanager
-def leaving_out(report: Callable[[str], None]) -> Iterator[None]:
+def leaving_out(report: Report) -> Iterator[None]:
     """Report a LabError and continue without the part that caused it."""
     try:
         yield
@@ -226,9 +229,9 @@ class TagReader(ABC):
         """Return a number that is not negative."""
         return self.numbers(key, 1, repr(default), lambda v: v[0] < 0.0, "{:g} is negative")[0]
 
-    def friction(self, key: str, default: float = 1.0) -> float:
+    def friction(self, key: str) -> float:
         """Return a coefficient of friction; larger or negative ones become NO_SLIP, as in ODE."""
-        value = self._any_number(key, default)
+        value = self._any_number(key, 1.0)
         return value if 0.0 <= value < NO_SLIP else NO_SLIP
 
     def _any_number(self, key: str, default: float) -> float:

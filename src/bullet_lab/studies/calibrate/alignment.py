@@ -6,9 +6,10 @@ And steps that are joined to longer ones.
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.se2 import wrapped
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.likelihood import RESOLUTION
 from bullet_lab.noise.systematic import arcs, chords
@@ -30,7 +31,7 @@ _HUBER = 1.345  # standard deviations beyond which an error counts less
 _NOTEWORTHY_PLACE = (1e-3, 2e-3, 1e-3)
 
 
-def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
+def interpolated(path: Trajectory, stamps: ndarray) -> ndarray:
     """Return the poses (m, m, rad) at stamps within a path, shape (n, 3).
 
     Between two poses the robot drives the arc of a constant velocity; at the stamp of a pose the
@@ -50,8 +51,8 @@ def interpolated(path: Trajectory, stamps: np.ndarray) -> np.ndarray:
 
 
 def joined_ends(
-    steps: np.ndarray, follows: np.ndarray, distance: float, angle: float
-) -> tuple[np.ndarray, np.ndarray]:
+    steps: ndarray, follows: ndarray, distance: float, angle: float
+) -> tuple[ndarray, ndarray]:
     """Join steps until they are long enough, within rows of which each follows the one before.
 
     Args:
@@ -92,7 +93,7 @@ def resolution(path: Trajectory) -> float:
     return RESOLUTION
 
 
-def jitter(true_steps, steps, follows: np.ndarray) -> tuple[float, float]:
+def jitter(true_steps, steps, follows: ndarray) -> tuple[float, float]:
     """Return the standard deviation of white noise on the truth's poses, m and rad; 0 without.
 
     White noise of a pose goes into two steps, with opposite signs: the difference of the truth's
@@ -107,7 +108,7 @@ def jitter(true_steps, steps, follows: np.ndarray) -> tuple[float, float]:
     three = follows[1:-1] & follows[2:]
     if three.sum() < FEWEST_STEPS:
         return 0.0, 0.0
-    left = np.column_stack((true_steps[:, 0] - steps[:, 0], wrap(true_steps[:, 2] - steps[:, 2])))
+    left = wrapped(true_steps - steps)[:, ::2]
     middle = np.median(left, axis=0)
     reach = 3.0 * np.median(np.abs(left - middle), axis=0) / _MEDIAN
     left = np.clip(left - middle, -reach, reach)
@@ -117,7 +118,7 @@ def jitter(true_steps, steps, follows: np.ndarray) -> tuple[float, float]:
     return std_m, std_rad
 
 
-def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
+def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: ndarray):
     """Return the delay (s) of the odometry's clock behind the truth's, and its standard error.
 
     It is the offset, within a second, for which distances and turns of both are most similar. The
@@ -157,7 +158,7 @@ def clock_offset(truth: Trajectory, odometry: Trajectory, stamps: np.ndarray):
     return float(offset), float(np.sqrt(2.0 * middle / max(independent, 1.0) / curvature))
 
 
-def _motion(path: Trajectory, begins: np.ndarray, window: float) -> np.ndarray:
+def _motion(path: Trajectory, begins: ndarray, window: float) -> ndarray:
     """Return the distances and turns of a robot within windows of time, (n, 2), in any frame."""
     dx, dy, turns = (
         np.interp(begins + window, path.stamps, column) - np.interp(begins, path.stamps, column)
@@ -166,9 +167,7 @@ def _motion(path: Trajectory, begins: np.ndarray, window: float) -> np.ndarray:
     return np.column_stack((np.hypot(dx, dy), turns))
 
 
-def marker_place(
-    true_poses, poses, stamps: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def marker_place(true_poses, poses, stamps: ndarray) -> tuple[ndarray, ndarray]:
     """Estimate where the truth's point is on a robot that does not slide to the side.
 
     A point ahead of the axle moves aside in turns, one on the left moves back in left turns, and
@@ -201,7 +200,7 @@ def marker_place(
     return np.where(np.abs(place) > np.maximum(SURE * error, _NOTEWORTHY_PLACE), place, 0.0), error
 
 
-def robust_fit(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def robust_fit(columns: ndarray, values: ndarray) -> tuple[ndarray, ndarray]:
     """Return Huber's estimate of values = columns @ x, (k,), and its standard errors, (k,).
 
     The errors allow for a spread that differs from value to value (the sandwich).

@@ -97,7 +97,7 @@ def calibration_drive(settings: DriveSettings) -> Trajectory:
     period = 1.0 / settings.rate
     lap = [(v, w) for v, w, s in _COMMANDS for _ in range(max(1, round(s * settings.rate)))]
     arcs = np.array([(v * period, 0.0, w * period) for v, w in lap * settings.laps])
-    poses: list[np.ndarray] = [np.zeros(3)]
+    poses = [np.zeros(3)]
     for step in chords(arcs):
         poses.append(se2.compose(poses[-1], step))
     return Trajectory(period * np.arange(len(poses)), np.array(poses))

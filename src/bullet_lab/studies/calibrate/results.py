@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, Callable, Mapping, Sequence
+from typing import Callable, Mapping, Sequence
 
 import numpy as np
 import yaml
@@ -20,6 +20,7 @@ from bullet_lab.core.figures import (
     GREEN,
     GREY,
     ORANGE,
+    THIN,
     VERMILION,
     labelled,
     legend_below,
@@ -43,7 +44,7 @@ from bullet_lab.noise.prediction import (
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
 from bullet_lab.studies.paths import Recording
-from bullet_lab.studies.study import Record
+from bullet_lab.studies.study import Record, Summary
 
 MOST_PATHS = 4  # in a figure
 _PART_TITLES = ("turn before the way", "way", "turn after the way")
@@ -186,12 +187,12 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(ranked: Sequence[ModelCalibration]) -> dict[str, Any]:
+def calibration_summary(ranked: Sequence[ModelCalibration]) -> Summary:
     """Return the figures of all models, the best one first, for summary.json."""
     return {"best": ranked[0].model, "models": [_summary(one) for one in ranked]}
 
 
-def _summary(one: ModelCalibration) -> dict[str, Any]:
+def _summary(one: ModelCalibration) -> Summary:
     fitted = one.goodness
     return {
         "model": one.model,
@@ -296,7 +297,7 @@ def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
         f"Of single steps: {verdict}. Their values, with intervals for that factor:",
         *_parameter_lines(one, {}),
     ]
-    values: dict[str, Any] = {"model": one.model}
+    values = {"model": one.model}
     for name, value in one.published().items():
         values[name] = float(f"{value:.9g}")
     if one.problem.systematic:
@@ -353,7 +354,7 @@ def profiles_figure(one: ModelCalibration, true: Mapping[str, float]) -> Figure:
 
 def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
     value, low, high = found
-    axes.axhline(_LIMIT * one.prediction.dispersion, color=GREY, linewidth=0.8, linestyle="--")
+    axes.axhline(_LIMIT * one.prediction.dispersion, **THIN, linestyle="--")
     axes.axvline(value, color=BLUE, linewidth=1.0)
     if not (math.isfinite(low) and math.isfinite(high)):
         axes.text(0.5, 0.5, "the steps do not end it", transform=axes.transAxes, ha="center")

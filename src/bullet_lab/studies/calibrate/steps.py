@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import boolean, number
@@ -105,10 +106,10 @@ class Steps:
         remarks: lines for the user.
     """
 
-    true: np.ndarray
-    odometry: np.ndarray
-    follows: np.ndarray
-    seconds: np.ndarray
+    true: ndarray
+    odometry: ndarray
+    follows: ndarray
+    seconds: ndarray
     resting: int
     gaps: int
     unseen: int
@@ -277,7 +278,7 @@ def joined(found: Sequence[Steps]) -> Steps:
 
 
 def _long_enough(
-    settings: StepSettings, poses: np.ndarray, std_m: float, std_rad: float
+    settings: StepSettings, poses: ndarray, std_m: float, std_rad: float
 ) -> StepSettings:
     """Return the settings with steps that are long compared with the truth's noise.
 
@@ -317,7 +318,7 @@ def _shifted(path: Trajectory, seconds: float) -> Trajectory:
     return replace(path, stamps=path.stamps + seconds) if seconds else path
 
 
-def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.ndarray:
+def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> ndarray:
     """Return the stamps of the slower path within the times of both."""
     start = max(truth.stamps[0], odometry.stamps[0])
     end = min(truth.stamps[-1], odometry.stamps[-1])
@@ -337,7 +338,7 @@ def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> np.nda
     return snapped(stamps, (truth, odometry)[1 - slower].stamps)
 
 
-def _over_gap(stamps: np.ndarray, paths: Sequence[Trajectory], most: float) -> np.ndarray:
+def _over_gap(stamps: ndarray, paths: Sequence[Trajectory], most: float) -> ndarray:
     """Return whether each step between neighbouring stamps is over a gap of a path, (n-1,)."""
     broken = np.zeros(len(stamps) - 1, dtype=bool)
     for path in paths:
@@ -366,8 +367,8 @@ def short_steps(steps: Steps) -> Steps:
     true, odometry = (end_of(_within(one, first, last)) for one in (steps.true, steps.odometry))
     return replace(
         steps,
-        true=_wrapped(true),
-        odometry=_wrapped(odometry),
+        true=se2.wrapped(true),
+        odometry=se2.wrapped(odometry),
         follows=_follows(steps, first, last),
         seconds=np.add.reduceat(steps.seconds, first) if len(first) else steps.seconds[:0],
     )
@@ -380,7 +381,7 @@ def pairs_of(steps: Steps) -> StepPairs:
     )
 
 
-def long_pairs(short: Steps, length: tuple[float, float]) -> tuple[StepPairs, np.ndarray]:
+def long_pairs(short: Steps, length: tuple[float, float]) -> tuple[StepPairs, ndarray]:
     """Return long steps that consist of short ones, and whether each follows the one before.
 
     Args:
@@ -389,9 +390,9 @@ def long_pairs(short: Steps, length: tuple[float, float]) -> tuple[StepPairs, np
     """
     first, last = joined_ends(short.true, short.follows, *length)
     within = _within(short.true, first, last)
-    reported = _wrapped(end_of(_within(short.odometry, first, last)))
+    reported = se2.wrapped(end_of(_within(short.odometry, first, last)))
     pairs = StepPairs(
-        _wrapped(end_of(within)),
+        se2.wrapped(end_of(within)),
         reported[np.newaxis],
         max(short.truth_std_m, LEAST_STD),
         max(short.truth_std_rad, LEAST_STD),
@@ -408,7 +409,7 @@ def part_of(steps: Steps, number: int) -> Steps:
     return replace(steps, **{name: getattr(steps, name)[rows] for name in names})
 
 
-def _within(rows: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+def _within(rows: ndarray, first: ndarray, last: ndarray) -> ndarray:
     """Return the rows of each joined step, filled up with zeros, (n, m, 3)."""
     counts = last - first
     found = np.zeros((len(first), int(counts.max(initial=1)), 3))
@@ -417,12 +418,7 @@ def _within(rows: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray
     return found
 
 
-def _follows(steps: Steps, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+def _follows(steps: Steps, first: ndarray, last: ndarray) -> ndarray:
     found = np.zeros(len(first), dtype=bool)
     found[1:] = (first[1:] == last[:-1]) & steps.follows[first[1:]]
     return found
-
-
-def _wrapped(steps: np.ndarray) -> np.ndarray:
-    steps[:, 2] = se2.wrap(steps[:, 2])
-    return steps

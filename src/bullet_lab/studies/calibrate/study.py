@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Sequence
 
 from bullet_lab.core.parameters import choices, integer
 from bullet_lab.errors import LabError
@@ -39,6 +39,7 @@ from bullet_lab.studies.study import (
     MOST_SEED,
     Record,
     Settings,
+    Summary,
     Tell,
     progress,
     run_from,
@@ -77,7 +78,7 @@ def run_calibration(
     drive: DriveSettings,
     recordings: Sequence[Recording] = (),
     tell: Tell = print,
-) -> dict[str, Any]:
+) -> Summary:
     """Calibrate; write noise.yaml, figures and summary.json; return the summary.
 
     Args:
@@ -147,7 +148,7 @@ def run_calibration(
 
 def run_coverage(
     folder: Path, settings: CalibrateSettings, drive: DriveSettings, tell: Tell = print
-) -> dict[str, Any]:
+) -> Summary:
     """Count how often intervals hold the truth; write coverage.csv and .png, and summary.json.
 
     All random and systematic errors are fitted together.

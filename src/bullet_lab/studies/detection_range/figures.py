@@ -148,8 +148,8 @@ def _draw_floor(axes: Axes, rows: Sequence[Record], ends: Ends) -> None:
     wide = reach * math.sin(math.radians(min(90.0, max(last for _, last in sectors.values()))))
     axes.set_xlim(-wide - 0.3, wide + 0.3)
     axes.set_ylim(-reach - 0.3, 0.5)
-    axes.set_aspect("equal")
-    axes.set(xlabel="beside the marker's axis (m)", ylabel="before the marker (m)")
+    labels = {"xlabel": "beside the marker's axis (m)", "ylabel": "before the marker (m)"}
+    axes.set(aspect="equal", **labels)
 
 
 def _draw_robot(axes: Axes, distance: float, colour: str) -> None:

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, Callable, Iterator, Mapping, Sequence
+from typing import Any, Callable, Iterator, Sequence
 
 from bullet_lab.core.parameters import choices, integer, numbers
 from bullet_lab.errors import LabError
@@ -29,6 +29,7 @@ from bullet_lab.studies.study import (
     MOST_SEED,
     Record,
     Settings,
+    Summary,
     Tell,
     run_from,
     write_results,
@@ -146,7 +147,7 @@ def found_range(rows: Sequence[Record], bearing: float) -> tuple[float | None, f
     return (best[0], best[-1]) if best else (None, None)
 
 
-def describe(summary: Mapping[str, Any]) -> list[str]:
+def describe(summary: Summary) -> list[str]:
     """Return the main figures as lines for the user."""
     lines = [f"{one['world']}, {one['light']} light: {_sentence(one)}" for one in summary["ranges"]]
     dots = summary["dots"]
@@ -157,7 +158,7 @@ def describe(summary: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _sentence(entry: Mapping[str, Any]) -> str:
+def _sentence(entry: Summary) -> str:
     text = (
         f"found from {_metres(entry['closest_m'])} to {_metres(entry['farthest_frontal_m'])} "
         f"frontal, to {_metres(entry['farthest_30deg_m'])} at 30 deg; "
@@ -176,7 +177,7 @@ def run_detection_range(
     settings: RangeSettings,
     run: Run = this_process,
     tell: Tell = print,
-) -> dict[str, Any]:
+) -> Summary:
     """Try all cells; write table, heat maps, figure and summary.json; return the summary.
 
     The same settings give the same files, with any workers.

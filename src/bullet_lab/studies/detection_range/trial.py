@@ -329,7 +329,7 @@ def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, in
     return sum(frame.false for frame in judged), sum(frame.found for frame in judged)
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def _free_camera(world: str, light: str, seed: int) -> FreeCamera:
     return FreeCamera(world, light, seed)
 

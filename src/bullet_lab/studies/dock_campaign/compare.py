@@ -5,19 +5,28 @@ from __future__ import annotations
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, Mapping, Sequence
+from typing import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, panels
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    THIN,
+    VERMILION,
+    gridded,
+    panels,
+)
 from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.results import LOG, QUANTITIES, read_log, reported_docked
 from bullet_lab.studies.dock_campaign.trial import TOLERANCES
-from bullet_lab.studies.study import Record, clopper_pearson, text_table, write_results
+from bullet_lab.studies.study import Record, Summary, clopper_pearson, text_table, write_results
 
 CONFIDENCE = 0.95
 ENDS = ("value", "low", "high")
@@ -69,7 +78,7 @@ def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
     return describe(names, columns, paired)
 
 
-def share(hits: int, trials: int) -> dict[str, Any]:
+def share(hits: int, trials: int) -> Summary:
     """Return a share in per cent with Clopper and Pearson's interval.
 
     >>> {end: round(value, 2) for end, value in share(199, 200).items()}
@@ -79,7 +88,7 @@ def share(hits: int, trials: int) -> dict[str, Any]:
     return {"value": 100.0 * hits / trials, "low": 100.0 * low, "high": 100.0 * high}
 
 
-def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
+def quantile(values: Sequence[float], part: float) -> Summary:
     """Return a quantile with an interval from two order statistics, for any distribution.
 
     An end for which there are too few values is None; without values, all are None.
@@ -101,7 +110,7 @@ def quantile(values: Sequence[float], part: float) -> dict[str, Any]:
     }
 
 
-def figures_of(records: Sequence[Record]) -> dict[str, Any]:
+def figures_of(records: Sequence[Record]) -> Summary:
     """Return the figures of one controller by name, each with its interval."""
     at_dock = reported_docked(records)
     off = [math.hypot(r["distance_error_m"], r["lateral_error_m"]) for r in at_dock]
@@ -112,7 +121,7 @@ def figures_of(records: Sequence[Record]) -> dict[str, Any]:
         "with a contact (%)": [bool(r["wall_contacts"]) for r in records],
         "with a retry (%)": [bool(r["retries"]) for r in records],
     }
-    figures: dict[str, Any] = {name: share(sum(of), len(records)) for name, of in hits.items()}
+    figures = {name: share(sum(of), len(records)) for name, of in hits.items()}
     for column, (name, unit, factor) in QUANTITIES.items():
         values = [factor * abs(record[column]) for record in at_dock]
         for label, part in (("median", 0.5), ("99 %", 0.99)):
@@ -121,7 +130,7 @@ def figures_of(records: Sequence[Record]) -> dict[str, Any]:
     return figures
 
 
-def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[str, Any]:
+def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> Summary:
     """Return who docked in the same scenarios, and the differences where both did.
 
     The p-value is that of McNemar's exact test; differences are the second minus the first.
@@ -145,9 +154,7 @@ def paired_figures(first: Sequence[Record], second: Sequence[Record]) -> dict[st
     }
 
 
-def comparison_records(
-    names: Sequence[str], columns: Sequence[Mapping[str, Any]]
-) -> list[Record]:
+def comparison_records(names: Sequence[str], columns: Sequence[Summary]) -> list[Record]:
     """Return a record for each figure: value, low and high of each controller."""
     heads = [f"{name} {end}" for name in names for end in ENDS]
     return [
@@ -160,14 +167,12 @@ def comparison_records(
     ]
 
 
-def _shown(figure: Mapping[str, Any]) -> str:
+def _shown(figure: Summary) -> str:
     value, low, high = ("?" if figure[end] is None else f"{figure[end]:.3g}" for end in ENDS)
     return f"{value} [{low}, {high}]"
 
 
-def describe(
-    names: Sequence[str], columns: Sequence[Mapping[str, Any]], paired: Mapping[str, Any]
-) -> list[str]:
+def describe(names: Sequence[str], columns: Sequence[Summary], paired: Summary) -> list[str]:
     """Return the comparison as lines for the user, with intervals of 95 %."""
     figures = [figure for figure in columns[0] if figure != "failures"]
     rows = [(figure, *(_shown(column[figure]) for column in columns)) for figure in figures]
@@ -192,7 +197,7 @@ COLOURS = (BLUE, ORANGE)
 def comparison_figure(
     names: Sequence[str],
     pairs: Sequence[Sequence[Record]],
-    columns: Sequence[Mapping[str, Any]],
+    columns: Sequence[Summary],
 ) -> Figure:
     """Draw shares with their intervals, times pair by pair, and the distributions of the errors."""
     title = f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)"
@@ -203,9 +208,8 @@ def comparison_figure(
     _draw_times(above[2], names, pairs)
     for axes, column in zip(below, ERRORS):
         name, unit, factor = QUANTITIES[column]
-        axes.set(xlabel=f"{name} ({unit})", ylabel="share of those said to be docked", ylim=(0, 1))
-        axes.set_xscale("log")
-        axes.grid(alpha=0.3)
+        gridded(axes, xlabel=f"{name} ({unit})", xscale="log", ylim=(0, 1))
+        axes.set_ylabel("share of those said to be docked")
         for most in sorted({factor * record[TOLERANCES[column]] for record in pairs[0]}):
             axes.axvline(most, color=GREY, linestyle="--")
         for label, records, colour in zip(names, pairs, COLOURS):
@@ -217,7 +221,7 @@ def comparison_figure(
     return figure
 
 
-def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str, Any]]) -> None:
+def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Summary]) -> None:
     shares = [figure for figure in columns[0] if figure.endswith("(%)")]
     rows = np.arange(len(shares))[::-1]
     for number, (name, column, colour) in enumerate(zip(names, columns, COLOURS)):
@@ -233,7 +237,7 @@ def _draw_shares(axes: Axes, names: Sequence[str], columns: Sequence[Mapping[str
     axes.legend(fontsize="small", loc="lower right")
 
 
-def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
+def _draw_results(axes: Axes, columns: Sequence[Summary]) -> None:
     axes.set(yticks=[], xlabel="dockings that failed")
     results = sorted({r for column in columns for r in column["failures"]} - {DOCKED})
     rows = np.arange(len(results))[::-1]
@@ -247,11 +251,11 @@ def _draw_results(axes: Axes, columns: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_times(axes: Axes, names: Sequence[str], pairs: Sequence[Sequence[Record]]) -> None:
-    axes.set(xlabel=f"s, {names[0]}", ylabel=f"s, {names[1]}", title="time until docked")
+    labels = {"xlabel": f"s, {names[0]}", "ylabel": f"s, {names[1]}"}
+    gridded(axes, **labels, title="time until docked")
     both = [pair for pair in zip(*pairs) if len(reported_docked(pair)) == 2]
     times = np.array([(a["sim_time_s"], b["sim_time_s"]) for a, b in both]).reshape(-1, 2)
     if len(times):
         most = float(times.max())
-        axes.plot([0.0, most], [0.0, most], color=GREY, linewidth=0.8)
+        axes.plot([0.0, most], [0.0, most], **THIN)
         axes.plot(*times.T, ".", color=VERMILION, markersize=5.0)
-    axes.grid(alpha=0.3)

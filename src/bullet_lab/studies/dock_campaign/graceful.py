@@ -20,10 +20,11 @@ from dataclasses import dataclass
 from typing import Callable
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.core.pinhole import OPTICAL_AXES, PinholeCamera
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrap, wrapped
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import Dock
 from bullet_lab.docking.filter import GaussianPose
@@ -103,11 +104,9 @@ def graceful_command(target, settings: GracefulSettings, backwards: bool = False
     return (-v if backwards else v), w + 0.0
 
 
-def filtered(pose: np.ndarray, measured: np.ndarray, coefficient: float) -> np.ndarray:
+def filtered(pose: ndarray, measured: ndarray, coefficient: float) -> ndarray:
     """Return the exponentially smoothed pose of the dock, (3,), as nav2 has it."""
-    off = measured - pose
-    off[2] = wrap(float(off[2]))
-    return pose + coefficient * off
+    return pose + coefficient * wrapped(measured - pose)
 
 
 class GracefulTask(WatchedTask):
@@ -129,9 +128,9 @@ class GracefulTask(WatchedTask):
         self._staging = se2.compose(dock_pose, (-dock.staging_distance, 0.0, 0.0))
         ahead = settings.external_detection_translation_x
         self._stop = np.array([ahead - dock.docked_distance - mount.x, 0.0, 0.0])
-        self._dock_pose: np.ndarray | None = None
+        self._dock_pose: ndarray | None = None
         self._filtered_at = -math.inf
-        self._detected: np.ndarray | None = None
+        self._detected: ndarray | None = None
         self._detected_at = -math.inf
         self._way: PathFollower | None = None
         self._phase: Callable[[], Command | None] = self._navigate
@@ -252,8 +251,8 @@ class GracefulTask(WatchedTask):
 
 
 def marker_poses(
-    corners: np.ndarray, size: float, camera: PinholeCamera, mount: CameraMount
-) -> list[np.ndarray]:
+    corners: ndarray, size: float, camera: PinholeCamera, mount: CameraMount
+) -> list[ndarray]:
     """Return the poses (3,) that a dock may have in the robot's frame by one image of its marker.
 
     Two where the image leaves open which of a flat marker's poses it is; none where it shows none.
@@ -272,7 +271,7 @@ def marker_poses(
     return [_planar(pose, mount) for pose in poses]
 
 
-def _planar(pose: MarkerPose, mount: CameraMount) -> np.ndarray:
+def _planar(pose: MarkerPose, mount: CameraMount) -> ndarray:
     turn = mount.rotation @ OPTICAL_AXES
     place = turn @ pose.translation + (mount.x, mount.y, mount.z)
     # A docked robot looks into the face, against the marker's z axis.

@@ -12,14 +12,25 @@ from typing import Any, Iterable, Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy import ndarray
 
-from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, draw_plan, new_figure
+from bullet_lab.core.figures import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    THIN,
+    VERMILION,
+    draw_plan,
+    gridded,
+    new_figure,
+    plan_axes,
+)
 from bullet_lab.core.files import file_errors, replace_file
 from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Footprint
 from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
-from bullet_lab.studies.study import Record, clopper_pearson
+from bullet_lab.studies.study import Record, Summary, clopper_pearson
 
 LOG = "dockings.jsonl"
 
@@ -32,7 +43,7 @@ QUANTITIES = {
 """Name, unit and factor, for the user, of columns of the table."""
 
 
-def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
+def campaign_summary(records: Sequence[Record]) -> Summary:
     """Return the figures of a campaign for summary.json: rates, errors and contacts.
 
     The errors are magnitudes, of all robots that report that they have docked, within the dock's
@@ -41,16 +52,16 @@ def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
     Args:
         records: at least one, in the order of their indices.
     """
-    docked = [record for record in records if record["result"] == DOCKED]
-    failures = Counter(r["result"] for r in records if r["result"] != DOCKED)
+    failed = [record for record in records if record["result"] != DOCKED]
+    docked = len(records) - len(failed)
     known = [record for record in records if record["sim_time_s"] is not None]
     return {
         "dockings": len(records),
-        "docked": len(docked),
-        "success_rate": len(docked) / len(records),
-        "success_rate_lower_95": clopper_pearson(len(docked), len(records), 1.0 - 0.95)[0],
-        "failures": dict(sorted(failures.items())),
-        "failed_indices": [r["index"] for r in records if r["result"] != DOCKED],
+        "docked": docked,
+        "success_rate": docked / len(records),
+        "success_rate_lower_95": clopper_pearson(docked, len(records), 1.0 - 0.95)[0],
+        "failures": dict(sorted(Counter(record["result"] for record in failed).items())),
+        "failed_indices": [record["index"] for record in failed],
         **{name: error_figures([r[name] for r in reported_docked(records)]) for name in ERRORS},
         "tolerances": {
             record["world"]: {name: record[column] for name, column in TOLERANCES.items()}
@@ -77,7 +88,7 @@ def error_figures(values: Sequence[float]) -> dict[str, float | None]:
     return dict(zip(names, map(float, figures)))
 
 
-def stress_row(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
+def stress_row(name: str, summary: Summary) -> Summary:
     """Return the row of a stress from the summary of its campaign."""
     counts = Counter(summary["failures"])
     wrong = counts[WALL_CONTACT] + counts[INACCURATE] + counts[CRASHED]
@@ -102,7 +113,7 @@ def reported_docked(records: Sequence[Record]) -> list[Record]:
     return [record for record in records if record["result"] in (DOCKED, INACCURATE)]
 
 
-def _shares(records: Sequence[Record], name: str) -> dict[str, Any]:
+def _shares(records: Sequence[Record], name: str) -> Summary:
     """Return "docked of all" for each value of a column."""
     total = Counter(record[name] for record in records)
     docked = Counter(record[name] for record in records if record["result"] == DOCKED)
@@ -215,8 +226,7 @@ def campaign_figure(
         dock: x, y (m) and yaw (rad) of the floor below the marker's face.
         title: of the figure.
     """
-    figure = new_figure(11.0, 8.8)
-    figure.suptitle(title)
+    figure = new_figure(11.0, 8.8, title)
     left, right = figure.add_gridspec(
         1, 2, width_ratios=(0.75, 1.0), wspace=0.2, left=0.07, right=0.98, top=0.93, bottom=0.07
     )
@@ -262,14 +272,14 @@ def _draw_robots(
     axes.plot(*ends[:, :2].T, marker, label=f"end, {name}", **style)
 
 
-def _poses(records: Sequence[Record], which: str) -> np.ndarray:
+def _poses(records: Sequence[Record], which: str) -> ndarray:
     """Return x, y (m) and yaw (rad) of starts or ends, shape (n, 3)."""
     columns = [f"{which}_x_m", f"{which}_y_m", f"{which}_yaw_deg"]
     poses = np.array([[record[name] for name in columns] for record in records]).reshape(-1, 3)
     return poses * [1.0, 1.0, math.radians(1.0)]
 
 
-def _ticks(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ticks(poses: ndarray) -> tuple[ndarray, ndarray]:
     """Return x and y of a broken line with a short piece in the heading of each pose."""
     x, y, yaw = poses.T
     gap = np.full_like(x, np.nan)
@@ -278,11 +288,10 @@ def _ticks(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _draw_ends(axes: Axes, records: Sequence[Record]) -> None:
-    axes.set(xlabel="distance error (mm)", ylabel="lateral error (mm)")
+    plan_axes(axes, xlabel="distance error (mm)", ylabel="lateral error (mm)")
     axes.set_title("where robots stand that say they have docked", fontsize="medium")
-    axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.axvline(0.0, color=GREY, linewidth=0.8)
-    axes.grid(alpha=0.3)
+    axes.axhline(0.0, **THIN)
+    axes.axvline(0.0, **THIN)
     names = ("distance_error_m", "lateral_error_m")
     for result, colour, mark in ((DOCKED, BLUE, "."), (INACCURATE, VERMILION, "X")):
         errors = [[1000.0 * r[name] for name in names] for r in records if r["result"] == result]
@@ -290,12 +299,10 @@ def _draw_ends(axes: Axes, records: Sequence[Record]) -> None:
             axes.plot(*zip(*errors), mark, color=colour, markersize=5.0)
     for x, y in sorted({tuple(1000.0 * r[TOLERANCES[n]] for n in names) for r in records}):
         axes.plot((-x, x, x, -x, -x), (-y, -y, y, y, -y), **LIMIT)
-    axes.set_aspect("equal", adjustable="datalim")
 
 
 def _draw_histogram(axes: Axes, values: Sequence[float], label: str) -> None:
-    axes.set(xlabel=label, ylabel="dockings")
-    axes.grid(alpha=0.3)
+    gridded(axes, xlabel=label, ylabel="dockings")
     if not values:
         return
     axes.hist(values, bins=BINS, color=BLUE, edgecolor="white", linewidth=0.4)

@@ -214,8 +214,7 @@ def world_under(stress: Stress, world: World, known_dock: PlanarPose, dock: Dock
     """
     models = world.models
     if stress.dock != known_dock:
-        x, y, yaw = se2.compose(stress.dock, se2.inverse(known_dock)).tolist()
-        moved = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+        moved = Pose.on_floor(*se2.compose(stress.dock, se2.inverse(known_dock)).tolist())
         models = tuple(_moved(model, moved) for model in models)
     if stress.hidden_corner >= 0:
         models = (*models, _cover(stress, dock))
@@ -237,8 +236,7 @@ def _cover(stress: Stress, dock: Dock) -> Model:
     square = Visual(
         Box((_COVER_THICKNESS, edge, edge)), Pose(place), (grey, grey, grey, 1.0), "cover"
     )
-    x, y, yaw = stress.dock
-    pose = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+    pose = Pose.on_floor(*stress.dock)
     return Model("cover", (Link("link", visuals=(square,)),), pose=pose, static=True)
 
 

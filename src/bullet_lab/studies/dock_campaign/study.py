@@ -43,6 +43,7 @@ from bullet_lab.studies.dock_campaign.trial import (
 from bullet_lab.studies.study import (
     Record,
     Settings,
+    Summary,
     Tell,
     progress,
     run_from,
@@ -79,7 +80,7 @@ def run_campaign(
     run: Run,
     trial: Trial = run_trial,
     tell: Tell = print,
-) -> dict[str, Any]:
+) -> Summary:
     """Run the dockings that a campaign's log lacks; write log, table, figure and summary.json.
 
     The same settings give the same files, with any workers and after any interruptions, except
@@ -143,7 +144,7 @@ def _run_missing(
     return time.monotonic() - start, [log.records[index] for index in missing]
 
 
-def describe(summary: dict[str, Any]) -> list[str]:
+def describe(summary: Summary) -> list[str]:
     """Return the main figures of a campaign as lines for the user."""
     lines = [
         f"{summary['docked']} of {summary['dockings']} docked within their dock's tolerance"

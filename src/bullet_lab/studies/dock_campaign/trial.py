@@ -188,7 +188,7 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
     )
 
 
-@functools.lru_cache(maxsize=None)
+@functools.lru_cache
 def obstacles(world: str) -> tuple[Footprint, ...]:
     """Return the obstacles of the robot in a world of the package, by its name."""
     return footprints(read_world(world), below=ROBOT_HEIGHT)
@@ -247,11 +247,10 @@ class _SimulatedDocking:
         self._dock, self._simulation = dock, simulation
         self._stress = stress = scenario.stress
         self._rng = np.random.default_rng((stress.seed, 0))
-        x, y, yaw = _moved(scenario.start, MARKER_POSE, stress.dock)
+        start = _moved(scenario.start, MARKER_POSE, stress.dock)
         file = ResourceFinder.anywhere().find(ROBOT)
         robot = robot_under(stress, read_urdf_file(file), CAMERA_FRAME)
-        place = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
-        self._robot = simulation.add(robot, pose=place)
+        self._robot = simulation.add(robot, pose=Pose.on_floor(*start))
         self._camera = next(d for d in self._robot.plugins if isinstance(d, Camera))
         self._camera.settings = replace(
             self._camera.settings, noise_stddev=scenario.image_noise, blur=scenario.image_blur
@@ -289,11 +288,10 @@ class _SimulatedDocking:
             v, w = self._task.tick(simulation.seconds)
             self._robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
         seconds, result = simulation.seconds, self._task.result
-        x, y, yaw = _moved(self._pose(), self._stress.dock, MARKER_POSE)
+        x, y, yaw = _moved(self._robot.pose().planar, self._stress.dock, MARKER_POSE)
         simulation.run_for(0.5)
-        errors = docking_errors(
-            self._pose(), self._stress.dock, self._mount.x, self._dock.docked_distance
-        )
+        rest, ahead = self._robot.pose().planar, self._mount.x
+        errors = docking_errors(rest, self._stress.dock, ahead, self._dock.docked_distance)
         renderer = simulation.renderer().driver if self._images else ""
         end = x, y, math.degrees(yaw)
         values = *errors.values(), self._contacts, result.retries, seconds, *end, renderer
@@ -301,8 +299,7 @@ class _SimulatedDocking:
 
     def _add_odometry(self, sample: OdometrySample) -> None:
         """Give odometry to the task, with stress and noise."""
-        x, y, _ = sample.pose.position
-        noisy = self._noise.update(*self._reported.update((x, y, sample.pose.yaw)))
+        noisy = self._noise.update(*self._reported.update(sample.pose.planar))
         seconds = sample.step / 1000.0 - self._stamp
         self._stamp = sample.step / 1000.0
         covariance = noisy.motion_covariance / seconds**2 if seconds > 0.0 else None
@@ -326,10 +323,6 @@ class _SimulatedDocking:
         if touching and not self._touching:
             self._contacts += 1
         self._touching = touching
-
-    def _pose(self) -> PlanarPose:
-        pose = self._robot.pose()
-        return pose.position[0], pose.position[1], pose.yaw
 
     def _known_mount(self) -> CameraMount:
         """Return the pose of the camera on the robot, as docking knows it."""

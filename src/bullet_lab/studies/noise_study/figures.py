@@ -16,6 +16,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogFormatter, NullLocator
+from numpy import ndarray
 
 from bullet_lab.core.figures import (
     BLACK,
@@ -24,6 +25,7 @@ from bullet_lab.core.figures import (
     GREY,
     ORANGE,
     VERMILION,
+    gridded,
     labelled,
     legend_below,
     legend_entry,
@@ -48,7 +50,13 @@ from bullet_lab.studies.noise_study.regions import (
     position_density,
     theory,
 )
-from bullet_lab.studies.noise_study.statistics import Case, by_model_of, shown_levels, spread
+from bullet_lab.studies.noise_study.statistics import (
+    Case,
+    by_model_of,
+    noisy_levels,
+    shown_levels,
+    spread,
+)
 from bullet_lab.studies.paths import find_corners, resample
 
 COLUMNS = 5
@@ -73,7 +81,7 @@ _RATES_ON_CURVE = 24
 # Points per side of a grid of densities.
 _GRID = 160
 
-Window = Tuple[np.ndarray, np.ndarray]
+Window = Tuple[ndarray, ndarray]
 """The least and the largest x and y that are drawn (m)."""
 
 
@@ -209,9 +217,9 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
         seed: of the noise on the straight line.
     """
     most = max(cases, key=lambda case: case.theory.quadratic_share())
-    bent = [case for case in cases if case.model == most.model and case.std > 0.0]
+    bent = noisy_levels(by_model_of(cases)[most.model])
     strong = [case for case in bent if not case.theory.first_order_enough()]
-    levels = shown_levels(strong if len(strong) >= PANELS else bent, PANELS)
+    levels = spread(strong if len(strong) >= PANELS else bent, PANELS)
     title = (
         f"{MODELS[most.model].title} noise: where the robot is, and 95 % regions; "
         "above the path where it is bent most, below a straight line"
@@ -244,7 +252,7 @@ def _model_panels(
     title: str,
     labels: tuple[str, str],
     note: str = "",
-) -> tuple[Figure, np.ndarray, dict[str, list[Case]]]:
+) -> tuple[Figure, ndarray, dict[str, list[Case]]]:
     """Return a figure with a column for each model, its axes, and the cases of each model.
 
     Args:
@@ -263,7 +271,7 @@ def _model_panels(
     return figure, grid, by_model
 
 
-def _add_method_legend(figure: Figure, grid: np.ndarray) -> None:
+def _add_method_legend(figure: Figure, grid: ndarray) -> None:
     bottom = 0.3 / figure.get_figheight()
     legend_below(figure, labelled(*grid.flat), bottom=bottom, fontsize=9)
 
@@ -281,19 +289,18 @@ def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
         ):
             ellipse = _ellipse_at(case, moments, index).T
             axes.plot(*ellipse, linestyle=style, color=colour, linewidth=1.1)
-    axes.set_aspect("equal")
     (left, bottom), (right, top) = window
-    axes.set(xlim=(left, right), ylim=(bottom, top))
+    axes.set(aspect="equal", xlim=(left, right), ylim=(bottom, top))
     axes.tick_params(labelsize=8)
 
 
-def _kept_places(case: Case) -> np.ndarray:
+def _kept_places(case: Case) -> ndarray:
     """Return x and y (m) of the kept paths, shape (k, n+1, 2)."""
     places = np.stack([case.kept.real, case.kept.imag], axis=-1)
     return case.trajectory.poses[0, :2] + places
 
 
-def _ellipse_at(case: Case, moments: Moments, index: int) -> np.ndarray:
+def _ellipse_at(case: Case, moments: Moments, index: int) -> ndarray:
     centre = case.trajectory.poses[index, :2] + moments.mean[index, :2]
     return centre + ellipse_points(moments.covariance[index])
 
@@ -364,14 +371,13 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
         style = {"color": colour, "markeredgecolor": BLACK, "markersize": 6}
         axes.plot([case.rate for case in of_level], found, "o", **style)
         _label(axes, f"{first.std:g}", (rates[-1], ends[-1]), 4)
-    axes.set(xscale="log", yscale="log")
+    gridded(axes, xscale="log", yscale="log")
     axes.set_xlim(0.75 * rates[0], 2.0 * rates[-1])
     axes.xaxis.set_major_locator(FixedLocator(all_rates))
     axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
         _plain_numbers(axis)
     axes.tick_params(labelsize=8)
-    axes.grid(alpha=0.3)
 
 
 def _draw_shares(
@@ -413,7 +419,7 @@ def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_bent_region(axes: Axes, mean, covariance, around: np.ndarray) -> None:
+def _draw_bent_region(axes: Axes, mean, covariance, around: ndarray) -> None:
     """Draw the region of 95 % of the positions, if they are Gaussian in exponential coordinates."""
     if inverse_of(covariance) is None:
         return
@@ -436,6 +442,6 @@ def _plain_numbers(axis: Axis) -> None:
     axis.set_minor_formatter(LogFormatter())
 
 
-def _colours(count: int) -> np.ndarray:
+def _colours(count: int) -> ndarray:
     """Return colours from dark to light, which differ in print and for the colour-blind."""
     return viridis(np.linspace(0.1, 0.9, count))

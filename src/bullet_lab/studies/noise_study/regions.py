@@ -11,9 +11,10 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any, Iterator, NamedTuple, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence, Tuple
 
 import numpy as np
+from numpy import ndarray
 from scipy.special import chdtri, ndtri
 
 from bullet_lab.core.se2 import logarithm, straightening, wrap
@@ -62,7 +63,7 @@ class Theory:
 
     exact: Moments
     first_order: Moments
-    quadratic: np.ndarray
+    quadratic: ndarray
 
     def shift(self) -> float:
         """Return the error of the first-order mean at the end, in standard deviations.
@@ -95,12 +96,12 @@ def theory(steps: NoisySteps) -> Theory:
     return Theory(exact_moments(steps), first_order_moments(steps), quadratic_covariances(steps))
 
 
-def position_of(moments: Moments) -> np.ndarray:
+def position_of(moments: Moments) -> ndarray:
     """Return the covariance (m²) of the last position."""
     return moments.covariance[-1, :2, :2]
 
 
-def inverse_of(covariance: np.ndarray) -> np.ndarray | None:
+def inverse_of(covariance: ndarray) -> ndarray | None:
     """Return the inverse of a covariance, None if it is singular to rounding."""
     scale = np.sqrt(np.abs(np.diag(covariance)))
     if (scale == 0.0).any():
@@ -140,7 +141,7 @@ BAND = 0.95
 _TAIL = 0.5 * (1.0 - BAND)
 
 
-def checkpoints(trajectory: Trajectory) -> np.ndarray:
+def checkpoints(trajectory: Trajectory) -> ndarray:
     """Return the indices of `CHECKPOINTS` poses at equal distances along a path, with the last.
 
     A path of few poses has fewer.
@@ -188,7 +189,7 @@ def right_up_to(
     return limit
 
 
-Gaussian = Tuple[np.ndarray, np.ndarray]
+Gaussian = Tuple[ndarray, ndarray]
 """Its mean (3,) and covariance (3, 3), in m and rad."""
 
 
@@ -203,7 +204,7 @@ class Cloud(NamedTuple):
         exponential: in exponential coordinates.
     """
 
-    points: np.ndarray
+    points: ndarray
     travelled: float
     exact: Gaussian
     first_order: Gaussian
@@ -250,7 +251,7 @@ class Ellipsoids:
         nothing = np.zeros((self._means.shape[-1],) * 2)
         self._inverses = np.array([[nothing if i is None else i for i in row] for row in found])
 
-    def nees(self, errors: np.ndarray) -> np.ndarray:
+    def nees(self, errors: ndarray) -> ndarray:
         """Return the square Mahalanobis lengths of b errors, (m, b, k, d) to (m, b, k)."""
         off = errors - self._means[:, None]
         return np.einsum("mbki,mkij,mbkj->mbk", off, self._inverses, off, optimize=_ORDER)
@@ -290,7 +291,7 @@ class Regions:
             (first_order, exact, exponential.covariance, published),
         )
         self._paths = 0
-        self._cloud: list[np.ndarray] = []
+        self._cloud: list[ndarray] = []
         shape = self._ellipsoids.known.shape
         self._inside = np.zeros((*shape, len(LEVELS)), dtype=int)
         self._sums = np.zeros((2, *shape))
@@ -348,7 +349,7 @@ class Regions:
             for travelled, enough, region in zip(self.travelled, self.gaussian_enough, regions):
                 if region is None:
                     continue
-                record: dict[str, Any] = {"method": method, "travelled_m": float(travelled)}
+                record = {"method": method, "travelled_m": float(travelled)}
                 record["gaussian_enough"] = enough
                 for level, share, band in zip(LEVELS, region.coverage, region.bands):
                     name = f"coverage_{100 * level:g}"
@@ -357,7 +358,7 @@ class Regions:
                 yield {**record, "nees_mean": region.nees, "nees_low": low, "nees_high": high}
 
 
-def position_density(mean: np.ndarray, covariance: np.ndarray, place: np.ndarray) -> np.ndarray:
+def position_density(mean: ndarray, covariance: ndarray, place: ndarray) -> ndarray:
     """Return the density of positions x + iy (m) whose exponential coordinates are Gaussian.
 
     For each heading the first two coordinates are a linear function of the position; the density is

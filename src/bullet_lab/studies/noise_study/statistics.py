@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.se2 import SQUARE_RADIUS
 from bullet_lab.core.trajectory import Trajectory
@@ -54,8 +55,7 @@ METRICS = (
 """Columns of `PathMetrics.values`; a closure error for each lap follows."""
 
 
-
-def find_laps(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def find_laps(trajectory: Trajectory) -> tuple[ndarray, ndarray]:
     """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
 
     A lap ends where the heading has completed another full turn, in either direction.
@@ -74,7 +74,7 @@ def find_laps(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return np.append(0, ends)[: len(ends)], ends
 
 
-def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[np.ndarray, np.ndarray]:
+def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[ndarray, ndarray]:
     """Pair each pose with the one whose distance along the path is nearest to delta.
 
     Pairs that differ from delta by more than `DELTA_TOLERANCE` are left out. These are the pairs
@@ -138,7 +138,7 @@ class PathMetrics:
         laps = [f"closure_error_lap_{i + 1}_m" for i in range(len(self._ends))]
         self.names = (*METRICS, *laps)
 
-    def values(self, block: NoisyBlock) -> np.ndarray:
+    def values(self, block: NoisyBlock) -> ndarray:
         """Return the metrics of each path, shape (b, len(names)); see `names`."""
         heading = block.heading_error
         error = block.position - self._position
@@ -165,7 +165,7 @@ class PathMetrics:
         """Return the closure error (m) of the perfect path in each lap."""
         return np.abs(self._position[self._ends] - self._position[self._starts]).tolist()
 
-    def _relative_errors(self, block: NoisyBlock) -> tuple[np.ndarray, np.ndarray]:
+    def _relative_errors(self, block: NoisyBlock) -> tuple[ndarray, ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).
 
         Turned by the perfect heading they are exp(-i H) (P_j - P_i) - (p_j - p_i).
@@ -183,16 +183,16 @@ class PathMetrics:
         return length, _short_way(np.take(heading, self._second, axis=1) - start)
 
 
-def _short_way(angle: np.ndarray) -> np.ndarray:
+def _short_way(angle: ndarray) -> ndarray:
     """Wrap angles (rad) into [-pi, pi]; faster than `wrap`, with rounding errors."""
     return angle - math.tau * np.rint(angle / math.tau)
 
 
-def _rms(values: np.ndarray) -> np.ndarray:
+def _rms(values: ndarray) -> ndarray:
     return np.sqrt(np.einsum("ij,ij->i", values, values) / values.shape[1])
 
 
-def _tangents(steps: NoisySteps) -> np.ndarray:
+def _tangents(steps: NoisySteps) -> ndarray:
     """Return the direction of motion at each pose as a complex unit number, shape (n+1,).
 
     It is that of the step to the pose, at rest that of the last motion, and before the first
@@ -237,9 +237,9 @@ class Case:
     paths: int
     metrics: dict[str, dict[str, float]]
     coverage: dict[str, float | None]
-    rms_distance: np.ndarray
-    kept: np.ndarray
-    kept_heading: np.ndarray
+    rms_distance: ndarray
+    kept: ndarray
+    kept_heading: ndarray
 
     @property
     def key(self) -> dict[str, Any]:
@@ -262,9 +262,14 @@ def by_model_of(cases: Sequence[Case]) -> dict[str, list[Case]]:
     return result
 
 
+def noisy_levels(cases: Sequence[Case]) -> list[Case]:
+    """Return the cases with noise, from low to high."""
+    return sorted((case for case in cases if case.std > 0.0), key=lambda case: case.std)
+
+
 def shown_levels(cases: Sequence[Case], count: int) -> list[Case]:
     """Return some of the cases with noise, from low to high."""
-    return spread(sorted((c for c in cases if c.std > 0.0), key=lambda c: c.std), count)
+    return spread(noisy_levels(cases), count)
 
 
 def spread(values: Sequence, count: int) -> list:

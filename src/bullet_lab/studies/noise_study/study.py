@@ -11,7 +11,7 @@ import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -30,13 +30,14 @@ from bullet_lab.studies.noise_study.figures import (
     regions_figure,
 )
 from bullet_lab.studies.noise_study.regions import MEANT, METHODS, right_up_to
-from bullet_lab.studies.noise_study.statistics import Case, by_model_of, study_case
+from bullet_lab.studies.noise_study.statistics import Case, by_model_of, noisy_levels, study_case
 from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import (
     MOST_SEED,
     Record,
     Settings,
+    Summary,
     Tell,
     run_from,
     write_results,
@@ -130,7 +131,7 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -
 
 def _verdict(cases: Sequence[Case]) -> str:
     """Describe the level up to which each method's 95 % region is right at the end of the path."""
-    noisy = sorted((case for case in cases if case.std > 0.0), key=lambda case: case.std)
+    noisy = noisy_levels(cases)
     levels = [case.std for case in noisy]
     limits = []
     for method, title in METHODS.items():
@@ -146,7 +147,7 @@ def run_study(
     trajectory: Trajectory,
     source: str = "",
     tell: Tell = print,
-) -> dict[str, Any]:
+) -> Summary:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
     The same settings and path give the same tables. The source names the origin of the path.

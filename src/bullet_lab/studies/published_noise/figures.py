@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from numpy import ndarray
 
 from bullet_lab.core.figures import (
     BLACK,
@@ -50,12 +51,12 @@ _OTHERS = {"color": BLUE, "linewidth": 0.5, "alpha": 0.3, "zorder": 2}
 _PERFECT_MARKS = {"color": ORANGE, "marker": "s", "linestyle": "", "markersize": 4}
 _SMALLEST_DRAWN = 1e-4  # m; smaller lengths are drawn here
 
-Shown = Callable[[Defects], Tuple[np.ndarray, PValue]]
+Shown = Callable[[Defects], Tuple[ndarray, PValue]]
 """Returns noisy paths (m), shape (n, m, 2), and the p-value of figure 1b."""
 
 
 def compare_figure(
-    figure_1b: PublishedFigure, corners: np.ndarray, replays: Sequence[np.ndarray], seed: int
+    figure_1b: PublishedFigure, corners: ndarray, replays: Sequence[ndarray], seed: int
 ) -> Figure:
     """Draw figure 1b, the report's algorithm replayed, and the mended one.
 
@@ -84,7 +85,7 @@ def compare_figure(
 
 
 def defects_figure(
-    figure_1b: PublishedFigure, corners: np.ndarray, shown: Shown, best: Defects, std: float
+    figure_1b: PublishedFigure, corners: ndarray, shown: Shown, best: Defects, std: float
 ) -> Figure:
     """Draw a sheet of small paths: figure 1b, all defects, the best one, none, each, all but each.
 
@@ -120,13 +121,11 @@ def defects_figure(
 
 
 def _frame(axes: Axes) -> None:
-    axes.set_aspect("equal")
-    axes.set(xlim=_WINDOW[0], ylim=_WINDOW[1], xticks=(0, 1, 2), yticks=(0, -1, -2))
+    ticks = {"xticks": (0, 1, 2), "yticks": (0, -1, -2)}
+    axes.set(aspect="equal", xlim=_WINDOW[0], ylim=_WINDOW[1], **ticks)
 
 
-def _draw_paths(
-    axes: Axes, title: str, corners: np.ndarray, paths: np.ndarray, p_value: PValue
-) -> None:
+def _draw_paths(axes: Axes, title: str, corners: ndarray, paths: ndarray, p_value: PValue) -> None:
     axes.set_title(_in_two_lines(title), fontsize=9)
     axes.plot(paths[:, 1:, 0], paths[:, 1:, 1], **_OTHERS)
     axes.plot(*paths[:, 0].T, **_NOISY)
@@ -166,7 +165,7 @@ def _draw_legend(axes: Axes, std: float) -> None:
 
 
 def corners_figure(
-    figure_1b: PublishedFigure, corners: np.ndarray, shown: Mapping[str, np.ndarray]
+    figure_1b: PublishedFigure, corners: ndarray, shown: Mapping[str, ndarray]
 ) -> Figure:
     """Draw the beginning and the end of the first side, enlarged: figure 1b and some replays.
 
@@ -198,7 +197,7 @@ def corners_figure(
     return figure
 
 
-def lengths_figure(results: Sequence[Result], measured: np.ndarray) -> Figure:
+def lengths_figure(results: Sequence[Result], measured: ndarray) -> Figure:
     """Draw the lengths read from replays of all combinations, and from figure 1b.
 
     Args:
@@ -267,7 +266,7 @@ def _mark(switch: bool | None) -> dict:
     return {"linestyle": "", "marker": "o", "markersize": 6.5, **colours}
 
 
-def _draw_length(axes: Axes, quantiles: np.ndarray, measured: float) -> None:
+def _draw_length(axes: Axes, quantiles: ndarray, measured: float) -> None:
     """Draw quantiles (m), a row of five for each line, and the measured length."""
     low, lower, middle, upper, high = np.maximum(quantiles, _SMALLEST_DRAWN).T
     y = np.arange(len(quantiles))
@@ -304,7 +303,7 @@ def _p_text(p_value: PValue, equals: str = "") -> str:
 
 
 def first_turns_figure(
-    runs: Mapping[Defects, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    runs: Mapping[Defects, tuple[ndarray, ndarray, ndarray]],
     third_side: tuple[float, float],
 ) -> Figure:
     """Draw the heading, the first rotation of each step and the error of replays.
@@ -337,7 +336,7 @@ def first_turns_figure(
 
 
 def _draw_turns(
-    column: Sequence[Axes], unwrapped: bool, stamps: np.ndarray, perfect: np.ndarray, noisy
+    column: Sequence[Axes], unwrapped: bool, stamps: ndarray, perfect: ndarray, noisy
 ) -> None:
     heading, turn, error = column
     heading.set_title("as published" if unwrapped else "the same, but wrapped")

@@ -14,16 +14,17 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence
+from typing import Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib import path as drawing
+from numpy import ndarray
 
 from bullet_lab.core.trajectory import finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import DEFECTS, Defects
 from bullet_lab.studies.paths import read_table
-from bullet_lab.studies.study import Record, clopper_pearson, text_table
+from bullet_lab.studies.study import Record, Summary, clopper_pearson, text_table
 
 SIDES = 4
 
@@ -66,8 +67,7 @@ _SMALL = 1e-3
 _SAME = 1e-12
 
 
-
-def drawn(points) -> np.ndarray:
+def drawn(points) -> ndarray:
     """Return the vertices that matplotlib draws of a path on the axes of figure 1b.
 
     Args:
@@ -86,7 +86,7 @@ def drawn(points) -> np.ndarray:
     return path.cleaned(simplify=True).vertices[:-1] / _POINTS_PER_METRE
 
 
-def find_corners(vertices) -> np.ndarray:
+def find_corners(vertices) -> ndarray:
     """Find the corners of a drawn path around a square.
 
     The first and the last vertex and three others make four sides. The three are those with the
@@ -123,7 +123,7 @@ def find_corners(vertices) -> np.ndarray:
     return candidates[[0, *reversed(corners)]]
 
 
-def _distances_beside_lines(vertices: np.ndarray) -> np.ndarray:
+def _distances_beside_lines(vertices: ndarray) -> ndarray:
     """Return the sum of distances (m) of the vertices i to j from the line through i and j."""
     count = len(vertices)
     sums = np.full((count, count), np.inf)
@@ -137,7 +137,7 @@ def _distances_beside_lines(vertices: np.ndarray) -> np.ndarray:
     return sums
 
 
-def measure(vertices, perfect_corners) -> np.ndarray:
+def measure(vertices, perfect_corners) -> ndarray:
     """Return the `LENGTHS` (m) of a noisy path, from its own corners; shape (6,).
 
     - `side1` to `side4`: the largest distance from the line of each side.
@@ -176,10 +176,10 @@ class PublishedFigure:
         lengths: see `measure`.
     """
 
-    points: np.ndarray
-    corners: np.ndarray
-    perfect_corners: np.ndarray
-    lengths: np.ndarray
+    points: ndarray
+    corners: ndarray
+    perfect_corners: ndarray
+    lengths: ndarray
 
     @property
     def third_side_steps(self) -> int:
@@ -199,7 +199,7 @@ def read_published_figure(path: Path) -> PublishedFigure:
     return PublishedFigure(noisy, find_corners(noisy), corners, measure(noisy, corners))
 
 
-def _read_series(path: Path, name: str) -> np.ndarray:
+def _read_series(path: Path, name: str) -> ndarray:
     _, rows = read_table(path, _COLUMNS)
     points = [
         finite_numbers([row["x_m"], row["y_m"]], where)
@@ -267,12 +267,12 @@ class Result:
     """
 
     defects: Defects
-    lengths: np.ndarray
+    lengths: ndarray
     p_values: Mapping[str, PValue]
-    percentiles: np.ndarray
+    percentiles: ndarray
 
     @staticmethod
-    def of(defects: Defects, lengths: np.ndarray, measured: np.ndarray) -> Result:
+    def of(defects: Defects, lengths: ndarray, measured: ndarray) -> Result:
         """Return the result of noisy paths with these lengths (m), and those of figure 1b."""
         p_values = {
             name: p_value(measured[part], lengths[:, part]) for name, part in EVIDENCE.items()
@@ -280,7 +280,7 @@ class Result:
         return Result(defects, lengths, p_values, (lengths < measured).mean(axis=0))
 
     @property
-    def quantiles(self) -> np.ndarray:
+    def quantiles(self) -> ndarray:
         """The `QUANTILES` of the lengths (m), a row for each, columns as `LENGTHS`."""
         return np.quantile(self.lengths, QUANTILES, axis=0)
 
@@ -289,7 +289,7 @@ class Result:
         return bool(np.abs(self.lengths - other.lengths).max() <= _SAME)
 
 
-def nearest(measured: np.ndarray, lengths: np.ndarray) -> int:
+def nearest(measured: ndarray, lengths: ndarray) -> int:
     """Return the index of the path that is most like the figure, by the ratios of all lengths."""
     ratios = np.log((lengths + _SMALL) / (measured + _SMALL))
     return int(np.abs(ratios).sum(axis=1).argmin())
@@ -334,11 +334,11 @@ def verdict(name: str, results: Sequence[Result], evidence: str) -> str:
 
 
 def published_summary(
-    about: Mapping[str, Any],
-    figure: Mapping[str, Any],
+    about: Summary,
+    figure: Summary,
     results: Sequence[Result],
     records: Sequence[Record],
-) -> dict[str, Any]:
+) -> Summary:
     """Return the content of summary.json.
 
     Args:
@@ -369,7 +369,7 @@ def combination_records(results: Sequence[Result]) -> list[Record]:
     records: list[Record] = []
     for rank, result in enumerate(results, 1):
         switches = map(int, astuple(result.defects))
-        record: dict[str, Any] = {"rank": rank, **dict(zip(DEFECTS, switches))}
+        record = {"rank": rank, **dict(zip(DEFECTS, switches))}
         for evidence, p in result.p_values.items():
             record[f"p_{evidence}"], record[f"p_{evidence}_below"] = rounded((p.value, p.high))
         percentiles = rounded(100.0 * result.percentiles, 1)
@@ -395,7 +395,7 @@ def length_records(results: Sequence[Result], first_seed: int) -> Iterator[Recor
             yield dict(zip(names, (seed, *switches, *rounded(lengths, 6))))
 
 
-def verdict_lines(summary: Mapping[str, Any]) -> list[str]:
+def verdict_lines(summary: Summary) -> list[str]:
     """Return the main results of a summary as lines for the user."""
     figure, rows = summary["figure_1b"], summary["combinations"]
     shown = {name: f"{1e3 * length:.1f}" for name, length in figure["lengths_m"].items()}

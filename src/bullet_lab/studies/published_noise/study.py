@@ -9,9 +9,10 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.drive import OPEN_LOOP_RATE, Square
@@ -52,7 +53,15 @@ from bullet_lab.studies.published_noise.results import (
     verdict_lines,
 )
 from bullet_lab.studies.squares import SquareDrive, drive_square
-from bullet_lab.studies.study import MOST_SEED, Settings, Tell, progress, run_from, write_results
+from bullet_lab.studies.study import (
+    MOST_SEED,
+    Settings,
+    Summary,
+    Tell,
+    progress,
+    run_from,
+    write_results,
+)
 
 FIGURE_DATA = "data/fig1_paths.csv"
 # Long enough for the sampling node to poll before and after the drive, with any phase.
@@ -106,12 +115,12 @@ class Replay:
         perfect = drawn(drive.poses[:, :2])
         self.corners = perfect[find_corners(perfect)]
 
-    def lengths(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+    def lengths(self, defects: Defects, paths: Sequence[int]) -> ndarray:
         """Return the `LENGTHS` (m) read from the drawings of m paths, shape (m, 6)."""
         noisy = self.noisy(defects, paths)[..., :2]
         return np.array([self._read(noisy[:, k], path) for k, path in enumerate(paths)])
 
-    def _read(self, points: np.ndarray, path: int) -> np.ndarray:
+    def _read(self, points: ndarray, path: int) -> ndarray:
         # The errors of reading the perfect path's corners do not depend on the defects.
         errors = np.random.default_rng([self._settings.seed, 2, path])
         corners, vertices = (
@@ -120,14 +129,14 @@ class Replay:
         )
         return measure(vertices, corners)
 
-    def noisy(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+    def noisy(self, defects: Defects, paths: Sequence[int]) -> ndarray:
         """Return noisy poses, shape (n, m, 3), of the m paths with these numbers."""
         poses = self.drive.poses[self.messages(defects, paths)]
         generators = [np.random.default_rng(self._settings.seed + int(path)) for path in paths]
         draws = np.stack([g.standard_normal((len(poses) - 1, 3)) for g in generators], axis=1)
         return noisy_paths(poses, draws, self._settings.std, defects)
 
-    def messages(self, defects: Defects, paths: Sequence[int]) -> np.ndarray:
+    def messages(self, defects: Defects, paths: Sequence[int]) -> ndarray:
         """Return the indices of the perfect poses that the algorithm sees, (n, m) or (n, 1)."""
         if defects.sampled:
             return self._messages[:, paths]
@@ -136,7 +145,7 @@ class Replay:
 
 def run_published_noise(
     folder: Path, settings: PublishedNoiseSettings, tell: Tell = print
-) -> dict[str, Any]:
+) -> Summary:
     """Run the study; write figures, tables and summary.json; return the summary.
 
     The same settings give the same files.
@@ -179,7 +188,7 @@ def _results(
     return [*results, *(replace(r, defects=replace(r.defects, unbent=True)) for r in aliased)]
 
 
-def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> dict[str, Any]:
+def _figure_facts(figure: PublishedFigure, drive: SquareDrive) -> Summary:
     simulated, shown = (
         float(np.hypot(*(corners[3] - corners[2])))
         for corners in (drive.corners, figure.perfect_corners)
@@ -197,15 +206,15 @@ def _figures(
     figure: PublishedFigure,
     results: list[Result],
     settings: PublishedNoiseSettings,
-) -> dict[str, Any]:
+) -> Summary:
     drive, corners = replay.drive, replay.corners
     by_defects = {result.defects: result for result in results}
     example = nearest(figure.lengths, by_defects[ALL].lengths)
 
-    def examples(defects: Defects) -> np.ndarray:
+    def examples(defects: Defects) -> ndarray:
         return replay.noisy(defects, range(_EXAMPLES))[..., :2]
 
-    def shown(defects: Defects) -> tuple[np.ndarray, PValue]:
+    def shown(defects: Defects) -> tuple[ndarray, PValue]:
         return examples(defects), by_defects[defects].p_values["all"]
 
     moved = np.hypot(*np.diff(drive.poses[:, :2], axis=0, prepend=np.nan).T)

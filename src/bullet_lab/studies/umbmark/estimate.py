@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
+from numpy import ndarray
 from scipy import optimize, stats
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import wrap
+from bullet_lab.core.files import Summary
+from bullet_lab.core.se2 import wrapped
 from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_steps
@@ -42,7 +44,7 @@ SURE = 3.0
 SAME = 1e-9
 
 
-def closed_forms(runs: Sequence[SquareRun], side: float) -> dict[str, Any]:
+def closed_forms(runs: Sequence[SquareRun], side: float) -> Summary:
     """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
     With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
@@ -144,7 +146,7 @@ def fit(runs: Sequence[SquareRun]) -> Estimate:
     moments = [first_order_moments(noisy_steps(poses, walk)) for poses in odometry]
     roots = np.linalg.inv(np.linalg.cholesky([one.covariance[-1] for one in moments]))
 
-    def left(parameters: np.ndarray) -> np.ndarray:
+    def left(parameters: ndarray) -> ndarray:
         """Return the differences of the ends in units of their standard deviations."""
         difference = _end_errors(reported, moved, _errors(parameters, base))
         return np.einsum("rij,rj->ri", roots, difference).ravel()
@@ -173,7 +175,7 @@ def _errors(parameters: Sequence[float], base: float) -> SystematicErrors:
     return SystematicErrors(**named, wheel_base=base)
 
 
-def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicErrors) -> np.ndarray:
+def _end_errors(reported: ndarray, moved: ndarray, errors: SystematicErrors) -> ndarray:
     """Return true ends minus those predicted with errors: (m, m, rad), (runs, 3).
 
     Args:
@@ -182,16 +184,14 @@ def _end_errors(reported: np.ndarray, moved: np.ndarray, errors: SystematicError
         errors: of the wheels.
     """
     undo = np.linalg.inv(errors.matrix())
-    ahead, aside, turn = np.moveaxis(reported, -1, 0)
+    ahead, aside, turn = se2.columns(reported)
     new_ahead = undo[0, 0] * ahead + undo[0, 1] * turn
     new_turn = undo[1, 0] * ahead + undo[1, 1] * turn
-    difference = moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1)))
-    difference[:, 2] = wrap(difference[:, 2])
-    return difference
+    return wrapped(moved - end_of(chords(np.stack((new_ahead, aside, new_turn), axis=-1))))
 
 
 def _intervals(
-    found: np.ndarray, shares: np.ndarray, directions: np.ndarray
+    found: ndarray, shares: ndarray, directions: ndarray
 ) -> dict[str, tuple[float, float]] | None:
     """Return the intervals of the parameters from the influence of each run on them, (n, 2)."""
     if np.abs(found).max() > 0.999 * LARGEST:
@@ -206,11 +206,11 @@ def _intervals(
         # The runs of each direction are equal: their spread is unknown.
         return None
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(variance)
-    ends: list[tuple[float, float]] = list(zip((found - reach).tolist(), (found + reach).tolist()))
+    ends = list(zip((found - reach).tolist(), (found + reach).tolist()))
     return dict(zip(PARAMETERS, ends))
 
 
-def centre_ellipse(errors: np.ndarray) -> np.ndarray | None:
+def centre_ellipse(errors: ndarray) -> ndarray | None:
     """Return a 2x2 matrix (m²) whose 95 % ellipse is that of the centre of return errors.
 
     `core.se2.ellipse_points` draws the ellipse of a known covariance. This one is estimated from
@@ -235,7 +235,7 @@ class Benchmark:
     """Runs and their evaluation."""
 
     runs: tuple[SquareRun, ...]
-    figures: dict[str, Any]
+    figures: Summary
     estimate: Estimate
 
     @classmethod
@@ -289,7 +289,7 @@ class Benchmark:
             for one in errors
         )
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """Return the figures of the benchmark by their usual names."""
         squares = {d: sum(run.direction == d for run in self.runs) for d in DIRECTIONS}
         return {"squares": squares, **self.figures}

@@ -139,7 +139,7 @@ class FloorRobot:
         self._simulation = Simulation.of(WORLD)
         self._robot = self._simulation.add(model, pose=model.pose)
         kind = RosControl if controller else DiffDrive
-        drive: Any = next((one for one in self._robot.plugins if isinstance(one, kind)), None)
+        drive = next((one for one in self._robot.plugins if isinstance(one, kind)), None)
         if drive is None:
             raise LabError(f"{robot}: there is no plugin {kind.filenames[0]} that works")
         if controller:
@@ -158,7 +158,7 @@ class FloorRobot:
 
     def pose(self) -> PlanarPose:
         """Return the true pose: (m, m, rad)."""
-        return _planar(self._robot.pose() * self._axle)
+        return (self._robot.pose() * self._axle).planar
 
     def drive(self, ahead: float, turning: float, seconds: float) -> None:
         """Follow a command (m/s, rad/s) for a time."""
@@ -170,12 +170,7 @@ class FloorRobot:
         self._simulation.close()
 
     def _add_odometry(self, sample: OdometrySample) -> None:
-        self.odometry.append(_planar(sample.pose))
-
-
-def _planar(pose: Pose) -> PlanarPose:
-    x, y, _ = pose.position
-    return x, y, pose.yaw
+        self.odometry.append(sample.pose.planar)
 
 
 def _middle(model: Model, joints: Sequence[str]) -> Pose:
@@ -320,7 +315,7 @@ def drive_run(
     """
     direction = DIRECTIONS[number % len(DIRECTIONS)]
     if ideal_base is None:
-        robot: Any = FloorRobot(settings.robot, settings.controller, settings.errors, correction)
+        robot = FloorRobot(settings.robot, settings.controller, settings.errors, correction)
     else:
         wheels = Wheels(DIAMETER, DIAMETER, ideal_base)
         robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Mapping, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from bullet_lab.core import se2
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose, wrapped
 from bullet_lab.core.trajectory import Trajectory, finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.studies.paths import Recording, Topics, columns_of, find_recordings, read_table
@@ -44,7 +45,7 @@ class SquareRun:
     """
 
     name: str
-    odometry: np.ndarray
+    odometry: ndarray
     start: PlanarPose
     end: PlanarPose
     base: float
@@ -75,7 +76,7 @@ class SquareRun:
         """One of `DIRECTIONS`."""
         return COUNTER_CLOCKWISE if self.turned() > 0.0 else CLOCKWISE
 
-    def steps(self) -> np.ndarray:
+    def steps(self) -> ndarray:
         """Return the reported steps (dx m, dy m, dyaw rad), shape (n - 1, 3)."""
         return se2.steps(self.odometry)
 
@@ -83,18 +84,16 @@ class SquareRun:
         """Return the reported length (m) of a side: a quarter of the path."""
         return float(np.hypot(*np.diff(self.odometry[:, :2], axis=0).T).sum() / 4.0)
 
-    def moved(self) -> np.ndarray:
+    def moved(self) -> ndarray:
         """Return the true end in the frame of the true start: (m, m, rad)."""
         return se2.between(self.start, self.end)
 
-    def return_error(self) -> np.ndarray:
+    def return_error(self) -> ndarray:
         """Return true minus reported end (m, m, rad), x ahead and y to the left at the start."""
-        error = self.moved() - se2.between(self.odometry[0], self.odometry[-1])
-        error[2] = wrap(float(error[2]))
-        return error
+        return wrapped(self.moved() - se2.between(self.odometry[0], self.odometry[-1]))
 
 
-def return_errors(runs: Sequence[SquareRun], direction: str) -> np.ndarray:
+def return_errors(runs: Sequence[SquareRun], direction: str) -> ndarray:
     """Return the return errors of the runs in a direction, shape (n, 3)."""
     errors = [run.return_error() for run in runs if run.direction == direction]
     return np.array(errors).reshape(-1, 3)
@@ -166,7 +165,7 @@ def _measured_run(where: str, row: Mapping[str, str], side: float, base: float) 
     return SquareRun(where, square, (0.0, 0.0, 0.0), (x, y, yaw), base)
 
 
-def perfect_square(side: float, direction: str) -> np.ndarray:
+def perfect_square(side: float, direction: str) -> ndarray:
     """Return the poses of a perfect square, before and after each turn, shape (13, 3).
 
     >>> perfect_square(2.0, "ccw")[3].round(6)

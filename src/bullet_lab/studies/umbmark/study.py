@@ -12,7 +12,7 @@ import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence
+from typing import Iterator, Sequence
 
 import numpy as np
 import yaml
@@ -23,8 +23,8 @@ from bullet_lab.core.figures import (
     BLACK,
     BLUE,
     GREEN,
-    GREY,
     ORANGE,
+    THIN,
     VERMILION,
     labelled,
     legend_below,
@@ -34,7 +34,7 @@ from bullet_lab.core.figures import (
 from bullet_lab.core.parameters import boolean, integer, number, text
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.study import Record, Settings, Tell, run_from, write_results
+from bullet_lab.studies.study import Record, Settings, Summary, Tell, run_from, write_results
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,
@@ -94,9 +94,9 @@ def run_umbmark(
     folder: Path,
     before: Benchmark,
     after: Benchmark | None,
-    about: dict[str, Any],
+    about: Summary,
     floor: systematic.SystematicErrors = NO_ERRORS,
-) -> dict[str, Any]:
+) -> Summary:
     """Write tables, figure, corrected parameters and summary.json; return the summary.
 
     Args:
@@ -109,7 +109,7 @@ def run_umbmark(
     found = before.estimate
     recovered = found.relative_to(floor)
     warnings = before.warnings()
-    summary: dict[str, Any] = {
+    summary = {
         "job": "umbmark",
         **about,
         "finished": True,
@@ -170,16 +170,15 @@ def clusters_figure(before: Benchmark, after: Benchmark | None) -> Figure:
         errors = [return_errors(before.runs, way)[:, :2] for way in DIRECTIONS]
         reach = 1150.0 * np.abs(np.concatenate(errors)).max()
         for axes in every[:2]:
-            axes.set_adjustable("box")
-            axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+            axes.set(adjustable="box", xlim=(-reach, reach), ylim=(-reach, reach))
     columns, bottom = (2, 0.15) if after is None else (0, 0.06)
     legend_below(figure, labelled(every[0]), columns, bottom, frameon=None, fontsize=9)
     return figure
 
 
 def _draw_clusters(axes: Axes, benchmark: Benchmark) -> None:
-    axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    axes.axhline(0.0, **THIN)
+    axes.axvline(0.0, **THIN)
     for direction, title, colour, marker in STYLES:
         # Both directions share an entry of the legend.
         once = "_" if direction == CLOCKWISE else ""
@@ -291,7 +290,7 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
     after = benchmark(quiet, before.estimate.errors)
     noisy = benchmark(drawn, NO_ERRORS).estimate.relative_to(right)
     found_quiet = before.estimate.relative_to(right).errors
-    record: dict[str, Any] = {"robot": index, "side_m": quiet.side, "base_m": before.base}
+    record = {"robot": index, "side_m": quiet.side, "base_m": before.base}
     for name, closed in zip(PARAMETERS, (before.figures["e_d"], before.figures["e_b"])):
         injected = getattr(quiet, name)
         found = getattr(found_quiet, name)
@@ -315,7 +314,7 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
 
 def run_campaign(
     folder: Path, drive: BenchmarkSettings, campaign: RandomRobotSettings, run: Run, tell: Tell
-) -> Mapping[str, Any]:
+) -> Summary:
     """Calibrate random robots; write campaign.csv, campaign.png and summary.json; return that.
 
     Raises:
@@ -328,11 +327,11 @@ def run_campaign(
     return write_results(folder, summary, {"campaign.csv": records}, figures, {})
 
 
-def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
+def campaign_summary(records: Sequence[Record]) -> Summary:
     """Return the totals of a campaign."""
     ends = [(record["e_max_syst_m"], record["e_max_syst_after_m"]) for record in records]
     falls = [before / after for before, after in ends if after > 0.0]
-    summary: dict[str, Any] = {"finished": True, "least_fall": min(falls, default=None)}
+    summary = {"finished": True, "least_fall": min(falls, default=None)}
     for name in PARAMETERS:
         misses = [abs(r[f"{name}_found"] - r[name]) for r in records]
         closed = [abs(r[f"{name}_closed_form"] - r[name]) / abs(r[name]) for r in records]
@@ -346,7 +345,7 @@ def campaign_summary(records: Sequence[Record]) -> dict[str, Any]:
     return summary
 
 
-def describe_campaign(records: int, summary: Mapping[str, Any]) -> list[str]:
+def describe_campaign(records: int, summary: Summary) -> list[str]:
     """Return the totals of a campaign as lines for the user."""
     lines: list[str] = []
     for name in PARAMETERS:
@@ -374,7 +373,7 @@ def campaign_figure(records: Sequence[Record]) -> Figure:
             np.array([record[f"{name}_{kind}"] for record in records], float) - injected
             for kind in ("closed_form", "found", "with_noise", "low", "high")
         )
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.axhline(0.0, **THIN)
         axes.plot(injected, closed, "x", color=VERMILION, label="closed forms")
         reach = np.abs(np.stack((noisy - low, high - noisy)))
         style = {"fmt": ".", "color": BLUE, "elinewidth": 1.0}

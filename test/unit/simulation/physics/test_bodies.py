@@ -503,9 +503,7 @@ def test_what_was_soft_comes_back_for_no_hard_one(hall):
 
 
 @pytest.mark.parametrize("most", [shapes.MOST_CORNERS, 8])
-def test_what_is_static_keeps_its_hollows_and_what_moves_is_convex(
-    space, frame, monkeypatch, most
-):
+def test_what_is_static_keeps_its_hollows_and_what_moves_is_convex(space, frame, monkeypatch, most):
     """Also of a mesh of more corners than the engine takes at once."""
     monkeypatch.setattr(shapes, "MOST_CORNERS", most)
     space.add(thing(Plane(), frame, static=True))

@@ -68,5 +68,3 @@ def test_friction_has_a_limit_along_each_axis_of_the_world_or_for_all_directions
     oblique = 0.25 * math.pi
     assert slowing(1.0, shape, towards=oblique) == pytest.approx(0.5 * math.sqrt(2.0), abs=0.01)
     assert slowing(1.0, shape, towards=oblique, coulomb=True) == pytest.approx(0.5, abs=0.01)
-
-

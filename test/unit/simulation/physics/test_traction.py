@@ -1,42 +1,14 @@
 """Robots that steer by slipping turn as Coulomb's law says, at any heading and on any floor."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from contact_forces import pressures
-from rovers import Drive, G, Rover, Y, coulomb_twist, even_inertia, wheels
+from rovers import Drive, G, Rover, coulomb_twist, even_inertia
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.physics.surfaces import skidding_wheels
-from bullet_lab.simulation.physics.traction import wheel_mobility
-from bullet_lab.simulation.world.description import Box, Collision, Inertia, Link, Model
-from bullet_lab.simulation.world.tree import place_links
-
-CORNERS = [(x, y, 0.1) for x in (0.2, -0.2) for y in (0.25, -0.25)]
-
-
-def test_the_mobility_is_that_of_the_closed_form():
-    """Of a base with wheels that have nothing but an inertia about their axles."""
-    mass, spin, radius, centre = 5.0, 0.004, 0.1, np.array((0.05, -0.02, 0.3))
-    moments = np.diag((0.1, 0.2, 0.3))
-    links, joints = wheels(*CORNERS)
-    light = Inertia(1e-9, (0.0, 0.0, 0.0), np.diag((1e-9, spin, 1e-9)))
-    base = Link("base", Pose(), Inertia(mass, tuple(centre), moments))
-    placed = place_links((base, *(replace(link, inertia=light) for link in links)), joints)
-    told = skidding_wheels(placed, joints)
-    mobility = wheel_mobility(placed, joints, told)
-    for n, place in enumerate(CORNERS):
-        hub = np.array(place) - centre
-        # Along the way the wheel gives way, and what it holds on to is its hub.
-        along = np.cross(hub, (1.0, 0.0, 0.0))
-        wanted = 1.0 / mass + along @ np.linalg.solve(moments, along) + radius**2 / spin
-        assert mobility[2 * n, 2 * n] == pytest.approx(wanted, rel=1e-4)
-        across = np.cross(hub - (0.0, 0.0, radius), Y)
-        wanted = 1.0 / mass + across @ np.linalg.solve(moments, across)
-        assert mobility[2 * n + 1, 2 * n + 1] == pytest.approx(wanted, rel=1e-4)
-
+from bullet_lab.simulation.world.description import Box, Collision, Link, Model
 
 # Turning
 
@@ -88,9 +60,7 @@ def test_what_is_fast_is_also_kept_on_its_arc():
     assert twist == pytest.approx(law + law[2] * np.array((y, -x, 0.0)), rel=0.01, abs=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "rolled"), [(0.4, 1.0, 0.7), (0.8, 0, 2)]
-)
+@pytest.mark.parametrize(("one", "other", "rolled"), [(0.4, 1.0, 0.7), (0.8, 0, 2)])
 def test_with_other_friction_along_than_across(one, other, rolled):
     """The second direction of a wheel whose first turns with it is along its axle."""
     directed = {"friction": one, "cross_friction": other, "direction": (1.0, 0.0, 0.0)}

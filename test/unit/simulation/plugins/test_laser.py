@@ -28,9 +28,7 @@ def laser(inner="", **robot):
 
 
 def noise(deviation, mean=0.0):
-    return (
-        f"<noise><type>gaussian</type><mean>{mean}</mean><stddev>{deviation}</stddev></noise>"
-    )
+    return f"<noise><type>gaussian</type><mean>{mean}</mean><stddev>{deviation}</stddev></noise>"
 
 
 def one_scan(simulation, model):
@@ -72,8 +70,7 @@ def test_too_near_reads_minus_infinity_and_too_far_infinity(world):
 
 def test_the_robots_own_parts_are_seen_beyond_the_least_range_only(world):
     mast = (
-        "<collision><origin xyz='0.3 0 0'/><geometry><box size='0.1 0.1 1'/></geometry>"
-        "</collision>"
+        "<collision><origin xyz='0.3 0 0'/><geometry><box size='0.1 0.1 1'/></geometry></collision>"
     )
     world.add(box("1 9 1", "2.5 0 0 0 0 0"))
     # Within the can that it is in, a ray begins.
@@ -202,7 +199,3 @@ def test_a_resolution_does_not_round_the_readings(world):
     inner = ray(1).replace("</max></range>", "</max><resolution>0.05</resolution></range>")
     world.add(box("1 1 1", "2.513 0 0 0 0 0"))
     assert one_scan(world, laser(inner)).ranges[0] == pytest.approx(2.013, abs=1e-6)
-
-
-
-# The block robot

@@ -1,6 +1,5 @@
 """What the drives have in common, and the friction of planar_move."""
 
-
 import pytest
 
 from bullet_lab.core.pose import Pose

@@ -95,11 +95,11 @@ def test_a_missing_model_is_named_once(tmp_path, caplog):
 
 
 def test_a_missing_mesh_is_named_once_where_it_is_used_first(caplog):
-    shape = (
-        '<collision name="c"><geometry><mesh><uri>package://bullet_lab/{}</uri></mesh></geometry>'
-        "</collision>"
+    lost, other = (
+        f'<collision name="{name}"><geometry><mesh><uri>package://bullet_lab/{name}.dae</uri></mesh>'
+        "</geometry></collision>"
+        for name in ("nix", "none")
     )
-    lost, other = shape.format("nix.dae"), shape.format("none.dae")
     read_spawned(model(link(lost) + link(lost + other, "b") + link(lost, "c")), "s")
     assert ["nix.dae" in line for line in caplog.messages] == [True, False]
     assert "link 'a'" in caplog.messages[0]

@@ -37,6 +37,8 @@ def told():
         world = world_under(scenario.stress, world, MARKER_POSE, dock_of(scenario))
         for model in world.models:
             yield from lines_of(model if model.name == "cover" else model.pose, model.name)
+
+
 def test_scenarios_are_drawn_as_before():
     assert_as_before(told(), Path(__file__).with_name("scenarios.txt"))
 
