@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Drives on the topics that programs for them use: a Kobuki, a tricycle, a car; and an actor."""
+"""Drives on the topics that programs for them use: a Kobuki, and a car in the root namespace."""
 
 import rospy
 import rostest
@@ -28,22 +28,17 @@ class DrivesTest(NodeTest):
     @classmethod
     def setUpClass(cls):
         """Spawn the robots, and start the car's controller."""
-        for name, path, y, namespace in (
-            ("kobuki", "urdf/kobuki_robot.urdf", 0.0, ""),
-            ("tricycle", "test/drives/tricycle.urdf", 4.0, "tricycle"),
-            ("car", "test/drives/car.urdf", -4.0, ""),
-            ("root_car", "test/drives/car.urdf", -8.0, ""),
+        for name, path, y in (
+            ("kobuki", "urdf/kobuki_robot.urdf", 0.0),
+            ("car", "test/drives/car.urdf", -8.0),
         ):
             pose = Pose(Point(0.0, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-            text = (PACKAGE / path).read_text()
-            if name == "root_car":
-                text = text.replace(SPACE, ROOT_SPACE)
-            answer = spawn(name, text, pose, namespace, "", "spawn_urdf_model")
+            text = (PACKAGE / path).read_text().replace(SPACE, ROOT_SPACE)
+            answer = spawn(name, text, pose, "", "", "spawn_urdf_model")
             assert answer.success, answer.status_message
-        for manager in ("/car/controller_manager", "/controller_manager"):
-            assert call(f"{manager}/load_controller", LoadController, "drive").ok
-            switch = (["drive"], [], 2, False, 10.0)
-            assert call(f"{manager}/switch_controller", SwitchController, *switch).ok
+        assert call("/controller_manager/load_controller", LoadController, "drive").ok
+        switch = (["drive"], [], 2, False, 10.0)
+        assert call("/controller_manager/switch_controller", SwitchController, *switch).ok
 
     def drive(self, velocity, until, what, *topics):
         """Command a velocity on topics until something holds, then stop."""
@@ -92,7 +87,7 @@ class DrivesTest(NodeTest):
 
     def test_joint_limits_in_the_root_namespace_count(self):
         odometry = self.topic("drive/odom", Odometry)
-        begun = place("root_car").x
+        begun = place("car").x
 
         def drives():
             return odometry.wait(1)[-1].pose.pose.position.x > 0.3
@@ -100,7 +95,7 @@ class DrivesTest(NodeTest):
         self.drive(twist(1.0), drives, "the car to drive", "drive/cmd_vel")
         speeds = [message.twist.twist.linear.x for message in odometry.messages]
         self.assertAlmostEqual(0.1, max(speeds), delta=0.005)
-        self.assertGreater(place("root_car").x, begun + 0.25)
+        self.assertGreater(place("car").x, begun + 0.25)
 
 
 if __name__ == "__main__":
