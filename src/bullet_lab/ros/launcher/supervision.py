@@ -151,9 +151,18 @@ def judge(
 
 
 class Launch:
-    """The running nodes of a launch file; leaving the context stops them."""
+    """The running nodes of a launch file; leaving the context stops them.
 
-    def __init__(self, job: Job, values: dict[str, str], master: RunMaster, server: NodeServer):
+    With a `server`, the nodes of this package are its forks.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        values: dict[str, str],
+        master: RunMaster,
+        server: NodeServer | None = None,
+    ):
         self._server = server
         self._config = _load(job.path, values)
         self.required = {node.name for node in self._config.nodes if node.required}
@@ -196,7 +205,7 @@ class Launch:
         """Start a node of this package by the server of nodes; None if that is not possible."""
         own = {name for name, _ in options["env"].items() - os.environ.items()}
         is_of_package = os.path.dirname(words[0]).endswith(_PACKAGE_FOLDER)
-        if not is_of_package or any(not name.startswith("ROS_") for name in own):
+        if not (self._server and is_of_package and all(name[:4] == "ROS_" for name in own)):
             return None
         output = options["stdout"] or sys.__stdout__
         with contextlib.suppress(OSError, EOFError):
