@@ -23,7 +23,7 @@ from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
-from bullet_lab.entry import quick_imports
+from bullet_lab.entry import end_at_once_when_interrupted, quick_imports
 
 # They import rospy, NumPy and the messages.
 SHARED = (
@@ -97,6 +97,7 @@ class NodeServer:
 
 def serve(connection: Connection) -> Request | None:
     """Answer requests; return one in the process of each node, and None when they end."""
+    end_at_once_when_interrupted()
     # A module that cannot be imported is reported by the node that imports it.
     with contextlib.suppress(Exception), quick_imports():
         for module in SHARED:
