@@ -22,6 +22,8 @@ STATUS_INTERRUPTED = 130
 # Options of GNU's malloc.h.
 M_MMAP_THRESHOLD = -3
 M_ARENA_MAX = -8
+# Option of Linux's prctl.h.
+PR_SET_CHILD_SUBREAPER = 36
 # Larger than images of 640x480, for which memory from the system would be too slow.
 LARGE_BYTES = 4 * 2**20
 ARENAS = 1
@@ -89,6 +91,11 @@ def give_memory_back() -> None:
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
         mallopt(M_ARENA_MAX, ARENAS)
+
+
+def adopt_orphans() -> None:
+    """Make processes below this one its children, from now on, when their parents have ended."""
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
 
 
 def trim_memory() -> None:

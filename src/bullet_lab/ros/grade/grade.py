@@ -23,7 +23,7 @@ from roslib.message import get_message_class
 from bullet_lab.core.files import file_errors, make_folder, write_json
 from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
-from bullet_lab.ros.grade.trial import SubmissionError, adopt_orphans, command_of, end_children
+from bullet_lab.ros.grade.trial import SubmissionError, children_before, command_of, end_children
 from bullet_lab.ros.launcher.output import environment_without_ros, temporary_folder, tied
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.studies.grade import (
@@ -103,7 +103,7 @@ class Grader:
 def _trial(file: Path, seed: int, folder: Path, out: Path, longest: float) -> Record:
     """Run a submission once, for some wall seconds at most, and return what was seen."""
     with temporary_folder() as scratch:
-        others = adopt_orphans()
+        others = children_before()
         record, log, work = (Path(scratch) / name for name in ("record.json", "log", "work"))
         words = map(str, (file, seed, folder, work, out / "output.txt", record))
         with log.open("wb") as output:

@@ -6,7 +6,6 @@ The submission is a process group with limits, in a working folder of its own.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import math
 import os
 import shutil
@@ -26,7 +25,7 @@ from gazebo_msgs.msg import ModelStates
 
 from bullet_lab import srv
 from bullet_lab.core.files import write_json
-from bullet_lab.entry import end_at_once_when_interrupted
+from bullet_lab.entry import adopt_orphans, end_at_once_when_interrupted
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import read_job
 from bullet_lab.msg import TouchedModels
@@ -64,7 +63,6 @@ LIMITS = {
 # Characters of the last printed line, and of a file that is left.
 LONGEST_LINE = 200
 LONGEST_FILE = 10_000
-_PR_SET_CHILD_SUBREAPER = 36
 
 
 class SubmissionError(LabError):
@@ -90,7 +88,7 @@ class Submission:
 
     def __init__(self, folder: Path, work: Path, output: Path, seconds: int):
         self.output, self._work = output, work
-        self._others = adopt_orphans()
+        self._others = children_before()
         limits = [f"--cpu={seconds}:{seconds + 1}", f"--fsize={LARGEST_FILE}", "--core=0"]
         try:
             shutil.copytree(folder, work, symlinks=True)
@@ -143,9 +141,9 @@ class Submission:
             return file.read(LONGEST_FILE).decode(errors="replace")
 
 
-def adopt_orphans() -> set[int]:
-    """Make orphans below this process its children, and return those that it has now."""
-    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+def children_before() -> set[int]:
+    """Adopt orphans from now on, and return the children that this process has now."""
+    adopt_orphans()
     return _children()
 
 

@@ -23,7 +23,7 @@ from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
-from bullet_lab.entry import end_at_once_when_interrupted, quick_imports
+from bullet_lab.entry import adopt_orphans, end_at_once_when_interrupted, quick_imports
 
 # They import rospy, NumPy and the messages.
 SHARED = (
@@ -37,9 +37,8 @@ SHARED = (
 ROOM = 4096
 # Places of arg_start and arg_end in /proc/self/stat behind the name of the process.
 ARGUMENTS = slice(45, 47)
-# Options of Linux's prctl.h.
+# Option of Linux's prctl.h.
 PR_SET_PDEATHSIG = 1
-PR_SET_CHILD_SUBREAPER = 36
 
 
 class Request(NamedTuple):
@@ -73,8 +72,8 @@ class NodeServer:
     """The server's process, for the launcher; leaving the context ends it, but not the nodes."""
 
     def __init__(self):
-        # Nodes are orphans of the server's, which are this process's children from now on.
-        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
+        # Nodes are orphans of the server's.
+        adopt_orphans()
         self._connection, theirs = multiprocessing.Pipe()
         number = theirs.fileno()
         command = [sys.executable, "-m", __name__, str(number), " " * ROOM]
@@ -99,7 +98,7 @@ def serve(connection: Connection) -> Request | None:
     """Answer requests; return one in the process of each node, and None when they end."""
     end_at_once_when_interrupted()
     # A module that cannot be imported is reported by the node that imports it.
-    with contextlib.suppress(Exception), quick_imports():
+    with contextlib.suppress(ImportError), quick_imports():
         for module in SHARED:
             importlib.import_module(module)
     launcher = os.getppid()
@@ -107,27 +106,35 @@ def serve(connection: Connection) -> Request | None:
         try:
             request = connection.recv()
             output = reduction.recv_handle(connection)
-        except EOFError:
+            pid = _fork_orphan(launcher)
+            if pid:
+                os.close(output)
+                connection.send(pid)
+        except (EOFError, BrokenPipeError):
+            # The launcher has ended.
             return None
-        pid = _fork_orphan(launcher)
         if not pid:
             os.dup2(output, sys.stdout.fileno())
             os.close(output)
             connection.close()
             return request
-        os.close(output)
-        connection.send(pid)
 
 
 def _fork_orphan(launcher: int) -> int:
-    """Return the number of a new process, whose parent is the launcher; 0 in that process."""
+    """Return the number of a new process, whose parent is the launcher; 0 in that process.
+
+    Raises EOFError if the launcher has ended.
+    """
     read, write = os.pipe()
     middle = os.fork()
     if middle:
         os.close(write)
         os.waitpid(middle, 0)
         with open(read) as answer:
-            return int(answer.read())
+            pid = answer.read()
+        if not pid:
+            raise EOFError
+        return int(pid)
     middle = os.getpid()
     if os.fork():
         os._exit(0)

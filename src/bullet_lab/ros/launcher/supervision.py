@@ -27,7 +27,6 @@ import roslaunch
 import roslaunch.config
 import roslaunch.nodeprocess
 import roslaunch.parent
-import roslaunch.pmon
 import roslib
 import rosmaster.master
 import rospkg

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from bullet_lab.ros.launcher import node_server
+from bullet_lab.entry import PR_SET_CHILD_SUBREAPER
 from bullet_lab.ros.launcher.node_server import NodeServer, Request
 
 PROGRAM = """\
@@ -32,7 +32,7 @@ sys.exit(7)
 def server():
     with NodeServer() as server:
         yield server
-    ctypes.CDLL(None).prctl(node_server.PR_SET_CHILD_SUBREAPER, 0)
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 0)
 
 
 def start(server, folder, *words):
