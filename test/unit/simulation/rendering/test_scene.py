@@ -164,10 +164,12 @@ def test_pictures_of_any_size_that_the_driver_has():
 
 
 def test_pictures_and_shadow_maps_keep_no_bytes():
+    # So many, since now and then another thread of the test's process keeps 1 or 2 kB.
+    count = 400
     with simulation_of(cube("a", RED)) as simulation:
-        assert bytes_kept(lambda: middle(simulation), 100) < 10.0
+        assert bytes_kept(lambda: middle(simulation), count) < 10.0
     graphics = shared_graphics()
-    assert bytes_kept(lambda: graphics.remove(graphics.shadow_target(64, (1, 1))), 100) < 10.0
+    assert bytes_kept(lambda: graphics.remove(graphics.shadow_target(64, (1, 1))), count) < 10.0
 
 
 def test_buffers_and_shadow_maps_of_other_sizes_are_given_back():
