@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from bullet_lab.core.parameters import boolean, number
 from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.drive import STANDSTILL, Command, DrivePhase, GoalDriver, GoalLimits
-from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation.occupancy import RobotCostmap
 from bullet_lab.navigation.paths import PathFollower, Point
 
 USUAL = GoalLimits()

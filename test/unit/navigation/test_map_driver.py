@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import STANDSTILL
-from bullet_lab.navigation import costmap as costmaps
-from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation import occupancy
 from bullet_lab.navigation.driver import MapDriver
-from bullet_lab.navigation.occupancy import OccupancyMap, read_map
+from bullet_lab.navigation.occupancy import OccupancyMap, RobotCostmap, read_map
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.studies.map import MapSettings, map_world
@@ -53,7 +52,7 @@ def test_on_free_floor_the_plan_is_straight():
 def test_the_plan_goes_through_a_door_at_a_distance(radius):
     costmap = RobotCostmap(floor(WALL, DOOR), radius)
     way = costmap.plan((0.6, 0.6), (3.4, 0.6))
-    points, _ = costmaps.points_of(way, 0.01)
+    points, _ = occupancy.points_of(way, 0.01)
     assert costmap.clearance(points).min() >= radius
     # It is about the shortest through the middle of the door.
     shortest = 2.0 * math.hypot(1.45, 1.3)
@@ -90,7 +89,7 @@ def test_costs_fall_with_the_distance_as_costmap_2d_publishes_them():
 
 
 def test_a_large_map_is_planned_on_with_larger_cells(monkeypatch):
-    monkeypatch.setattr(costmaps, "MOST_CELLS", 1000)
+    monkeypatch.setattr(occupancy, "MOST_CELLS", 1000)
     costmap = RobotCostmap(floor(WALL, DOOR), 0.1)
     assert costmap.map.cells.size <= 1000
     assert costmap.plan((0.6, 0.6), (3.4, 0.6)) is not None

@@ -38,7 +38,7 @@ from bullet_lab.core.parameters import ParameterError, integer, number, part_of,
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.docking.database import Dock, UnknownDockError, find_dock, read_docks
+from bullet_lab.docking.database import Dock, find_dock, read_docks
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
@@ -366,7 +366,7 @@ class DockNode(GoalNode):
         mount = self._mount()
         try:
             dock = find_dock(self._docks, goal.dock_id or self._parameters.dock)
-        except UnknownDockError as error:
+        except LabError as error:
             raise DockingFailureError(DockingError.NOT_IN_DATABASE, str(error)) from None
         retries = self._settings.max_retries if goal.max_retries < 0 else goal.max_retries
         settings = replace(self._settings, search=goal.search, max_retries=retries)

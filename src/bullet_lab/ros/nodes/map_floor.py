@@ -31,9 +31,8 @@ from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.drive import Command, GoalLimits
-from bullet_lab.navigation.costmap import RobotCostmap
 from bullet_lab.navigation.driver import MapDriver, MapLimits
-from bullet_lab.navigation.occupancy import OccupancyMap, read_map
+from bullet_lab.navigation.occupancy import OccupancyMap, RobotCostmap, read_map
 from bullet_lab.navigation.paths import Point, along
 from bullet_lab.ros.messages.poses import InputError, pose_message, pose_of, stamped_pose
 from bullet_lab.ros.node.node import Refusals

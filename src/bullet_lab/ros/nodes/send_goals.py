@@ -26,8 +26,7 @@ from std_msgs.msg import Time
 from bullet_lab.core.parameters import integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.navigation.costmap import RobotCostmap
-from bullet_lab.navigation.occupancy import FREE, read_map
+from bullet_lab.navigation.occupancy import FREE, RobotCostmap, read_map
 from bullet_lab.navigation.paths import Point, points_of
 from bullet_lab.reports.goal import BOX
 from bullet_lab.ros.gazebo.client import call

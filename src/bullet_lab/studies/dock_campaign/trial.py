@@ -6,7 +6,7 @@ import functools
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any, Callable
+from typing import Callable
 
 import numpy as np
 
