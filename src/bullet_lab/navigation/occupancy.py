@@ -172,8 +172,8 @@ class RobotCostmap:
         self._seen = np.zeros_like(self._standing)
         self._distance = self._static
 
-    def see(self, sensor: Pose, angles: ndarray, ranges: ndarray, greatest: float) -> bool:
-        """Take a scan; return whether it has changed the costmap.
+    def see(self, sensor: Pose, angles: ndarray, ranges: ndarray, greatest: float) -> None:
+        """Take a scan.
 
         Args:
             sensor: pose in the map.
@@ -191,22 +191,21 @@ class RobotCostmap:
         marked = hit & (ranges < MARK_RANGE)
         cells = self._inside(place[:2] + ranges[marked, None] * rays[marked, :2])
         cells = cells[self._static.ravel()[cells] > EXPLAINED * self._cell]
-        return self._remember(cells, self._inside(points[free]))
+        self._remember(cells, self._inside(points[free]))
 
     def mark(self, points: ndarray) -> None:
         """Mark the cells of points (n, 2) as if the laser had seen something there."""
         self._remember(self._inside(points))
 
-    def _remember(self, seen_in: ndarray, clear: Sequence[int] = ()) -> bool:
-        """Mark cells by their indices, after others are cleared; return whether any is changed."""
+    def _remember(self, marked: ndarray, cleared: ndarray | None = None) -> None:
+        """Mark cells by their indices, after others are cleared."""
         seen = self._seen.copy()
-        seen.ravel()[np.asarray(clear, dtype=int)] = False
-        seen.ravel()[seen_in] = True
-        if np.array_equal(seen, self._seen):
-            return False
-        self._seen = seen
-        self._distance = np.minimum(self._static, _distances(seen) * self._cell)
-        return True
+        if cleared is not None:
+            seen.ravel()[cleared] = False
+        seen.ravel()[marked] = True
+        if not np.array_equal(seen, self._seen):
+            self._seen = seen
+            self._distance = np.minimum(self._static, _distances(seen) * self._cell)
 
     def _cells(self, points: Sequence[Any]) -> ndarray:
         return np.round((np.asarray(points)[..., :2] - self._low) / self._cell).astype(int)

@@ -11,12 +11,12 @@ import contextlib
 import functools
 import time
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Callable
 
 from bullet_lab.core.files import make_folder
-from bullet_lab.core.parameters import ParameterError, integer, text
+from bullet_lab.core.parameters import ParameterError, integer, part_of, text
 from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.studies.dock_campaign.compare import compare
 from bullet_lab.studies.dock_campaign.results import (
@@ -32,7 +32,6 @@ from bullet_lab.studies.dock_campaign.stress import STRESSES
 from bullet_lab.studies.dock_campaign.trial import (
     ALL,
     EACH,
-    MARKER_POSE,
     NONE,
     DrawSettings,
     crashed_record,
@@ -42,7 +41,6 @@ from bullet_lab.studies.dock_campaign.trial import (
 )
 from bullet_lab.studies.study import (
     Record,
-    Settings,
     Summary,
     Tell,
     progress,
@@ -62,16 +60,11 @@ class DockCampaignSettings(DrawSettings):
 
     dockings: int = integer(200, "number of dockings", 1, MOST_DOCKINGS)
 
+    beside: str = text("", f"{LOG} of the same dockings by another controller; empty: none")
+
     def drawn_from(self) -> dict[str, Any]:
         """Return the parameters that determine the outcome of each docking, by name."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(DrawSettings)}
-
-
-@dataclass(frozen=True)
-class ComparisonSettings(Settings):
-    """Another campaign to compare with."""
-
-    beside: str = text("", f"{LOG} of the same dockings by another controller; empty: none")
+        return vars(part_of(DrawSettings, self))
 
 
 def run_campaign(
@@ -111,7 +104,7 @@ def run_campaign(
         f"{100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence)"
     )
     boxes = [box for world in settings.worlds for box in obstacles(world)]
-    figure = campaign_figure(records, boxes, MARKER_POSE, title)
+    figure = campaign_figure(records, boxes, title)
     tables = {"campaign.csv": records}
     return write_results(folder, summary, tables, {"campaign.png": figure}, {})
 
@@ -134,7 +127,7 @@ def _run_missing(
 
     start = time.monotonic()
     # A worker that gets these imports no more than a docking needs, without figures.
-    drawn = DrawSettings(**settings.drawn_from())
+    drawn = part_of(DrawSettings, settings)
     found = run(functools.partial(trial, drawn), missing)
     for index, result in progress(found, "dockings", count, tell, done, counts):
         if isinstance(result, TaskLostError):
@@ -202,23 +195,22 @@ def _run(
     folder: Path,
     settings: DockCampaignSettings,
     work: WorkerSettings,
-    comparison: ComparisonSettings,
     tell: Tell,
 ) -> list[str]:
     # A missing file shows here, instead of in each worker or after the campaign.
     draw_scenario(settings, 0)
-    if comparison.beside:
+    if settings.beside:
         if EACH in settings.stress:
             raise ParameterError("beside: it takes the campaign under one stress, not under each")
-        read_log(Path(comparison.beside))
+        read_log(Path(settings.beside))
     run = workers(work.workers)
     if EACH in settings.stress:
         return run_each(folder, settings, run, tell=tell)
     lines = describe(run_campaign(folder, settings, run, tell=tell))
-    if comparison.beside:
-        lines += compare(folder, Path(comparison.beside), settings.dockings)
+    if settings.beside:
+        lines += compare(folder, Path(settings.beside), settings.dockings)
     return lines
 
 
-SETTINGS = (DockCampaignSettings, WorkerSettings, ComparisonSettings)
+SETTINGS = (DockCampaignSettings, WorkerSettings)
 main = functools.partial(run_from, "dock_campaign", __doc__, SETTINGS, _run)
