@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable
+from typing import Any
 
 from bullet_lab.core.files import make_folder
 from bullet_lab.core.parameters import ParameterError, integer, part_of, text
@@ -51,9 +51,6 @@ from bullet_lab.studies.workers import Run, TaskLostError, WorkerSettings, worke
 
 MOST_DOCKINGS = 1_000_000
 
-Trial = Callable[[DrawSettings, int], Record]
-
-
 @dataclass(frozen=True)
 class DockCampaignSettings(DrawSettings):
     """Dockings of the indices from 0 on."""
@@ -68,11 +65,7 @@ class DockCampaignSettings(DrawSettings):
 
 
 def run_campaign(
-    folder: Path,
-    settings: DockCampaignSettings,
-    run: Run,
-    trial: Trial = run_trial,
-    tell: Tell = print,
+    folder: Path, settings: DockCampaignSettings, run: Run, tell: Tell = print
 ) -> Summary:
     """Run the dockings that a campaign's log lacks; write log, table, figure and summary.json.
 
@@ -83,7 +76,7 @@ def run_campaign(
         LabError: the folder holds another campaign or cannot be written to, or no worker is left.
     """
     with contextlib.closing(DockLog(make_folder(folder) / LOG, settings.drawn_from())) as log:
-        seconds, new = _run_missing(log, settings, run, trial, tell)
+        seconds, new = _run_missing(log, settings, run, tell)
         log.sort()
     records = [log.records[index] for index in range(settings.dockings)]
     simulated = sum(record["sim_time_s"] or 0.0 for record in new)
@@ -110,7 +103,7 @@ def run_campaign(
 
 
 def _run_missing(
-    log: DockLog, settings: DockCampaignSettings, run: Run, trial: Trial, tell: Tell
+    log: DockLog, settings: DockCampaignSettings, run: Run, tell: Tell
 ) -> tuple[float, list[Record]]:
     """Run the dockings that the log lacks; return the seconds it took, and the new records."""
     count = settings.dockings
@@ -127,8 +120,7 @@ def _run_missing(
 
     start = time.monotonic()
     # A worker that gets these imports no more than a docking needs, without figures.
-    drawn = part_of(DrawSettings, settings)
-    found = run(functools.partial(trial, drawn), missing)
+    found = run(functools.partial(run_trial, part_of(DrawSettings, settings)), missing)
     for index, result in progress(found, "dockings", count, tell, done, counts):
         if isinstance(result, TaskLostError):
             result = crashed_record(settings, index, str(result))
@@ -166,11 +158,7 @@ def describe(summary: Summary) -> list[str]:
 
 
 def run_each(
-    folder: Path,
-    settings: DockCampaignSettings,
-    run: Run,
-    trial: Trial = run_trial,
-    tell: Tell = print,
+    folder: Path, settings: DockCampaignSettings, run: Run, tell: Tell = print
 ) -> list[str]:
     """Run a campaign without stress, under each stress, and under all, each in its own folder.
 
@@ -184,7 +172,7 @@ def run_each(
     for name in (NONE, *STRESSES, ALL):
         tell(f"stress {name}")
         one = replace(settings, stress=(name,))
-        summaries[name] = run_campaign(folder / name, one, run, trial, tell)
+        summaries[name] = run_campaign(folder / name, one, run, tell)
     rows = [stress_row(name, one) for name, one in summaries.items()]
     summary = {"job": "dock_campaign", **settings.drawn_from(), "by_stress": summaries}
     write_results(folder, summary, {"stresses.csv": rows}, {}, {})
@@ -192,10 +180,7 @@ def run_each(
 
 
 def _run(
-    folder: Path,
-    settings: DockCampaignSettings,
-    work: WorkerSettings,
-    tell: Tell,
+    folder: Path, settings: DockCampaignSettings, work: WorkerSettings, tell: Tell
 ) -> list[str]:
     # A missing file shows here, instead of in each worker or after the campaign.
     draw_scenario(settings, 0)
