@@ -24,8 +24,8 @@ from bullet_lab.docking.geometry import (
     wall_boxes,
 )
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.types import TURNING_RADIUS, Odometry, Point
-from bullet_lab.navigation.paths import CostGrid, points_of
+from bullet_lab.docking.types import TURNING_RADIUS, Odometry
+from bullet_lab.navigation.paths import CostGrid, Point, points_of
 
 # Of the grid: edge of a cell, m, and most cells; beyond, the cells are larger.
 CELL = 0.1

@@ -14,9 +14,9 @@ from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.progress import MEASURE_FRAMES, DockingFailureError, DockingProgress
-from bullet_lab.docking.types import DockingError, DockingState, Point
+from bullet_lab.docking.types import DockingError, DockingState
 from bullet_lab.drive import STANDSTILL, Command, clip
-from bullet_lab.navigation.paths import PathFollower, turn_command
+from bullet_lab.navigation.paths import PathFollower, Point, turn_command
 
 _CHECK_SECONDS = 0.5
 # Images of a look, and at rest for the confirmation.

@@ -27,11 +27,10 @@ from bullet_lab.docking.types import (
     MotionStep,
     Observation,
     Odometry,
-    Point,
     motion_step,
 )
 from bullet_lab.drive import STANDSTILL, Command, clip
-from bullet_lab.navigation.paths import ACCELERATION
+from bullet_lab.navigation.paths import ACCELERATION, Point
 
 USUAL = DockingSettings()
 """The settings by default."""
