@@ -418,17 +418,16 @@ class DockBelief:
                 continue
             if track.frames < owner.frames:
                 self.tracks.remove(track)
-        for number, track in owners.items():
-            track.see(sightings[number], view)
-            track.last_seen = stamp
         for number, sighting in enumerate(sightings):
-            if number in owners:
-                continue
-            track = MarkerTrack(sighting, view, self.dock.marker, self._prior.pose)
+            track = owners.get(number)
+            if track is None:
+                track = MarkerTrack(sighting, view, self.dock.marker, self._prior.pose)
+                self.tracks.append(track)
+            else:
+                track.see(sighting, view)
             track.last_seen = stamp
-            self.tracks.append(track)
-            if len(self.tracks) > _MOST_TRACKS:
-                self.tracks.remove(min(self.tracks, key=lambda t: (t.frames >= 3, t.last_seen)))
+        while len(self.tracks) > _MOST_TRACKS:
+            self.tracks.remove(min(self.tracks, key=lambda t: (t.frames >= 3, t.last_seen)))
 
 
 def _inside(corners: ndarray, camera: PinholeCamera) -> float:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import MISSING, dataclass, fields
-from numbers import Real
 from pathlib import Path
-from typing import Any, Callable, Collection, Mapping, Sequence
+from typing import Any, Collection, Mapping, Sequence
 
 import numpy as np
 import yaml
@@ -28,10 +27,6 @@ DOCKED, WALL_CONTACT, INACCURATE = "docked", "wall_contact", "inaccurate"
 """Verdicts on a docking, besides the names of docking's errors in small letters."""
 
 
-class UnknownDockError(LabError):
-    """There is no dock of that name."""
-
-
 def _text(doc: str) -> Any:
     def accept(value: Any) -> str:
         if not isinstance(value, str) or not value.strip():
@@ -41,23 +36,17 @@ def _text(doc: str) -> Any:
     return parameters.checked(MISSING, doc, "some text", accept)
 
 
-def _number(doc: str, low: float, high: float, convert: Callable = float) -> Any:
-    def accept(value: Any) -> float:
-        if not _is_number(value) or not low <= value <= high:
-            raise ValueError
-        return convert(value)
-
-    return parameters.checked(MISSING, doc, f"a number from {low:g} to {high:g}", accept)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+def _number(doc: str, low: float, high: float) -> Any:
+    return parameters.number(MISSING, doc, low, maximum=high)
 
 
 def _accept_pose(value: Any) -> PlanarPose:
-    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
+    if not isinstance(value, list) or any(isinstance(one, (bool, str)) for one in value):
         raise ValueError
-    return float(value[0]), float(value[1]), math.radians(value[2])
+    x, y, yaw = map(float, value)
+    if not math.isfinite(x + y + yaw):
+        raise ValueError
+    return x, y, math.radians(yaw)
 
 
 @dataclass(frozen=True)
@@ -90,7 +79,7 @@ class DockTolerance:
 
     distance: float = _number("along the axis, m", 1e-4, 1.0)
     lateral: float = _number("across it, m", 1e-4, 1.0)
-    yaw: float = _number("rad; degrees in the file", 0.01, 45.0, math.radians)
+    yaw: float = _number("rad; degrees in the file", 0.01, 45.0)
 
 
 @dataclass(frozen=True)
@@ -98,7 +87,7 @@ class DockUncertainty:
     """Largest error of the pose."""
 
     position: float = _number("in each of x and y, m", 0.0, 5.0)
-    yaw: float = _number("rad; degrees in the file", 0.0, 180.0, math.radians)
+    yaw: float = _number("rad; degrees in the file", 0.0, 180.0)
 
 
 @dataclass(frozen=True)
@@ -133,14 +122,13 @@ def drawn_error(uncertainty: DockUncertainty, share: float, seed: int) -> Planar
     return tuple((rng.uniform(-1.0, 1.0, 3) * most).tolist())
 
 
-# Sections of a dock, and the keys of the file that differ from the field's name.
+# Sections of a dock.
 _SECTIONS = {
     "marker": DockMarker,
     "walls": DockWalls,
     "tolerance": DockTolerance,
     "uncertainty": DockUncertainty,
 }
-_KEYS = {"yaw": "yaw_deg"}
 
 
 def read_docks(path: str | Path) -> dict[str, Dock]:
@@ -169,9 +157,9 @@ def parse_docks(text: str, where: str = "dock database") -> dict[str, Dock]:
 
 
 def find_dock(docks: Mapping[str, Dock], name: str) -> Dock:
-    """Return a dock by its name; raises UnknownDockError."""
+    """Return a dock by its name; raises LabError."""
     if name not in docks:
-        raise UnknownDockError(f"no dock '{name}'; known are {', '.join(sorted(docks))}")
+        raise LabError(f"no dock '{name}'; known are {', '.join(sorted(docks))}")
     return docks[name]
 
 
@@ -190,20 +178,21 @@ def _check_keys(content: Any, where: str, keys: Collection[str]) -> None:
 def _read(kind: type, content: Any, where: str, **values: Any) -> Any:
     """Make a dataclass of a mapping and of the values of its fields that are known already."""
     names = [entry.name for entry in fields(kind) if entry.name not in values]
-    keys = {_KEYS.get(name, name): name for name in names}
+    keys = {"yaw_deg" if name == "yaw" else name: name for name in names}
     _check_keys(content, where, keys)
     declared = declarations(kind)
     for key, name in keys.items():
         value = content.get(key)
-        if name in declared:
-            try:
-                values[name] = declared[name].read(value, key)
-            except ParameterError as error:
-                raise LabError(f"{where}: {error}") from None
-        elif name == "walls" and value is None:
-            values[name] = None
-        else:
-            values[name] = _read(_SECTIONS[name], value, f"{where}: {name}")
+        if name in _SECTIONS:
+            is_read = name != "walls" or value is not None
+            values[name] = _read(_SECTIONS[name], value, f"{where}: {name}") if is_read else None
+            continue
+        try:
+            values[name] = declared[name].read(value, key)
+        except ParameterError as error:
+            raise LabError(f"{where}: {error}") from None
+        if key == "yaw_deg":
+            values[name] = math.radians(values[name])
     return kind(**values)
 
 

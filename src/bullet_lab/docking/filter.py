@@ -205,21 +205,21 @@ def carried(x: ndarray, p: ndarray, motion: MotionStep) -> tuple[ndarray, ndarra
     return x, p
 
 
-class _Prior:
-    """A part of the states, with its standard deviations if nominal and if not."""
+def _prior(where: slice, known: ndarray, unknown: ndarray) -> tuple[slice, ndarray, float]:
+    """Return a part of the states, its covariance if nominal, and a logarithm if it is not.
 
-    def __init__(self, where: slice, known: ndarray, unknown: ndarray):
-        self.where, self.known = where, np.diag(known**2)
-        self.log_unknown = np.sum(np.log(unknown))
+    `known` and `unknown` are its standard deviations then.
+    """
+    return where, np.diag(known**2), np.sum(np.log(unknown))
 
 
 _PRIORS = (
-    _Prior(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER)),
-    _Prior(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA),
-    _Prior(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY),
+    _prior(CORNERS, np.full(8, _SEEN_RIGHT), np.full(8, OFF_CORNER)),
+    _prior(CAMERA, _KNOWN_CAMERA, UNKNOWN_CAMERA),
+    _prior(ODOMETRY, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY),
 )
 _AFTER_POSE = slice(_OF_POSE, _OF_POSE + _OF_ODOMETRY)
-_DRIFTING_ODOMETRY = _Prior(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
+_DRIFTING_ODOMETRY = _prior(_AFTER_POSE, _KNOWN_ODOMETRY, UNKNOWN_ODOMETRY)
 
 
 def as_known(x: ndarray, p: ndarray, priors=_PRIORS) -> tuple[ndarray, ndarray]:
@@ -229,12 +229,11 @@ def as_known(x: ndarray, p: ndarray, priors=_PRIORS) -> tuple[ndarray, ndarray]:
     density ratio of Savage and Dickey (J. M. Dickey, Annals of Mathematical Statistics 42, 1971)
     for the images, each is nominal with some probability; mean and covariance are of both cases.
     """
-    for prior in priors:
-        part = prior.where
-        wide = p[:, part, part] + prior.known
+    for part, known, log_unknown in priors:
+        wide = p[:, part, part] + known
         solved = np.linalg.solve(wide, np.concatenate([p[:, part], x[:, part, None]], axis=2))
         gain = solved[..., :-1].transpose(0, 2, 1)
-        logs = prior.log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
+        logs = log_unknown - 0.5 * np.linalg.slogdet(wide)[1]
         logs = logs - 0.5 * np.sum(x[:, part] * solved[..., -1], axis=1)
         logs = np.minimum(np.maximum(logs, -50.0), 50.0)
         right = _AS_KNOWN / (_AS_KNOWN + (1.0 - _AS_KNOWN) * np.exp(-logs))

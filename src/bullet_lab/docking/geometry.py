@@ -17,7 +17,8 @@ from bullet_lab.core import se2
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose, columns
 from bullet_lab.docking.database import Dock
-from bullet_lab.docking.types import CameraMount, Point
+from bullet_lab.docking.types import CameraMount
+from bullet_lab.navigation.paths import Point
 
 # Largest angle between the line of sight and the dock's axis, and px that the marker should be
 # away from the image's edges.

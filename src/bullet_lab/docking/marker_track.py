@@ -155,11 +155,9 @@ class MarkerTrack:
         self._extent = extent_of(sighting.corners)
         self._start(sighting, view, prior)
 
-    def estimate(self) -> GaussianPose | None:
-        """Return the pose if it is real; None if it cannot be."""
+    def estimate(self) -> GaussianPose:
+        """Return the pose if it is real, which must be possible."""
         poses, covariances, weights = self.components()
-        if not len(weights):
-            return None
         best = poses[np.argmax(weights)]
         off = wrapped(poses - best)
         shift = weights @ off

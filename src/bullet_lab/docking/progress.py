@@ -13,8 +13,7 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.marker_track import MarkerTrack
-from bullet_lab.docking.paths import WALL_MARGIN, PathPlanner
-from bullet_lab.docking.search import MarkerSearch
+from bullet_lab.docking.paths import WALL_MARGIN, MarkerSearch, PathPlanner
 from bullet_lab.docking.types import TURNING_RADIUS, DockingError
 from bullet_lab.drive import STANDSTILL, Command, clip
 from bullet_lab.errors import LabError

@@ -9,16 +9,14 @@ import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple, Sequence, Tuple, Union
 
-import numpy as np
-
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import PlanarPose, wrap
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.progress import MEASURE_FRAMES, DockingFailureError, DockingProgress
-from bullet_lab.docking.types import DockingError, DockingState, Point
+from bullet_lab.docking.types import DockingError, DockingState
 from bullet_lab.drive import STANDSTILL, Command, clip
-from bullet_lab.navigation.paths import PathFollower, turn_command
+from bullet_lab.navigation.paths import PathFollower, Point, turn_command
 
 _CHECK_SECONDS = 0.5
 # Images of a look, and at rest for the confirmation.
@@ -68,8 +66,7 @@ class State(ABC):
 class LookForMarker(State):
     """Looks for the marker at rest, and decides where to look next."""
 
-    def __init__(self):
-        self._since: int | None = None
+    _since: int | None = None
 
     def wants_images(self, docking: DockingProgress) -> bool:
         return docking.is_settled()
@@ -104,9 +101,10 @@ class LookForMarker(State):
 class DriveAlong(State):
     """Drives along a path as long as it is safe."""
 
+    _checked = -math.inf
+
     def __init__(self, way: Sequence[Point]):
         self._way = PathFollower(way)
-        self._checked = -math.inf
 
     def plan(self) -> tuple[Point, ...]:
         return self._way.left
@@ -160,20 +158,19 @@ class ProbeSize(State):
     While `searching`, it ends as soon as the marker is found.
     """
 
+    _start: PlanarPose | None = None
+
     def __init__(self, way: float, searching: bool = True):
         self._way, self._searching = way, searching
-        self._start: np.ndarray | None = None
 
     def step(self, docking: DockingProgress) -> Step:
-        pose = np.asarray(docking.belief.pose)
-        if self._start is None:
-            self._start = pose
-        moved = se2.between(self._start, pose)
-        left = abs(self._way) - abs(float(moved[0]))
+        self._start = self._start or docking.belief.pose
+        ahead, _, turned = se2.between(self._start, docking.belief.pose).tolist()
+        left = abs(self._way) - abs(ahead)
         if left <= 0.0 or (self._searching and docking.belief.best() is not None):
             return Outcome("done")
         speed = math.copysign(min(0.2, 0.05 + left), self._way)
-        return speed, clip(-2.0 * float(moved[2]), 0.3)
+        return speed, clip(-2.0 * turned, 0.3)
 
 
 class TrackedState(State):
@@ -195,11 +192,8 @@ class Measure(TrackedState):
 
     state = DockingState.MEASURING
 
-    def __init__(self):
-        self._track: MarkerTrack | None = None
-        self._frames = 0
-        self._turned = False
-        self._waited = 0.0
+    _track: MarkerTrack | None = None
+    _frames, _waited, _turned = 0, 0.0, False
 
     def wants_images(self, docking: DockingProgress) -> bool:
         return docking.is_settled()
@@ -297,9 +291,8 @@ class Approach(TrackedState):
 
     state = DockingState.APPROACHING
 
-    def __init__(self):
-        self._held: float | None = None
-        self._entered = False
+    _held: float | None = None
+    _entered = False
 
     def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         robot = estimate.robot
@@ -338,9 +331,10 @@ class Retreat(TrackedState):
 
     state = DockingState.RETREATING
 
+    _since: float | None = None
+
     def __init__(self, left: float, in_sight: bool = True):
         self._target, self._in_sight = left, in_sight
-        self._since: float | None = None
 
     def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         target = docking.limit_to_sight(self._target) if self._in_sight else self._target
@@ -366,11 +360,9 @@ class Confirm(TrackedState):
 
     state = DockingState.MEASURING
 
-    def __init__(self):
-        self._frames: int | None = None
-        self._since = 0.0
-        self._correction: Command | None = None
-        self._corrections = 0
+    _frames: int | None = None
+    _correction: Command | None = None
+    _since, _corrections = 0.0, 0
 
     def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         _, _, turned = estimate.robot

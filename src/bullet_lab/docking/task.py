@@ -27,11 +27,10 @@ from bullet_lab.docking.types import (
     MotionStep,
     Observation,
     Odometry,
-    Point,
     motion_step,
 )
 from bullet_lab.drive import STANDSTILL, Command, clip
-from bullet_lab.navigation.paths import ACCELERATION
+from bullet_lab.navigation.paths import ACCELERATION, Point
 
 USUAL = DockingSettings()
 """The settings by default."""
@@ -111,16 +110,13 @@ class WatchedTask(ABC):
         elif last is None:
             self._move(odometry)
         else:
-            self._follow(motion_step(last, odometry), odometry, odometry.stamp - last.stamp)
-
-    def _follow(self, step: MotionStep, odometry: Odometry, seconds: float) -> None:
-        """Take the next message of odometry, which is a step and some seconds after the last."""
-        trouble = self._find_trouble(step, seconds)
-        if trouble:
-            self._end(DockingError.ODOMETRY_LOST, trouble)
-        elif seconds > 0.0:
-            self._stuck.add(self._command, step.step, seconds)
-            self._move(odometry)
+            step, seconds = motion_step(last, odometry), odometry.stamp - last.stamp
+            trouble = self._find_trouble(step, seconds)
+            if trouble:
+                self._end(DockingError.ODOMETRY_LOST, trouble)
+            elif seconds > 0.0:
+                self._stuck.add(self._command, step.step, seconds)
+                self._move(odometry)
 
     @abstractmethod
     def add_observation(self, observation: Observation) -> None:

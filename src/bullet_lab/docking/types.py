@@ -12,7 +12,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Tuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -21,8 +21,6 @@ from bullet_lab.core import se2
 from bullet_lab.core.parameters import integer, number
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.se2 import PlanarPose
-
-Point = Tuple[float, float]
 
 HALF_WIDTH = 0.20
 """Half the edge of the robot, a square about the middle of its axle, m."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-from bullet_lab.core.parameters import boolean, number
 from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.drive import STANDSTILL, Command, DrivePhase, GoalDriver, GoalLimits
-from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation.occupancy import RobotCostmap
 from bullet_lab.navigation.paths import PathFollower, Point
 
 USUAL = GoalLimits()
@@ -29,16 +27,6 @@ MOST_RECOVERIES = 3
 ON_THE_WAY = 0.5
 
 
-@dataclass(frozen=True)
-class MapLimits:
-    """How a robot drives on a map."""
-
-    radius: float = number(0.25, "m, of the circle in which the robot turns", above=0.0)
-    inflation: float = number(0.55, "m from things beyond which floor costs the same", above=0.0)
-    allow_unknown: bool = boolean(True, "plan over floor that the map does not know")
-    wait: float = number(15.0, "s without a way after which the goal is aborted", minimum=0.0)
-
-
 class MapDriver(GoalDriver):
     """Computes the velocity towards one goal on a map, tick by tick.
 
@@ -53,7 +41,6 @@ class MapDriver(GoalDriver):
         costmap: as given; it may be replaced while the robot drives.
         failure: why the goal cannot be reached; empty while it may be.
         plans: number of plans so far.
-        recoveries: how often it drove back, as it was stuck.
     """
 
     def __init__(
@@ -66,7 +53,7 @@ class MapDriver(GoalDriver):
     ):
         super().__init__(goal, limits, command)
         self.costmap, self._wait = costmap, wait
-        self.failure, self.plans, self.recoveries = "", 0, 0
+        self.failure, self.plans = "", 0
         self._follower: PathFollower | None = None
         self._now = self._next_try = self._back_until = 0.0
         self._since: float | None = None
@@ -132,7 +119,6 @@ class MapDriver(GoalDriver):
             )
             return
         self._times_here += 1
-        self.recoveries += 1
         self.costmap.clear()
         self._follower, self._moved = None, None
         self._back_until = self._now + BACK_SECONDS

@@ -16,7 +16,7 @@ from bullet_lab.core.figures import BEACON_RADIUS, BLACK, BLUE, GREEN, GREY, ORA
 from bullet_lab.core.files import NANOSECONDS
 from bullet_lab.core.se2 import PlanarPose, hypot, wrap
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.navigation.costmap import RobotCostmap
+from bullet_lab.navigation.occupancy import RobotCostmap
 from bullet_lab.reports import DriveReport, Figures, Reading, Report, Summary, draw_path
 
 # ns that are recorded after the end, while the robot should stand.

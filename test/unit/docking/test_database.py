@@ -10,7 +10,6 @@ from bullet_lab.docking.database import (
     ERRORS,
     DockTolerance,
     DockUncertainty,
-    UnknownDockError,
     docking_errors,
     drawn_error,
     find_dock,
@@ -83,7 +82,7 @@ def test_says_what_is_wrong(old, new, said):
 def test_names_a_missing_file_and_the_known_docks(tmp_path):
     with pytest.raises(LabError, match=r"nothing\.yaml"):
         read_docks(tmp_path / "nothing.yaml")
-    with pytest.raises(UnknownDockError, match="no dock 'harbour'; known are home"):
+    with pytest.raises(LabError, match="no dock 'harbour'; known are home"):
         find_dock(parse_docks(GOOD), "harbour")
 
 

@@ -38,7 +38,7 @@ from bullet_lab.core.parameters import ParameterError, integer, number, part_of,
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.docking.database import Dock, UnknownDockError, find_dock, read_docks
+from bullet_lab.docking.database import Dock, find_dock, read_docks
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.task import DockingTask, UndockingTask
 from bullet_lab.docking.types import (
@@ -236,37 +236,6 @@ def docking_result(message: DockResult) -> DockingResult:
     return DockingResult(DockingError(error), words, *place, found)
 
 
-class DockTopics:
-    """Publishes ~dock_pose, ~plan and, on /tf, the frame of the dock if it has a name, `child`."""
-
-    def __init__(self, child: str):
-        self._child = child
-        self._pose = Publisher("~dock_pose", PoseStamped, queue_size=10)
-        self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
-        self._tf = None
-        if child:
-            # Imported late: recorders import this module before tf2 is installed.
-            import tf2_ros
-
-            self._tf = tf2_ros.TransformBroadcaster()
-        self._shown: Any = None
-
-    def publish(self, stamp: rospy.Time, frame: str, task: DockingTask) -> None:
-        """Publish the pose of the dock, if it is known, and the planned path if it has changed."""
-        dock, plan = task.dock_pose, task.plan
-        if dock is not None:
-            message = stamped_pose(stamp, frame, dock)
-            self._pose.publish(message)
-            if self._tf is not None:
-                place = Vector3(message.pose.position.x, message.pose.position.y, 0.0)
-                transform = Transform(place, message.pose.orientation)
-                self._tf.sendTransform(TransformStamped(message.header, self._child, transform))
-        if plan != self._shown:
-            self._shown = plan
-            poses = [stamped_pose(stamp, frame, (x, y, 0.0)) for x, y in plan]
-            self._plan.publish(Path(Header(0, stamp, frame), poses))
-
-
 def _missing(queue: MessageQueue) -> str:
     """Return why a queue has no messages."""
     return f"{queue.topic}: {queue.trouble or 'no messages'}"
@@ -280,19 +249,25 @@ class DockNode(GoalNode):
         self._docks = parameters.database()
         self._settings = part_of(DockingSettings, parameters)
         self._base_frame = own_frame(parameters.base_frame)
-        images_per_second = parameters.image_rate
         odometry = MessageQueue(
             parameters.odom, OdometryMessage, framed(odometry_of), parameters.odom_rate
         )
-        self._camera_info = MessageQueue(
-            parameters.camera_info, CameraInfo, camera_of, images_per_second
-        )
+        rate = parameters.image_rate
+        self._camera_info = MessageQueue(parameters.camera_info, CameraInfo, camera_of, rate)
         self._detections = MessageQueue(
-            parameters.detections, MarkerDetectionArray, sightings_of, images_per_second
+            parameters.detections, MarkerDetectionArray, sightings_of, rate
         )
         super().__init__(parameters.cmd_vel, odometry, self._camera_info, self._detections)
         self._finished = publisher("~finished", Time, latch=True)
-        self._topics = DockTopics(own_frame(parameters.dock_frame))
+        self._pose = Publisher("~dock_pose", PoseStamped, queue_size=10)
+        self._plan = Publisher("~plan", Path, queue_size=1, latch=True)
+        self._shown: Any = None
+        self._dock_frame, self._tf = own_frame(parameters.dock_frame), None
+        if self._dock_frame:
+            # Imported late: recorders import this module before tf2 is installed.
+            import tf2_ros
+
+            self._tf = tf2_ros.TransformBroadcaster()
         # The frame of the camera, and its calibration.
         self._camera: tuple[str, PinholeCamera] | None = None
         self._last_dock: PlanarPose | None = None
@@ -366,7 +341,7 @@ class DockNode(GoalNode):
         mount = self._mount()
         try:
             dock = find_dock(self._docks, goal.dock_id or self._parameters.dock)
-        except UnknownDockError as error:
+        except LabError as error:
             raise DockingFailureError(DockingError.NOT_IN_DATABASE, str(error)) from None
         retries = self._settings.max_retries if goal.max_retries < 0 else goal.max_retries
         settings = replace(self._settings, search=goal.search, max_retries=retries)
@@ -398,14 +373,24 @@ class DockNode(GoalNode):
         return self._frames.pose_in(target, source, wait=False)
 
     def _show(self, now: rospy.Time) -> None:
-        """Publish how it goes."""
+        """Publish how it goes; the path only if it has changed."""
         task = self._task
         if isinstance(task, UndockingTask):
             self._server.tell(UndockFeedback(task.remaining), now)
             return
         self._server.tell(DockFeedback(int(task.state), *task.place, task.retries), now)
-        self._topics.publish(now, self._frame, task)
-        self._last_dock = task.dock_pose or self._last_dock
+        if task.dock_pose is not None:
+            self._last_dock = task.dock_pose
+            pose = stamped_pose(now, self._frame, self._last_dock)
+            self._pose.publish(pose)
+            if self._tf is not None:
+                place = Vector3(pose.pose.position.x, pose.pose.position.y, 0.0)
+                transform = Transform(place, pose.pose.orientation)
+                self._tf.sendTransform(TransformStamped(pose.header, self._dock_frame, transform))
+        if task.plan != self._shown:
+            self._shown = task.plan
+            poses = [stamped_pose(now, self._frame, (x, y, 0.0)) for x, y in self._shown]
+            self._plan.publish(Path(Header(0, now, self._frame), poses))
 
     def _end(self, now: rospy.Time, status: int, text: str) -> None:
         is_preempted = status == GoalStatus.PREEMPTED

@@ -134,7 +134,9 @@ class GoalTopics:
     def progress(self, stamp: rospy.Time, pose: PlanarPose) -> None:
         """Publish the distance to the goal, and every few ticks the drive."""
         left = self._publish_remaining(pose)
-        self._extend_path(stamped_pose(stamp, self._frame, pose))
+        last = self._driven[-1].pose.position if self._driven else None
+        if last is None or math.hypot(pose[0] - last.x, pose[1] - last.y) >= PATH_STEP:
+            self._driven.append(stamped_pose(stamp, self._frame, pose))
         if self._ticks % SHOW_EVERY == 0:
             self._show(stamp, GoalStatus.ACTIVE, left, [pose, self._target])
         self._ticks += 1
@@ -150,13 +152,6 @@ class GoalTopics:
         self._remaining.publish(Float64(left))
         return left
 
-    def _extend_path(self, pose: PoseStamped) -> None:
-        if self._driven:
-            last, new = self._driven[-1].pose.position, pose.pose.position
-            if math.hypot(new.x - last.x, new.y - last.y) < PATH_STEP:
-                return
-        self._driven.append(pose)
-
     def _show(self, stamp: rospy.Time, status: int, left: float, ahead: list[PlanarPose]) -> None:
         header = Header(0, stamp, self._frame)
         plan = [stamped_pose(stamp, self._frame, pose) for pose in ahead]
@@ -167,18 +162,20 @@ class GoalTopics:
 
     def _draw(self, header: Header, colour: ColorRGBA, left: float) -> list[Marker]:
         """Return an arrow at the goal, a disc for its tolerance and a label with the distance."""
-        x, y, yaw = self._target
-        kind, size = Marker.ARROW, (0.4, 0.05, 0.05)
-        arrow = marker(header, "goal", kind, colour, size, (x, y, 0.1))
+        (x, y, yaw), wide = self._target, 2.0 * self._tolerance
+        arrow, disc, label = made = [
+            marker(header, "goal", kind, its_colour, size, (x, y, height))
+            for kind, its_colour, size, height in (
+                (Marker.ARROW, colour, (0.4, 0.05, 0.05), 0.1),
+                (Marker.CYLINDER, colour, (wide, wide, 0.01), 0.0),
+                (Marker.TEXT_VIEW_FACING, WHITE, (0.0, 0.0, 0.2), 0.4),
+            )
+        ]
         arrow.pose.orientation = Quaternion(*quaternion_from_yaw(yaw))
-        kind, size = Marker.CYLINDER, (2.0 * self._tolerance, 2.0 * self._tolerance, 0.01)
-        disc = marker(header, "goal", kind, colour, size, (x, y, 0.0))
-        kind, size = Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.2)
-        label = marker(header, "goal", kind, WHITE, size, (x, y, 0.4))
         label.text = "" if math.isnan(left) else f"{left:.2f} m"
         disc.id, label.id = 1, 2
         # RViz warns of a label without text.
-        return [arrow, disc, label] if label.text else [arrow, disc]
+        return made if label.text else [arrow, disc]
 
 
 class DriveToGoal(GoalNode):

@@ -14,26 +14,26 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 import numpy as np
 import rospy
-from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry, Path
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Path
+from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.srv import GetPlan, GetPlanRequest
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Header
 from std_srvs.srv import Empty
 
-from bullet_lab.core.parameters import number, text
+from bullet_lab.core.parameters import boolean, number, text
 from bullet_lab.core.pose import Pose
-from bullet_lab.core.se2 import PlanarPose, wrap
+from bullet_lab.core.se2 import PlanarPose
+from bullet_lab.docking.types import Odometry, OdometryBuffer
 from bullet_lab.drive import Command, GoalLimits
-from bullet_lab.navigation.costmap import RobotCostmap
-from bullet_lab.navigation.driver import MapDriver, MapLimits
-from bullet_lab.navigation.occupancy import OccupancyMap, read_map
+from bullet_lab.navigation.driver import MapDriver
+from bullet_lab.navigation.occupancy import OccupancyMap, RobotCostmap, read_map
 from bullet_lab.navigation.paths import Point, along
 from bullet_lab.ros.messages.poses import InputError, pose_message, pose_of, stamped_pose
 from bullet_lab.ros.node.node import Refusals
@@ -46,27 +46,29 @@ from bullet_lab.ros.node.odometry import (
 )
 from bullet_lab.ros.node.publishers import Publisher
 
-# Seconds between two costmaps, and odometry messages that are kept for the stamps of scans.
+# Seconds between two costmaps.
 COSTMAP_PERIOD = 1.0
-KEPT = 100
 
 
 @dataclass(frozen=True)
-class MapParameters(MapLimits):
+class MapParameters:
     """Private parameters of a node that drives on a map."""
 
+    radius: float = number(0.25, "m, of the circle in which the robot turns", above=0.0)
+    inflation: float = number(0.55, "m from things beyond which floor costs the same", above=0.0)
+    allow_unknown: bool = boolean(True, "plan over floor that the map does not know")
+    wait: float = number(15.0, "s without a way after which the goal is aborted", minimum=0.0)
     map: str = text("", "topic or YAML file of the map to plan on; empty: drive straight to goals")
     map_frame: str = text("map", "frame of the map in a file")
     scan: str = text("scan", "topic of the laser for what the map does not show; empty: none")
     scan_rate: float = number(10.0, "lock step: scans per second", above=0.0, maximum=1000.0)
 
 
-class Place(NamedTuple):
-    """The content of an odometry message: s, the robot's frame, and its pose (m, m, rad)."""
+@dataclass(frozen=True)
+class Place(Odometry):
+    """Odometry, and the frame of the robot."""
 
-    seconds: float
-    robot: str
-    pose: PlanarPose
+    robot: str = ""
 
 
 class Scan(NamedTuple):
@@ -79,10 +81,10 @@ class Scan(NamedTuple):
     greatest: float
 
 
-def read_place(message: Odometry) -> Place:
+def read_place(message: OdometryMessage) -> Place:
     """Return the content of odometry; raises InputError."""
     child = message.child_frame_id.lstrip("/")
-    return Place(message.header.stamp.to_sec(), child, planar_pose(message))
+    return Place(message.header.stamp.to_sec(), planar_pose(message), robot=child)
 
 
 def read_scan(message: LaserScan) -> Scan:
@@ -140,8 +142,8 @@ class Floor:
         self._refusals = Refusals()
         self._frame = ""
         self._costmap: RobotCostmap | None = None
-        # Newest odometry, its frame, and the robot's pose in the map.
-        self._places: deque[Place] = deque(maxlen=KEPT)
+        # The last odometry, and the robot's pose in the map.
+        self._places = OdometryBuffer()
         self._pose: PlanarPose | None = None
         self._plans = -1
         self._shown = rospy.Time(0)
@@ -165,44 +167,34 @@ class Floor:
         self, places: list[Place], odometry_frame: str, now: rospy.Time
     ) -> PlanarPose | None:
         """Take odometry and scans; return the robot's pose in the map, None if it is not known."""
-        self._places.extend(places)
+        for place in places:
+            self._places.add(place)
         scans = self.scans.take(now) if self.scans else []
-        if not self._frame or not self._places:
+        if not self._frame or self._places.last is None:
             return None
         try:
             origin = self._frames.pose_in(self._frame, odometry_frame, wait=False)
         except FrameError as error:
             rospy.logwarn_throttle(5.0, str(error))
             return None
-        self._pose = (origin * Pose.on_floor(*self._places[-1].pose)).planar
+        self._pose = (origin * Pose.on_floor(*self._places.last.pose)).planar
         for scan in scans:
             self._see(scan, origin)
         return self._pose
 
     def _see(self, scan: Scan, origin: Pose) -> None:
-        """Show the costmap a scan from where the robot was then."""
+        """Show the costmap a scan from where the robot was then, if that is known."""
         with self._refusals.on(self._parameters.scan):
-            robot = self._places[-1].robot
+            robot = self._places.last.robot
             mount = self._frames.bring(Pose(), scan.frame, robot, wait=False)
-            sensor = origin * Pose.on_floor(*self._pose_at(scan.seconds)) * mount
-            self._costmap.see(sensor, scan.angles, scan.ranges, scan.greatest)
-
-    def _pose_at(self, seconds: float) -> PlanarPose:
-        """Return the pose in the odometry's frame at a time, between two messages."""
-        later = self._places[-1]
-        for place in reversed(self._places):
-            if place.seconds <= seconds:
-                whole = later.seconds - place.seconds
-                share = min(1.0, (seconds - place.seconds) / whole) if whole > 0.0 else 0.0
-                (x, y, yaw), (x1, y1, yaw1) = place.pose, later.pose
-                turn = share * wrap(yaw1 - yaw)
-                return x + share * (x1 - x), y + share * (y1 - y), yaw + turn
-            later = place
-        return later.pose
+            then = self._places.pose_at(scan.seconds)
+            if then is not None:
+                sensor = origin * Pose.on_floor(*then) * mount
+                self._costmap.see(sensor, scan.angles, scan.ranges, scan.greatest)
 
     def clear(self) -> None:
         """Forget what the laser has seen, and where the robot was."""
-        self._places.clear()
+        self._places = OdometryBuffer()
         self._clear_costmap()
 
     def driver(self, goal: PlanarPose, limits: GoalLimits, moving: Command) -> MapDriver:

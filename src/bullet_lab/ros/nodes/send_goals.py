@@ -26,8 +26,7 @@ from std_msgs.msg import Time
 from bullet_lab.core.parameters import integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose
-from bullet_lab.navigation.costmap import RobotCostmap
-from bullet_lab.navigation.occupancy import FREE, read_map
+from bullet_lab.navigation.occupancy import FREE, RobotCostmap, read_map
 from bullet_lab.navigation.paths import Point, points_of
 from bullet_lab.reports.goal import BOX
 from bullet_lab.ros.gazebo.client import call
@@ -148,15 +147,13 @@ class GoalSender:
         ends = self._client.action_client
         return ends.pub_goal.get_num_connections() > 0 < ends.result_sub.get_num_connections()
 
-    def _is_taken(self) -> bool:
-        return self._client.gh.get_comm_state() != CommState.WAITING_FOR_GOAL_ACK
-
     def _drive(self, goal: PlanarPose) -> int:
         """Send a goal, wait for its end, and return its status."""
         pose = stamped_pose(self._ticks.now, self._frame, goal)
         self._client.send_goal(MoveBaseGoal(pose))
         # In lock step, time stands still: chance shall not decide when the server begins.
-        holds_within(self._is_taken, ACCEPTANCE)
+        handle = self._client.gh
+        holds_within(lambda: handle.get_comm_state() != CommState.WAITING_FOR_GOAL_ACK, ACCEPTANCE)
         while self._client.get_state() in (GoalStatus.PENDING, GoalStatus.ACTIVE):
             self._ticks.sleep()
             rospy.rostime.wallsleep(ARRIVAL)

@@ -26,8 +26,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.msg import DockAction, DockGoal
-from bullet_lab.navigation.costmap import RobotCostmap
-from bullet_lab.navigation.occupancy import read_map
+from bullet_lab.navigation.occupancy import RobotCostmap, read_map
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Report, save_all
 from bullet_lab.reports.dock import DockReport, Station

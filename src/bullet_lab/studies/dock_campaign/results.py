@@ -29,7 +29,7 @@ from bullet_lab.core.files import file_errors, replace_file
 from bullet_lab.docking.database import DOCKED, ERRORS, INACCURATE, WALL_CONTACT
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import Footprint
-from bullet_lab.studies.dock_campaign.trial import CRASHED, TOLERANCES
+from bullet_lab.studies.dock_campaign.trial import CRASHED, MARKER_POSE, TOLERANCES
 from bullet_lab.studies.study import Record, Summary, clopper_pearson
 
 LOG = "dockings.jsonl"
@@ -213,7 +213,7 @@ BINS = 24
 
 
 def campaign_figure(
-    records: Sequence[Record], obstacles: Iterable[Footprint], dock: Sequence[float], title: str
+    records: Sequence[Record], obstacles: Iterable[Footprint], title: str
 ) -> Figure:
     """Draw starts and ends over the dock's plan, the ends enlarged, and the errors.
 
@@ -223,7 +223,6 @@ def campaign_figure(
     Args:
         records: of at least one docking.
         obstacles: in the worlds.
-        dock: x, y (m) and yaw (rad) of the floor below the marker's face.
         title: of the figure.
     """
     figure = new_figure(11.0, 8.8, title)
@@ -232,7 +231,7 @@ def campaign_figure(
     )
     plan = figure.add_subplot(left)
     # Each outline once, as the worlds share obstacles.
-    draw_plan(plan, {box.corners(): None for box in obstacles}, dock)
+    draw_plan(plan, {box.corners(): None for box in obstacles}, MARKER_POSE)
     docked = [record for record in records if record["result"] == DOCKED]
     failed = [record for record in records if record["result"] != DOCKED]
     _draw_robots(plan, docked, "docked", (BLUE, 3.0), (ORANGE, 5.0, "s"))

@@ -215,15 +215,14 @@ def world_under(stress: Stress, world: World, known_dock: PlanarPose, dock: Dock
     models = world.models
     if stress.dock != known_dock:
         moved = Pose.on_floor(*se2.compose(stress.dock, se2.inverse(known_dock)).tolist())
-        models = tuple(_moved(model, moved) for model in models)
+        # A plane looks the same from everywhere, and the floor's texture is centred at the origin.
+        models = tuple(
+            model if model.name == "ground_plane" else replace(model, pose=moved * model.pose)
+            for model in models
+        )
     if stress.hidden_corner >= 0:
         models = (*models, _cover(stress, dock))
     return replace(world, models=models)
-
-
-def _moved(model: Model, moved: Pose) -> Model:
-    # A plane looks the same from everywhere, and the floor's texture is centred at the origin.
-    return model if model.name == "ground_plane" else replace(model, pose=moved * model.pose)
 
 
 def _cover(stress: Stress, dock: Dock) -> Model:
@@ -264,7 +263,7 @@ class StressedOdometry:
         self._before: PlanarPose | None = None
         self._reported: PlanarPose = (0.0, 0.0, 0.0)
         self._until_slip, self._slip_left = self._next_slip(), 0.0
-        self._slip = (0.0, 0.0)
+        self._slip = 0.0, 0.0
 
     def update(self, pose: PlanarPose) -> PlanarPose:
         """Return the reported pose for a true pose (m, m, rad)."""
@@ -291,9 +290,8 @@ class StressedOdometry:
         if self._until_slip <= 0.0:
             self._until_slip = self._next_slip()
             self._slip_left = self._rng.uniform(*SLIP_LENGTH)
-            self._slip = (
-                self._rng.uniform(0.0, SLIP_WAY), self._rng.uniform(-SLIP_TURN, SLIP_TURN)
-            )  # fmt: skip
+            more = self._rng.uniform(0.0, SLIP_WAY)
+            self._slip = more, self._rng.uniform(-SLIP_TURN, SLIP_TURN)
         return 0.0, 0.0
 
     def _next_slip(self) -> float:

@@ -11,12 +11,12 @@ import contextlib
 import functools
 import time
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable
+from typing import Any
 
 from bullet_lab.core.files import make_folder
-from bullet_lab.core.parameters import ParameterError, integer, text
+from bullet_lab.core.parameters import ParameterError, integer, part_of, text
 from bullet_lab.docking.database import DOCKED, ERRORS
 from bullet_lab.studies.dock_campaign.compare import compare
 from bullet_lab.studies.dock_campaign.results import (
@@ -32,7 +32,6 @@ from bullet_lab.studies.dock_campaign.stress import STRESSES
 from bullet_lab.studies.dock_campaign.trial import (
     ALL,
     EACH,
-    MARKER_POSE,
     NONE,
     DrawSettings,
     crashed_record,
@@ -42,7 +41,6 @@ from bullet_lab.studies.dock_campaign.trial import (
 )
 from bullet_lab.studies.study import (
     Record,
-    Settings,
     Summary,
     Tell,
     progress,
@@ -53,33 +51,21 @@ from bullet_lab.studies.workers import Run, TaskLostError, WorkerSettings, worke
 
 MOST_DOCKINGS = 1_000_000
 
-Trial = Callable[[DrawSettings, int], Record]
-
-
 @dataclass(frozen=True)
 class DockCampaignSettings(DrawSettings):
     """Dockings of the indices from 0 on."""
 
     dockings: int = integer(200, "number of dockings", 1, MOST_DOCKINGS)
 
+    beside: str = text("", f"{LOG} of the same dockings by another controller; empty: none")
+
     def drawn_from(self) -> dict[str, Any]:
         """Return the parameters that determine the outcome of each docking, by name."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(DrawSettings)}
-
-
-@dataclass(frozen=True)
-class ComparisonSettings(Settings):
-    """Another campaign to compare with."""
-
-    beside: str = text("", f"{LOG} of the same dockings by another controller; empty: none")
+        return vars(part_of(DrawSettings, self))
 
 
 def run_campaign(
-    folder: Path,
-    settings: DockCampaignSettings,
-    run: Run,
-    trial: Trial = run_trial,
-    tell: Tell = print,
+    folder: Path, settings: DockCampaignSettings, run: Run, tell: Tell = print
 ) -> Summary:
     """Run the dockings that a campaign's log lacks; write log, table, figure and summary.json.
 
@@ -90,7 +76,7 @@ def run_campaign(
         LabError: the folder holds another campaign or cannot be written to, or no worker is left.
     """
     with contextlib.closing(DockLog(make_folder(folder) / LOG, settings.drawn_from())) as log:
-        seconds, new = _run_missing(log, settings, run, trial, tell)
+        seconds, new = _run_missing(log, settings, run, tell)
         log.sort()
     records = [log.records[index] for index in range(settings.dockings)]
     simulated = sum(record["sim_time_s"] or 0.0 for record in new)
@@ -111,13 +97,13 @@ def run_campaign(
         f"{100.0 * summary['success_rate_lower_95']:.2f} % at 95 % confidence)"
     )
     boxes = [box for world in settings.worlds for box in obstacles(world)]
-    figure = campaign_figure(records, boxes, MARKER_POSE, title)
+    figure = campaign_figure(records, boxes, title)
     tables = {"campaign.csv": records}
     return write_results(folder, summary, tables, {"campaign.png": figure}, {})
 
 
 def _run_missing(
-    log: DockLog, settings: DockCampaignSettings, run: Run, trial: Trial, tell: Tell
+    log: DockLog, settings: DockCampaignSettings, run: Run, tell: Tell
 ) -> tuple[float, list[Record]]:
     """Run the dockings that the log lacks; return the seconds it took, and the new records."""
     count = settings.dockings
@@ -134,8 +120,7 @@ def _run_missing(
 
     start = time.monotonic()
     # A worker that gets these imports no more than a docking needs, without figures.
-    drawn = DrawSettings(**settings.drawn_from())
-    found = run(functools.partial(trial, drawn), missing)
+    found = run(functools.partial(run_trial, part_of(DrawSettings, settings)), missing)
     for index, result in progress(found, "dockings", count, tell, done, counts):
         if isinstance(result, TaskLostError):
             result = crashed_record(settings, index, str(result))
@@ -173,11 +158,7 @@ def describe(summary: Summary) -> list[str]:
 
 
 def run_each(
-    folder: Path,
-    settings: DockCampaignSettings,
-    run: Run,
-    trial: Trial = run_trial,
-    tell: Tell = print,
+    folder: Path, settings: DockCampaignSettings, run: Run, tell: Tell = print
 ) -> list[str]:
     """Run a campaign without stress, under each stress, and under all, each in its own folder.
 
@@ -191,7 +172,7 @@ def run_each(
     for name in (NONE, *STRESSES, ALL):
         tell(f"stress {name}")
         one = replace(settings, stress=(name,))
-        summaries[name] = run_campaign(folder / name, one, run, trial, tell)
+        summaries[name] = run_campaign(folder / name, one, run, tell)
     rows = [stress_row(name, one) for name, one in summaries.items()]
     summary = {"job": "dock_campaign", **settings.drawn_from(), "by_stress": summaries}
     write_results(folder, summary, {"stresses.csv": rows}, {}, {})
@@ -199,26 +180,22 @@ def run_each(
 
 
 def _run(
-    folder: Path,
-    settings: DockCampaignSettings,
-    work: WorkerSettings,
-    comparison: ComparisonSettings,
-    tell: Tell,
+    folder: Path, settings: DockCampaignSettings, work: WorkerSettings, tell: Tell
 ) -> list[str]:
     # A missing file shows here, instead of in each worker or after the campaign.
     draw_scenario(settings, 0)
-    if comparison.beside:
+    if settings.beside:
         if EACH in settings.stress:
             raise ParameterError("beside: it takes the campaign under one stress, not under each")
-        read_log(Path(comparison.beside))
+        read_log(Path(settings.beside))
     run = workers(work.workers)
     if EACH in settings.stress:
         return run_each(folder, settings, run, tell=tell)
     lines = describe(run_campaign(folder, settings, run, tell=tell))
-    if comparison.beside:
-        lines += compare(folder, Path(comparison.beside), settings.dockings)
+    if settings.beside:
+        lines += compare(folder, Path(settings.beside), settings.dockings)
     return lines
 
 
-SETTINGS = (DockCampaignSettings, WorkerSettings, ComparisonSettings)
+SETTINGS = (DockCampaignSettings, WorkerSettings)
 main = functools.partial(run_from, "dock_campaign", __doc__, SETTINGS, _run)

@@ -6,7 +6,7 @@ import functools
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any, Callable
+from typing import Callable
 
 import numpy as np
 
@@ -22,10 +22,18 @@ from bullet_lab.docking.database import (
     largest_errors,
     read_docks,
 )
-from bullet_lab.docking.types import CameraMount, DockingResult, Observation, Odometry
+from bullet_lab.docking.types import (
+    CalibrationErrors,
+    CameraMount,
+    DockingResult,
+    Observation,
+    Odometry,
+    Sighting,
+)
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import NoisyPath, ReportRule
 from bullet_lab.simulation.plugins.camera import Camera
+from bullet_lab.simulation.plugins.lenses import Lens
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Footprint, footprints
@@ -42,10 +50,10 @@ from bullet_lab.studies.dock_campaign.stress import (
     stress_columns,
     world_under,
 )
-from bullet_lab.studies.dock_campaign.watch import MarkerWatch
 from bullet_lab.studies.study import MOST_SEED, Record, Settings
 from bullet_lab.studies.worlds import LIGHTS, ROBOT, lit_world, read_world
 from bullet_lab.vision.dictionaries import dictionary_named
+from bullet_lab.vision.images import grey
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
 
 MARKER_POSE: PlanarPose = (4.0, 0.0, 0.0)
@@ -71,9 +79,9 @@ WIDEST = math.radians(60.0)
 DATABASE_ERROR = (0.3, 0.3, math.radians(10.0))
 DOCK_MODEL = "docking_station"
 UNKNOWN_CLEARANCE = 1.0
-LARGEST_ODOMETRY_STD = 0.1
-LARGEST_IMAGE_NOISE = 0.02
-LARGEST_BLUR = 1.0
+LARGEST_NOISES = (0.1, 0.02, 1.0)
+"""Of the odometry's std, and of noise (share of white) and blur (px) of images."""
+
 
 CRASHED = "crashed"
 """Result of a docking that did not end, beside those of `judge`."""
@@ -83,6 +91,15 @@ TOLERANCES = {name: name.replace("error", "tolerance") for name in ERRORS}
 
 COSTS = {name: name.replace("error", "cost") for name in ERRORS}
 """Names of the columns with the cost of the stress, which is added to the tolerance."""
+
+PART_SIZES = (64, 96, 128, 192, 256, 320, 416)
+"""Of parts of a picture, px. They are few, as the renderer keeps a buffer for each of the last."""
+
+MOST_PARTS = 4
+"""Parts between two whole pictures."""
+
+AROUND, AROUND_SHARE = 20.0, 0.2
+"""What a part shows around the markers: px, and as a share of the largest marker's edge."""
 
 _MOST_ATTEMPTS = 10_000
 _SETTLE_STEPS = 100
@@ -96,7 +113,6 @@ class DockingScenario:
         world: name of a world of the package.
         light: name of its light, one of `worlds.LIGHTS`.
         start: of the robot in the world, m, m, rad.
-        dock: its name in the database.
         dock_error: error of the dock's pose in the database, along the world's axes: m, m, rad.
         odometry: "odom" or "noisy_odom".
         odometry_std: of noisy_odom, by the report's rule.
@@ -112,7 +128,6 @@ class DockingScenario:
     world: str
     light: str
     start: PlanarPose
-    dock: str
     dock_error: PlanarPose
     odometry: str
     odometry_std: float
@@ -122,7 +137,6 @@ class DockingScenario:
     image_seed: int
     controller: str
     stress: Stress
-
 
 
 @dataclass(frozen=True)
@@ -156,33 +170,27 @@ def draw_scenario(settings: DrawSettings, index: int) -> DockingScenario:
     The start's distance from the plane of the back wall is uniform within `NEAREST` to
     `FARTHEST`. Its direction from the marker, within `WIDEST` of the dock's axis, and its heading
     are uniform too. They are drawn again until the robot is `TURNING_RADIUS` away from the dock,
-    and `UNKNOWN_CLEARANCE` away from other obstacles, as it does not know of them and has no
-    laser. The error of the dock's rough pose is uniform within `DATABASE_ERROR`, and so are the
-    standard deviations of noise and blur up to their largest values.
+    and `UNKNOWN_CLEARANCE` away from other obstacles, which a robot without a laser does not see.
     """
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
-    world = str(rng.choice(settings.worlds))
-    light = str(rng.choice(settings.lights))
-    odometry = str(rng.choice(settings.odometry))
+    options = settings.worlds, settings.lights, settings.odometry
+    world, light, odometry = (str(rng.choice(names)) for names in options)
     error = rng.uniform(-1.0, 1.0, 3) * DATABASE_ERROR
-    odometry_std = rng.uniform(0.0, LARGEST_ODOMETRY_STD)
-    image_noise = rng.uniform(0.0, LARGEST_IMAGE_NOISE)
-    image_blur = rng.uniform(0.0, LARGEST_BLUR)
-    odometry_seed, image_seed = rng.integers(2**31, size=2)
+    std, noise, blur = (rng.uniform(0.0, most) for most in LARGEST_NOISES)
+    odometry_seed, image_seed = rng.integers(2**31, size=2).tolist()
     # Last, because its number of draws varies.
     start = _draw_start(rng, obstacles(world))
     return DockingScenario(
         world=world,
         light=light,
         start=start,
-        dock=DOCKS.get(world, "dock"),
         dock_error=tuple(error.tolist()),
         odometry=odometry,
-        odometry_std=float(odometry_std) if odometry == "noisy_odom" else 0.0,
-        odometry_seed=int(odometry_seed),
-        image_noise=float(image_noise),
-        image_blur=float(image_blur),
-        image_seed=int(image_seed),
+        odometry_std=std if odometry == "noisy_odom" else 0.0,
+        odometry_seed=odometry_seed,
+        image_noise=noise,
+        image_blur=blur,
+        image_seed=image_seed,
         controller=settings.controller,
         stress=draw_stress(settings.stresses, settings.seed, index),
     )
@@ -237,7 +245,7 @@ def dock_of(scenario: DockingScenario) -> Dock:
     """Return the dock from the database, at its true pose plus the scenario's error of it."""
     x, y, yaw = (a + b for a, b in zip(scenario.stress.dock, scenario.dock_error))
     docks = read_docks(ResourceFinder.anywhere().find(DATABASE))
-    return replace(docks[scenario.dock], pose=(x, y, wrap(yaw)))
+    return replace(docks[DOCKS.get(scenario.world, "dock")], pose=(x, y, wrap(yaw)))
 
 
 class _SimulatedDocking:
@@ -258,7 +266,9 @@ class _SimulatedDocking:
         self._noise = NoisyPath(ReportRule(scenario.odometry_std), scenario.odometry_seed)
         self._known_camera = stress.known_camera(self._camera.camera)
         self._reported = StressedOdometry(stress, np.random.default_rng((stress.seed, 1)))
-        self._mount = self._known_mount()
+        # As docking knows it.
+        place = self._robot.pose().inverse() * self._camera.pose() * stress.mount.inverse()
+        self._mount = CameraMount(*place.position, *place.rpy())
         name = dictionary_named(dock.marker.dictionary).name
         detector = MarkerDetector(DetectorSettings(name, ids=(dock.marker.id,)))
         self._watch = MarkerWatch(self._camera, detector, dock.marker.dictionary)
@@ -288,14 +298,18 @@ class _SimulatedDocking:
             v, w = self._task.tick(simulation.seconds)
             self._robot.command("cmd_vel", PlanarCommand(v, 0.0, w))
         seconds, result = simulation.seconds, self._task.result
-        x, y, yaw = _moved(self._robot.pose().planar, self._stress.dock, MARKER_POSE)
+        end = _moved(self._robot.pose().planar, self._stress.dock, MARKER_POSE)
         simulation.run_for(0.5)
         rest, ahead = self._robot.pose().planar, self._mount.x
         errors = docking_errors(rest, self._stress.dock, ahead, self._dock.docked_distance)
-        renderer = simulation.renderer().driver if self._images else ""
-        end = x, y, math.degrees(yaw)
-        values = *errors.values(), self._contacts, result.retries, seconds, *end, renderer
-        return result, dict(zip(MEASURED, values))
+        return result, {
+            **errors,
+            "wall_contacts": self._contacts,
+            "retries": result.retries,
+            "sim_time_s": seconds,
+            **_pose_columns("end", end),
+            "renderer": simulation.renderer().driver if self._images else "",
+        }
 
     def _add_odometry(self, sample: OdometrySample) -> None:
         """Give odometry to the task, with stress and noise."""
@@ -324,10 +338,58 @@ class _SimulatedDocking:
             self._contacts += 1
         self._touching = touching
 
-    def _known_mount(self) -> CameraMount:
-        """Return the pose of the camera on the robot, as docking knows it."""
-        place = self._robot.pose().inverse() * self._camera.pose() * self._stress.mount.inverse()
-        return CameraMount(*place.position, *place.rpy())
+
+class MarkerWatch:
+    """Finds markers in the pictures of a camera without distortion.
+
+    While they are in sight, a picture is only a part of a whole one: where they should be if they
+    move on as between the two pictures before. Each fifth picture is a whole one, and so is one
+    whose part does not show all of them. What comes into sight is found within a second.
+    """
+
+    def __init__(self, camera: Camera, detector: MarkerDetector, dictionary: str):
+        self._camera, self._detector, self._dictionary = camera, detector, dictionary
+        self._whole = camera.camera
+        # Corners (n, 4, 2) in the last picture and in the one before, px.
+        self._last = self._before = np.empty((0, 4, 2))
+        self._parts = 0
+
+    def look(self, step: int) -> tuple[Sighting, ...]:
+        """Return the markers in the present picture; its noise depends on the step."""
+        part = self._part() if len(self._last) and self._parts < MOST_PARTS else None
+        seen = () if part is None else self._find(step, *part)
+        self._parts += 1
+        if part is None or len(seen) < len(self._last):
+            seen = self._find(step, np.zeros(2), (self._whole.width, self._whole.height))
+            self._parts = 0
+        self._before, self._last = self._last, np.array([one.corners for one in seen])
+        return seen
+
+    def _part(self) -> tuple[np.ndarray, tuple[int, int]] | None:
+        """Return the first pixel and the size of the part to draw; None: all."""
+        corners, whole = self._last, (self._whole.width, self._whole.height)
+        if len(self._before) == len(corners):
+            corners = corners + (corners - self._before).mean(axis=(0, 1))
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        around = AROUND + AROUND_SHARE * np.ptp(corners, axis=1).max()
+        needed = (high - low).max() + 2.0 * around
+        for size in PART_SIZES:
+            if needed <= size <= min(whole):
+                first = np.rint(0.5 * (low + high - size))
+                return np.clip(first, 0, np.subtract(whole, size)), (size, size)
+        return None
+
+    def _find(self, step: int, first: np.ndarray, size: tuple[int, int]) -> tuple[Sighting, ...]:
+        """Draw a part of the picture and return the markers in it, in px of the whole."""
+        centre = np.array((self._whole.cx, self._whole.cy)) - first
+        part = replace(self._whole, width=size[0], height=size[1], cx=centre[0], cy=centre[1])
+        lens, self._camera.lens = self._camera.lens, Lens(part)
+        picture = self._camera.take(step)
+        self._camera.lens = lens
+        found = self._detector.detect(grey(picture, "rgb8"), part).markers
+        return tuple(
+            Sighting(m.id, self._dictionary, m.corners + first, m.deviations) for m in found
+        )
 
 
 def _moved(pose: PlanarPose, before: PlanarPose, after: PlanarPose) -> PlanarPose:
@@ -350,45 +412,45 @@ def run_trial(
         return crashed_record(settings, index, f"{type(error).__name__}: {error}")
     known = dock_of(scenario)
     tolerance = scenario.stress.allowed(known.tolerance, known.docked_distance)
-    return {
-        **_drawn(index, scenario),
-        "result": judge(result.error, measured, tolerance, measured["wall_contacts"]),
-        "message": result.message,
-        **measured,
-        **found_columns(result.calibration),
-    }
+    verdict = judge(result.error, measured, tolerance, measured["wall_contacts"])
+    return _record(index, scenario, verdict, result.message, measured, result.calibration)
 
 
 def crashed_record(settings: DrawSettings, index: int, why: str) -> Record:
     """Return the record of a docking that did not end."""
-    return {
-        **_drawn(index, draw_scenario(settings, index)),
-        "result": CRASHED,
-        "message": " ".join(why.split()),
-        **dict.fromkeys(MEASURED),
-        **found_columns(None),
-    }
+    words, nothing = " ".join(why.split()), dict.fromkeys(MEASURED)
+    return _record(index, draw_scenario(settings, index), CRASHED, words, nothing, None)
 
 
-def _drawn(index: int, scenario: DockingScenario) -> dict[str, Any]:
-    x, y, yaw = scenario.start
-    error_x, error_y, error_yaw = scenario.dock_error
+def _record(
+    index: int,
+    scenario: DockingScenario,
+    result: str,
+    message: str,
+    measured: Record,
+    calibration: CalibrationErrors | None,
+) -> Record:
     dock = dock_of(scenario)
     return {
         "index": index,
         "world": scenario.world,
         "light": scenario.light,
-        "start_x_m": x,
-        "start_y_m": y,
-        "start_yaw_deg": math.degrees(yaw),
-        "database_error_x_m": error_x,
-        "database_error_y_m": error_y,
-        "database_error_yaw_deg": math.degrees(error_yaw),
+        **_pose_columns("start", scenario.start),
+        **_pose_columns("database_error", scenario.dock_error),
         "odometry": scenario.odometry,
         "odometry_std": scenario.odometry_std,
         "image_noise": scenario.image_noise,
         "image_blur_px": scenario.image_blur,
-        **{TOLERANCES[name]: value for name, value in largest_errors(dock.tolerance).items()},
+        **dict(zip(TOLERANCES.values(), largest_errors(dock.tolerance).values())),
         **stress_columns(scenario.stress),
         **dict(zip(COSTS.values(), scenario.stress.costs(dock.docked_distance))),
+        "result": result,
+        "message": message,
+        **measured,
+        **found_columns(calibration),
     }
+
+
+def _pose_columns(name: str, pose: PlanarPose) -> dict[str, float]:
+    x, y, yaw = pose
+    return {f"{name}_x_m": x, f"{name}_y_m": y, f"{name}_yaw_deg": math.degrees(yaw)}

@@ -14,8 +14,7 @@ from nav_msgs.msg import MapMetaData, OccupancyGrid  # noqa: E402
 from sensor_msgs.msg import LaserScan  # noqa: E402
 
 from bullet_lab.core.parameters import ParameterError  # noqa: E402
-from bullet_lab.navigation.costmap import RobotCostmap  # noqa: E402
-from bullet_lab.navigation.occupancy import OccupancyMap  # noqa: E402
+from bullet_lab.navigation.occupancy import OccupancyMap, RobotCostmap  # noqa: E402
 from bullet_lab.ros.messages.poses import InputError  # noqa: E402
 from bullet_lab.ros.node.node import NodeError  # noqa: E402
 from bullet_lab.ros.nodes.map_floor import grid_message, read_grid, read_scan  # noqa: E402

@@ -56,7 +56,8 @@ def fake_trial(settings, index):
 
 
 def in_order(trial, indices):
-    return ((index, trial(index)) for index in indices)
+    """Run made-up dockings with the settings of a trial."""
+    return ((index, fake_trial(*trial.args, index)) for index in indices)
 
 
 def shuffled(trial, indices):
@@ -87,9 +88,8 @@ def nothing(trial, indices):
     pytest.fail("something was run again")
 
 
-def campaign(folder, run=in_order, dockings=30, trial=fake_trial, **draw):
-    settings = DockCampaignSettings(**draw, dockings=dockings)
-    return run_campaign(folder, settings, run, trial)
+def campaign(folder, run=in_order, dockings=30):
+    return run_campaign(folder, DockCampaignSettings(dockings=dockings), run)
 
 
 def assert_same_results(one, other):
@@ -152,8 +152,8 @@ def test_a_finished_campaign_runs_nothing_again(reference, tmp_path, dockings):
 
 def test_what_has_crashed_is_reported_and_the_rest_goes_on(tmp_path):
     def run(trial, indices):
-        for index in indices:
-            yield index, TaskLostError("killed\nit") if index == 2 else trial(index)
+        for index, record in in_order(trial, indices):
+            yield index, TaskLostError("killed\nit") if index == 2 else record
 
     summary = campaign(tmp_path, run, dockings=5)
     assert summary["failures"]["crashed"] == 1

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from study_runs import summary_of
-from test_dock_campaign import assert_same_results, fake_trial, in_order, outcome_of, shuffled
+from test_dock_campaign import assert_same_results, in_order, outcome_of, shuffled
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.docking.types import CalibrationErrors, Learned
@@ -107,9 +107,9 @@ def test_slips_tell_more_way_than_there_is():
 def test_each_stress_has_its_campaign_and_a_row_of_one_table(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "STRESSES", {"mount": STRESSES["mount"]})
     settings = DockCampaignSettings(dockings=4, stress=("each",))
-    lines = run_each(tmp_path / "a", settings, in_order, fake_trial)
+    lines = run_each(tmp_path / "a", settings, in_order)
     assert lines[1].startswith(("none: ", "mount: "))
-    run_each(tmp_path / "b", settings, shuffled, fake_trial)
+    run_each(tmp_path / "b", settings, shuffled)
     for name in ("none", "mount", "all"):
         assert_same_results(tmp_path / "a" / name, tmp_path / "b" / name)
     table = (tmp_path / "a" / "stresses.csv").read_bytes()
@@ -117,4 +117,4 @@ def test_each_stress_has_its_campaign_and_a_row_of_one_table(tmp_path, monkeypat
     summary = summary_of(tmp_path / "a")
     assert list(summary["by_stress"]) == ["none", "mount", "all"]
     # What is there is not run again.
-    run_each(tmp_path / "a", settings, lambda *_: pytest.fail("run again"), fake_trial)
+    run_each(tmp_path / "a", settings, lambda *_: pytest.fail("run again"))

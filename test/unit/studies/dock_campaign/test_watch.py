@@ -8,7 +8,7 @@ import pytest
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.studies.dock_campaign.watch import MarkerWatch
+from bullet_lab.studies.dock_campaign.trial import MarkerWatch
 from bullet_lab.studies.worlds import ROBOT, read_world
 from bullet_lab.vision.images import grey
 from bullet_lab.vision.marker_detector import DetectorSettings, MarkerDetector
