@@ -7,11 +7,15 @@ from xml.etree.ElementTree import Element, SubElement, fromstring
 
 PATH_PLUGIN = "libbullet_lab_path.so"
 # An actor's skin is not drawn; m and kg of a grown person instead, just above the floor.
-FIGURE = """<link name="link"><inertial><mass>80</mass></inertial>{}</link>"""
-SHAPES = (
-    ("body", "0 0 0.75 0 0 0", "<cylinder><radius>0.2</radius><length>1.46</length></cylinder>"),
-    ("head", "0 0 1.6 0 0 0", "<sphere><radius>0.12</radius></sphere>"),
-)
+FIGURE = """<link name="link"><inertial><mass>80</mass></inertial>
+  <collision name="body"><pose>0 0 0.75 0 0 0</pose>
+    <geometry><cylinder><radius>0.2</radius><length>1.46</length></cylinder></geometry></collision>
+  <collision name="head"><pose>0 0 1.6 0 0 0</pose>
+    <geometry><sphere><radius>0.12</radius></sphere></geometry></collision>
+  <visual name="body"><pose>0 0 0.75 0 0 0</pose>
+    <geometry><cylinder><radius>0.2</radius><length>1.46</length></cylinder></geometry></visual>
+  <visual name="head"><pose>0 0 1.6 0 0 0</pose>
+    <geometry><sphere><radius>0.12</radius></sphere></geometry></visual></link>"""
 
 
 def actor_model(actor: Element) -> Element:
@@ -31,7 +35,7 @@ def actor_model(actor: Element) -> Element:
     elif model.find("plugin") is None:
         SubElement(model, "static").text = "1"
     if not links:
-        links = [_figure()]
+        links = [fromstring(FIGURE)]
         for pose in (*model.findall("pose"), *script.iter("pose")):
             pose.text = _upright(pose.text or "")
     for link in links:
@@ -39,15 +43,6 @@ def actor_model(actor: Element) -> Element:
             SubElement(link, "gravity").text = "0"
     model.extend(links)
     return model
-
-
-def _figure() -> Element:
-    parts = (
-        f'<{kind} name="{name}"><pose>{pose}</pose><geometry>{shape}</geometry></{kind}>'
-        for name, pose, shape in SHAPES
-        for kind in ("collision", "visual")
-    )
-    return fromstring(FIGURE.format("".join(parts)))
 
 
 def _upright(pose: str) -> str:

@@ -184,7 +184,7 @@ def _load(mesh: Mesh, _version: tuple[int, int]) -> MeshPart:
     arrays, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=int)], 0
     with readable(path):
         for part in read_parts(path, mesh.submesh):
-            if part.vertices.ndim != 2 or part.vertices.shape[1] != 3:
+            if part.vertices.shape[1:] != (3,):
                 raise MeshError(f"{path}: a corner needs three coordinates")
             arrays.append(part.vertices)
             faces.append(part.faces + count)

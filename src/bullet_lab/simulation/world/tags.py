@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Iterator, TypeVar
+from typing import Any, Callable, Iterable, Iterator, TypeVar
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Pose
@@ -132,17 +131,20 @@ class Document:
     frames: Frames | None = None
     inside: str = ""
 
-    @contextlib.contextmanager
-    def leaving_out(self) -> Iterator[None]:
-        """Report a LabError and continue without the part that caused it.
+    def each(self, read: Callable[[Any], Any], parts: Iterable[Any]) -> list[Any]:
+        """Return what `read` makes of parts, but for None.
 
-        A missing file is reported where it is named first.
+        A part at which it raises a LabError is reported and left out; a missing file is reported
+        where it is named first.
         """
-        try:
-            yield
-        except LabError as error:
-            of_file = error.__cause__ if isinstance(error, ResourceError) else None
-            self.report(f"{error}; it is left out", str(of_file or error))
+        found = []
+        for part in parts:
+            try:
+                found.append(read(part))
+            except LabError as error:
+                of_file = error.__cause__ if isinstance(error, ResourceError) else None
+                self.report(f"{error}; it is left out", str(of_file or error))
+        return [one for one in found if one is not None]
 
 
 class Tag(ElementReader):
@@ -188,16 +190,15 @@ class Tag(ElementReader):
 
     def shapes(self: AnyTag, kind: str, read: Callable[[AnyTag, Shape], Any]) -> tuple[Any, ...]:
         """Return what `read` makes of the valid visuals or collisions of a link."""
-        found = []
-        for element in self.element.findall(kind):
+
+        def whole(element: Element) -> Any:
             holder, where = element.find("geometry"), f"{self.source}: <{kind}>"
-            with self.document.leaving_out():
-                if holder is None or not len(holder):
-                    raise XmlError(f"{where} without a geometry")
-                shape = self.shape(holder[0], where)
-                if shape is not None:
-                    found.append(read(self.other(element), shape))
-        return tuple(found)
+            if holder is None or not len(holder):
+                raise XmlError(f"{where} without a geometry")
+            shape = self.shape(holder[0], where)
+            return None if shape is None else read(self.other(element), shape)
+
+        return tuple(self.document.each(whole, self.element.findall(kind)))
 
     def shape(self, element: Element, where: str) -> Shape | None:
         """Return the shape of a visual or collision, `where` in messages; None if unknown."""

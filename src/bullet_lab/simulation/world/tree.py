@@ -56,19 +56,17 @@ def first_of_each(parts: Iterable[Named], what: str, source: str) -> tuple[Named
 
 def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> None:
     """Raise XmlError unless the links and joints make one tree with unique names."""
-    names = [link.name for link in links]
-    children = [joint.child for joint in joints]
-    joint_names = [joint.name for joint in joints]
-    for what, found in (("link", names), ("joint", joint_names), ("child link", children)):
-        for name, count in Counter(found).items():
+    kinds = (("link", links, "name"), ("joint", joints, "name"), ("child link", joints, "child"))
+    for what, parts, key in kinds:
+        for name, count in Counter(getattr(part, key) for part in parts).items():
             if count > 1:
                 raise XmlError(f"{source}: {what} '{name}' appears twice")
-    known = set(names)
+    known = {link.name for link in links}
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in known:
                 raise XmlError(f"{source}: joint '{joint.name}' has an unknown link '{end}'")
-    roots = sorted(known - {*children})
+    roots = sorted(known - {joint.child for joint in joints})
     # Each link has one parent at most, so that only a loop is reached from no root.
     unreached = known.difference(*(top_down(root, joints) for root in roots))
     if unreached:
@@ -220,16 +218,15 @@ def _place(name: str, fixed: dict[str, Joint]) -> tuple[str, Pose]:
 
 def _merge(base: Link, members: list[tuple[Link, Pose]]) -> Link:
     inertias = [(link.inertia, pose) for link, pose in members if link.inertia is not None]
+    shapes: defaultdict[str, list[Any]] = defaultdict(list)
+    for link, pose in members:
+        for kind in ("visuals", "collisions"):
+            shapes[kind] += [replace(s, pose=pose * s.pose) for s in getattr(link, kind)]
     return replace(
         base,
         inertia=combine(inertias) if inertias else None,
-        visuals=tuple(replace(v, pose=p * v.pose) for link, p in members for v in link.visuals),
-        collisions=tuple(
-            replace(shape, pose=pose * shape.pose)
-            for link, pose in members
-            for shape in link.collisions
-        ),
         self_collide=any(link.self_collide for link, _ in members),
+        **{kind: tuple(found) for kind, found in shapes.items()},
     )
 
 

@@ -153,7 +153,7 @@ def is_reachable(cell: Cell) -> bool:
     """Return whether there is room for the camera at a cell, on both sides."""
     plan = footprints(lit_world(cell.world, cell.light), below=CAMERA_HEIGHT + CLEARANCE)
     # The camera may come close to the wall that bears the marker.
-    plan = [one for one in plan if one.centre[0] <= MARKER[0] - CLEARANCE]
+    plan = [one for one in plan if one.pose[0] <= MARKER[0] - CLEARANCE]
     return all(one.distance(place[:2]) >= CLEARANCE for one in plan for place in _places(cell))
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from alike import assert_as_before, lines_of
 
-from bullet_lab.simulation.world.ogre_script import (
+from bullet_lab.simulation.world.materials import (
     ScriptError,
     inherited,
     parse_script,
