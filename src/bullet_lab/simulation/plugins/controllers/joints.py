@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import ClassVar, Dict, Mapping, Optional, Tuple, Type
+from typing import ClassVar, Mapping
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Vector
@@ -56,11 +56,11 @@ class JointLimits:
     velocity: float = math.inf
     acceleration: float = math.inf
     effort: float = math.inf
-    soft: Optional[SoftLimits] = None
+    soft: SoftLimits | None = None
 
     def changed_by(self, given: ControlParameters) -> JointLimits:
         """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
-        changed: Dict[str, float] = {}
+        changed: dict[str, float] = {}
         for kind in ("velocity", "acceleration", "effort"):
             most = given.get(f"max_{kind}")
             switch = given.value(f"has_{kind}_limits")
@@ -95,7 +95,7 @@ class DescribedJoint:
     kind: str
     origin: Vector = (0.0, 0.0, 0.0)
     limits: JointLimits = JointLimits()
-    radius: Optional[float] = None
+    radius: float | None = None
     interface: str = ""
 
     def error(self, position: float, target: float) -> float:
@@ -119,7 +119,7 @@ class DescribedJoint:
 
 def described_joints(
     urdf: str, source: str, interfaces: Mapping[str, str] = MappingProxyType({})
-) -> Dict[str, DescribedJoint]:
+) -> dict[str, DescribedJoint]:
     """Return the joints that have a transmission in the text of a URDF, by name; raises XmlError.
 
     As in Gazebo, an invalid transmission is ignored with a warning. With `interfaces` by
@@ -147,7 +147,7 @@ def described_joints(
     }
 
 
-def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint:
+def _joint(tag: UrdfTag, radii: Mapping[str, float | None]) -> DescribedJoint:
     kind, limits = tag.text("type"), JointLimits()
     if tag.element.find("limit") is not None:
         soft = None
@@ -160,14 +160,14 @@ def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint
     return DescribedJoint(tag.name, kind, tag.pose().position, limits, radius)
 
 
-def _radius(link: UrdfTag) -> Optional[float]:
+def _radius(link: UrdfTag) -> float | None:
     """Return the radius (m) of the first collision, if it is a cylinder or a sphere."""
     shape = link.element.find("collision[1]/geometry/*")
     is_round = shape is not None and shape.tag in ROUND
     return link.other(shape).sizes("radius", 1)[0] if is_round else None
 
 
-def _transmission(element: Element) -> Tuple[str, str]:
+def _transmission(element: Element) -> tuple[str, str]:
     """Return the name of the joint and its interface; raises XmlError with what is wrong."""
     if not element.get("name"):
         raise XmlError("has no name")
@@ -221,7 +221,7 @@ class Pid:
         # As in control_toolbox, the loop starts at error 0, so its first step has a derivative.
         self._last = 0.0
 
-    def command(self, error: float, seconds: float, slope: Optional[float] = None) -> float:
+    def command(self, error: float, seconds: float, slope: float | None = None) -> float:
         """Return the command for an error, `seconds` after the last one; 0 if it is not finite.
 
         `slope` is the error's, if it is known.
@@ -254,7 +254,7 @@ class JointHandle(ABC):
     body: Body
     described: DescribedJoint
     limits: JointLimits
-    pid: Optional[Pid] = None
+    pid: Pid | None = None
 
     def __post_init__(self) -> None:
         self.name = self.described.name
@@ -283,7 +283,7 @@ class JointHandle(ABC):
         if self._applied:
             self.body.exert(self.name, self._applied)
 
-    def _speed_limits(self, position: float) -> Tuple[float, float]:
+    def _speed_limits(self, position: float) -> tuple[float, float]:
         """Return the least and the greatest velocity that the limits allow at a position."""
         most, soft = self.limits.velocity, self.limits.soft
         if soft is None or not math.isfinite(self.limits.upper):
@@ -308,7 +308,7 @@ class EffortJoint(JointHandle):
         self.command = _between(self.command, *self._effort_limits())
         self._apply(0.0 if stopped else self.command)
 
-    def _effort_limits(self) -> Tuple[float, float]:
+    def _effort_limits(self) -> tuple[float, float]:
         limits, soft = self.limits, self.limits.soft
         least, most = -limits.effort, limits.effort
         if soft is not None:
@@ -338,7 +338,7 @@ class PositionJoint(JointHandle):
         # The position during an emergency stop.
         self._held = self.position
         # The last limited command; None after the robot was placed.
-        self._before: Optional[float] = None
+        self._before: float | None = None
 
     def placed(self) -> None:
         self._before = None
@@ -369,8 +369,8 @@ class VelocityJoint(JointHandle):
         # The last limited command.
         self._before = 0.0
         # The velocity that the motor was given last; None after the robot was placed.
-        self._driven: Optional[float] = None
-        self._wheel: Optional[Wheel] = None
+        self._driven: float | None = None
+        self._wheel: Wheel | None = None
         if self.pid is None:
             self._wheel = Wheel(self.body, self.name, min(self.limits.effort, STRONGEST))
 
@@ -395,7 +395,7 @@ class VelocityJoint(JointHandle):
             self._wheel.follow(speed)
 
 
-KINDS: Mapping[str, Type[JointHandle]] = {
+KINDS: Mapping[str, type[JointHandle]] = {
     kind.interface: kind for kind in (PositionJoint, VelocityJoint, EffortJoint)
 }
 
@@ -404,7 +404,7 @@ def joint_handles(
     bodies: Mapping[str, Body],
     described: Mapping[str, DescribedJoint],
     parameters: ControlParameters,
-) -> Dict[str, JointHandle]:
+) -> dict[str, JointHandle]:
     """Return the joints of a robot that have a transmission, by name.
 
     A transmission of a joint that the model does not have, or that cannot move, is ignored with
@@ -415,7 +415,7 @@ def joint_handles(
         described: the joints with a transmission, by name.
         parameters: with joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
     """
-    handles: Dict[str, JointHandle] = {}
+    handles: dict[str, JointHandle] = {}
     owners = {name: body for body in bodies.values() for name in body.joint_names}
     for name, joint in described.items():
         if name not in owners:
