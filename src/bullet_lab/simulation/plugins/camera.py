@@ -35,12 +35,23 @@ from bullet_lab.simulation.world.description import PluginTag
 LOG = logging.getLogger(__name__)
 
 # The encodings of the formats of 8 bits, and of those that depth cameras do not have.
-PLAIN = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
-PLAIN.update({"RGB_INT8": "rgb8", "BGR_INT8": "bgr8", "L_INT8": "mono8"})
-ENCODINGS = {**PLAIN, "L16": "mono16", "L_INT16": "mono16"}
-ENCODINGS.update({"R16G16B16": "rgb16", "RGB_INT16": "rgb16"})
+PLAIN = {
+    "R8G8B8": "rgb8",
+    "B8G8R8": "bgr8",
+    "L8": "mono8",
+    "RGB_INT8": "rgb8",
+    "BGR_INT8": "bgr8",
+    "L_INT8": "mono8",
+}
 BAYER = "bayer_"
-ENCODINGS.update({f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR", "GBRG", "GRBG")})
+ENCODINGS = {
+    **PLAIN,
+    "L16": "mono16",
+    "L_INT16": "mono16",
+    "R16G16B16": "rgb16",
+    "RGB_INT16": "rgb16",
+    **{f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR", "GBRG", "GRBG")},
+}
 # From 8 to 16 bits.
 TO_16 = 257
 WIDE = "wideanglecamera"
@@ -142,10 +153,9 @@ class Camera(Plugin):
         info = f"{self.prefix}camera_info"
         self.info = self._output("cameraInfoTopicName", info, CameraInfoSample)
         rates = (tag.number("update_rate"), mount.number("updateRate"))
-        given = [rate for rate in rates if rate != 0.0]
         try:
             # The slower of the two; 0 stands for the other one.
-            self.schedule = Schedule(min(given, default=DEFAULT_RATE))
+            self.schedule = Schedule(min(filter(None, rates), default=DEFAULT_RATE))
         except ScheduleError as error:
             raise PluginError(f"{mount.where('updateRate')}: {error}") from error
 
@@ -319,7 +329,6 @@ class DepthCamera(Camera):
         tag, info = "depthImageCameraInfoTopicName", "depth/camera_info"
         self.depth_info = self._output(tag, info, CameraInfoSample)
         self.points = self._output("pointCloudTopicName", "points", PointsSample)
-        self._slopes: np.ndarray | None = None
 
     def produce(self, step: int) -> None:
         image, depth, points = (o.wanted for o in (self.image, self.depth, self.points))
@@ -349,9 +358,7 @@ class DepthCamera(Camera):
 
     def points_at(self, depths: np.ndarray) -> np.ndarray:
         """Return the points of the optical frame (m) at each pixel's depth, (h, w, 3) float32."""
-        if self._slopes is None:
-            self._slopes = self.lens.slopes()
-        x, y = self._slopes
+        x, y = self.lens.slopes
         return np.dstack((x * depths, y * depths, depths))
 
     def _depth_image(self, step: int, depths: np.ndarray) -> ImageSample:

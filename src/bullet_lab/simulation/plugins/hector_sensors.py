@@ -12,9 +12,9 @@ import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Mount, Plugin, SensorTag
+from bullet_lab.simulation.plugins import Mount, Plugin
 from bullet_lab.simulation.plugins.motion_sensors import InertialUnit, mounting_offset
-from bullet_lab.simulation.plugins.ray_sensors import RAY_SENSORS, RayScan, RaySensor
+from bullet_lab.simulation.plugins.ray_sensors import RaySensor
 from bullet_lab.simulation.plugins.samples import FixSample, ImuSample, RangeSample, VectorSample
 
 # WGS 84: radius at the equator in m, and the square of the first eccentricity.
@@ -200,9 +200,8 @@ class Sonar(RaySensor):
     filenames = ("libhector_gazebo_ros_sonar.so",)
 
     def __init__(self, mount: Mount):
-        super().__init__(mount, mount.text("topicName", "sonar"), RangeSample)
+        super().__init__(mount, "sonar", RangeSample)
         self._frame = mount.text("frameId", "/sonar_link")
-        self._scanner = RayScan(mount, SensorTag(mount, RAY_SENSORS))
         self._error = DriftingError(mount, axes=1)
         self.schedule = mount.schedule("updateRate", 10.0)
 
@@ -214,11 +213,10 @@ class Sonar(RaySensor):
         super().produce(step)
 
     def measure(self, step: int) -> RangeSample:
-        scanner = self._scanner
-        reading = max(float(np.min(scanner.distances())), scanner.least)
-        if reading < scanner.greatest:
+        scan = self._scanner
+        reading = scan.nearest()
+        if reading < scan.greatest:
             (reading,) = self._error.read((reading,))
-        reading = min(max(reading, scanner.least), scanner.greatest)
-        spans = (abs(most - least) for least, most, _ in (scanner.angles, scanner.heights))
-        seen = (min(spans), scanner.least, scanner.greatest)
-        return RangeSample(step, self._frame, False, *seen, reading)
+        span = min(abs(most - least) for least, most, _ in (scan.angles, scan.heights))
+        seen = (span, scan.least, scan.greatest, scan.limited(reading))
+        return RangeSample(step, self._frame, False, *seen)

@@ -6,6 +6,7 @@ A lens distorts one picture or, for wide angles, joins several pictures.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Callable
 
 import cv2
@@ -60,18 +61,15 @@ class Lens:
         self.black = 0.0
         # Where each pixel is in the ideal picture, (2, height, width).
         self._places: np.ndarray | None = None
-        if any(camera.distortion):
-            self._set_ideal()
-
-    def _set_ideal(self) -> None:
-        camera = self.camera
+        if not any(camera.distortion):
+            return
         pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
         centre, size = np.array((camera.cx, camera.cy)), np.array((camera.width, camera.height))
         offsets = camera.slopes(pixels) * (camera.fx, camera.fy)
         shown = (np.abs(offsets) < 0.5 * WIDEST * size).all(axis=1)
         if not shown.any():
-            problem = "leaves nothing of the picture"
-            raise RendererError(f"a distortion of {camera.distortion} {problem}")
+            what = f"a distortion of {camera.distortion}"
+            raise RendererError(f"{what} leaves nothing of the picture")
         places = offsets + centre
         # One pixel more on each side, for the interpolation.
         first = np.floor(places[shown].min(axis=0)) - 1
@@ -100,8 +98,9 @@ class Lens:
             return values
         return cv2.remap(values, *self._places, cv2.INTER_NEAREST, borderValue=math.nan)
 
+    @cached_property
     def slopes(self) -> np.ndarray:
-        """Return x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
+        """The slopes x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
         camera, places = self.ideal, self._places
         if places is None:
             places = np.indices((camera.height, camera.width))[::-1]

@@ -262,7 +262,7 @@ class JointStatePublisher(Sensor):
             super().produce(step)
 
     def measure(self, step: int) -> JointSample:
-        states = [self._body.joint_state(name) for name in self._names]
-        positions, velocities = zip(*((state.position, state.velocity) for state in states))
+        states = map(self._body.joint_state, self._names)
         # Without efforts, as in Gazebo.
-        return JointSample(step, self._names, positions, velocities)
+        turns = zip(*((state.position, state.velocity) for state in states))
+        return JointSample(step, self._names, *turns)

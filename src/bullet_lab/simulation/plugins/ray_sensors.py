@@ -118,6 +118,14 @@ class RayScan:
         distances[seen] = np.clip(distances[seen], self.least, self.greatest)
         return distances
 
+    def nearest(self) -> float:
+        """Return the least of the exact distances in m, or the least range if that is greater."""
+        return max(float(np.min(self.distances())), self.least)
+
+    def limited(self, reading: float) -> float:
+        """Return a reading (m) limited to the range."""
+        return min(max(reading, self.least), self.greatest)
+
 
 def _angles(tag: SensorTag, path: str) -> tuple[Vector, int]:
     """Return the first and the last angle and their increment in rad, and their number."""
@@ -149,7 +157,10 @@ def _noise(tag: SensorTag) -> tuple[float, float]:
 class RaySensor(Sensor):
     """A sensor whose rays are cast together with those of others that are due."""
 
-    _scanner: RayScan
+    def __init__(self, mount: Mount, topic: str, kind: type):
+        self._tag = SensorTag(mount, RAY_SENSORS)
+        super().__init__(mount, mount.text("topicName", topic), kind)
+        self._scanner = RayScan(mount, self._tag)
 
     def prepare(self) -> None:
         if self._output.wanted:
@@ -167,11 +178,9 @@ class Laser(RaySensor):
     named_by_model = (False, True)
 
     def __init__(self, mount: Mount):
-        tag = SensorTag(mount, RAY_SENSORS)
+        super().__init__(mount, "/world", LaserSample)
         self._frame = mount.frame(mount.text("frameName", "/world"))
-        super().__init__(mount, mount.text("topicName", "/world"), LaserSample)
-        self._scanner = RayScan(mount, tag)
-        self.schedule = tag.schedule("update_rate", 0.0)
+        self.schedule = self._tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> LaserSample:
         scanner = self._scanner
@@ -190,14 +199,12 @@ class BlockLaser(RaySensor):
     filenames = ("libgazebo_ros_block_laser.so",)
 
     def __init__(self, mount: Mount):
-        tag = SensorTag(mount, RAY_SENSORS)
-        super().__init__(mount, mount.text("topicName", "/world"), BlockSample)
+        super().__init__(mount, "/world", BlockSample)
         self._frame = mount.frame(mount.text("frameName", "/world"))
         self._deviation = mount.coefficient("gaussianNoise")
         for without_effect in ("hokuyoMinIntensity", "updateRate"):
             mount.text(without_effect)
-        self._scanner = RayScan(mount, tag)
-        self.schedule = tag.schedule("update_rate", 0.0)
+        self.schedule = self._tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> BlockSample:
         scan = self._scanner
@@ -218,19 +225,18 @@ class VelodyneLaser(RaySensor):
     filenames = ("libgazebo_ros_velodyne_laser.so", "libgazebo_ros_velodyne_gpu_laser.so")
 
     def __init__(self, mount: Mount):
-        tag = SensorTag(mount, RAY_SENSORS)
-        super().__init__(mount, mount.text("topicName", "/points"), RingsSample)
+        super().__init__(mount, "/points", RingsSample)
         frame, space = mount.text("frameName", "/world"), mount.namespace
         is_prefix = space and not frame.startswith("/")
         self._frame = f"{space}/{frame}" if is_prefix else mount.frame(frame)
-        self._scanner = scan = RayScan(mount, tag)
-        self._least = max(scan.least, mount.coefficient("min_range"))
-        self._greatest = min(scan.greatest, mount.number("max_range", scan.greatest))
+        least, greatest = self._scanner.least, self._scanner.greatest
+        self._least = max(least, mount.coefficient("min_range"))
+        self._greatest = min(greatest, mount.number("max_range", greatest))
         # Without laser_retro, the intensity of all points is 0.
         self._is_blind = mount.number("min_intensity", -1.0) > 0.0
         self._deviation = mount.coefficient("gaussianNoise")
         self._is_organised = mount.boolean("organize_cloud", False)
-        self.schedule = tag.schedule("update_rate", 0.0)
+        self.schedule = self._tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> RingsSample:
         random, scan = self._noise.at(step), self._scanner
@@ -262,22 +268,18 @@ class RangeSensor(RaySensor):
     filenames = ("libgazebo_ros_range.so",)
 
     def __init__(self, mount: Mount):
-        tag = SensorTag(mount, RAY_SENSORS)
+        super().__init__(mount, "/range", RangeSample)
         frame = mount.frame(mount.text("frameName", "/world"))
-        super().__init__(mount, mount.text("topicName", "/range"), RangeSample)
         infrared = mount.text("radiation", "ultrasound") != "ultrasound"
         self._kind = (frame, infrared, mount.number("fov", 0.05))
         self._deviation = mount.coefficient("gaussianNoise")
-        self._scanner = RayScan(mount, tag)
-        self.schedule = tag.slower("updateRate", 0.0)
+        self.schedule = self._tag.slower("updateRate", 0.0)
 
     def measure(self, step: int) -> RangeSample:
-        least, greatest = self._scanner.least, self._scanner.greatest
-        noise = self._noise.at(step).normal(0.0, self._deviation)
+        scan, noise = self._scanner, self._noise.at(step).normal(0.0, self._deviation)
         # Infinity stays infinite with noise, and is then limited to the greatest range.
-        reading = max(float(np.min(self._scanner.distances())), least) + noise
-        reading = min(max(reading, least), greatest)
-        return RangeSample(step, *self._kind, least, greatest, reading)
+        reading = scan.limited(scan.nearest() + noise)
+        return RangeSample(step, *self._kind, scan.least, scan.greatest, reading)
 
 
 class Bumper(Sensor):

@@ -204,7 +204,7 @@ class DiffDriveController(Controller):
         if self._open_loop:
             # The last command counts as driven.
             self._reckoning.resume(0.0, 0.0)
-            left, right = (speed * seconds for speed in self._rim_speeds(self._last))
+            left, right = (speed * seconds for speed in self._last.rims(self.separation))
         else:
             left, right = self.distances()
         driven, turned = self._reckoning.advance(left, right)
@@ -239,21 +239,16 @@ class DiffDriveController(Controller):
     def command_joints(self, command: PlanarCommand, _seconds: float) -> None:
         """Pass a velocity on to the joints."""
         sides = (self._left, self._right)
-        for side, speed, radius in zip(sides, self._rim_speeds(command), self.radii):
+        for side, speed, radius in zip(sides, command.rims(self.separation), self.radii):
             for joint in side:
                 joint.command = speed / radius
 
-    def _rim_speeds(self, command: PlanarCommand) -> tuple[float, float]:
-        side = 0.5 * command.wz * self.separation
-        return command.vx - side, command.vx + side
-
     def distances(self) -> tuple[float, float]:
         """Return how far (m) the wheels of each side have rolled, on average."""
-        left, right = (
+        return tuple(
             radius * sum(joint.position for joint in side) / len(side)
             for radius, side in zip(self.radii, (self._left, self._right))
         )
-        return left, right
 
     def _geometry(self, given: ControlParameters) -> tuple[float, float]:
         """Return the wheels' separation and radius in m, before all multipliers.

@@ -6,7 +6,6 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import ClassVar, Mapping
 from xml.etree.ElementTree import Element
 
@@ -29,6 +28,13 @@ VELOCITY = "VelocityJointInterface"
 EFFORT = "EffortJointInterface"
 INTERFACES = (POSITION, VELOCITY, EFFORT)
 SOFT_LIMITS = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
+# The fields of `JointLimits` that parameters change, by their kinds.
+LIMIT_PARAMETERS = {
+    "velocity": {"velocity": "max_velocity"},
+    "acceleration": {"acceleration": "max_acceleration"},
+    "effort": {"effort": "max_effort"},
+    "position": {"lower": "min_position", "upper": "max_position"},
+}
 # Tags of shapes that have a radius.
 ROUND = ("cylinder", "sphere")
 # Effort (N m or N) of a motor without limit.
@@ -60,20 +66,14 @@ class JointLimits:
 
     def changed_by(self, given: ControlParameters) -> JointLimits:
         """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
-        changed: dict[str, float] = {}
-        for kind in ("velocity", "acceleration", "effort"):
-            most = given.get(f"max_{kind}")
+        changed = {}
+        for kind, names in LIMIT_PARAMETERS.items():
+            limits = {field: given.get(name) for field, name in names.items()}
             switch = given.value(f"has_{kind}_limits")
             if switch is False:
-                changed[kind] = math.inf
-            elif switch is True and most is not None:
-                changed[kind] = most
-        switch = given.value("has_position_limits")
-        lower, upper = given.get("min_position"), given.get("max_position")
-        if switch is False:
-            changed.update(lower=-math.inf, upper=math.inf)
-        elif switch is True and None not in (lower, upper):
-            changed.update(lower=lower, upper=upper)
+                changed.update({field: getattr(JointLimits, field) for field in limits})
+            elif switch is True and None not in limits.values():
+                changed.update(limits)
         return replace(self, **changed)
 
 
@@ -103,8 +103,6 @@ class DescribedJoint:
         if self.kind not in ("revolute", "continuous"):
             return target - position
         near = math.remainder(target - position, math.tau)
-        if self.kind == "continuous":
-            return near
         for distance in (near, near - math.copysign(math.tau, near)):
             if self.limits.lower <= position + distance <= self.limits.upper:
                 return distance
@@ -112,13 +110,11 @@ class DescribedJoint:
 
     def within_limits(self, target: float) -> float:
         """Return the nearest position within the described limits."""
-        if self.kind not in ("revolute", "prismatic"):
-            return target
-        return min(max(target, self.limits.lower), self.limits.upper)
+        return _between(target, self.limits.lower, self.limits.upper)
 
 
 def described_joints(
-    urdf: str, source: str, interfaces: Mapping[str, str] = MappingProxyType({})
+    urdf: str, source: str, interfaces: Mapping[str, str] | None = None
 ) -> dict[str, DescribedJoint]:
     """Return the joints that have a transmission in the text of a URDF, by name; raises XmlError.
 
@@ -129,7 +125,7 @@ def described_joints(
     links, joints = (map(robot.below, robot.element.findall(tag)) for tag in ("link", "joint"))
     radii = {link.name: _radius(link) for link in links}
     known = {joint.name: _joint(joint, radii) for joint in joints}
-    found = dict(interfaces)
+    found = dict(interfaces or {})
     for element in () if interfaces else robot.element.findall("transmission"):
         where = f"{source}: transmission '{element.get('name', '')}'"
         try:
@@ -169,21 +165,22 @@ def _radius(link: UrdfTag) -> float | None:
 
 def _transmission(element: Element) -> tuple[str, str]:
     """Return the name of the joint and its interface; raises XmlError with what is wrong."""
-    if not element.get("name"):
-        raise XmlError("has no name")
-    if not (element.findtext("type") or "").strip():
-        raise XmlError("has no <type>")
-    if element.find("actuator") is None:
-        raise XmlError("has no <actuator>")
+    for is_missing, what in (
+        (not element.get("name"), "name"),
+        (not (element.findtext("type") or "").strip(), "<type>"),
+        (element.find("actuator") is None, "<actuator>"),
+    ):
+        if is_missing:
+            raise XmlError(f"has no {what}")
     joints = element.findall("joint")
     if len(joints) != 1 or not joints[0].get("name"):
         raise XmlError(f"has {len(joints) or 'no'} joints; it needs one, with a name")
     joint = joints[0].get("name", "")
-    texts = [(child.text or "").strip() for child in joints[0].findall("hardwareInterface")]
-    if not any(texts):
-        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
+    texts = ((child.text or "").strip() for child in joints[0].findall("hardwareInterface"))
     # As in Gazebo, the first counts; robots older than ROS Indigo have no prefix.
-    interface = next(filter(None, texts))
+    interface = next(filter(None, texts), "")
+    if not interface:
+        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
     name = interface[len(PREFIX) :] if interface.startswith(PREFIX) else interface
     if name not in INTERFACES:
         known = ", ".join(PREFIX + one for one in INTERFACES)
@@ -288,11 +285,8 @@ class JointHandle(ABC):
         most, soft = self.limits.velocity, self.limits.soft
         if soft is None or not math.isfinite(self.limits.upper):
             return -most, most
-        return _slowed(soft, position, soft.lower, most), _slowed(soft, position, soft.upper, most)
-
-
-def _slowed(soft: SoftLimits, position: float, end: float, most: float) -> float:
-    return _between(-soft.k_position * (position - end), -most, most)
+        ends = (soft.lower, soft.upper)
+        return tuple(_between(-soft.k_position * (position - end), -most, most) for end in ends)
 
 
 def _between(value: float, least: float, most: float) -> float:
@@ -312,10 +306,9 @@ class EffortJoint(JointHandle):
         limits, soft = self.limits, self.limits.soft
         least, most = -limits.effort, limits.effort
         if soft is not None:
-            slowest, fastest = self._speed_limits(self.position)
-            return (
-                _between(-soft.k_velocity * (self.velocity - slowest), least, most),
-                _between(-soft.k_velocity * (self.velocity - fastest), least, most),
+            return tuple(
+                _between(-soft.k_velocity * (self.velocity - speed), least, most)
+                for speed in self._speed_limits(self.position)
             )
         if self.position < limits.lower or self.velocity < -limits.velocity:
             least = 0.0
@@ -368,14 +361,11 @@ class VelocityJoint(JointHandle):
         super().__post_init__()
         # The last limited command.
         self._before = 0.0
-        # The velocity that the motor was given last; None after the robot was placed.
-        self._driven: float | None = None
         self._wheel: Wheel | None = None
         if self.pid is None:
             self._wheel = Wheel(self.body, self.name, min(self.limits.effort, STRONGEST))
 
     def placed(self) -> None:
-        self._driven = None
         if self._wheel is not None:
             self._wheel.stop()
 
@@ -389,10 +379,8 @@ class VelocityJoint(JointHandle):
         speed = 0.0 if stopped else self.command
         if self._wheel is None:
             self._apply(self.pid.command(speed - self.velocity, STEP_SECONDS))
-        elif speed == 0.0 or speed != self._driven:
-            # A motor keeps its speed, but at 0 the wheel must check whether to hold the joint.
-            self._driven = speed
-            self._wheel.follow(speed)
+        else:
+            self._wheel.keep(speed)
 
 
 KINDS: Mapping[str, type[JointHandle]] = {
@@ -425,6 +413,6 @@ def joint_handles(
         limits = joint.limits.changed_by(parameters.below(f"joint_limits/{name}"))
         gains = parameters.below(f"gazebo_ros_control/pid_gains/{name}")
         has_pid = joint.interface != EFFORT and gains.get("p") is not None
-        pid = Pid(gains) if has_pid else None
-        handles[name] = KINDS[joint.interface](owners[name], joint, limits, pid)
+        parts = (owners[name], joint, limits, Pid(gains) if has_pid else None)
+        handles[name] = KINDS[joint.interface](*parts)
     return handles
