@@ -17,7 +17,7 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import Any, Callable, ClassVar, Iterable, Mapping, Sequence
+from typing import Any, Callable, Iterable, Mapping, Sequence
 from zlib import crc32
 
 import numpy as np
@@ -291,9 +291,9 @@ class Plugin:
         refused: names and types of controllers that could not be loaded.
     """
 
-    filenames: ClassVar[tuple[str, ...]] = ()
-    named_by_model: ClassVar[tuple[bool, bool]] = (False, False)
-    acts: ClassVar[bool] = False
+    filenames = ()
+    named_by_model = (False, False)
+    acts = False
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)

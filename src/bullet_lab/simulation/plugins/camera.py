@@ -11,7 +11,7 @@ import logging
 import math
 from collections import deque
 from dataclasses import astuple, dataclass, replace
-from typing import Any, ClassVar, Mapping
+from typing import Any, Mapping
 from xml.etree.ElementTree import Element
 
 import cv2
@@ -124,10 +124,10 @@ class Camera(Plugin):
 
     filenames = ("libgazebo_ros_camera.so",)
     named_by_model = (False, True)
-    sensors: ClassVar[tuple[str, ...]] = ("camera", WIDE)
-    encodings: ClassVar[Mapping[str, str]] = ENCODINGS
+    sensors = ("camera", WIDE)
+    encodings = ENCODINGS
     # Prefix of the picture's default topics.
-    prefix: ClassVar[str] = ""
+    prefix = ""
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -314,8 +314,8 @@ class DepthCamera(Camera):
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
-    sensors: ClassVar[tuple[str, ...]] = ("depth",)
-    encodings: ClassVar[Mapping[str, str]] = PLAIN
+    sensors = ("depth",)
+    encodings = PLAIN
     prefix = "ir/"
 
     def __init__(self, mount: Mount):

@@ -151,8 +151,7 @@ class Kobuki(MobileBase):
         self._sensing.restart(step)
         self._turn_rate = 0.0
         self._gyroscope.reset(step)
-        self._pressed: set[int] = set()
-        self._standing: set[int] = set()
+        self._pressed, self._standing = set(), set()
         super().reset(step)
 
     def placed(self) -> None:

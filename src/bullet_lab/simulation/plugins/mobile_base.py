@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
@@ -42,9 +41,9 @@ class MobileBase(Plugin):
         frame: name of the odometry's frame.
     """
 
-    directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
-    command_topic: ClassVar[str] = "cmd_vel"
-    base_frame: ClassVar[str] = "base_footprint"
+    directions = ("vx", "wz")
+    command_topic = "cmd_vel"
+    base_frame = "base_footprint"
     transform: Output
 
     def __init__(self, mount: Mount):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import ClassVar, Tuple
+from typing import Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -116,7 +116,7 @@ class WheelDrive(MobileBase):
         wheels: the left ones before as many right ones.
     """
 
-    size_tags: ClassVar[tuple[str, str]] = ("wheelSeparation", "wheelDiameter")
+    size_tags = ("wheelSeparation", "wheelDiameter")
     wheels: tuple[Wheel, ...]
 
     def __init__(self, mount: Mount, separation: float):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections import deque
-from typing import Any, Callable, ClassVar, Mapping, NamedTuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
@@ -44,14 +44,13 @@ class ActionController(Controller):
     """Base of controllers with an action. A new goal that is accepted preempts the last one.
 
     Commands, goals and cancellations come from any thread; they wait for the next update.
+    Subclasses define `action`, the name of the action in the controller's namespace.
 
     Attributes:
-        action: name of the action in the controller's namespace.
         queries: functions of a simulated time in s, by the names of services.
         goal: the active one.
     """
 
-    action: ClassVar[str]
     queries: Mapping[str, Callable[[float], Any]] = {}
 
     def configure(self, given: ControlParameters) -> None:
@@ -173,9 +172,8 @@ class Gripper(ActionController):
         self._default_effort = abs(given.get("max_effort", 0.0))
         self._slowest = given.get("stall_velocity_threshold", 0.001)
         self._patience = given.get("stall_timeout", 1.0) * STEPS_PER_SECOND
-        self._pid: Pid | None = None
-        if self.interface == EFFORT:
-            self._pid = Pid(given.below(f"gains/{self.joints[0].name}"))
+        gains = given.below(f"gains/{self.joints[0].name}")
+        self._pid = Pid(gains) if self.interface == EFFORT else None
 
     def starting(self, step: int) -> None:
         if self._pid is not None:

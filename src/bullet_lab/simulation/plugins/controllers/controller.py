@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Iterator, Mapping, Sequence
+from typing import Any, Iterator, Mapping, Sequence
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Input, Output
@@ -78,7 +78,7 @@ class Controller(ABC):
         adjustables: the settings that `adjust` changes, with their first values.
     """
 
-    kinds: ClassVar[Mapping[str, str]] = {}
+    kinds = {}
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)

@@ -6,7 +6,7 @@ import logging
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, ClassVar, Mapping
+from typing import Any, Mapping
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -89,7 +89,7 @@ class DiffDriveController(Controller):
 
     kinds = {"diff_drive_controller/DiffDriveController": VELOCITY}
     # The components of a command that it uses.
-    directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
+    directions = ("vx", "wz")
 
     def configure(self, given: ControlParameters) -> None:
         self._multipliers: dict[str, float] = {}

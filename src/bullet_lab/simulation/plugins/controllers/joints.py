@@ -6,7 +6,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import ClassVar, Mapping
+from typing import Mapping
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Vector
@@ -246,8 +246,6 @@ class JointHandle(ABC):
     velocity, by the gains of gazebo_ros_control.
     """
 
-    interface: ClassVar[str]
-
     body: Body
     described: DescribedJoint
     limits: JointLimits
@@ -361,9 +359,8 @@ class VelocityJoint(JointHandle):
         super().__post_init__()
         # The last limited command.
         self._before = 0.0
-        self._wheel: Wheel | None = None
-        if self.pid is None:
-            self._wheel = Wheel(self.body, self.name, min(self.limits.effort, STRONGEST))
+        most = min(self.limits.effort, STRONGEST)
+        self._wheel = Wheel(self.body, self.name, most) if self.pid is None else None
 
     def placed(self) -> None:
         if self._wheel is not None:
