@@ -55,7 +55,7 @@ class DriftingError:
         """Start with a drift, or with one that is drawn."""
         drawn = self._random.at(FIRST_STEP).standard_normal(len(self.offset))
         self.drift = self.deviation * drawn if drift is None else np.array(drift)
-        self._noise, self._step = 0.0 * self.drift, step
+        self._noise, self._step = 0.0, step
 
     def advance(self, step: int) -> float:
         """Draw drift and noise at a step; return the time since the last one in s."""
@@ -90,6 +90,7 @@ class HectorImu(InertialUnit):
             mount.text(f"heading{key}")
         self.accel, self.rate = DriftingError(mount, "accel"), DriftingError(mount, "rate")
         self._yaw = DriftingError(mount, "yaw", 1)
+        self._errors = (self.accel, self.rate, self._yaw)
         if self._deviation:
             self.accel.noise[:] = self.rate.noise[:] = self._deviation
             self._deviation = 0.0
@@ -101,11 +102,11 @@ class HectorImu(InertialUnit):
 
     def reset(self, step: int) -> None:
         super().reset(step)
-        for error in (self.accel, self.rate, self._yaw):
+        for error in self._errors:
             error.reset(step)
 
     def produce(self, step: int) -> None:
-        for error in (self.accel, self.rate, self._yaw):
+        for error in self._errors:
             error.advance(step)
         if self._bias.wanted:
             biases = (tuple(error.bias.tolist()) for error in (self.rate, self.accel))

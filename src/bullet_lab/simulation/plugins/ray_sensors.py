@@ -71,10 +71,10 @@ class RayScan:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
         self._mean, self._deviation = _noise(tag)
         yaw, pitch = np.meshgrid(_spread(self.angles, columns), _spread(self.heights, rows))
-        level = np.cos(pitch)
-        directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
-        self.shape, self.directions = yaw.shape, directions.reshape(-1, 3)
-        self._axes = np.ascontiguousarray(self.directions.T)
+        self.shape, level = yaw.shape, np.cos(pitch)
+        directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)))
+        self._axes = directions.reshape(3, -1)
+        self.directions = self._axes.T
         self._place = tag.place()
         self._rays = mount.simulation.rays
 
@@ -330,15 +330,12 @@ class Bumper(Sensor):
                 second = name(*point.other, point.place_on_other)
                 pairs.setdefault((first, second), []).append(point)
         centre = self._place.centre_of_mass()
-        contacts = []
-        for names, points in pairs.items():
-            arms = (subtract(point.place, centre) for point in points)
-            torques = tuple(cross(arm, point.force) for arm, point in zip(arms, points))
-            forces, places, normals, depths = zip(
-                *((point.force, point.place, point.normal, point.depth) for point in points)
-            )
-            contacts.append(ShapeContact(step, *names, forces, torques, places, normals, depths))
-        return contacts
+
+        def row(point: ContactPoint) -> tuple:
+            torque = cross(subtract(point.place, centre), point.force)
+            return point.force, torque, point.place, point.normal, point.depth
+
+        return [ShapeContact(step, *n, *zip(*map(row, points))) for n, points in pairs.items()]
 
 
 def watched_shapes(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
@@ -347,14 +344,15 @@ def watched_shapes(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
     wanted = [(element.text or "").strip() for element in tag.element.findall("contact/collision")]
     chosen: list[str] = []
     for name in wanted:
-        found = [name] if name in known else []
+        if name in known:
+            chosen.append(name)
+            continue
+        # Gazebo's versions differ in what they add to the name of a shape of a URDF.
+        found = [one for one in known if ADDED.sub("", one) == ADDED.sub("", name)]
+        where, shapes = tag.where("collision"), ", ".join(found or known) or "none"
+        what = f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}"
         if not found:
-            # Gazebo's versions differ in what they add to the name of a shape of a URDF.
-            found = [one for one in known if ADDED.sub("", one) == ADDED.sub("", name)]
-            where, shapes = tag.where("collision"), ", ".join(found or known) or "none"
-            what = f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}"
-            if not found:
-                raise PluginError(what)
-            LOG.warning("%s; these are watched, Gazebo would report no contact", what)
+            raise PluginError(what)
+        LOG.warning("%s; these are watched, Gazebo would report no contact", what)
         chosen += found
     return tuple(f"{mount.model.name}::{link}::{name}" for name in chosen or known)

@@ -137,7 +137,11 @@ class DiffDriveController(Controller):
             raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
         self._left, self._right = map(self.find_joints, sides)
         self.joints = self._left + self._right
-        self._measured = self._geometry(given)
+        # Values that are no parameters come from the URDF, of the first wheel of each side.
+        left, right = self._left[0].described, self._right[0].described
+        apart = given.get("wheel_separation", math.dist(left.origin, right.origin))
+        # Before all multipliers.
+        self._measured = apart, wheel_radius(given, left)
         self._set_multipliers(_multipliers(given))
 
     def command(self, command: PlanarCommand) -> None:
@@ -157,8 +161,8 @@ class DiffDriveController(Controller):
         self._set_multipliers({name: values[name] for name in self._multipliers})
         self._reckoning.separation = self.separation
         self.placed()
+        schedule.restart(step)
         self._schedule = schedule
-        self._schedule.restart(step)
         self._sends_transforms = values["enable_odom_tf"]
 
     def starting(self, step: int) -> None:
@@ -186,18 +190,14 @@ class DiffDriveController(Controller):
         self._restart(step)
 
     def update(self, step: int, seconds: float) -> None:
-        self._reckon(seconds)
+        self._velocities.append(tuple(part / seconds for part in self.moved(seconds)))
+        means = (sum(speeds) / len(speeds) for speeds in zip(*self._velocities))
+        self._velocity = self._last if self._open_loop else PlanarCommand(*means)
         if is_due(self._schedule, step):
             self._report(step)
         command = self._drive(step, seconds)
         if self.commanded.wanted:
             self.commanded.send(VelocitySample(step, "", command))
-
-    def _reckon(self, seconds: float) -> None:
-        """Update pose and velocity of the odometry."""
-        self._velocities.append(tuple(part / seconds for part in self.moved(seconds)))
-        means = (sum(speeds) / len(speeds) for speeds in zip(*self._velocities))
-        self._velocity = self._last if self._open_loop else PlanarCommand(*means)
 
     def moved(self, seconds: float) -> tuple[float, float, float]:
         """Update the odometry's pose; return the motion ahead, to the left (m) and the turn."""
@@ -250,19 +250,9 @@ class DiffDriveController(Controller):
             for radius, side in zip(self.radii, (self._left, self._right))
         )
 
-    def _geometry(self, given: ControlParameters) -> tuple[float, float]:
-        """Return the wheels' separation and radius in m, before all multipliers.
-
-        Values that are no parameters come from the URDF, of the first wheel of each side.
-        """
-        left, right = self._left[0].described, self._right[0].described
-        apart = math.dist(left.origin, right.origin)
-        return given.get("wheel_separation", apart), wheel_radius(given, left)
-
     def _set_multipliers(self, multipliers: dict[str, float]) -> None:
         """Set the multipliers; raises ControlError for invalid ones, and changes nothing then."""
-        separation, radius = self._measured
-        left, right, apart = multipliers.values()
+        (separation, radius), (left, right, apart) = self._measured, multipliers.values()
         sizes = (apart * separation, left * radius, right * radius)
         if not all(0.0 < size < math.inf for size in sizes):
             raise ControlError("separation and radius of the wheels have to be positive")
