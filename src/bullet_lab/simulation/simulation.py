@@ -37,9 +37,9 @@ from bullet_lab.simulation.plugins import (
     Plugin,
     kind_of,
     namespace_of,
+    skipped_line,
     warn_of_rivals,
 )
-from bullet_lab.simulation.plugins.missing import skipped_line
 from bullet_lab.simulation.rendering.renderer import (
     Renderer,
     RendererError,

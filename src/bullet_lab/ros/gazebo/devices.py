@@ -43,9 +43,8 @@ from bullet_lab.simulation.plugins.controllers import ControlError, ControlParam
 from bullet_lab.simulation.plugins.controllers.actions import ActionController
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
 from bullet_lab.simulation.plugins.hector_sensors import DriftingError, HectorImu
-from bullet_lab.simulation.plugins.mimic_joint import MimicJoint
 from bullet_lab.simulation.plugins.motion_sensors import Imu
-from bullet_lab.simulation.plugins.ros_control import RosControl
+from bullet_lab.simulation.plugins.ros_control import MimicJoint, RosControl
 from bullet_lab.simulation.plugins.samples import ImageSample
 from bullet_lab.srv import SetBias
 
@@ -218,7 +217,7 @@ class ControllerServices:
     def end(self) -> None:
         """Shut down all topics and services; in the thread of the simulation."""
         self._ended.set()
-        self._world.topics.disconnect(tuple(self._plugin.manager.controllers.values()))
+        self._world.topics.disconnect(tuple(self._plugin.controllers.values()))
         self._world.registrar.submit(self._shut_down)
 
     def _shut_down(self) -> None:
@@ -360,7 +359,7 @@ class ControllerServices:
     def _manager(self) -> Any:
         if self._ended.is_set():
             raise ControlError("the robot was removed from the world")
-        return self._plugin.manager
+        return self._plugin
 
 
 def _state(controller: Controller) -> Any:

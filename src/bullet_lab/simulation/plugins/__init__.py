@@ -15,8 +15,9 @@ import logging
 import pkgutil
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import Any, Callable, ClassVar, Iterable, Mapping
+from typing import Any, Callable, Iterable, Mapping, Sequence
 from zlib import crc32
 
 import numpy as np
@@ -58,6 +59,22 @@ NAMESPACE = "robotNamespace"
 TOPIC = re.compile(r"[~/A-Za-z][\w/]*", re.ASCII)
 # Tags that Gazebo's plugins ignore, or that have no use here.
 QUIET_TAGS = frozenset((NAMESPACE, "rosDebugLevel", "alwaysOn", "visualize"))
+
+
+# The physics that plugins need, with a pattern of their files.
+PHYSICS = {
+    "thrust of propellers": "rotors_.*motor|multirotor|quadrotor_(propulsion|simple)|ardupilot",
+    "lift and drag in air": "liftdrag|quadrotor_aerodynamics|fw_dynamics|parachute",
+    "wind": "wind",
+    "buoyancy and drag of water": "buoyancy|underwater_object|hydrodynamic|usv_dynamics",
+    "thrusters and fins": "thruster|fin_plugin",
+    "slip of wheels": "wheel_?slip",
+    "tracks": "track(ed)?_?vehicle",
+    "a harness": "harness",
+    "grasping": "gripper|grasp|vacuum|sticky",
+    "a framework of its own for joints": "fetch_gazebo|ros_controller_manager|baxter_gazebo",
+    "motion of an obstacle (docs/plugins/path.md has one)": "obstacle",
+}
 
 
 class PluginError(LabError):
@@ -118,8 +135,8 @@ class Mount(TagReader):
 
     def topic(self, name: str) -> str:
         """Return a topic's name within the plugin's namespace; raises PluginError if invalid."""
-        absolute = name.startswith("/") or not self.namespace
-        full = name if absolute else f"/{self.namespace}/{name}"
+        is_full = name.startswith("/") or not self.namespace
+        full = name if is_full else f"/{self.namespace}/{name}"
         if not TOPIC.fullmatch(full):
             raise PluginError(f"{self.name()}: '{full}' is not a valid topic name")
         return full
@@ -140,10 +157,9 @@ class Mount(TagReader):
 
     def scoped(self, name: str) -> str:
         """Return the full name of a link or joint; a nested model's own names come first."""
-        links = (*self.model.links_by_name(), *self.model.frames)
-        names = {*links, *(joint.name for joint in self.model.joints)}
-        full = self.plugin.scope + name
-        return full if full in names else name
+        model, full = self.model, self.plugin.scope + name
+        joints = (joint.name for joint in model.joints)
+        return full if full in {*model.links_by_name(), *model.frames, *joints} else name
 
     def attached(self, link: str, offset: Pose = ORIGIN) -> AttachedFrame:
         """Return a frame that is fixed to a link; as `AttachedFrame.of`, but with PluginError."""
@@ -162,8 +178,9 @@ class Mount(TagReader):
     def sensor(self, tag: str, kind: str) -> SensorTag:
         """Return the sensor of the model that a tag names; raises PluginError."""
         name, own = self.required(tag), self.plugin
-        for found in (one for one in self.model.plugins if one.scope == own.scope):
-            if found.sensor is not None and found.sensor.get("name") == name:
+        for found in self.model.plugins:
+            is_sensor = found.sensor is not None and found.sensor.get("name") == name
+            if is_sensor and found.scope == own.scope:
                 holder = replace(found, filename=own.filename, name=own.name)
                 return SensorTag(replace(self, plugin=holder), (kind,))
         raise PluginError(f"{self.where(tag)}: the model has no sensor '{name}'")
@@ -182,22 +199,21 @@ class SensorTag(ElementReader):
     """
 
     def __init__(self, mount: Mount, kinds: tuple[str, ...]):
-        plugin, where = mount.plugin, mount.name()
-        if plugin.sensor is None or plugin.sensor.get("type") not in kinds:
-            found = "" if plugin.sensor is None else f', not "{plugin.sensor.get("type")}"'
-            wanted = f'<sensor type="{kinds[0]}">'
-            raise PluginError(f"{where} ({plugin.filename}) needs a {wanted}{found}")
-        super().__init__(plugin.sensor, f"{where}: <sensor>")
+        sensor, where = mount.plugin.sensor, mount.name()
+        if sensor is None or sensor.get("type") not in kinds:
+            found = "" if sensor is None else f', not "{sensor.get("type")}"'
+            wanted = f'<sensor type="{kinds[0]}">{found}'
+            raise PluginError(f"{where} ({mount.plugin.filename}) needs a {wanted}")
+        super().__init__(sensor, f"{where}: <sensor>")
         self._mount = mount
 
     def count(self, path: str, default: int, most: int) -> int:
         """Return the whole number from 1 to `most` in a tag; raises LabError."""
-        value = self.number(path, default)
-        if value == int(value) and 1 <= value <= most:
-            return int(value)
-        problem = f"{value:g} is not a whole number in 1 … {most}"
-        self.doubt(PluginError(f"{self.where(path)}: {problem}"))
-        return default
+        def is_wrong(values: tuple[float, ...]) -> bool:
+            return not (values[0].is_integer() and 1 <= values[0] <= most)
+
+        reason = f"{{:g}} is not a whole number in 1 … {most}"
+        return int(self.numbers(path, 1, repr(default), is_wrong, reason)[0])
 
     def doubt(self, error: LabError) -> None:  # noqa: D102
         self._mount.doubt(error)
@@ -274,9 +290,9 @@ class Plugin:
         refused: names and types of controllers that could not be loaded.
     """
 
-    filenames: ClassVar[tuple[str, ...]] = ()
-    named_by_model: ClassVar[tuple[bool, bool]] = (False, False)
-    acts: ClassVar[bool] = False
+    filenames = ()
+    named_by_model = (False, False)
+    acts = False
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
@@ -368,11 +384,33 @@ def namespace_of(tag: PluginTag, model: str) -> str:
 def warn_of_rivals(plugin: Plugin, others: Iterable[Plugin]) -> None:
     """Warn of joints that both a plugin and another one of its model drive."""
     for other in others:
-        joints = sorted(set(plugin.driven) & set(other.driven))
+        joints = ", ".join(sorted(set(plugin.driven) & set(other.driven)))
         if joints and other is not plugin:
             both = f"{other.mount.name()} and plugin '{plugin.mount.plugin.name}'"
-            names = ", ".join(joints)
-            LOG.warning("%s both drive %s: each undoes what the other does", both, names)
+            LOG.warning("%s both drive %s: each undoes what the other does", both, joints)
+
+def missing_physics(files: Iterable[str]) -> list[str]:
+    """Return the physics that the plugins of some files need and that is not simulated.
+
+    >>> missing_physics(["libLiftDragPlugin.so", "librotors_gazebo_motor_model.so"])
+    ['thrust of propellers', 'lift and drag in air']
+    """
+    names = " ".join(files).lower()
+    return [need for need, pattern in PHYSICS.items() if re.search(pattern, names)]
+
+
+def skipped_line(model: str, tags: Sequence[PluginTag], others: Iterable[Plugin]) -> str:
+    """Return the warning about skipped plugins of a model that has others."""
+    files = Counter(tag.filename for tag in tags)
+    what = f"plugin '{tags[0].name}' ({tags[0].filename}) is not simulated and skipped"
+    if len(tags) > 1:
+        counted = (f"{count} {name}" if count > 1 else name for name, count in files.items())
+        what = f"{len(tags)} plugins are not simulated and skipped ({', '.join(counted)})"
+    needs = missing_physics(files)
+    drives = any(plugin.acts and not isinstance(plugin, Sensor) for plugin in others)
+    missing = f"; missing: {', '.join(needs)}" if needs else ""
+    idle = "" if drives else "; no other plugin moves the model"
+    return f"model '{model}': {what}{missing}{idle}"
 
 
 for _module in pkgutil.iter_modules(__path__, f"{__name__}."):

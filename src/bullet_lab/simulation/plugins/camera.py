@@ -1,14 +1,18 @@
 """Cameras: pictures of the simulation with the errors of lens and sensor, and depth.
 
-libgazebo_ros_camera.so, libgazebo_ros_openni_kinect.so and libgazebo_ros_depth_camera.so.
+libgazebo_ros_camera.so, libgazebo_ros_openni_kinect.so, libgazebo_ros_depth_camera.so, and those of
+pairs of cameras and pictures on demand: libgazebo_ros_multicamera.so,
+libgazebo_ros_triggered_camera.so and libgazebo_ros_triggered_multicamera.so.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from dataclasses import astuple, dataclass, replace
-from typing import Any, ClassVar, Mapping
+from typing import Any, Mapping
+from xml.etree.ElementTree import Element
 
 import cv2
 import numpy as np
@@ -16,28 +20,44 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
-from bullet_lab.simulation.plugins.lenses import Lens, WideLens
-from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
+from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError, SensorTag
+from bullet_lab.simulation.plugins.lenses import WHITE, Lens, SensorNoise, WideLens, blurred
+from bullet_lab.simulation.plugins.samples import (
+    CameraInfoSample,
+    ImageSample,
+    PointsSample,
+    Trigger,
+)
 from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError
 from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
+from bullet_lab.simulation.world.description import PluginTag
 
 LOG = logging.getLogger(__name__)
 
 # The encodings of the formats of 8 bits, and of those that depth cameras do not have.
-PLAIN = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
-PLAIN.update({"RGB_INT8": "rgb8", "BGR_INT8": "bgr8", "L_INT8": "mono8"})
-ENCODINGS = {**PLAIN, "L16": "mono16", "L_INT16": "mono16"}
-ENCODINGS.update({"R16G16B16": "rgb16", "RGB_INT16": "rgb16"})
+PLAIN = {
+    "R8G8B8": "rgb8",
+    "B8G8R8": "bgr8",
+    "L8": "mono8",
+    "RGB_INT8": "rgb8",
+    "BGR_INT8": "bgr8",
+    "L_INT8": "mono8",
+}
 BAYER = "bayer_"
-ENCODINGS.update({f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR", "GBRG", "GRBG")})
+ENCODINGS = {
+    **PLAIN,
+    "L16": "mono16",
+    "L_INT16": "mono16",
+    "R16G16B16": "rgb16",
+    "RGB_INT16": "rgb16",
+    **{f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR", "GBRG", "GRBG")},
+}
 # From 8 to 16 bits.
 TO_16 = 257
 WIDE = "wideanglecamera"
 LARGEST_SIDE = 8192
 # px; OpenCV fails with much more.
 MOST_BLUR = 1000.0
-WHITE = 255.0
 # Hz.
 DEFAULT_RATE = 30.0
 DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
@@ -56,8 +76,8 @@ FARTHER = 1.01
 BRIGHTEST = 4.0
 # The greatest number of millimetres that a 16UC1 image holds.
 MOST_MILLIMETRES = 65535
-# How many numbers the table of noise has beyond those of one picture: the number of its offsets.
-SPARE_NOISE = 1 << 20
+# Triggers that wait for their picture; more are dropped.
+MOST_REQUESTS = 100
 
 
 @dataclass(frozen=True)
@@ -90,40 +110,6 @@ class CameraSettings:
             raise RendererError("noise is a share of white; at most 1 is allowed")
 
 
-class SensorNoise:
-    """Normal noise, drawn once and read from a random offset for each picture.
-
-    Drawing new numbers for each frame would take as long as rendering it. The numbers in a picture
-    are independent. Two pictures share numbers, at different pixels unless their offsets are the
-    same (one in a million). Mean and deviation are shares of white.
-    """
-
-    def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
-        noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
-        noise = np.rint(WHITE * (mean + stddev * noise))
-        # Two arrays, since adding and subtracting bytes is fast and saturates.
-        self._more = np.clip(noise, 0, 255).astype(np.uint8)
-        self._less = np.clip(-noise, 0, 255).astype(np.uint8)
-
-    def add_to(self, picture: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Return the picture with noise; `random` draws the offset."""
-        first = int(random.integers(SPARE_NOISE))
-        part = slice(first, first + picture.size)
-        more, less = (a[part].reshape(picture.shape) for a in (self._more, self._less))
-        return cv2.subtract(cv2.add(picture, more), less)
-
-
-def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
-    """Return the picture with a Gaussian blur of `sigma` pixels, as uint8.
-
-    A float32 picture is clipped to white afterwards.
-    """
-    if sigma <= 0.0:
-        return picture
-    picture = cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-    return picture if picture.dtype == np.uint8 else cv2.convertScaleAbs(picture)
-
-
 class Camera(Plugin):
     """Takes pictures along the x axis of its link, with the link's z axis upwards.
 
@@ -138,10 +124,10 @@ class Camera(Plugin):
 
     filenames = ("libgazebo_ros_camera.so",)
     named_by_model = (False, True)
-    sensors: ClassVar[tuple[str, ...]] = ("camera", WIDE)
-    encodings: ClassVar[Mapping[str, str]] = ENCODINGS
+    sensors = ("camera", WIDE)
+    encodings = ENCODINGS
     # Prefix of the picture's default topics.
-    prefix: ClassVar[str] = ""
+    prefix = ""
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
@@ -167,10 +153,9 @@ class Camera(Plugin):
         info = f"{self.prefix}camera_info"
         self.info = self._output("cameraInfoTopicName", info, CameraInfoSample)
         rates = (tag.number("update_rate"), mount.number("updateRate"))
-        given = [rate for rate in rates if rate != 0.0]
         try:
             # The slower of the two; 0 stands for the other one.
-            self.schedule = Schedule(min(given, default=DEFAULT_RATE))
+            self.schedule = Schedule(min(filter(None, rates), default=DEFAULT_RATE))
         except ScheduleError as error:
             raise PluginError(f"{mount.where('updateRate')}: {error}") from error
 
@@ -329,8 +314,8 @@ class DepthCamera(Camera):
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
-    sensors: ClassVar[tuple[str, ...]] = ("depth",)
-    encodings: ClassVar[Mapping[str, str]] = PLAIN
+    sensors = ("depth",)
+    encodings = PLAIN
     prefix = "ir/"
 
     def __init__(self, mount: Mount):
@@ -344,7 +329,6 @@ class DepthCamera(Camera):
         tag, info = "depthImageCameraInfoTopicName", "depth/camera_info"
         self.depth_info = self._output(tag, info, CameraInfoSample)
         self.points = self._output("pointCloudTopicName", "points", PointsSample)
-        self._slopes: np.ndarray | None = None
 
     def produce(self, step: int) -> None:
         image, depth, points = (o.wanted for o in (self.image, self.depth, self.points))
@@ -374,9 +358,7 @@ class DepthCamera(Camera):
 
     def points_at(self, depths: np.ndarray) -> np.ndarray:
         """Return the points of the optical frame (m) at each pixel's depth, (h, w, 3) float32."""
-        if self._slopes is None:
-            self._slopes = self.lens.slopes()
-        x, y = self._slopes
+        x, y = self.lens.slopes
         return np.dstack((x * depths, y * depths, depths))
 
     def _depth_image(self, step: int, depths: np.ndarray) -> ImageSample:
@@ -398,3 +380,72 @@ class DepthCamera(Camera):
             problem = f"the least depth, {closest:g} m, is not below the greatest, {farthest:g} m"
             raise PluginError(f"{where}: {problem}")
         return closest, farthest
+
+
+class MultiCamera(Camera):
+    """One camera of a `<sensor type="multicamera">`.
+
+    As in Gazebo, it has the namespace left or right below cameraName, by its own name.
+    """
+
+    filenames = ("libgazebo_ros_multicamera.so",)
+
+    @classmethod
+    def split(cls, tag: PluginTag) -> tuple[PluginTag, ...]:
+        if tag.sensor is None or tag.sensor.get("type") != "multicamera":
+            return (tag,)
+        parts = []
+        for camera in tag.sensor.findall("camera"):
+            side = next((s for s in ("left", "right") if s in camera.get("name", "")), "")
+            if not side:
+                what = f"plugin '{tag.name}': camera '{camera.get('name')}' is left out"
+                LOG.warning("%s: its name has neither left nor right", what)
+                continue
+            sensor = Element("sensor", type="camera", name=f"{tag.sensor.get('name', '')}_{side}")
+            sensor.extend([one for one in tag.sensor if one.tag in ("update_rate", "pose")])
+            sensor.append(camera)
+            space = tag.tags.get("cameraName", "")
+            tags = {**tag.tags, "cameraName": f"{space}/{side}" if space else side}
+            if side == "left":
+                # As in Gazebo, the baseline is that of the right camera.
+                tags["hackBaseline"] = "0"
+            names = {"name": f"{tag.name}_{side}", "tags": tags}
+            parts.append(replace(tag, sensor=sensor, element=None, **names))
+        return tuple(parts)
+
+
+class OnDemand(Schedule):
+    """Each step, to look for requests: as a rate of messages, none."""
+
+    period = math.inf
+
+
+class TriggeredCamera(Camera):
+    """Takes a picture for each message on its topic of triggers, one in a step."""
+
+    filenames = ("libgazebo_ros_triggered_camera.so",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self.schedule = OnDemand(0.0)
+        topic = self.topic(mount.text("triggerTopicName", "image_trigger"))
+        # Filled by other threads.
+        self._requests: deque[Trigger] = deque(maxlen=MOST_REQUESTS)
+        self.inputs = (Input(topic, Trigger, self._requests.append),)
+
+    def reset(self, step: int) -> None:
+        self._requests.clear()
+
+    def set_rate(self, rate: float, step: int) -> None:
+        """Do nothing: it has no rate."""
+
+    def produce(self, step: int) -> None:
+        if self._requests:
+            self._requests.popleft()
+            super().produce(step)
+
+
+class TriggeredMultiCamera(MultiCamera, TriggeredCamera):
+    """One camera of a `<sensor type="multicamera">`, with a trigger of its own."""
+
+    filenames = ("libgazebo_ros_triggered_multicamera.so",)

@@ -151,14 +151,12 @@ class Kobuki(MobileBase):
         self._sensing.restart(step)
         self._turn_rate = 0.0
         self._gyroscope.reset(step)
-        self._pressed: set[int] = set()
-        self._standing: set[int] = set()
+        self._pressed, self._standing = set(), set()
         super().reset(step)
 
     def placed(self) -> None:
         self._angles = self._wheel_angles()
         self._gyroscope.placed()
-        self._followed: PlanarCommand | None = None
         for wheel in self._wheels:
             wheel.stop()
 
@@ -169,12 +167,8 @@ class Kobuki(MobileBase):
         self._now = step
         if step - self._commanded_at > self._timeout or not self._has_power:
             self._command = STANDSTILL
-        if self._command is not self._followed or self._command == STANDSTILL:
-            # At rest, a wheel must check whether to hold its joint.
-            self._followed = self._command
-            side = 0.5 * self._command.wz * self._separation
-            for wheel, sign in zip(self._wheels, (-1.0, 1.0)):
-                wheel.follow((self._command.vx + sign * side) / self._radius)
+        for wheel, speed in zip(self._wheels, self._command.rims(self._separation)):
+            wheel.keep(speed / self._radius)
         self._note_contacts()
 
     def produce(self, step: int) -> None:
@@ -182,10 +176,9 @@ class Kobuki(MobileBase):
         self._last_step = step
         frame = self.mount.frame("base_link")
         if self._joint_states.wanted:
-            states = [wheel.state() for wheel in self._wheels]
-            turns = zip(*((state.position, state.velocity, 0.0) for state in states))
-            names = tuple(wheel.joint for wheel in self._wheels)
-            self._joint_states.send(JointSample(step, names, *turns, frame))
+            states = ((wheel.joint, wheel.state()) for wheel in self._wheels)
+            rows = ((joint, state.position, state.velocity, 0.0) for joint, state in states)
+            self._joint_states.send(JointSample(step, *zip(*rows), frame))
         if self._sensing.next_step <= step:
             self._sense(step)
         self._report(step, seconds)
@@ -238,7 +231,7 @@ class Kobuki(MobileBase):
         self._x += driven * math.cos(self._yaw)
         self._y += driven * math.sin(self._yaw)
         self._yaw = math.remainder(self._yaw + self._turn_rate * seconds, math.tau)
-        pose = Pose.from_rpy((self._x, self._y, 0.0), (0.0, 0.0, self._yaw))
+        pose = Pose.on_floor(self._x, self._y, self._yaw)
         speed = driven / seconds if seconds > 0.0 else 0.0
         velocity = PlanarCommand(vx=speed, wz=self._turn_rate)
         self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)

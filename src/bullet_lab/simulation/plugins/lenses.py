@@ -1,8 +1,12 @@
-"""Lenses of cameras: distortion of one picture, and wide angles, which join several pictures."""
+"""What happens to pictures in cameras: lenses, blur and noise.
+
+A lens distorts one picture or, for wide angles, joins several pictures.
+"""
 
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Callable
 
 import cv2
@@ -32,6 +36,10 @@ LENSES = {
 FACES = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (-1, 0))
 # Pixels of a face beyond its edge, for the interpolation.
 MARGIN = 3
+# How many numbers the table of noise has beyond those of one picture: the number of its offsets.
+SPARE_NOISE = 1 << 20
+# The value of white.
+WHITE = 255.0
 
 
 class Lens:
@@ -53,18 +61,15 @@ class Lens:
         self.black = 0.0
         # Where each pixel is in the ideal picture, (2, height, width).
         self._places: np.ndarray | None = None
-        if any(camera.distortion):
-            self._set_ideal()
-
-    def _set_ideal(self) -> None:
-        camera = self.camera
+        if not any(camera.distortion):
+            return
         pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
         centre, size = np.array((camera.cx, camera.cy)), np.array((camera.width, camera.height))
         offsets = camera.slopes(pixels) * (camera.fx, camera.fy)
         shown = (np.abs(offsets) < 0.5 * WIDEST * size).all(axis=1)
         if not shown.any():
-            problem = "leaves nothing of the picture"
-            raise RendererError(f"a distortion of {camera.distortion} {problem}")
+            what = f"a distortion of {camera.distortion}"
+            raise RendererError(f"{what} leaves nothing of the picture")
         places = offsets + centre
         # One pixel more on each side, for the interpolation.
         first = np.floor(places[shown].min(axis=0)) - 1
@@ -93,8 +98,9 @@ class Lens:
             return values
         return cv2.remap(values, *self._places, cv2.INTER_NEAREST, borderValue=math.nan)
 
+    @cached_property
     def slopes(self) -> np.ndarray:
-        """Return x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
+        """The slopes x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
         camera, places = self.ideal, self._places
         if places is None:
             places = np.indices((camera.height, camera.width))[::-1]
@@ -175,3 +181,37 @@ def _function(tag: SensorTag, half: float, fov: float) -> tuple[Callable, Callab
         lambda angle: scale * function(angle / second + shift),
         lambda radius: second * (inverse(radius / scale) - shift),
     )
+
+
+class SensorNoise:
+    """Normal noise, drawn once and read from a random offset for each picture.
+
+    Drawing new numbers for each frame would take as long as rendering it. The numbers in a picture
+    are independent. Two pictures share numbers, at different pixels unless their offsets are the
+    same (one in a million). Mean and deviation are shares of white.
+    """
+
+    def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
+        noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
+        noise = np.rint(WHITE * (mean + stddev * noise))
+        # Two arrays, since adding and subtracting bytes is fast and saturates.
+        self._more = np.clip(noise, 0, 255).astype(np.uint8)
+        self._less = np.clip(-noise, 0, 255).astype(np.uint8)
+
+    def add_to(self, picture: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """Return the picture with noise; `random` draws the offset."""
+        first = int(random.integers(SPARE_NOISE))
+        part = slice(first, first + picture.size)
+        more, less = (a[part].reshape(picture.shape) for a in (self._more, self._less))
+        return cv2.subtract(cv2.add(picture, more), less)
+
+
+def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """Return the picture with a Gaussian blur of `sigma` pixels, as uint8.
+
+    A float32 picture is clipped to white afterwards.
+    """
+    if sigma <= 0.0:
+        return picture
+    picture = cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    return picture if picture.dtype == np.uint8 else cv2.convertScaleAbs(picture)

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
 
-from bullet_lab.core.pose import Pose, Vector, heading_of
+from bullet_lab.core.pose import Pose, Quaternion, Vector, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError
@@ -42,9 +41,9 @@ class MobileBase(Plugin):
         frame: name of the odometry's frame.
     """
 
-    directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
-    command_topic: ClassVar[str] = "cmd_vel"
-    base_frame: ClassVar[str] = "base_footprint"
+    directions = ("vx", "wz")
+    command_topic = "cmd_vel"
+    base_frame = "base_footprint"
     transform: Output
 
     def __init__(self, mount: Mount):
@@ -163,10 +162,7 @@ class PlanarMove(MobileBase):
         self._patch = _support_patch(mount)
         if self._patch is not None:
             self._body.remove_sliding_friction()
-        # For the inner loop.
         self._set_velocity = self._body.set_velocity
-        self._turned = self._body.turned_inertia
-        self._simulation = mount.simulation
         # gazebo_ros_planar_move.cpp:220
         waiting = partial(WaitingSchedule, beyond=True)
         self.schedule = mount.schedule("odometryRate", 20.0, waiting)
@@ -186,7 +182,7 @@ class PlanarMove(MobileBase):
         vx, vy, wz = command.vx, command.vy, command.wz
         if self._patch is not None:
             vx, vy, wz = self._patch.slow_down(vx, vy, wz, self._load_now(height), STEP_SECONDS)
-        if self._turned:
+        if self._body.turned_inertia:
             quaternion = self._body.pose().quaternion
         self._set_velocity(*_in_world(vx, vy, wz, quaternion))
 
@@ -194,11 +190,14 @@ class PlanarMove(MobileBase):
         """Return the load (N) on the floor, with the centre of mass at a height (m)."""
         # By Newton's law: the body started the last step without vertical velocity, so the floor
         # has carried what did not become a fall.
-        pull = -self._simulation.world.gravity[2] * self._body.weight
-        carried = self._patch.mass * (pull + (height - self._height) / STEP_SQUARED)
+        carried = self._patch.mass * (self._pull() + (height - self._height) / STEP_SQUARED)
         self._height = height
         self._load += LOAD_SMOOTHING * (carried - self._load)
         return self._load
+
+    def _pull(self) -> float:
+        """Return the downward acceleration (m/s²) by gravity."""
+        return -self.mount.simulation.world.gravity[2] * self._body.weight
 
     def _commanded_velocity(self) -> tuple[Vector, Vector]:
         """Return the velocity that the body gets before friction acts, in the world."""
@@ -220,21 +219,16 @@ class PlanarMove(MobileBase):
         self._last_pose = self._pose()
         self._height = self._body.com_pose().position[2]
         if self._patch is not None:
-            pull = -self._simulation.world.gravity[2] * self._body.weight
-            self._load = self._patch.mass * pull
+            self._load = self._patch.mass * self._pull()
 
     def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
         """Return the mean velocity since the last sample, in the robot's present frame."""
         dt = (step - self._last_step) / STEPS_PER_SECOND
         if dt <= 0.0:
             return STANDSTILL
-        dx = pose.position[0] - self._last_pose.position[0]
-        dy = pose.position[1] - self._last_pose.position[1]
-        turned = math.remainder(pose.yaw - self._last_pose.yaw, math.tau)
-        cosine, sine = heading_of(pose.quaternion)
-        return PlanarCommand(
-            (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
-        )
+        (x, y, yaw), (last_x, last_y, last_yaw) = pose.planar, self._last_pose.planar
+        ahead, left = along(pose.quaternion, x - last_x, y - last_y)
+        return PlanarCommand(ahead / dt, left / dt, math.remainder(yaw - last_yaw, math.tau) / dt)
 
 
 class ForceBasedMove(PlanarMove):
@@ -268,8 +262,7 @@ class ForceBasedMove(PlanarMove):
 
     def _pose(self) -> Pose:
         """Return the pose in the odometry's frame, on its plane."""
-        pose = self.origin.inverse() * super()._pose()
-        return Pose.from_rpy((*pose.position[:2], 0.0), (0.0, 0.0, pose.yaw))
+        return Pose.on_floor(*(self.origin.inverse() * super()._pose()).planar)
 
     def reset(self, step: int) -> None:
         self._last_pose = Pose()
@@ -283,16 +276,20 @@ class ForceBasedMove(PlanarMove):
     def _push(self, linear: Vector, angular: Vector) -> None:
         """Push towards a velocity in the world (m/s, rad/s)."""
         place, (now, spin) = self._body.com_pose(), self._body.velocity()
-        cosine, sine = heading_of(place.quaternion)
-        x, y = linear[0] - now[0], linear[1] - now[1]
-        ahead = self._ahead * (cosine * x + sine * y)
-        left = self._left * (cosine * y - sine * x)
-        pushes = _in_world(ahead, left, self._turn * (angular[2] - spin[2]), place.quaternion)
+        ahead, left = along(place.quaternion, linear[0] - now[0], linear[1] - now[1])
+        push = (self._ahead * ahead, self._left * left, self._turn * (angular[2] - spin[2]))
+        pushes = _in_world(*push, place.quaternion)
         self._body.push(self._body.links[0].name, *pushes, place.position)
 
 
+def along(quaternion: Quaternion, x: float, y: float) -> tuple[float, float]:
+    """Return the parts of a vector in the world ahead and to the left of a robot."""
+    cosine, sine = heading_of(quaternion)
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
 def _in_world(
-    ahead: float, left: float, wz: float, quaternion: tuple[float, ...]
+    ahead: float, left: float, wz: float, quaternion: Quaternion
 ) -> tuple[Vector, Vector]:
     """Return velocities or forces of a robot, linear and angular, turned into the world."""
     cosine, sine = heading_of(quaternion)

@@ -49,6 +49,11 @@ class PlanarCommand:
     vy: float = 0.0
     wz: float = 0.0
 
+    def rims(self, separation: float) -> tuple[float, float]:
+        """Return the speeds (m/s) of left and right wheels that are `separation` (m) apart."""
+        side = 0.5 * self.wz * separation
+        return self.vx - side, self.vx + side
+
 
 STANDSTILL = PlanarCommand()
 

@@ -1,15 +1,15 @@
-"""Robots on driven wheels: differential drive, and skid steer with four wheels.
+"""Robots on driven wheels: differential drive, skid steer with four wheels, and tricycles.
 
-libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so.
+libgazebo_ros_diff_drive.so, libgazebo_ros_skid_steer_drive.so and libgazebo_ros_tricycle_drive.so.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from typing import ClassVar, Tuple
+from typing import Tuple
 
-from bullet_lab.core.pose import Pose, heading_of
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.physics.bodies import Body, JointState
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
@@ -19,6 +19,7 @@ from bullet_lab.simulation.plugins.mobile_base import (
     POSE_VARIANCES,
     UNKNOWN,
     MobileBase,
+    along,
     upright,
 )
 from bullet_lab.simulation.plugins.samples import (
@@ -44,6 +45,8 @@ CREEP_BY_MASS = 0.4
 CREEP_SPEED, CREEP_EXPONENT = 0.1, 0.7
 # Wheels with less than this share of the friction that they can have do not creep.
 CREEP_SHARE = 0.4
+# Effort (N m) that turns the fork of a tricycle to its angle at once.
+STRONGEST = 1e6
 # Of the left and the right wheels.
 Pair = Tuple[float, float]
 WHEEL_JOINTS = ("continuous", "revolute")
@@ -76,12 +79,18 @@ class Wheel:
     def follow(self, speed: float) -> None:
         """Drive at a speed in rad/s."""
         self._speed = speed
-        if self._speed != 0.0 or abs(self.state().velocity) > STANDING:
+        if speed != 0.0 or abs(self.state().velocity) > STANDING:
             self._release()
         elif not self._held:
             self._held = True
             self._body.set_sticking(self.joint, True)
             self._body.hold_joint(self.joint, self.state().position, self._torque)
+
+    def keep(self, speed: float) -> None:
+        """Drive at a speed in rad/s that nobody else changes; for each step."""
+        # A motor keeps its speed, but at 0 the wheel must check whether to hold its joint.
+        if speed == 0.0 or speed != self._speed:
+            self.follow(speed)
 
     def _release(self) -> None:
         self._held = False
@@ -96,6 +105,10 @@ class WheelDrive(MobileBase):
     command, v ∓ ω·separation/2 at the rim. The wheels roll, slip or stall by torque and friction.
     A command stays until the next one; as in Gazebo, there is no timeout.
 
+    Subclasses define `_report(step, seconds)`, which sends the odometry, and
+    `_rim_speeds(wanted, seconds)`, which returns the speeds (m/s) to set at the left and right
+    rims; `seconds` is the time since the last update.
+
     Attributes:
         size_tags: of the separation and the diameter of the wheels.
         separation: of the left and right wheels in m, by the tags.
@@ -103,7 +116,7 @@ class WheelDrive(MobileBase):
         wheels: the left ones before as many right ones.
     """
 
-    size_tags: ClassVar[Tuple[str, str]] = ("wheelSeparation", "wheelDiameter")
+    size_tags = ("wheelSeparation", "wheelDiameter")
     wheels: tuple[Wheel, ...]
 
     def __init__(self, mount: Mount, separation: float):
@@ -121,29 +134,19 @@ class WheelDrive(MobileBase):
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
         self._report(step, seconds)
-        side = 0.5 * self._command.wz * self.separation
-        wanted = (self._command.vx - side, self._command.vx + side)
-        speeds = self._rim_speeds(wanted, seconds)
+        speeds = self._rim_speeds(self._command.rims(self.separation), seconds)
         for number, wheel in enumerate(self.wheels):
-            on_the_right = 2 * number >= len(self.wheels)
-            wheel.follow(speeds[on_the_right] / self.radii[on_the_right])
+            side = 2 * number // len(self.wheels)
+            wheel.follow(speeds[side] / self.radii[side])
 
     def placed(self) -> None:
         for wheel in self.wheels:
             wheel.stop()
 
-    def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
-        """Return the speeds (m/s) to set at the left and right rims, `seconds` after the last."""
-        return wanted
-
     def _velocity(self, pose: Pose) -> PlanarCommand:
         """Return the velocity of the body's origin along the heading of a pose."""
         (vx, vy, _), (_, _, wz) = self._body.origin_velocity()
-        cosine, sine = heading_of(pose.quaternion)
-        return PlanarCommand(cosine * vx + sine * vy, cosine * vy - sine * vx, wz)
-
-    def _report(self, step: int, seconds: float) -> None:
-        """Send the odometry, `seconds` after the last time."""
+        return PlanarCommand(*along(pose.quaternion, vx, vy), wz)
 
 
 def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
@@ -183,9 +186,7 @@ class DeadReckoning:
 
     def restart(self, left: float, right: float) -> None:
         """Start at the origin, with the wheels at these angles (rad)."""
-        self._x = 0.0
-        self._y = 0.0
-        self._yaw = 0.0
+        self._x = self._y = self._yaw = 0.0
         self.resume(left, right)
 
     def resume(self, left: float, right: float) -> None:
@@ -292,10 +293,9 @@ class DiffDrive(WheelDrive):
         if self._acceleration == 0.0 or min(map(abs, lacks)) < NEAR:
             return wanted
         most = self._acceleration * seconds
-        left, right = (
+        self._set_speeds = tuple(
             speed + max(-most, min(most, lack)) for speed, lack in zip(self._set_speeds, lacks)
         )
-        self._set_speeds = (left, right)
         return self._set_speeds
 
     def _angles(self) -> tuple[float, float]:
@@ -316,15 +316,13 @@ class DiffDrive(WheelDrive):
                 self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
             # The right wheel before the left one, as Gazebo sends them.
-            names = tuple(wheel.joint for wheel in self.wheels[::-1])
-            angles = tuple(wheel.state().position for wheel in self.wheels[::-1])
-            self.wheel_states.send(JointSample(step, names, angles))
+            states = ((wheel.joint, wheel.state().position) for wheel in self.wheels[::-1])
+            self.wheel_states.send(JointSample(step, *zip(*states)))
 
     def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
         """Return the pose by the wheels' angles, and the mean velocity since the last update."""
         driven, turned = self._reckoning.advance(*self._angles())
-        x, y, yaw = self._reckoning.pose
-        pose = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+        pose = Pose.on_floor(*self._reckoning.pose)
         if seconds <= 0.0:
             return pose, STANDSTILL
         return pose, PlanarCommand(vx=driven / seconds, wz=turned / seconds)
@@ -383,10 +381,8 @@ class SkidSteer(WheelDrive):
     def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
         if not self._most_friction:
             return wanted
-        half = len(self.wheels) // 2
-        sides = (self.wheels[:half], self.wheels[half:])
-        left, right = map(self._rim_speed, wanted, sides, self.radii)
-        return left, right
+        sides = (self.wheels[:2], self.wheels[2:])
+        return tuple(map(self._rim_speed, wanted, sides, self.radii))
 
     def _rim_speed(self, wanted: float, wheels: tuple[Wheel, ...], radius: float) -> float:
         """Return the wanted speed of a side's rim less its creep (m/s)."""
@@ -400,3 +396,57 @@ class SkidSteer(WheelDrive):
         pose = self._pose()
         variances = (self._variances, self._variances)
         self._send_odometry(step, pose, self._velocity(pose), *variances, flat=True)
+
+
+class TricycleDrive(DiffDrive):
+    """Drives and steers the front wheel as commanded; the rear wheels measure the odometry.
+
+    `angular.z` of a command is the angle of the fork in rad. Without a <steeringSpeed>, the fork
+    takes its angle at once. The odometry is as that of `DiffDrive`.
+    """
+
+    filenames = ("libgazebo_ros_tricycle_drive.so",)
+    named_by_model = (False, False)
+    base_frame = "base_link"
+    size_tags = ("encoderWheelSeparation", "encoderWheelDiameter")
+    joint_tags = (
+        ("encoderWheelLeftJoint", "left_wheel_joint"),
+        ("encoderWheelRightJoint", "right_wheel_joint"),
+    )
+    default_separation = 0.5
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self._radius = 0.5 * mount.positive("actuatedWheelDiameter", 0.15)
+        self._torque = mount.coefficient("wheelTorque", 5.0)
+        self._deceleration = mount.coefficient("wheelDeceleration", self._acceleration)
+        self._steering_speed = mount.coefficient("steeringSpeed")
+        self._tolerance = mount.coefficient("steeringAngleTolerance", 0.01)
+        # Of no use here: the last step to a speed is as large as the others.
+        mount.text("wheelSpeedTolerance")
+        driven = wheel_joint(mount, "actuatedWheelJoint", "front_wheel_joint")
+        fork = wheel_joint(mount, "steeringJoint", "front_steering_joint")
+        torques = (0.0, 0.0, self._torque, self._torque)
+        self._joints += (driven, fork)
+        self.wheels = tuple(
+            Wheel(self._body, joint.name, torque) for joint, torque in zip(self._joints, torques)
+        )
+
+    def produce(self, step: int) -> None:
+        seconds = (step - self._last_step) / STEPS_PER_SECOND
+        self._last_step = step
+        self._report(step, seconds)
+        driven, fork = self.wheels[2:]
+        wanted, speed = self._command.vx / self._radius, driven.state().velocity
+        if self._acceleration > 0.0:
+            slows = abs(wanted) < abs(speed)
+            most = seconds * (self._deceleration if slows else self._acceleration)
+            wanted = speed + max(-most, min(most, wanted - speed))
+        driven.follow(wanted)
+        angle = max(-0.5 * math.pi, min(0.5 * math.pi, self._command.wz))
+        if self._steering_speed == 0.0:
+            self._body.hold_joint(fork.joint, angle, STRONGEST, 1.0)
+            return
+        lack = angle - fork.state().position
+        turns = abs(lack) > self._tolerance
+        fork.follow(math.copysign(self._steering_speed, lack) if turns else 0.0)

@@ -18,7 +18,7 @@ from bullet_lab.ros.messages.conversions import COMMANDS, Converter
 from bullet_lab.ros.messages.gazebo_types import kobuki_msg
 from bullet_lab.ros.messages.poses import InputError, first_step_at, pose_message, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
-from bullet_lab.simulation.plugins.point_lasers import RING_POINT
+from bullet_lab.simulation.plugins.ray_sensors import RING_POINT
 from bullet_lab.simulation.plugins.samples import (
     BlockSample,
     BumperEvent,

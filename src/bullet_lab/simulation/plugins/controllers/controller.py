@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Dict, Iterator, Mapping, Optional, Sequence, Tuple, Type, Union
+from typing import Any, Iterator, Mapping, Sequence
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Input, Output
@@ -53,7 +53,7 @@ class Setting:
     description: str
     min: Any = ""
     max: Any = ""
-    choices: Tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()
 
 
 class Controller(ABC):
@@ -78,7 +78,7 @@ class Controller(ABC):
         adjustables: the settings that `adjust` changes, with their first values.
     """
 
-    kinds: ClassVar[Mapping[str, str]] = {}
+    kinds = {}
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
@@ -96,10 +96,10 @@ class Controller(ABC):
         self.handles = handles
         self.interface = self.kinds[kind]
         self.state = INITIALIZED
-        self.joints: Tuple[JointHandle, ...] = ()
-        self.inputs: Tuple[Input, ...] = ()
-        self.outputs: Tuple[Output, ...] = ()
-        self.adjustables: Tuple[Setting, ...] = ()
+        self.joints: tuple[JointHandle, ...] = ()
+        self.inputs: tuple[Input, ...] = ()
+        self.outputs: tuple[Output, ...] = ()
+        self.adjustables: tuple[Setting, ...] = ()
         self.configure(parameters)
 
     @abstractmethod
@@ -110,7 +110,7 @@ class Controller(ABC):
         """Return a topic's name within the controller's namespace."""
         return f"{self.namespace}{self.name}/{name}"
 
-    def find_joints(self, names: Sequence[str], *interfaces: str) -> Tuple[JointHandle, ...]:
+    def find_joints(self, names: Sequence[str], *interfaces: str) -> tuple[JointHandle, ...]:
         """Return joints that take commands of one of the interfaces; raises ControlError.
 
         By default, it is that of the controller.
@@ -159,7 +159,7 @@ class Controller(ABC):
         """Change the adjustable settings, by name, from the simulated time `step` on."""
 
 
-CONTROLLERS: Dict[str, Type[Controller]] = {}
+CONTROLLERS: dict[str, type[Controller]] = {}
 """The controllers that are simulated, by the types of ros_controllers."""
 
 
@@ -171,7 +171,7 @@ def schedule_of(rate: float, where: str, name: str = "publish_rate") -> Schedule
         raise ControlError(f"{where}/{name}: {error}") from error
 
 
-def is_due(schedule: Optional[Schedule], step: int) -> bool:
+def is_due(schedule: Schedule | None, step: int) -> bool:
     """Return whether an occurrence is due, and go on to the next one after `step`."""
     if schedule is None or step < schedule.next_step:
         return False
@@ -197,13 +197,13 @@ class JointTargets(Controller):
         self.by_position = self.kind.endswith("PositionController")
         self.joints = self.find_joints(names)
         self.inputs = (Input(self.topic("command"), kind, self.command),)
-        self.targets: Tuple[float, ...] = (0.0,) * len(names)
+        self.targets: tuple[float, ...] = (0.0,) * len(names)
 
     def starting(self, step: int) -> None:
         """Have the present positions as targets, or no velocity or effort."""
         self.targets = tuple(one.position if self.by_position else 0.0 for one in self.joints)
 
-    def command(self, command: Union[JointCommand, JointCommands]) -> None:
+    def command(self, command: JointCommand | JointCommands) -> None:
         """Take over new targets of the joints.
 
         Raises:
@@ -330,7 +330,7 @@ class JointStateController(Controller):
 
 def _extra_joints(
     parameters: ControlParameters, taken: Sequence[str]
-) -> Iterator[Tuple[str, float, float, float]]:
+) -> Iterator[tuple[str, float, float, float]]:
     """Yield name, position, velocity and effort of each extra joint; ignore invalid entries."""
     extra = parameters.value("extra_joints")
     if extra is not None and not isinstance(extra, list):

@@ -6,8 +6,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import ClassVar, Dict, Mapping, Optional, Tuple, Type
+from typing import Mapping
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Vector
@@ -29,6 +28,13 @@ VELOCITY = "VelocityJointInterface"
 EFFORT = "EffortJointInterface"
 INTERFACES = (POSITION, VELOCITY, EFFORT)
 SOFT_LIMITS = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
+# The fields of `JointLimits` that parameters change, by their kinds.
+LIMIT_PARAMETERS = {
+    "velocity": {"velocity": "max_velocity"},
+    "acceleration": {"acceleration": "max_acceleration"},
+    "effort": {"effort": "max_effort"},
+    "position": {"lower": "min_position", "upper": "max_position"},
+}
 # Tags of shapes that have a radius.
 ROUND = ("cylinder", "sphere")
 # Effort (N m or N) of a motor without limit.
@@ -56,24 +62,18 @@ class JointLimits:
     velocity: float = math.inf
     acceleration: float = math.inf
     effort: float = math.inf
-    soft: Optional[SoftLimits] = None
+    soft: SoftLimits | None = None
 
     def changed_by(self, given: ControlParameters) -> JointLimits:
         """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
-        changed: Dict[str, float] = {}
-        for kind in ("velocity", "acceleration", "effort"):
-            most = given.get(f"max_{kind}")
+        changed = {}
+        for kind, names in LIMIT_PARAMETERS.items():
+            limits = {field: given.get(name) for field, name in names.items()}
             switch = given.value(f"has_{kind}_limits")
             if switch is False:
-                changed[kind] = math.inf
-            elif switch is True and most is not None:
-                changed[kind] = most
-        switch = given.value("has_position_limits")
-        lower, upper = given.get("min_position"), given.get("max_position")
-        if switch is False:
-            changed.update(lower=-math.inf, upper=math.inf)
-        elif switch is True and None not in (lower, upper):
-            changed.update(lower=lower, upper=upper)
+                changed.update({field: getattr(JointLimits, field) for field in limits})
+            elif switch is True and None not in limits.values():
+                changed.update(limits)
         return replace(self, **changed)
 
 
@@ -95,7 +95,7 @@ class DescribedJoint:
     kind: str
     origin: Vector = (0.0, 0.0, 0.0)
     limits: JointLimits = JointLimits()
-    radius: Optional[float] = None
+    radius: float | None = None
     interface: str = ""
 
     def error(self, position: float, target: float) -> float:
@@ -103,8 +103,6 @@ class DescribedJoint:
         if self.kind not in ("revolute", "continuous"):
             return target - position
         near = math.remainder(target - position, math.tau)
-        if self.kind == "continuous":
-            return near
         for distance in (near, near - math.copysign(math.tau, near)):
             if self.limits.lower <= position + distance <= self.limits.upper:
                 return distance
@@ -112,14 +110,12 @@ class DescribedJoint:
 
     def within_limits(self, target: float) -> float:
         """Return the nearest position within the described limits."""
-        if self.kind not in ("revolute", "prismatic"):
-            return target
-        return min(max(target, self.limits.lower), self.limits.upper)
+        return _between(target, self.limits.lower, self.limits.upper)
 
 
 def described_joints(
-    urdf: str, source: str, interfaces: Mapping[str, str] = MappingProxyType({})
-) -> Dict[str, DescribedJoint]:
+    urdf: str, source: str, interfaces: Mapping[str, str] | None = None
+) -> dict[str, DescribedJoint]:
     """Return the joints that have a transmission in the text of a URDF, by name; raises XmlError.
 
     As in Gazebo, an invalid transmission is ignored with a warning. With `interfaces` by
@@ -129,7 +125,7 @@ def described_joints(
     links, joints = (map(robot.below, robot.element.findall(tag)) for tag in ("link", "joint"))
     radii = {link.name: _radius(link) for link in links}
     known = {joint.name: _joint(joint, radii) for joint in joints}
-    found = dict(interfaces)
+    found = dict(interfaces or {})
     for element in () if interfaces else robot.element.findall("transmission"):
         where = f"{source}: transmission '{element.get('name', '')}'"
         try:
@@ -147,7 +143,7 @@ def described_joints(
     }
 
 
-def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint:
+def _joint(tag: UrdfTag, radii: Mapping[str, float | None]) -> DescribedJoint:
     kind, limits = tag.text("type"), JointLimits()
     if tag.element.find("limit") is not None:
         soft = None
@@ -160,30 +156,31 @@ def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint
     return DescribedJoint(tag.name, kind, tag.pose().position, limits, radius)
 
 
-def _radius(link: UrdfTag) -> Optional[float]:
+def _radius(link: UrdfTag) -> float | None:
     """Return the radius (m) of the first collision, if it is a cylinder or a sphere."""
     shape = link.element.find("collision[1]/geometry/*")
     is_round = shape is not None and shape.tag in ROUND
     return link.other(shape).sizes("radius", 1)[0] if is_round else None
 
 
-def _transmission(element: Element) -> Tuple[str, str]:
+def _transmission(element: Element) -> tuple[str, str]:
     """Return the name of the joint and its interface; raises XmlError with what is wrong."""
-    if not element.get("name"):
-        raise XmlError("has no name")
-    if not (element.findtext("type") or "").strip():
-        raise XmlError("has no <type>")
-    if element.find("actuator") is None:
-        raise XmlError("has no <actuator>")
+    for is_missing, what in (
+        (not element.get("name"), "name"),
+        (not (element.findtext("type") or "").strip(), "<type>"),
+        (element.find("actuator") is None, "<actuator>"),
+    ):
+        if is_missing:
+            raise XmlError(f"has no {what}")
     joints = element.findall("joint")
     if len(joints) != 1 or not joints[0].get("name"):
         raise XmlError(f"has {len(joints) or 'no'} joints; it needs one, with a name")
     joint = joints[0].get("name", "")
-    texts = [(child.text or "").strip() for child in joints[0].findall("hardwareInterface")]
-    if not any(texts):
-        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
+    texts = ((child.text or "").strip() for child in joints[0].findall("hardwareInterface"))
     # As in Gazebo, the first counts; robots older than ROS Indigo have no prefix.
-    interface = next(filter(None, texts))
+    interface = next(filter(None, texts), "")
+    if not interface:
+        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
     name = interface[len(PREFIX) :] if interface.startswith(PREFIX) else interface
     if name not in INTERFACES:
         known = ", ".join(PREFIX + one for one in INTERFACES)
@@ -221,7 +218,7 @@ class Pid:
         # As in control_toolbox, the loop starts at error 0, so its first step has a derivative.
         self._last = 0.0
 
-    def command(self, error: float, seconds: float, slope: Optional[float] = None) -> float:
+    def command(self, error: float, seconds: float, slope: float | None = None) -> float:
         """Return the command for an error, `seconds` after the last one; 0 if it is not finite.
 
         `slope` is the error's, if it is known.
@@ -249,12 +246,10 @@ class JointHandle(ABC):
     velocity, by the gains of gazebo_ros_control.
     """
 
-    interface: ClassVar[str]
-
     body: Body
     described: DescribedJoint
     limits: JointLimits
-    pid: Optional[Pid] = None
+    pid: Pid | None = None
 
     def __post_init__(self) -> None:
         self.name = self.described.name
@@ -283,16 +278,13 @@ class JointHandle(ABC):
         if self._applied:
             self.body.exert(self.name, self._applied)
 
-    def _speed_limits(self, position: float) -> Tuple[float, float]:
+    def _speed_limits(self, position: float) -> tuple[float, float]:
         """Return the least and the greatest velocity that the limits allow at a position."""
         most, soft = self.limits.velocity, self.limits.soft
         if soft is None or not math.isfinite(self.limits.upper):
             return -most, most
-        return _slowed(soft, position, soft.lower, most), _slowed(soft, position, soft.upper, most)
-
-
-def _slowed(soft: SoftLimits, position: float, end: float, most: float) -> float:
-    return _between(-soft.k_position * (position - end), -most, most)
+        ends = (soft.lower, soft.upper)
+        return tuple(_between(-soft.k_position * (position - end), -most, most) for end in ends)
 
 
 def _between(value: float, least: float, most: float) -> float:
@@ -308,14 +300,13 @@ class EffortJoint(JointHandle):
         self.command = _between(self.command, *self._effort_limits())
         self._apply(0.0 if stopped else self.command)
 
-    def _effort_limits(self) -> Tuple[float, float]:
+    def _effort_limits(self) -> tuple[float, float]:
         limits, soft = self.limits, self.limits.soft
         least, most = -limits.effort, limits.effort
         if soft is not None:
-            slowest, fastest = self._speed_limits(self.position)
-            return (
-                _between(-soft.k_velocity * (self.velocity - slowest), least, most),
-                _between(-soft.k_velocity * (self.velocity - fastest), least, most),
+            return tuple(
+                _between(-soft.k_velocity * (self.velocity - speed), least, most)
+                for speed in self._speed_limits(self.position)
             )
         if self.position < limits.lower or self.velocity < -limits.velocity:
             least = 0.0
@@ -338,7 +329,7 @@ class PositionJoint(JointHandle):
         # The position during an emergency stop.
         self._held = self.position
         # The last limited command; None after the robot was placed.
-        self._before: Optional[float] = None
+        self._before: float | None = None
 
     def placed(self) -> None:
         self._before = None
@@ -368,14 +359,10 @@ class VelocityJoint(JointHandle):
         super().__post_init__()
         # The last limited command.
         self._before = 0.0
-        # The velocity that the motor was given last; None after the robot was placed.
-        self._driven: Optional[float] = None
-        self._wheel: Optional[Wheel] = None
-        if self.pid is None:
-            self._wheel = Wheel(self.body, self.name, min(self.limits.effort, STRONGEST))
+        most = min(self.limits.effort, STRONGEST)
+        self._wheel = Wheel(self.body, self.name, most) if self.pid is None else None
 
     def placed(self) -> None:
-        self._driven = None
         if self._wheel is not None:
             self._wheel.stop()
 
@@ -389,13 +376,11 @@ class VelocityJoint(JointHandle):
         speed = 0.0 if stopped else self.command
         if self._wheel is None:
             self._apply(self.pid.command(speed - self.velocity, STEP_SECONDS))
-        elif speed == 0.0 or speed != self._driven:
-            # A motor keeps its speed, but at 0 the wheel must check whether to hold the joint.
-            self._driven = speed
-            self._wheel.follow(speed)
+        else:
+            self._wheel.keep(speed)
 
 
-KINDS: Mapping[str, Type[JointHandle]] = {
+KINDS: Mapping[str, type[JointHandle]] = {
     kind.interface: kind for kind in (PositionJoint, VelocityJoint, EffortJoint)
 }
 
@@ -404,7 +389,7 @@ def joint_handles(
     bodies: Mapping[str, Body],
     described: Mapping[str, DescribedJoint],
     parameters: ControlParameters,
-) -> Dict[str, JointHandle]:
+) -> dict[str, JointHandle]:
     """Return the joints of a robot that have a transmission, by name.
 
     A transmission of a joint that the model does not have, or that cannot move, is ignored with
@@ -415,7 +400,7 @@ def joint_handles(
         described: the joints with a transmission, by name.
         parameters: with joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
     """
-    handles: Dict[str, JointHandle] = {}
+    handles: dict[str, JointHandle] = {}
     owners = {name: body for body in bodies.values() for name in body.joint_names}
     for name, joint in described.items():
         if name not in owners:
@@ -425,6 +410,6 @@ def joint_handles(
         limits = joint.limits.changed_by(parameters.below(f"joint_limits/{name}"))
         gains = parameters.below(f"gazebo_ros_control/pid_gains/{name}")
         has_pid = joint.interface != EFFORT and gains.get("p") is not None
-        pid = Pid(gains) if has_pid else None
-        handles[name] = KINDS[joint.interface](owners[name], joint, limits, pid)
+        parts = (owners[name], joint, limits, Pid(gains) if has_pid else None)
+        handles[name] = KINDS[joint.interface](*parts)
     return handles

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import replace
-from typing import Sequence, Tuple
+from typing import Sequence
 
 from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
@@ -54,7 +54,7 @@ class SteeredWheel:
         self._steering = None if fork.interface == POSITION else Pid(gains.below(fork.name))
         self._driving = None if axle.interface == VELOCITY else Pid(gains.below(axle.name))
 
-    def roll(self) -> Tuple[complex, complex]:
+    def roll(self) -> tuple[complex, complex]:
         """Return where the wheel is in the robot, and how far it has rolled since the last time."""
         ahead = cmath.rect(1.0, self.fork.position)
         way = self._radius * (self.axle.position - self._rolled)
@@ -98,12 +98,8 @@ class SteeredWheels(DiffDriveController):
     directions = ("vx", "vy", "wz")
     separation = 1.0
 
-    def configure(self, given: ControlParameters) -> None:
-        super().configure(given)
-        self.adjustables = ()
-
     def set_wheels(
-        self, given: ControlParameters, names: Sequence[Tuple[str, str]], radii: Sequence[float]
+        self, given: ControlParameters, names: Sequence[tuple[str, str]], radii: Sequence[float]
     ) -> None:
         """Set the wheels by the names of forks and axles, and their radii; raises ControlError."""
         if not all(0.0 < radius < math.inf for radius in radii):
@@ -116,13 +112,13 @@ class SteeredWheels(DiffDriveController):
         if len({wheel.place for wheel in self._wheels}) < 2:
             raise ControlError("the wheels are all in one place")
 
-    def distances(self) -> Tuple[float, float]:
+    def distances(self) -> tuple[float, float]:
         """Let the odometry go on from where the wheels are now."""
         for wheel in self._wheels:
             wheel.roll()
         return 0.0, 0.0
 
-    def moved(self, seconds: float) -> Tuple[float, float, float]:
+    def moved(self, seconds: float) -> tuple[float, float, float]:
         places, ways = zip(*(wheel.roll() for wheel in self._wheels))
         middle, mean = sum(places) / len(places), sum(ways) / len(ways)
         arms = [place - middle for place in places]

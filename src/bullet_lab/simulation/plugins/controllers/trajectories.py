@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from itertools import chain
-from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, Mapping, NamedTuple, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins import Input, Output
@@ -25,11 +25,6 @@ LOG = logging.getLogger(__name__)
 # Error codes of control_msgs/FollowJointTrajectoryResult.
 INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = -1, -2, -3, -4, -5
 
-# Position, velocity and acceleration of a joint; the last two are None if they are not given.
-State = Tuple[float, Optional[float], Optional[float]]
-# The greatest errors of position and velocity; 0 for any.
-Bounds = Tuple[float, ...]
-
 
 class TrajectoryError(ControlError):
     """A trajectory is refused, with an error code."""
@@ -40,17 +35,23 @@ class TrajectoryError(ControlError):
 
 
 class Tolerance(NamedTuple):
-    """The greatest errors of a joint on the path and at its end, which may be late by `seconds`."""
+    """The greatest errors of a joint's position and velocity on the path and at its end; 0 for any.
 
-    path: Bounds = ()
-    goal: Bounds = ()
+    The end may be late by `seconds`.
+    """
+
+    path: tuple[float, ...] = ()
+    goal: tuple[float, ...] = ()
     seconds: float = 0.0
 
 
-def spline(one: State, two: State, t: float) -> Tuple[float, ...]:
+def spline(
+    one: Sequence[float | None], two: Sequence[float | None], t: float
+) -> tuple[float, ...]:
     """Return the coefficients of a polynomial from a state to one that is `t` seconds later.
 
-    It is linear without velocities, cubic without accelerations, and quintic otherwise.
+    A state is a position, a velocity and an acceleration; the last two may be None. The polynomial
+    is linear without velocities, cubic without accelerations, and quintic otherwise.
 
     >>> spline((0.0, None, None), (1.0, None, None), 2.0)
     (0.0, 0.5)
@@ -76,10 +77,10 @@ class Segment(NamedTuple):
 
     start: float
     end: float
-    coefficients: Tuple[float, ...]
+    coefficients: tuple[float, ...]
     origin: float
 
-    def at(self, time: float) -> Tuple[float, float, float]:
+    def at(self, time: float) -> tuple[float, float, float]:
         """Return the state at a time; before and after the segment, the joint stands still."""
         t = min(max(time - self.start, 0.0), self.end - self.start)
         p = v = a = 0.0
@@ -88,11 +89,7 @@ class Segment(NamedTuple):
         return (p, v, a) if t == time - self.start else (p, 0.0, 0.0)
 
 
-# What a joint follows, in the order of time; there is always a segment.
-Path = List[Segment]
-
-
-def segment_at(path: Path, time: float) -> Segment:
+def segment_at(path: Sequence[Segment], time: float) -> Segment:
     """Return the segment of a time, or the first one if it begins later."""
     return next((one for one in reversed(path) if one.start <= time), path[0])
 
@@ -129,7 +126,8 @@ class JointTrajectory(actions.ActionController):
         self.outputs = (self.states,)
         self.inputs = (Input(self.topic("command"), Trajectory, self.command),)
         self.queries = {"query_state": self.query}
-        self._paths: List[Path] = []
+        # What each joint follows, in the order of time; there is always a segment.
+        self._paths: list[list[Segment]] = []
         # Tolerances of the active goal, and when they begin to hold.
         self._bounds: Mapping[str, Tolerance] = {}
         self._since = 0.0
@@ -148,7 +146,7 @@ class JointTrajectory(actions.ActionController):
         self._check(trajectory)
         self.take(TrajectoryGoal(trajectory, {}, {}, 0.0))
 
-    def query(self, time: float) -> Tuple[Tuple[str, ...], TrajectoryPoint]:
+    def query(self, time: float) -> tuple[tuple[str, ...], TrajectoryPoint]:
         """Return the joints and their states at a simulated time in s; raises ControlError."""
         if not self.running or time < self._paths[0][0].start:
             raise ControlError(f"controller '{self.name}' has no trajectory at {time:.3f} s")
@@ -169,7 +167,7 @@ class JointTrajectory(actions.ActionController):
         self._follow(content.trajectory, step)
         self._bounds = bounds
 
-    def refusal(self, error: ControlError) -> Tuple[int, str]:
+    def refusal(self, error: ControlError) -> tuple[int, str]:
         return getattr(error, "code", INVALID_GOAL), str(error)
 
     def hold(self, step: int) -> None:
@@ -177,7 +175,7 @@ class JointTrajectory(actions.ActionController):
         now, span = step / STEPS_PER_SECOND, self._stop_seconds
         self._paths, self._bounds, self._since = [], {}, now
         for joint, (position, velocity, _) in zip(self.joints, self._desired):
-            parts: Tuple[float, ...] = (joint.position,)
+            parts: tuple[float, ...] = (joint.position,)
             if span:
                 # Half of a path that comes back with the opposite velocity.
                 start, back = (position, velocity, 0.0), (position, -velocity, 0.0)
@@ -255,7 +253,7 @@ class JointTrajectory(actions.ActionController):
         self._since = max(now, origin)
         for column, name in enumerate(trajectory.joints):
             number, start = self._names.index(name), self._since
-            last: State = segment_at(self._paths[number], start).at(start)
+            last: Sequence[float | None] = segment_at(self._paths[number], start).at(start)
             made = [one for one in self._paths[number] if one.start <= start]
             shift, first = 0.0, points[0].positions[column]
             if self._wraps[number]:
@@ -290,12 +288,12 @@ def _point(seconds: float, states: Iterable[Sequence[float]]) -> TrajectoryPoint
     return TrajectoryPoint(seconds, *zip(*states))
 
 
-def _chosen(asked: Bounds, default: Bounds) -> Bounds:
+def _chosen(asked: Sequence[float], default: Sequence[float]) -> tuple[float, ...]:
     """Return bounds: those that are asked for, or the default for 0; a negative one is none."""
     return tuple(given or kept for given, kept in zip(asked or default, default))
 
 
-def _violation(errors: Sequence[float], bounds: Bounds, where: str) -> str:
+def _violation(errors: Sequence[float], bounds: Sequence[float], where: str) -> str:
     """Return which error exceeds its bound, or an empty text."""
     for kind, error, most in zip(("position", "velocity"), errors, bounds):
         if 0.0 < most < abs(error):
