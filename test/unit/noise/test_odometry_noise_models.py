@@ -71,8 +71,7 @@ def test_its_parameters_are_calibrated(slip):
     steps = np.tile([[0.04, 0.0, 0.0], [0.0, 0.0, 0.1]], (100, 1))
     true = StepPairs(steps, steps[np.newaxis])
     pairs = drawn_pairs(true, SlipRule(0.1, 0.02), np.random.default_rng(1), 1)
-    problem = Problem(pairs, "slip")
-    (std, slipped) = intervals(problem, fit(problem))[0]
+    std, slipped = intervals(fit(Problem(pairs, "slip")))[0]
     assert 0.05 < std[0] < 0.1 < std[1] < 0.15
     assert 0.01 < slipped[0] < 0.02 < slipped[1] < 0.03
 

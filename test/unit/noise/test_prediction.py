@@ -13,7 +13,6 @@ from bullet_lab.noise.prediction import (
     INSIDE,
     LENGTHS,
     judged,
-    parameter_variances,
     path_of,
     predicted,
     windows,
@@ -37,19 +36,17 @@ def halves_of(pairs):
     every = np.ones(len(pairs.true), dtype=bool)
     number = np.arange(len(every))
     for own in (number < len(every) // 2, number >= len(every) // 2):
-        problem = Problem(StepPairs(pairs.true[own], pairs.odometry[:, own]), "random_walk", NAMES)
-        found = fit(problem)
+        halved = StepPairs(pairs.true[own], pairs.odometry[:, own])
+        found = fit(Problem(halved, "random_walk", NAMES))
         others = StepPairs(pairs.true[~own], pairs.odometry[:, ~own])
         for length in LENGTHS[:2]:
-            ends = predicted(problem, found, others, every[~own], length)
-            yield ends, parameter_variances(problem, found)
+            yield predicted(found, others, every[~own], length)
 
 
 def test_the_right_model_predicts_the_other_half():
     squares = []
     for seed in range(8):
-        found = list(halves_of(reported(seed)))
-        squares += [np.stack((*one.squares(v), one.apart)) for one, v in found]
+        squares += [np.stack((*one.squares(), one.apart)) for one in halves_of(reported(seed))]
     for first in (0, 1):
         rows = np.concatenate(squares[first::2], axis=1)
         held = np.mean(rows[0, rows[2] > 0] <= INSIDE)

@@ -137,13 +137,12 @@ def coverage(
     true = {**asdict(settings.rule(model)), **errors}
     estimates, ends = [], []
     for pairs in _paths(settings, model, systematic, paths, seed):
-        problem = Problem(pairs, model, systematic, settings.wheel_base)
-        found = fit(problem)
+        found = fit(Problem(pairs, model, systematic, settings.wheel_base))
         estimates.append(found.estimates)
-        ends.append(intervals(problem, found))
+        ends.append(intervals(found))
     values, bounds = np.concatenate(estimates), np.concatenate(ends)
     result = []
-    for j, name in enumerate(problem.names):
+    for j, name in enumerate(found.problem.names):
         low, high = bounds[:, j].T
         held = int(((low <= true[name]) & (true[name] <= high)).sum())
         means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
