@@ -22,6 +22,7 @@ from bullet_lab.core.parameters import (
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.goodness import drawn_pairs
 from bullet_lab.noise.likelihood import StepPairs
+from bullet_lab.noise.noisy_odom import NONE, PRESETS, with_preset
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import (
     MODELS,
@@ -31,7 +32,6 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
-from bullet_lab.noise.presets import NONE, PRESETS, with_preset
 from bullet_lab.studies.squares import SquaresSettings
 
 
