@@ -95,6 +95,11 @@ class NoisyBlock:
     def __len__(self) -> int:
         return len(self.position)
 
+    def poses(self, perfect: ndarray) -> ndarray:
+        """Return x (m), y (m) and yaw (rad, not wrapped) for the perfect ones, (b, n+1, 3)."""
+        x, y = perfect[0, 0] + self.position.real, perfect[0, 1] + self.position.imag
+        return np.stack([x, y, perfect[:, 2] + self.heading_error], axis=-1)
+
 
 def noisy_blocks(
     steps: NoisySteps,

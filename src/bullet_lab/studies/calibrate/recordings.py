@@ -164,6 +164,4 @@ def _paths(
     steps = noisy_steps(reported, settings.rule(model))
     generator = np.random.default_rng([seed, 1])
     for block in noisy_blocks(steps, generator, paths, _STEPS_AT_A_TIME):
-        heading = reported[:, 2] + block.heading_error
-        poses = np.stack((block.position.real, block.position.imag, heading), axis=-1)
-        yield StepPairs(se2.steps(truth), se2.steps(poses), *stds)
+        yield StepPairs(se2.steps(truth), se2.steps(block.poses(reported)), *stds)
