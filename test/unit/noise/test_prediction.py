@@ -8,7 +8,7 @@ from bullet_lab.noise.calibration import Problem, fit
 from bullet_lab.noise.goodness import drawn_pairs
 from bullet_lab.noise.likelihood import LongErrors, StepPairs, walk_shares
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.odometry_noise import rule_of
+from bullet_lab.noise.odometry_noise import RandomWalkRule, rule_of
 from bullet_lab.noise.prediction import (
     INSIDE,
     LENGTHS,
@@ -17,7 +17,6 @@ from bullet_lab.noise.prediction import (
     predicted,
     windows,
 )
-from bullet_lab.noise.random_walk import RandomWalkRule
 from bullet_lab.noise.systematic import SystematicErrors, end_of
 
 RULE = RandomWalkRule(0.02, 0.03, 0.05)
