@@ -24,7 +24,7 @@ from scipy.special import ndtr
 
 from bullet_lab.noise.calibration import Fit, Problem, fit
 from bullet_lab.noise.likelihood import PARTS, LongErrors, StepPairs, part_errors, walk_shares
-from bullet_lab.noise.odometry_noise import NoiseRule, line_of_travel, rule_of
+from bullet_lab.noise.odometry_noise import NoiseRule, line_of_travel
 
 SIGNIFICANCE = 0.05
 _REPLICAS = 199
@@ -114,8 +114,7 @@ def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> ndarray:
     """
     errors = part_errors(pairs, expected)
     error, variance = errors.residuals(rule)
-    floor = np.array(errors.floor)
-    shown = (variance > 2.0 * floor) | (error * error > 25.0 * floor)
+    shown = (variance > 2.0 * errors.floor) | (error * error > 25.0 * errors.floor)
     return np.where(shown, error / np.sqrt(variance), np.nan)
 
 
@@ -151,19 +150,18 @@ def drawn_pairs(
     return replace(pairs, odometry=np.stack(steps, axis=-1))
 
 
-def goodness(problem: Problem, found: Fit, follows: ndarray, seed: int) -> Goodness:
-    """Test the fit of a problem with one odometry.
+def goodness(found: Fit, follows: ndarray, seed: int) -> Goodness:
+    """Test the fit of one odometry.
 
     Args:
-        problem: one odometry, b = 1.
-        found: its fit.
+        found: the fit, b = 1.
         follows: whether each step begins where the one before it ended, shape (n,).
         seed: of the bootstrap, >= 0.
     """
-    seen = _whitened(problem, found)[0]
+    seen = _whitened(found)[0]
     counts = np.isfinite(seen).sum(axis=0)
     distance, squares = _distance(seen), _mean_squares(seen)
-    distances, spread = _replicas(problem, found, seed)
+    distances, spread = _replicas(found, seed)
     scaled = math.sqrt(counts.sum()) * distance
     with np.errstate(invalid="ignore", divide="ignore"):
         off = np.sqrt(counts) * (squares - 1.0) / spread
@@ -180,35 +178,29 @@ def goodness(problem: Problem, found: Fit, follows: ndarray, seed: int) -> Goodn
     )
 
 
-def _whitened(problem: Problem, found: Fit) -> ndarray:
-    values = found.estimates
-    rule, expected = problem.rule(values), problem.expected(values)
+def _whitened(found: Fit) -> ndarray:
+    problem, values = found.problem, found.estimates
     if problem.pairs.within is None:
-        return whitened(problem.pairs, rule, expected)
-    error, variance = problem.step_errors(values, np.arange(len(values))).residuals(rule)
+        return whitened(problem.pairs, problem.rule(values), problem.expected(values))
+    error, variance = problem.step_errors(values).residuals(problem.rule(values))
     return error / np.sqrt(variance)
 
 
-def _replicas(problem: Problem, found: Fit, seed: int):
+def _replicas(found: Fit, seed: int):
     """Return the scaled distances of replicas, and the spread of their mean squares, (3,)."""
     generator = np.random.default_rng([seed, 2])
-    pairs = problem.pairs
+    problem, pairs = found.problem, found.problem.pairs
     chosen = np.arange(len(pairs.true))
     if len(chosen) > _MAX_STEPS:
         chosen = np.sort(generator.choice(chosen, _MAX_STEPS, replace=False))
-    values = problem.values(found.coordinates)
+    expected = problem.expected(problem.values(found.coordinates))[0][chosen]
     within = None if pairs.within is None else pairs.within[chosen]
-    drawn = drawn_pairs(
-        replace(pairs, true=pairs.true[chosen], within=within),
-        rule_of(found.model, found.values()),
-        generator,
-        _REPLICAS,
-        problem.expected(values)[0][chosen],
-    )
+    some = replace(pairs, true=pairs.true[chosen], within=within)
+    drawn = drawn_pairs(some, found.rule(), generator, _REPLICAS, expected)
     again = Problem(
-        drawn, found.model, problem.systematic, problem.wheel_base, found.coordinates[0]
+        drawn, problem.model, problem.systematic, problem.wheel_base, found.coordinates[0]
     )
-    seen = _whitened(again, fit(again))
+    seen = _whitened(fit(again))
     counts = np.isfinite(seen).sum(axis=1)
     distances = np.array([math.sqrt(max(c.sum(), 1)) * _distance(z) for z, c in zip(seen, counts)])
     squares = np.array([_mean_squares(z) for z in seen])

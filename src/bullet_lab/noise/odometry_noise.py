@@ -19,6 +19,7 @@ from numpy import ndarray
 from bullet_lab.core.parameters import declarations, number
 from bullet_lab.core.se2 import PlanarPose, atan2, columns, hypot, wrap
 from bullet_lab.errors import LabError
+from bullet_lab.noise.exact_moments import RunningMoments
 
 MIN_TRANSLATION = 1e-4
 """m; a shorter step has no direction (at 20 Hz this is 2 mm/s)."""
@@ -263,6 +264,36 @@ class ProbabilisticRule(NoiseRule):
         )
 
 
+@register
+@dataclass(frozen=True)
+class RandomWalkRule(WalkRule):
+    """Rate-invariant noise whose way and heading are not equally noisy, as those of real robots.
+
+    Attributes:
+        way_std: m/√m, of the translation, >= 0.
+        heading_std: rad/√m, of the heading on a way, >= 0.
+        turn_std: rad/√rad, of the heading in a turn, >= 0.
+
+    >>> RandomWalkRule(0.5, 0.0, 1.0).variances(0.0, 2.0, -1.0)
+    (0.5, 0.5, 0.5)
+    """
+
+    name, title, stream = "random_walk", "Random walk", 3
+
+    way_std: float = strength(0.03, "random_walk: distance, per root of a metre")
+    heading_std: float = strength(0.03, "random_walk: heading, per root of a metre")
+    turn_std: float = strength(0.08, "random_walk: heading, per root of a radian")
+
+    @classmethod
+    def at_level(cls, std: float) -> NoiseRule:
+        """Return the rule whose heading has this level, and whose way a third of it."""
+        return cls(std / 3.0, std, std)
+
+    def walked(self, distance, angle):  # noqa: D102 - inherited
+        on_ways, in_turns = self.heading_std * self.heading_std, self.turn_std * self.turn_std
+        return on_ways * distance + in_turns * angle, self.way_std * self.way_std * distance
+
+
 def model_named(name: str) -> Type[NoiseRule]:
     """Return the noise model of a name; raises NoiseError if it is not in `MODELS`."""
     try:
@@ -324,68 +355,6 @@ def derived_seed(seed: int, index: int) -> int:
     (917752063, 594516694)
     """
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0]) >> 1
-
-
-class RunningMoments:
-    """Accumulates the exact second moments of a noisy path's error, pose by pose.
-
-    The noise is Gaussian and independent; `exact_moments` derives the sums for whole paths.
-
-    >>> moments = RunningMoments()
-    >>> moments.add(0.0, 1.0, (0.0, 0.25, 0.5))
-    >>> moments.second_moments().diagonal()
-    array([0.25, 0.  , 0.5 ])
-    """
-
-    def __init__(self) -> None:
-        # Variance of the heading, and its value at the latest translation.
-        self._turned = 0.0
-        self._acted = 0.0
-        self._mean = 0j
-        self._spread = 0.0
-        self._pseudo = 0j
-        self._with_heading = 0j
-        # Correlation of the translations so far with the next one, and with its conjugate.
-        self._shared = 0j
-        self._mirrored = 0j
-
-    def add(self, direction: float, trans: float, variances: tuple[float, float, float]) -> None:
-        """Add the next step of the perfect path.
-
-        Args:
-            direction: rad, of travel, in the frame of the path.
-            trans: m, signed.
-            variances: of the rotation before it (rad²), of trans (m²) and of that after it (rad²).
-        """
-        variance1, variance_trans, variance2 = variances
-        v = self._turned + variance1
-        unit = complex(math.cos(direction), math.sin(direction))
-        step, square = trans * unit, trans * trans
-        faded, lost = math.exp(-0.5 * v), math.expm1(-v)
-
-        self._shared *= math.exp(-0.5 * (v - self._acted))
-        self._spread += variance_trans - square * lost + 2.0 * (step * self._shared).real
-        own = variance_trans * faded**4 + square * faded**2 * lost
-        self._pseudo += unit * unit * own + 2.0 * step * faded * self._mirrored
-        self._with_heading += 1j * v * faded * step
-        self._mean += step * math.expm1(-0.5 * v)
-        self._shared -= step.conjugate() * lost
-        self._mirrored += step * faded * lost
-        self._acted, self._turned = v, v + variance2
-
-    def second_moments(self) -> ndarray:
-        """Return E(e e') of the error e = noisy - perfect, (x, y, yaw), shape (3, 3), read-only.
-
-        It is about the perfect pose, not about the mean of the noisy ones: covariance plus the
-        square of the bias. Units are m and rad, the frame is that of the directions.
-        """
-        size = self._spread + abs(self._mean) ** 2
-        pseudo = self._pseudo + self._mean * self._mean
-        xx, yy, xy = 0.5 * (size + pseudo.real), 0.5 * (size - pseudo.real), 0.5 * pseudo.imag
-        xt, yt = self._with_heading.real, self._with_heading.imag
-        matrix = np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, self._turned)))
-        matrix.setflags(write=False)
-        return matrix
 
 
 @dataclass(frozen=True, eq=False)

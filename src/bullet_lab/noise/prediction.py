@@ -27,11 +27,10 @@ from scipy.stats import chi2
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import LEVEL
-from bullet_lab.noise.calibration import Fit, Problem, covariance
+from bullet_lab.noise.calibration import Fit, covariance
 from bullet_lab.noise.exact_moments import exact_moments
 from bullet_lab.noise.likelihood import StepPairs
 from bullet_lab.noise.noisy_paths import noisy_steps
-from bullet_lab.noise.odometry_noise import rule_of
 
 LENGTHS = (1.0, 5.0, 20.0)
 """m, of windows."""
@@ -57,29 +56,21 @@ class Windows:
     Attributes:
         length: m.
         error: reported minus predicted end (m, m, rad) in the frame of the start, (w, 3).
-        noise: second moments of the noise, (w, 3, 3).
-        slopes: of the predicted end by the systematic errors that were fitted, (w, 3, s).
+        moments: of the noise and of uncertain parameters, M without the dispersion, (w, 3, 3).
         apart: whether the window does not overlap the one before it that is, (w,).
     """
 
     length: float
     error: ndarray
-    noise: ndarray
-    slopes: ndarray
+    moments: ndarray
     apart: ndarray
 
     def __len__(self) -> int:
         return len(self.error)
 
-    def squares(self, parameters: ndarray, dispersion: float = 1.0):
-        """Return whitened squares, (w,), and logarithms of the density, (w,).
-
-        Args:
-            parameters: V, variances of the systematic errors, (s,).
-            dispersion: see the module.
-        """
-        spread = OWN * (self.slopes * parameters) @ self.slopes.swapaxes(1, 2)
-        moments = dispersion * (self.noise + spread)
+    def squares(self, dispersion: float = 1.0):
+        """Return whitened squares, (w,), and logarithms of the density, (w,)."""
+        moments = dispersion * self.moments
         solved = np.linalg.solve(moments, self.error[..., np.newaxis])[..., 0]
         squares = np.einsum("wi,wi->w", self.error, solved)
         size = np.linalg.slogdet(2.0 * np.pi * moments)[1]
@@ -121,67 +112,63 @@ class Prediction:
         return sum(score.density for score in self.scores)
 
 
-def judged(found: Sequence[Tuple[Windows, ndarray]]) -> Prediction:
-    """Return the dispersion and the scores of windows, each with a fit's variances V."""
-    lengths = sorted({one.length for one, _ in found})
-    groups = [[(one, v) for one, v in found if one.length == length] for length in lengths]
-    groups = [group for group in groups if sum(len(one) for one, _ in group) >= FEWEST]
+def judged(found: Sequence[Windows]) -> Prediction:
+    """Return the dispersion and the scores of windows."""
+    lengths = sorted({one.length for one in found})
+    groups = [[one for one in found if one.length == length] for length in lengths]
+    groups = [group for group in groups if sum(map(len, group)) >= FEWEST]
     dispersion = 1.0
     for group in groups:
-        squares = np.concatenate([one.squares(v)[0] for one, v in group])
+        squares = np.concatenate([one.squares()[0] for one in group])
         # With few windows the next one is more often beyond their quantile than 1 - LEVEL.
-        apart = sum(int(one.apart.sum()) for one, _ in group)
-        level = min(1.0, LEVEL * (1.0 + 1.0 / apart))
+        level = min(1.0, LEVEL * (1.0 + 1.0 / _number_apart(group)))
         dispersion = max(dispersion, float(np.quantile(squares, level)) / INSIDE)
     return Prediction(dispersion, tuple(_score(group, dispersion) for group in groups))
 
 
-def _score(group: Sequence[Tuple[Windows, ndarray]], dispersion: float) -> Score:
-    both = [one.squares(v, dispersion) for one, v in group]
-    squares, densities = (np.concatenate(columns) for columns in zip(*both))
-    apart = sum(int(one.apart.sum()) for one, _ in group)
+def _number_apart(group: Sequence[Windows]) -> int:
+    return sum(int(one.apart.sum()) for one in group)
+
+
+def _score(group: Sequence[Windows], dispersion: float) -> Score:
+    both = zip(*(one.squares(dispersion) for one in group))
+    squares, densities = map(np.concatenate, both)
     held = float(np.mean(squares <= INSIDE))
-    return Score(group[0][0].length, apart, float(densities.mean()), held)
+    return Score(group[0].length, _number_apart(group), float(densities.mean()), held)
 
 
-def predicted(problem: Problem, found: Fit, pairs: StepPairs, follows, length: float) -> Windows:
+def predicted(found: Fit, pairs: StepPairs, follows: ndarray, length: float) -> Windows:
     """Predict windows of other steps by a fit.
 
     Args:
-        problem: that was fitted; one odometry.
-        found: its fit.
+        found: fit of one odometry.
         pairs: short steps to predict, one odometry.
         follows: whether each begins where the one before it ended, (n,).
         length: of the windows, m of the truth.
     """
-    rule = rule_of(found.model, found.values())
-    moved = _DIFFERENCE * np.eye(len(found.names))[~problem.logarithmic]
-    values = found.estimates + np.vstack((np.zeros(len(found.names)), moved))
+    problem, rule = found.problem, found.rule()
+    moved = _DIFFERENCE * np.eye(len(problem.names))[~problem.logarithmic]
+    values = found.estimates + np.vstack((np.zeros(len(problem.names)), moved))
     begins, ends = windows(pairs.true, follows, length)
     reported = path_of(pairs.odometry[0])
     paths = [path_of(steps) for steps in problem.errors(values, 1).steps(pairs.true)]
     expected, *others = (se2.between(path[begins], path[ends]) for path in paths)
-    slopes = [se2.between(expected, other) for other in others]
+    changes = [se2.between(expected, other) for other in others]
+    slopes = _slopes(changes, expected)
     noise = [
         exact_moments(noisy_steps(paths[0][begin : end + 1], rule)).about_perfect()[-1]
         for begin, end in zip(begins, ends)
     ]
-    turned = paths[0][begins, 2]
+    noise = _turned(np.array(noise).reshape(-1, 3, 3), -paths[0][begins, 2])
+    noise += np.diag(pairs.floor + 1e-12)
+    spread = OWN * (slopes * parameter_variances(found)) @ slopes.swapaxes(1, 2)
     error = se2.wrapped(se2.between(reported[begins], reported[ends]) - expected)
-    size = np.array([pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad])
-    floor = np.diag(2.0 * size * size + 1e-12)
-    shape = (len(begins), 3, 3)
-    return Windows(
-        length,
-        error,
-        _turned(np.array(noise).reshape(shape), -turned) + floor,
-        _slopes(slopes, expected),
-        _apart(begins, ends),
-    )
+    return Windows(length, error, noise + spread, _apart(begins, ends))
 
 
-def parameter_variances(problem: Problem, found: Fit) -> ndarray:
+def parameter_variances(found: Fit) -> ndarray:
     """Return the variances of the systematic errors by the information of a fit, (s,)."""
+    problem = found.problem
     inverse, scale = covariance(found.information)
     units = problem.values(np.ones((1, len(problem.names))))[0]
     variances = np.diagonal(inverse[0]) * np.square(units / scale[0])

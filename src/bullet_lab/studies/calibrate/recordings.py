@@ -137,13 +137,12 @@ def coverage(
     true = {**asdict(settings.rule(model)), **errors}
     estimates, ends = [], []
     for pairs in _paths(settings, model, systematic, paths, seed):
-        problem = Problem(pairs, model, systematic, settings.wheel_base)
-        found = fit(problem)
+        found = fit(Problem(pairs, model, systematic, settings.wheel_base))
         estimates.append(found.estimates)
-        ends.append(intervals(problem, found))
+        ends.append(intervals(found))
     values, bounds = np.concatenate(estimates), np.concatenate(ends)
     result = []
-    for j, name in enumerate(problem.names):
+    for j, name in enumerate(found.problem.names):
         low, high = bounds[:, j].T
         held = int(((low <= true[name]) & (true[name] <= high)).sum())
         means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
@@ -165,6 +164,4 @@ def _paths(
     steps = noisy_steps(reported, settings.rule(model))
     generator = np.random.default_rng([seed, 1])
     for block in noisy_blocks(steps, generator, paths, _STEPS_AT_A_TIME):
-        heading = reported[:, 2] + block.heading_error
-        poses = np.stack((block.position.real, block.position.imag, heading), axis=-1)
-        yield StepPairs(se2.steps(truth), se2.steps(poses), *stds)
+        yield StepPairs(se2.steps(truth), se2.steps(block.poses(reported)), *stds)

@@ -13,7 +13,7 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.noise.calibration import Problem, covariance, fit
-from bullet_lab.noise.prediction import INSIDE, LENGTHS, OWN, judged, path_of, predicted
+from bullet_lab.noise.prediction import INSIDE, LENGTHS, judged, path_of, predicted
 from bullet_lab.noise.systematic import arcs
 from bullet_lab.studies.calibrate.alignment import robust_fit
 from bullet_lab.studies.calibrate.results import ModelCalibration, predictions
@@ -44,11 +44,8 @@ def winner(steps):
     pairs, _ = long_pairs(steps, length)
     for model in WALKS:
         make = functools.partial(Problem, model=model, systematic=ERRORS)
-        problem = make(pairs)
         prediction = judged(list(predictions(make, steps, length)))
-        found.append(
-            ModelCalibration(problem, fit(problem), None, None, prediction, length)
-        )
+        found.append(ModelCalibration(fit(make(pairs)), None, None, prediction, length))
     return sorted(found, key=ModelCalibration.rank)[0]
 
 
@@ -58,9 +55,10 @@ def turn_gain(one):
     gain = (1.0 + values["scale_error"]) / (1.0 + values["base_error"])
     relative, scale = (part[0] for part in covariance(one.fit.information))
     inverse = relative / np.outer(scale, scale)
-    slope = np.zeros(len(one.fit.names))
+    names = one.fit.problem.names
+    slope = np.zeros(len(names))
     for name, by in (("scale_error", gain), ("base_error", -gain)):
-        slope[one.fit.names.index(name)] = 0.01 * by / (1.0 + values[name])
+        slope[names.index(name)] = 0.01 * by / (1.0 + values[name])
     return gain, float(np.sqrt(one.prediction.dispersion * slope @ inverse @ slope))
 
 
@@ -74,13 +72,8 @@ def robust_gain(steps):
 
 def ends(one, other):
     """Squares and logarithms of the density of the other half's windows, by length."""
-    variances = np.square([one.published()[f"{name}_std"] for name in ERRORS]) / OWN
-    variances /= one.prediction.dispersion
-    windows = (
-        predicted(one.problem, one.fit, pairs_of(other), other.follows, length)
-        for length in LENGTHS
-    )
-    return [found.squares(variances, one.prediction.dispersion) for found in windows]
+    windows = (predicted(one.fit, pairs_of(other), other.follows, length) for length in LENGTHS)
+    return [found.squares(one.prediction.dispersion) for found in windows]
 
 
 def figures(found):
