@@ -245,11 +245,10 @@ class Frame:
     flipped: bool = False
 
 
-@dataclass(frozen=True)
-class MarkerImage:
-    """An image as PNG, and the (n, 4, 2) corners of the markers found in it, in pixels."""
+class MarkerImage(NamedTuple):
+    """An image, (h, w) uint8 grey, and the (n, 4, 2) corners of the markers found in it, px."""
 
-    png: bytes
+    picture: ndarray
     corners: ndarray
 
 
@@ -314,8 +313,7 @@ def try_cell(
     if not keep:
         return row, None
     picture, markers = camera.observed(shots[0])
-    found = np.array([m.corners for m in markers]).reshape(-1, 4, 2)
-    return row, MarkerImage(cv2.imencode(".png", picture)[1].tobytes(), found)
+    return row, MarkerImage(picture, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
 
 
 def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, int]:
