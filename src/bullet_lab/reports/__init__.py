@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
+from typing import Any, Iterable, Mapping, NamedTuple, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -56,8 +56,6 @@ class Report(ABC):
             `bullet_lab.ros.record.recorder` reads.
         series: files of rows, by topic.
         until: end of the recording in ns; None while it is not known.
-        on_reset: called when simulated time was set back, with the folder into which the earlier
-            files were moved.
 
     Raises:
         FileError: a file cannot be written; so do the methods that write.
@@ -69,7 +67,6 @@ class Report(ABC):
         self.topics: dict[str, str] = {}
         self.series: dict[str, Series] = {}
         self.until: int | None = None
-        self.on_reset: Callable[[Path], None] = lambda old: None
 
     def take(self, topic: str, reading: Reading) -> bool:
         """Record a message, or raise LabError; return whether a row was recorded."""

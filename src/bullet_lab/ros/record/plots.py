@@ -31,10 +31,9 @@ from bullet_lab.navigation.occupancy import read_map
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Report, save_all
 from bullet_lab.reports.dock import DockReport, Station
-from bullet_lab.reports.fleet import FleetReport
 from bullet_lab.reports.goal import Beacon, GoalReport, MapDriveReport
 from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
-from bullet_lab.reports.squares import SquaresReport
+from bullet_lab.reports.squares import FleetReport, SquaresReport
 from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import marker, stamped_pose

@@ -11,7 +11,6 @@ import threading
 import time
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path as FilePath
 from typing import Any, Callable, Iterable, Mapping, NamedTuple
 
 import rospy
@@ -135,7 +134,6 @@ class Recorder:
         self._failure: FileError | None = None
         self._finished = False
         report.about = parameters.about
-        report.on_reset = self._reset
         self._period = parameters.plot_period
         if parameters.until:
             self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
@@ -243,10 +241,6 @@ class Recorder:
     def _receive_end(self, message: Time) -> None:
         with self._lock:
             self._report.until = message.data.to_nsec()
-
-    def _reset(self, old: FilePath) -> None:
-        rospy.loginfo("time was set back: the earlier recording is in %s", old)
-        self._first = math.inf
 
     def _show(self) -> None:
         while not rospy.is_shutdown():
