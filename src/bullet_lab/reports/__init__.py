@@ -138,18 +138,13 @@ def save_results(
     figures: Figures,
     summary_first: bool = False,
 ) -> None:
-    """Write the figures and summary.json; raises FileError."""
+    """Write the figures and summary.json, at the end or also before; raises FileError."""
+    path, content = report.folder / "summary.json", {**report.about, **summary}
     if summary_first:
-        save_summary(report, summary)
+        write_json(path, content)
     for name, figure in figures.items():
         save(figure, report.folder / name)
-    if not summary_first:
-        save_summary(report, summary)
-
-
-def save_summary(report: Report, summary: Summary) -> None:
-    """Write summary.json; raises FileError."""
-    write_json(report.folder / "summary.json", {**report.about, **summary})
+    write_json(path, content)
 
 
 def save_all(report: Report, finished: bool, run: Summary | None = None) -> Summary:

@@ -137,7 +137,7 @@ class GoalReport(DriveReport):
             "finished": bool(goals) and all(one["seconds"] is not None for one in goals),
             "goals": goals,
             "refused_goals": self._refused,
-            "greatest_speed_mps": None if truth is None else greatest_speed(truth),
+            "greatest_speed_mps": truth and float(np.max(_speeds(truth), initial=0.0)),
             **run,
         }
 
@@ -334,12 +334,8 @@ def goal_figures(record: GoalRecord, truth: Trajectory | None) -> Summary:
     return found
 
 
-def greatest_speed(truth: Trajectory) -> float:
-    """Return the greatest speed (m/s) between two poses of a path; 0 for a single pose."""
-    return float(np.max(_speeds(truth), initial=0.0))
-
-
 def _speeds(truth: Trajectory) -> np.ndarray:
+    """Return the speeds (m/s) between the poses of a path."""
     return hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
 
 

@@ -347,7 +347,46 @@ class RobotReport(Report):
 
     def table(self) -> str:
         """Return robot.md: plugins, controllers, topics, the drive and warnings, in Markdown."""
-        return "\n".join(_lines(self)) + "\n"
+        robot = self.robot
+        plugins = [
+            (
+                row.name,
+                row.filename,
+                "yes" if row.acts else "**no**",
+                " ".join(row.inputs),
+                " ".join(row.outputs),
+                _hz(row.rate),
+                " ".join(row.tags_not_simulated),
+            )
+            for row in robot.plugins
+        ]
+        controllers = [(one.name, one.type, one.state) for one in robot.controllers]
+        controllers += [(*name[:-1].split(" (", 1), "**refused**") for name in self.refused()]
+        topics = [
+            (topic, one.kind, _hz(one.declared), _hz(one.rate(), ".2f"), str(one.messages))
+            for topic, one in self.counts.items()
+        ]
+        header = ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated")
+        choice = f"- drives {robot.name} of {', '.join(robot.choice)}: model:=NAME chooses another"
+        lines = [
+            f"# {robot.name}",
+            "",
+            f"{len(robot.links)} links: {', '.join(robot.links)}",
+            "",
+            f"{len(robot.joints)} joints: {', '.join(robot.joints) or 'none'}",
+            *_table(header, *plugins),
+            *_table(("controller", "type", "state"), *controllers),
+            *_table(("topic", "type", "Hz declared", "Hz seen", "messages"), *topics),
+            "",
+            *([choice] if len(robot.choice) > 1 else ()),
+            f"- velocities: {robot.drive or 'nothing listens to any'}",
+            f"- odometry: {robot.odometry or 'none'}"
+            + (f" (pauses: {self.pauses})" if self.pauses else ""),
+            *(f"- {leg.line()}" for leg in self.legs),
+            *_bullets("Could not start, or died:", self.not_started),
+            *_bullets("What the simulation said of it:", robot.said),
+        ]
+        return "".join(f"{line}\n" for line in lines)
 
     def figures(self, summary: Summary) -> Figures:
         pictures = [] if self.picture is None else [(self.robot.name, self.picture)]
@@ -374,62 +413,19 @@ class RobotReport(Report):
             axes.legend(loc="best")
 
 
-def _lines(report: RobotReport) -> Iterator[str]:
-    robot, pauses = report.robot, report.pauses
-    yield f"# {robot.name}"
-    yield ""
-    yield f"{len(robot.links)} links: {', '.join(robot.links)}"
-    yield ""
-    yield f"{len(robot.joints)} joints: {', '.join(robot.joints) or 'none'}"
-    header = ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated")
-    yield from _rows(header, [_plugin_cells(row) for row in robot.plugins])
-    controllers = [(one.name, one.type, one.state) for one in robot.controllers]
-    controllers += [(*name[:-1].split(" (", 1), "**refused**") for name in report.refused()]
-    yield from _rows(("controller", "type", "state"), controllers)
-    topics = [
-        (topic, one.kind, _hz(one.declared), _hz(one.rate(), ".2f"), str(one.messages))
-        for topic, one in report.counts.items()
-    ]
-    yield from _rows(("topic", "type", "Hz declared", "Hz seen", "messages"), topics)
-    yield ""
-    if len(robot.choice) > 1:
-        yield f"- drives {robot.name} of {', '.join(robot.choice)}: model:=NAME chooses another"
-    yield f"- velocities: {robot.drive or 'nothing listens to any'}"
-    yield f"- odometry: {robot.odometry or 'none'}" + f" (pauses: {pauses})" * bool(pauses)
-    yield from (f"- {leg.line()}" for leg in report.legs)
-    yield from _bullets("Could not start, or died:", report.not_started)
-    yield from _bullets("What the simulation said of it:", robot.said)
-
-
-def _plugin_cells(row: Any) -> Sequence[str]:
-    return (
-        row.name,
-        row.filename,
-        "yes" if row.acts else "**no**",
-        " ".join(row.inputs),
-        " ".join(row.outputs),
-        _hz(row.rate),
-        " ".join(row.tags_not_simulated),
-    )
-
-
 def _hz(rate: float | None, form: str = "g") -> str:
     return format(rate, form) if rate else ""
 
 
-def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield a table with columns of even width; nothing without rows."""
-    if not rows:
-        return
-    table = [header, *rows]
+def _table(*table: Sequence[str]) -> list[str]:
+    """Return a table with columns of even width, its header first; nothing without other rows."""
     widths = [max(map(len, column)) for column in zip(*table)]
-    yield ""
-    for number, row in enumerate(table):
-        yield "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths)) + " |"
-        if not number:
-            yield "|" + "|".join("-" * (width + 2) for width in widths) + "|"
+    header, *rows = (
+        "|".join(f" {cell:{width}} " for cell, width in zip(row, widths)) for row in table
+    )
+    rule = "|".join("-" * (width + 2) for width in widths)
+    return ["", *(f"|{line}|" for line in (header, rule, *rows))] if rows else []
 
 
-def _bullets(title: str, lines: Sequence[str]) -> Iterator[str]:
-    if lines:
-        yield from ("", title, "", *(f"- {line}" for line in lines))
+def _bullets(title: str, lines: Sequence[str]) -> list[str]:
+    return ["", title, "", *(f"- {line}" for line in lines)] if lines else []

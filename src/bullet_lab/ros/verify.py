@@ -35,7 +35,7 @@ from PIL import Image
 from bullet_lab.core.files import write_json
 from bullet_lab.core.parameters import boolean, choice, integer, name_list
 from bullet_lab.errors import LabError
-from bullet_lab.jobs.declaration import Job, choose_job, find_jobs, read_assignments
+from bullet_lab.jobs.declaration import Job, choose_job, find_jobs
 from bullet_lab.ros.launcher.output import environment_without_ros, tied
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.studies.study import (
@@ -313,8 +313,6 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
     package = package_share()
     known = find_jobs(package)
     jobs = [choose_job(known, name) for name in settings.jobs or known if name not in UNREPEATABLE]
-    for job in jobs:
-        read_assignments(job, shlex.split(job.smallest))
     machine, references = read_references(package / REFERENCES)
     with whole_results(out) as part:
         todo = [(job, part / "runs" / job.name / w) for job in jobs for w in ("first", "second")]
