@@ -37,13 +37,17 @@ from bullet_lab.studies.detection_range.trial import (
 from bullet_lab.studies.study import (
     MOST_SEED,
     Record,
+    Run,
     Settings,
     Summary,
     Tell,
+    WorkerSettings,
     run_from,
+    run_tasks,
+    this_process,
+    workers,
     write_results,
 )
-from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, this_process, workers
 from bullet_lab.studies.worlds import DEFAULT_LIGHT, LIGHTS
 
 DOTS = "docking_dots"
