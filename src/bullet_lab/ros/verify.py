@@ -322,13 +322,11 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
             found = list(progress(runs, "runs", len(todo), tell))
         rows: list[FileRow] = []
         results: dict[str, Results] = {}
-        for job, first, second in zip(jobs, found[::2], found[1::2]):
-            failures = [one for one in (first, second) if isinstance(one, str)]
-            if failures:
-                rows.append(FileRow(job.name, failures[0], False))
-                continue
-            results[job.name] = first
-            rows += compared(job.name, first, second, references.get(job.name, {}))
+        for job, *both in zip(jobs, found[::2], found[1::2]):
+            failures = [FileRow(job.name, one, False) for one in both if isinstance(one, str)]
+            if not failures:
+                results[job.name] = both[0]
+            rows += failures[:1] or compared(job.name, *both, references.get(job.name, {}))
         _write(part, settings.processor, rows, machine)
     here = this_machine()
     for line in table(rows):

@@ -348,23 +348,20 @@ def judge(
         others: other markers with the same id.
         camera: geometry of the image.
     """
-    hits = [m for m in markers if _is_seen_at(m, wanted, pose, camera)]
-    rest = [m for m in markers if not _is_seen_at(m, wanted, pose, camera)]
-    known = [m for m in rest if any(_is_seen_at(m, one, pose, camera) for one in others)]
+
+    def is_at(marker: ObservedMarker, printed: PrintedMarker) -> bool:
+        corners = camera.project(in_optical_frame(pose, printed.corners()))
+        farthest = np.linalg.norm(marker.corners - corners, axis=1).max()
+        is_near = farthest <= 1.0 + LARGEST_OFFSET * mean_side(corners)
+        return marker.id == WANTED_ID and bool(is_near)
+
+    hits = [m for m in markers if is_at(m, wanted)]
+    rest = [m for m in markers if not is_at(m, wanted)]
+    known = [m for m in rest if any(is_at(m, one) for one in others)]
     counts = (len(known), max(0, len(hits) - 1), len(rest) - len(known))
     if not hits:
         return Frame(False, *counts)
     return Frame(True, *counts, **_pose_errors(hits[0], wanted, pose))
-
-
-def _is_seen_at(
-    marker: ObservedMarker, printed: PrintedMarker, pose: Pose, camera: PinholeCamera
-) -> bool:
-    if marker.id != WANTED_ID:
-        return False
-    corners = camera.project(in_optical_frame(pose, printed.corners()))
-    offsets = np.linalg.norm(marker.corners - corners, axis=1)
-    return bool(np.max(offsets) <= 1.0 + LARGEST_OFFSET * mean_side(corners))
 
 
 def _pose_errors(marker: ObservedMarker, printed: PrintedMarker, pose: Pose) -> dict[str, Any]:
