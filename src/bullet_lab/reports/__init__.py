@@ -7,6 +7,7 @@ a new job is one class here.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import defaultdict
 from pathlib import Path
 from typing import Any, Iterable, Mapping, NamedTuple, Sequence
 
@@ -43,8 +44,8 @@ class Reading(NamedTuple):
 class Report(ABC):
     """The files that one job writes into a folder.
 
-    By default, each topic has a series, and the recording is complete when all series have reached
-    the end; a subclass may override that. The methods are called by one thread at a time.
+    By default, the recording is complete when all series have reached the end; a subclass may
+    override that. The methods are called by one thread at a time.
 
     Args:
         folder: for the files; it is made if need be.
@@ -55,6 +56,7 @@ class Report(ABC):
         topics: type of the messages by topic, such as sensor_msgs/Imu; the types are those that
             `bullet_lab.ros.record.recorder` reads.
         series: files of rows, by topic.
+        readings: of the topics without a series.
         until: end of the recording in ns; None while it is not known.
 
     Raises:
@@ -66,10 +68,14 @@ class Report(ABC):
         self.about: Summary = {}
         self.topics: dict[str, str] = {}
         self.series: dict[str, Series] = {}
+        self.readings: dict[str, list[Reading]] = defaultdict(list)
         self.until: int | None = None
 
     def take(self, topic: str, reading: Reading) -> bool:
         """Record a message, or raise LabError; return whether a row was recorded."""
+        if topic not in self.series:
+            self.readings[topic].append(reading)
+            return False
         self.series[topic].add(reading.stamp, reading.values)
         return True
 
@@ -129,7 +135,8 @@ class DriveReport(Report):
         self.topics = {"odom": "nav_msgs/Odometry"}
 
     def take(self, topic: str, reading: Reading) -> bool:
-        return reading.stamp >= self.BEGINNING and super().take(topic, reading)
+        is_early = topic == "odom" and reading.stamp < self.BEGINNING
+        return not is_early and super().take(topic, reading)
 
 
 def save_results(

@@ -100,12 +100,9 @@ class DockReport(DriveReport):
         self.result: DockingResult | None = None
         self._frames = EvenSample(pictures)
         self._states: list[StateChange] = []
-        self._plan: Sequence[tuple[float, float]] = ()
         self._touched: Reading | None = None
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "odom":
-            return super().take(topic, reading)
         if topic == "aruco/image_annotated":
             # An earlier picture may come before or after the goal is sent, by chance.
             is_over = self.until is not None and reading.stamp > self.until - REST
@@ -118,10 +115,10 @@ class DockReport(DriveReport):
         elif topic == "dock/feedback":
             if not self._states or self._states[-1][1] != reading.detail:
                 self._states.append((reading.seconds, reading.detail))
-        elif topic == "dock/plan":
-            self._plan = reading.detail or self._plan
-        else:
+        elif topic == "dock/finished":
             self.until = reading.stamp + REST
+        else:
+            return super().take(topic, reading)
         return False
 
     def newest(self) -> int | None:
@@ -166,10 +163,11 @@ class DockReport(DriveReport):
     def figures(self, summary: Summary) -> Figures:
         station = self._station
         docks = (station.dock, station.entry.pose)
+        plans = [one.detail for one in self.readings["dock/plan"] if one.detail]
         path = docking_figure(
             self.truth.path(),
             self._states,
-            self._plan,
+            plans[-1] if plans else (),
             station.outlines,
             docks,
             self.line(summary),

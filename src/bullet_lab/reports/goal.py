@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Mapping, NamedTuple, Sequence, Tuple
+from typing import Callable, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -93,21 +93,18 @@ class GoalReport(DriveReport):
             "drive_to_goal/finished": "std_msgs/Time",
         }
         # In the order of the goals.
-        self._poses: list[Reading] = []
-        self._ends: list[Reading] = []
+        self._poses = self.readings["drive_to_goal/current_goal"]
+        self._ends = self.readings["drive_to_goal/finished"]
         self._answers: dict[str, GoalAnswer] = {}
         self._refused: list[str] = []
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "odom":
-            return super().take(topic, reading)
-        if topic == "drive_to_goal/current_goal":
-            self._poses.append(reading)
-        elif topic == "drive_to_goal/finished":
-            self._ends.append(reading)
-            if not self._stay:
+        if topic != "drive_to_goal/status":
+            recorded = super().take(topic, reading)
+            if self._ends and not self._stay:
                 self.until = self._ends[0].stamp + REST
-        elif reading.detail.rejected:
+            return recorded
+        if reading.detail.rejected:
             # It may have been accepted before, but the robot never drove to it.
             self._answers.pop(reading.detail.id, None)
             self._refused.append(reading.detail.text)
@@ -232,19 +229,12 @@ class MapDriveReport(GoalReport):
             "send_goals/boxes": "geometry_msgs/PoseStamped",
             "send_goals/finished": "std_msgs/Time",
         }
-        self._touches: Mapping[str, int] = {}
-        self._boxes: list[Reading] = []
+        self._boxes = self.readings["send_goals/boxes"]
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "bullet_lab/touched":
-            self._touches = {k: n for k, n in reading.detail.items() if k != GROUND}
-        elif topic == "send_goals/boxes":
-            self._boxes.append(reading)
-        elif topic == "send_goals/finished":
+        if topic == "send_goals/finished":
             self.until = reading.stamp + REST
-        else:
-            return super().take(topic, reading)
-        return False
+        return super().take(topic, reading)
 
     def is_complete(self) -> bool:
         return Report.is_complete(self)
@@ -255,12 +245,13 @@ class MapDriveReport(GoalReport):
             ends = record.begun, math.inf if record.ended is None else record.ended
             entry["box_in_the_way"] = any(ends[0] - 2.0 < b.seconds < ends[1] for b in self._boxes)
             entry["over_shortest"] = self._over_shortest(record, entry["driven_m"])
-        reached = sum(entry["reached"] for entry in found["goals"])
+        touches = self.readings["bullet_lab/touched"][-1:]
+        touched = {k: n for one in touches for k, n in one.detail.items() if k != GROUND}
         return {
-            "reached": reached,
+            "reached": sum(entry["reached"] for entry in found["goals"]),
             "goals_sent": self._count,
-            "contacts": sum(self._touches.values()),
-            "touched": dict(self._touches),
+            "contacts": sum(touched.values()),
+            "touched": touched,
             "boxes": len(self._boxes),
             **found,
         }
