@@ -42,16 +42,12 @@ class Reading(NamedTuple):
 
 
 class Report(ABC):
-    """The files that one job writes into a folder.
+    """The files that one job writes into a folder, which is made if need be.
 
     By default, the recording is complete when all series have reached the end; a subclass may
     override that. The methods are called by one thread at a time.
 
-    Args:
-        folder: for the files; it is made if need be.
-
     Attributes:
-        folder: as given.
         about: first entries of summary.json.
         topics: type of the messages by topic, such as sensor_msgs/Imu; the types are those that
             `bullet_lab.ros.record.recorder` reads.
@@ -102,9 +98,8 @@ class Report(ABC):
     def summary(self, finished: bool, run: Summary) -> Summary:
         """Return the entries of summary.json after those of `about`.
 
-        Args:
-            finished: whether the recording is complete.
-            run: entries with the times and the refused messages of the run.
+        `finished` says whether the recording is complete; `run` has the times and the refused
+        messages.
         """
 
     @abstractmethod
@@ -171,16 +166,9 @@ def draw_path(
     end: str = "",
     label: str | None = None,
 ) -> None:
-    """Draw a path seen from above, with its start and its end.
+    """Draw a path seen from above, poses (m, m, rad) of shape (n, 3), at least one.
 
-    Args:
-        axes: to draw on.
-        poses: m, m, rad, shape (n, 3), at least one.
-        colour: of the path.
-        width: of the path, in points.
-        start: colour of the start.
-        end: colour of the end; empty for no end.
-        label: of the path, in the legend.
+    `start` and `end` are the colours of its ends, without an end if that is empty.
     """
     x, y, _ = poses.T
     axes.plot(x, y, color=colour, linewidth=width, label=label)

@@ -70,16 +70,10 @@ class Station(NamedTuple):
 
 
 class DockReport(DriveReport):
-    """The true path, in truth.tum, pictures of the camera, and the outcome.
+    """The true path, in truth.tum, so many pictures of the camera, and the outcome.
 
-    Args:
-        folder: for the files; those of an earlier docking are removed.
-        station: where the robot docks.
-        pictures: how many pictures of the camera are kept.
-
-    Attributes:
-        sent: whether the goal was sent; pictures of the camera are kept from then on.
-        result: of the action; None before its end.
+    Files of an earlier docking are removed. `sent` is set when the goal was sent, from which on
+    pictures are kept; `result` is that of the action, None before its end.
     """
 
     def __init__(self, folder: Path, station: Station, pictures: int):

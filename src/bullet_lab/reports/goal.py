@@ -211,13 +211,9 @@ class GoalReport(DriveReport):
 
 
 class MapDriveReport(GoalReport):
-    """The drive to all goals of `send_goals` on a map, with the contacts by the simulator's truth.
+    """The drive to all goals of `send_goals` on a map, `count` of them.
 
-    Args:
-        folder: for the files.
-        tolerance: m around the goals, for the figure.
-        count: number of goals.
-        costmap: of the robot, with the map.
+    Contacts are those by the simulator's truth.
     """
 
     def __init__(self, folder: Path, tolerance: float, count: int, costmap: RobotCostmap):

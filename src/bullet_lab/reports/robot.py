@@ -51,9 +51,6 @@ class Robot:
     """The parts and topics of a robot.
 
     Attributes:
-        name: of its model.
-        links: their names.
-        joints: their names.
         plugins: of its model, with the fields of bullet_lab/PluginDescription.
         controllers: that are loaded, with the fields of controller_manager_msgs/ControllerState.
         drive: topic of its velocity commands; empty if it has none.
@@ -80,15 +77,7 @@ class Robot:
 
 @dataclass
 class Count:
-    """The messages on a topic.
-
-    Attributes:
-        kind: their type.
-        declared: rate that is declared, in Hz; 0 for none.
-        messages: their number.
-        first: stamp of the first one, ns.
-        last: stamp of the last one, ns.
-    """
+    """The messages on a topic: their type, declared rate (Hz, 0 for none), and stamps (ns)."""
 
     kind: str
     declared: float
@@ -149,14 +138,11 @@ def displacement(poses: Sequence[PlanarPose]) -> dict[str, float] | None:
 
 @dataclass
 class Leg:
-    """A part of the drive: the target, the poses that odometry and truth report, and the time.
+    """A part of the drive, with the poses (m, m, rad) that odometry and truth report.
 
     Attributes:
-        name: of the part, such as "metre".
         quantity: the figure of `displacement` that has the target.
         target: m or degrees.
-        odometry: poses (m, m, rad) by the odometry.
-        truth: true poses.
         seconds: simulated.
         late: whether it was aborted because it took too long.
         touched: model::link of what the robot has touched from the side.
@@ -250,14 +236,10 @@ class Leg:
 class RobotReport(Report):
     """The table robot.md, truth.tum, odom.tum, robot.png and summary.json of one robot.
 
-    Args:
-        folder: of the files.
-        robot: its parts.
-        kinds: types of its topics.
-        others: plugins of other models, which may publish on the same topics.
+    `kinds` are the types of its topics, on which `others`, plugins of other models, may publish,
+    too.
 
     Attributes:
-        robot: as given.
         counts: of messages, by topic.
         legs: parts of the drive.
         picture: of the robot, (h, w, 3) uint8, BGR.

@@ -172,11 +172,7 @@ class SquaresReport(Report):
     """The perfect and the noisy path of one robot: odom.tum, noisy_odom.tum and paths.csv.
 
     Poses of the two paths are paired if their stamps agree to the nanosecond. Each row is written
-    at once; `finish` writes the files once more.
-
-    Args:
-        folder: for the files.
-        namespace: of the robot's topics; empty for none.
+    at once; `finish` writes the files once more. The topics are in a namespace, if it is not empty.
     """
 
     PERFECT, NOISY = "odom", "noisy_odom"
@@ -278,11 +274,8 @@ def noise_figure(
 ) -> Figure:
     """Draw both paths, each coordinate against time, and the error against distance.
 
-    Args:
-        perfect: path, as `SquaresReport` returns it; None for none.
-        pairs: likewise.
-        title: of the figure.
-        ellipses: outlines around noisy poses, (n, 2) arrays in m.
+    Paths are as `SquaresReport` returns them; `ellipses` are outlines around noisy poses, (n, 2)
+    arrays in m.
     """
     figure = new_figure(11.0, 6.6)
     is_long = max(map(len, title.split("\n"))) > _SMALL_FROM
@@ -337,12 +330,7 @@ def _draw_coordinates(rows: list[Axes], drawn: Sequence[tuple[Trajectory, str, s
 class FleetReport(Report):
     """The perfect and the noisy path of each robot, in a folder of its own.
 
-    Args:
-        folder: for the files.
-        seeds: of the robots' noise, by their names, which are also their namespaces.
-
-    Attributes:
-        robots: the recording of each robot.
+    `seeds` are those of the robots' noise, by their names, which are also their namespaces.
     """
 
     def __init__(self, folder: Path, seeds: Mapping[str, int]):

@@ -118,11 +118,7 @@ each channel. For other files: all their numbers as one column.
 
 
 def fingerprint(path: Path, left_out: Sequence[str] = WALL_CLOCK_KEYS) -> Fingerprint:
-    """Return the fingerprint of a file.
-
-    Raises:
-        LabError: the file cannot be read, or its content does not fit its suffix.
-    """
+    """Return the fingerprint of a file; LabError: it cannot be read, or does not fit its suffix."""
     try:
         content, columns = _content(path, left_out)
     except (OSError, ValueError, csv.Error) as error:
@@ -235,8 +231,7 @@ class VerifySettings(Settings):
 def read_references(path: Path) -> tuple[Mapping[str, str], dict[str, Results]]:
     """Return the machine of the references, as `this_machine`, and their results by job.
 
-    Raises:
-        LabError: the file cannot be used.
+    Raises LabError for a file that cannot be used.
     """
     try:
         kept = json.loads(path.read_text())
@@ -250,7 +245,6 @@ class FileRow:
     """The comparison of one result file.
 
     Attributes:
-        job: its job.
         file: its name; for a job that failed, its status and the last line of its output.
         twice: whether both runs wrote the same bytes.
         reference: SAME bytes, WITHIN the tolerance, DIFFERS, or NONE: there is no reference.

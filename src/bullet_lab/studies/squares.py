@@ -118,10 +118,8 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Summary:
     """Drive the square; write paths.csv, paths.png, TUM files and summary.json.
 
     The same settings give the same files, byte for byte: those of the job with ROS, whose
-    summary.json also has the times of its run. Returns the entries after the settings.
-
-    Raises:
-        LabError: the folder cannot be written to.
+    summary.json also has the times of its run. Returns the entries after the settings. Raises
+    LabError if the folder cannot be written to.
     """
     noisy = _noise(settings)
     report = SquaresReport(folder)

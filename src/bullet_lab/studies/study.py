@@ -197,15 +197,8 @@ def this_process(task: Task, numbers: Sequence[int]) -> Results:
 def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> list[Any]:
     """Run a task for the numbers from 0 on and return the results in this order.
 
-    Args:
-        task: to run; its argument is a number.
-        count: how many numbers.
-        run: runs the tasks.
-        tell: prints a line.
-        things: name of the tasks.
-
-    Raises:
-        TaskLostError: every process that ran one of the tasks has died.
+    `things` is the name of the tasks for the user. Raises TaskLostError if every process that ran
+    one of the tasks has died.
     """
     results: dict[int, Any] = {}
     for number, result in progress(run(task, range(count)), things, count, tell):
@@ -216,13 +209,10 @@ def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> list
 
 
 def workers(count: int = 0) -> Run:
-    """Return a function that runs tasks on processes of this machine.
+    """Return a function that runs tasks on so many processes of this machine; 0: one for each core.
 
     If a process dies, another one runs its task again. The function raises UnfinishedError if the
     tasks cannot be run. The processes share nothing, and end with this one, however it ends.
-
-    Args:
-        count: of processes; 0 for one per core.
     """
     return partial(_on_processes, count)
 
@@ -332,10 +322,7 @@ def _end_with_parent() -> None:
 def whole_results(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder; move the files from it into `folder` when all are written.
 
-    If anything fails before that, `folder` keeps its earlier results.
-
-    Raises:
-        FileError: a file cannot be written.
+    If anything fails before that, `folder` keeps its earlier results. Raises FileError.
     """
     make_folder(folder)
     with file_errors(f"cannot write to {folder}"), tempfile.TemporaryDirectory(
@@ -369,7 +356,7 @@ def write_results(
     texts: Mapping[str, str],
     name: str = SUMMARY,
 ) -> Summary:
-    """Write all results of a study, or none of them, and return the summary.
+    """Write all results of a study, or none of them, and return the summary; raises FileError.
 
     Args:
         folder: for the files.
@@ -378,9 +365,6 @@ def write_results(
         figures: of matplotlib, by the names of PNG files.
         texts: content of other files by their names, which may begin with a folder.
         name: of the file with the summary.
-
-    Raises:
-        FileError: a file cannot be written.
     """
     # Each worker process imports this module, and none of them draws.
     from bullet_lab.core.figures import save

@@ -107,11 +107,8 @@ class GoalRequest(NamedTuple):
 class Recorder:
     """Records until the report is complete or ROS shuts down, then writes all files.
 
-    Args:
-        report: that is recorded.
-        parameters: of the node.
-        view: shows the paths in RViz, such as `bullet_lab.ros.record.plots.PathTopics`.
-        request: a goal to send first.
+    `view` shows the paths in RViz, such as `bullet_lab.ros.record.plots.PathTopics`; `request` is a
+    goal to send first.
     """
 
     def __init__(
@@ -146,9 +143,7 @@ class Recorder:
     def run(self) -> None:
         """Record, and write all files.
 
-        Raises:
-            FileError: a file cannot be written.
-            NodeError: the goal was not accepted or not reached.
+        Raises FileError, or NodeError if the goal was not accepted or not reached.
         """
         if self._view is not None:
             threading.Thread(target=self._show, daemon=True).start()

@@ -199,9 +199,7 @@ def _metres(value: float | None) -> str:
 def heat_map(world: str, rows: Sequence[Record]) -> Figure:
     """Draw the share of images with the marker found in a world: a map for each light.
 
-    Args:
-        world: its name.
-        rows: of all its cells, as in the table.
+    `rows` are those of all its cells, as in the table.
     """
     lights = list(dict.fromkeys(row["light"] for row in rows))
     bearings = sorted({row["bearing_deg"] for row in rows})
@@ -253,13 +251,9 @@ def range_figure(
 ) -> Figure:
     """Draw the answer to the report's question: how close, how far.
 
-    Left: the floor in front of the marker, with the rate of detection. Right: the range in each
-    world and light. Below: images from the ends of the first world's range.
-
-    Args:
-        rows: of all cells, as in the table.
-        ranges: their `ranges_of`.
-        pictures: by world and distance, straight ahead in the world's own light.
+    Left: the floor in front of the marker, with the rate of detection. Right: the `ranges_of` each
+    world and light. Below: images from the ends of the first world's range, straight ahead in its
+    own light, by world and distance.
     """
     figure = new_figure(13.0, 8.8)
     grid = figure.add_gridspec(
@@ -417,11 +411,8 @@ def run_detection_range(
 ) -> Summary:
     """Try all cells; write table, heat maps, figure and summary.json; return the summary.
 
-    The same settings give the same files, with any workers.
-
-    Raises:
-        LabError: no cell has room for the camera, nothing can be rendered, the folder cannot be
-            written to, or a task was lost.
+    The same settings give the same files, with any workers. Raises LabError if no cell has room for
+    the camera, nothing can be rendered, the folder cannot be written to, or a task was lost.
     """
     of_cells, of_dots = tasks(settings)
     if not of_cells:
