@@ -33,8 +33,9 @@ from bullet_lab.reports import DriveReport, Figures, Reading, Summary, earliest
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
-# px; the camera's pictures are kept in this size.
+# px; the camera's pictures are kept in this width, and so many of them.
 PICTURE_WIDTH = 320
+PICTURES = 8
 UNFINISHED = DockingResult(DockingError.UNKNOWN, "the docking was not finished")
 STATES = {
     "searching": PURPLE,
@@ -70,13 +71,13 @@ class Station(NamedTuple):
 
 
 class DockReport(DriveReport):
-    """The true path, in truth.tum, so many pictures of the camera, and the outcome.
+    """The true path, in truth.tum, pictures of the camera, and the outcome.
 
     Files of an earlier docking are removed. `sent` is set when the goal was sent, from which on
     pictures are kept; `result` is that of the action, None before its end.
     """
 
-    def __init__(self, folder: Path, station: Station, pictures: int):
+    def __init__(self, folder: Path, station: Station):
         super().__init__(folder)
         for name in ("path.png", "camera.png", "summary.json"):
             with contextlib.suppress(FileNotFoundError):
@@ -92,7 +93,7 @@ class DockReport(DriveReport):
         }
         self.sent = False
         self.result: DockingResult | None = None
-        self._frames = EvenSample(pictures)
+        self._frames = EvenSample(PICTURES)
         self._states: list[StateChange] = []
         self._touched: Reading | None = None
 
@@ -202,7 +203,7 @@ class EvenSample:
     """Keeps `count` of many items, spread evenly, and the last one; `seen` is their number."""
 
     def __init__(self, count: int):
-        self._count = max(2, count)
+        self._count = count
         self._kept: list[Any] = []
         self._last: Any = None
         self._stride = 1
