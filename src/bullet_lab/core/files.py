@@ -70,12 +70,6 @@ def replace_file(path: Path, write: Callable[[Path], Any]) -> None:
             part.unlink(missing_ok=True)
 
 
-def move_file(path: Path, folder: Path) -> None:
-    """Move a file to a folder, replacing a file of its name there; raises FileError."""
-    with file_errors(f"cannot move {path} to {folder}"):
-        path.replace(folder / path.name)
-
-
 def write_json(path: Path, values: Summary) -> None:
     """Write values as indented JSON, keys in the given order.
 

@@ -64,14 +64,8 @@ def read_command(
 ) -> tuple[Job, dict[str, str]] | None:
     """Return the job and its checked arguments, or print the list of jobs or the help of a job.
 
-    Args:
-        program: its name for the user.
-        jobs: all that it runs, by name.
-        words: of the command line.
-        defaults: returns the resolved defaults of a job's arguments.
-
-    Raises:
-        LabError: the command line is wrong.
+    `defaults` returns the resolved defaults of a job's arguments. Raises LabError for a wrong
+    command line.
     """
     if not words or words[0] in _HELP:
         print(list_of_jobs(jobs, program))

@@ -98,7 +98,6 @@ class Argument(NamedTuple):
     """An argument of a job.
 
     Attributes:
-        name: its name.
         default: its default in the launch file, not resolved; None if it has none.
         doc: its sentence in the launch file, without the bracket.
         bracket: the text in the bracket.
@@ -151,13 +150,9 @@ class Job(NamedTuple):
     """A launch file.
 
     Attributes:
-        name: of the job.
-        path: of the launch file.
         summary: its first sentence.
-        arguments: by their names.
         smallest: the arguments of the smallest useful run.
-        program: the program that runs the job without ROS, "module" or "module:function"; empty
-            if the job needs ROS.
+        program: runs the job without ROS, "module" or "module:function"; empty if it needs ROS.
         command: the arguments of that program, not resolved.
     """
 
@@ -181,9 +176,7 @@ class Job(NamedTuple):
     def resolve(self, text: str, values: Mapping[str, str]) -> str:
         """Return a text of the launch file as roslaunch resolves it, but for `$(eval …)`.
 
-        Args:
-            text: of the launch file.
-            values: of arguments by name; the others have their defaults.
+        Arguments without a value have their defaults.
         """
 
         def replacement(found: re.Match) -> str:
@@ -332,9 +325,7 @@ def choose_job(jobs: dict[str, Job], name: str) -> Job:
 def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
     """Return the checked values from words such as ``std:=0.1``; the last of a name counts.
 
-    Raises:
-        UsageError: a word is no assignment, or the job has no argument of that name.
-        LabError: a value is not allowed.
+    Raises LabError; UsageError for a word that is no assignment, or an unknown argument.
     """
     known = job.arguments
     values = {}

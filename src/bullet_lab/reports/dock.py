@@ -33,8 +33,9 @@ from bullet_lab.reports import DriveReport, Figures, Reading, Summary, earliest
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
-# px; the camera's pictures are kept in this size.
+# px; the camera's pictures are kept in this width, and so many of them.
 PICTURE_WIDTH = 320
+PICTURES = 8
 UNFINISHED = DockingResult(DockingError.UNKNOWN, "the docking was not finished")
 STATES = {
     "searching": PURPLE,
@@ -72,17 +73,11 @@ class Station(NamedTuple):
 class DockReport(DriveReport):
     """The true path, in truth.tum, pictures of the camera, and the outcome.
 
-    Args:
-        folder: for the files; those of an earlier docking are removed.
-        station: where the robot docks.
-        pictures: how many pictures of the camera are kept.
-
-    Attributes:
-        sent: whether the goal was sent; pictures of the camera are kept from then on.
-        result: of the action; None before its end.
+    Files of an earlier docking are removed. `sent` is set when the goal was sent, from which on
+    pictures are kept; `result` is that of the action, None before its end.
     """
 
-    def __init__(self, folder: Path, station: Station, pictures: int):
+    def __init__(self, folder: Path, station: Station):
         super().__init__(folder)
         for name in ("path.png", "camera.png", "summary.json"):
             with contextlib.suppress(FileNotFoundError):
@@ -98,14 +93,11 @@ class DockReport(DriveReport):
         }
         self.sent = False
         self.result: DockingResult | None = None
-        self._frames = EvenSample(pictures)
+        self._frames = EvenSample(PICTURES)
         self._states: list[StateChange] = []
-        self._plan: Sequence[tuple[float, float]] = ()
         self._touched: Reading | None = None
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "odom":
-            return super().take(topic, reading)
         if topic == "aruco/image_annotated":
             # An earlier picture may come before or after the goal is sent, by chance.
             is_over = self.until is not None and reading.stamp > self.until - REST
@@ -118,10 +110,10 @@ class DockReport(DriveReport):
         elif topic == "dock/feedback":
             if not self._states or self._states[-1][1] != reading.detail:
                 self._states.append((reading.seconds, reading.detail))
-        elif topic == "dock/plan":
-            self._plan = reading.detail or self._plan
-        else:
+        elif topic == "dock/finished":
             self.until = reading.stamp + REST
+        else:
+            return super().take(topic, reading)
         return False
 
     def newest(self) -> int | None:
@@ -166,10 +158,11 @@ class DockReport(DriveReport):
     def figures(self, summary: Summary) -> Figures:
         station = self._station
         docks = (station.dock, station.entry.pose)
+        plans = [one.detail for one in self.readings["dock/plan"] if one.detail]
         path = docking_figure(
             self.truth.path(),
             self._states,
-            self._plan,
+            plans[-1] if plans else (),
             station.outlines,
             docks,
             self.line(summary),
@@ -210,7 +203,7 @@ class EvenSample:
     """Keeps `count` of many items, spread evenly, and the last one; `seen` is their number."""
 
     def __init__(self, count: int):
-        self._count = max(2, count)
+        self._count = count
         self._kept: list[Any] = []
         self._last: Any = None
         self._stride = 1

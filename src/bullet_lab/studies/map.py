@@ -65,12 +65,8 @@ def find_world(name: str) -> str:
 def map_world(settings: MapSettings, watch: Callable[[list], Any] = list) -> OccupancyMap:
     """Return the map of a world; robots, that is models that take commands, are left out.
 
-    Args:
-        settings: for the map.
-        watch: gets the list of all passes of rays, and returns an iterable of them.
-
-    Raises:
-        LabError: the world cannot be read, or the start or the size is impossible.
+    `watch` gets the list of all passes of rays, and returns an iterable of them. Raises LabError if
+    the world cannot be read, or the start or the size is impossible.
     """
     if settings.high < settings.low:
         raise MapError(f"high is {settings.high:g}: it must not be below low, {settings.low:g}")

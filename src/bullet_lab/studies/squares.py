@@ -14,7 +14,7 @@ from typing import Sequence
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.core.parameters import boolean, check_parameters, choice, integer
+from bullet_lab.core.parameters import boolean, choice, integer
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
@@ -25,7 +25,7 @@ from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.studies.study import MOST_SEED, Summary, Tell, run_from
+from bullet_lab.studies.study import MOST_SEED, Settings, Summary, Tell, run_from
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -103,7 +103,7 @@ def _planar(pose: Pose) -> PlanarPose:
 
 
 @dataclass(frozen=True)
-class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread):
+class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread, Settings):
     """Settings of a run, with the names of the job's arguments."""
 
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
@@ -117,17 +117,9 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Summary:
     """Drive the square; write paths.csv, paths.png, TUM files and summary.json.
 
     The same settings give the same files, byte for byte: those of the job with ROS, whose
-    summary.json also has the times of its run. Returns the entries after the settings.
-
-    Raises:
-        LabError: a setting is invalid, or the folder cannot be written to.
+    summary.json also has the times of its run. Returns the entries after the settings. Raises
+    LabError if the folder cannot be written to.
     """
-    check_parameters(settings)
-    return _run_squares(folder, settings)
-
-
-def _run_squares(folder: Path, settings: SquaresSettings) -> Summary:
-    """Run with settings that have been checked."""
     noise = OdometryNoise(settings)
     report = SquaresReport(folder)
     report.about = {"job": "squares", **asdict(settings)}
@@ -146,7 +138,7 @@ def _run_squares(folder: Path, settings: SquaresSettings) -> Summary:
 
 
 def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> list[str]:
-    return [SquaresReport.line(_run_squares(folder, settings))]
+    return [SquaresReport.line(run_squares(folder, settings))]
 
 
 main = functools.partial(run_from, "squares", __doc__, (SquaresSettings,), _run)

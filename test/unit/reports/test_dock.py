@@ -37,7 +37,7 @@ RUN = {"sim_time_s": 1.0, "wall_time_s": 0.1, "real_time_factor": 10.0, "refused
 
 @pytest.fixture
 def report(tmp_path):
-    return DockReport(tmp_path, STATION, 8)
+    return DockReport(tmp_path, STATION)
 
 
 def drive(report, count, end=DOCKED):
@@ -119,7 +119,7 @@ def test_pictures_are_those_of_the_docking_each_with_its_state(report):
 def test_what_an_earlier_docking_has_left_goes(tmp_path):
     for name in ("camera.png", "summary.json", "notes.txt"):
         (tmp_path / name).write_text("old")
-    DockReport(tmp_path, STATION, 8)
+    DockReport(tmp_path, STATION)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "truth.tum"]
 
 

@@ -92,7 +92,7 @@ def test_rates_of_plugins_that_share_a_topic_add_up(tmp_path):
     shared = RobotReport(tmp_path, Robot("cart", plugins=(slow,)), KINDS, (fast,))
     for stamp in range(12):
         shared.counts["/joint_states"].note(stamp * 10**9 // 120)
-    assert shared.off_rate() == []
+    assert shared.summary(True, {})["off_rate"] == []
 
 
 WELL = [
@@ -146,9 +146,10 @@ def test_all_that_is_told_of_a_robot_is_as_before(tmp_path):
         summary = report.summary(True, {"more": 1})
         figure = report.figures(summary)["robot.png"]
         told += [report.table(), *lines_of(summary, "summary"), *lines_of_figure(figure)]
-        told += [report.line(summary), *lines_of([leg.error() for leg in report.legs], "errors")]
+        errors = [leg.figures()["odometry_error_percent"] for leg in report.legs]
+        told += [report.line(summary), *lines_of(errors, "errors")]
         assert report.has_failed(summary) == fails
-        assert [leg.has_failed() for leg in report.legs] == [fails] * len(report.legs)
+        assert [leg.figures()["failed"] for leg in report.legs] == [fails] * len(report.legs)
     assert_as_before(told, Path(__file__).with_name("robot.txt"))
 
 

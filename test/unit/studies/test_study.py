@@ -17,6 +17,7 @@ from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, boolean, integer, numbers, text
 from bullet_lab.studies.study import (
     Settings,
+    TaskLostError,
     UnfinishedError,
     interrupt_once,
     progress,
@@ -24,7 +25,6 @@ from bullet_lab.studies.study import (
     whole_results,
     write_table,
 )
-from bullet_lab.studies.workers import TaskLostError
 
 PACKAGE = Path(__file__).parents[3]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -36,8 +36,16 @@ from bullet_lab.studies.grade import (
     read_exercise,
     write_grade,
 )
-from bullet_lab.studies.study import SUMMARY, Tell, progress, run_from, write_table
-from bullet_lab.studies.workers import TaskLostError, WorkerSettings, workers
+from bullet_lab.studies.study import (
+    SUMMARY,
+    TaskLostError,
+    Tell,
+    WorkerSettings,
+    progress,
+    run_from,
+    workers,
+    write_table,
+)
 
 NAME = "grade"
 TABLE = "grades.csv"

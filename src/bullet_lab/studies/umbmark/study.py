@@ -34,7 +34,18 @@ from bullet_lab.core.figures import (
 from bullet_lab.core.parameters import boolean, integer, number, text
 from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.noise import systematic
-from bullet_lab.studies.study import Record, Settings, Summary, Tell, run_from, write_results
+from bullet_lab.studies.study import (
+    Record,
+    Run,
+    Settings,
+    Summary,
+    Tell,
+    WorkerSettings,
+    run_from,
+    run_tasks,
+    workers,
+    write_results,
+)
 from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,
@@ -50,7 +61,6 @@ from bullet_lab.studies.umbmark.runs import (
     read_runs,
     return_errors,
 )
-from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, workers
 
 DIAMETER_ERRORS = (0.001, 0.01)
 BASE_ERRORS = (0.005, 0.03)

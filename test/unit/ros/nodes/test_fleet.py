@@ -8,13 +8,12 @@ from bullet_lab.core.parameters import read_parameters
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Reading
-from bullet_lab.reports.fleet import (
+from bullet_lab.reports.squares import (
     FleetReport,
-    clear_away,
     fleet_figure,
     fleet_summary,
+    squares_summary,
 )
-from bullet_lab.reports.squares import squares_summary
 from bullet_lab.ros.nodes.drive_squares import robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters, robots_of
 
@@ -81,15 +80,3 @@ def test_each_robot_has_a_folder_of_its_own(tmp_path):
     summary = report.summary(True, {"real_time_factor": 3.0})
     assert [robot["seed"] for robot in summary["robots"]] == [11, 12]
     assert report.line(summary).startswith("2 robots, 0 sides")
-
-
-def test_what_a_larger_fleet_has_left_goes_and_nothing_else(tmp_path):
-    left = ("robot1/odom.tum", "robot3/odom.tum", "robot3/paths.csv", "robot4/noisy_odom.tum")
-    own = ("robot4/notes.txt", "robots/odom.tum", "other/odom.tum")
-    for path in map(tmp_path.joinpath, left + own):
-        path.parent.mkdir(exist_ok=True)
-        path.touch()
-    clear_away(tmp_path, ["robot1", "robot2"])
-    files = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file())
-    assert files == sorted(("robot1/odom.tum", *own))
-    assert not (tmp_path / "robot3").exists()

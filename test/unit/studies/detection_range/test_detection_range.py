@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from alike import assert_as_before, lines_of, lines_of_figure
@@ -12,11 +11,12 @@ from study_runs import csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
 from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.study import (
     RangeSettings,
     describe,
     found_range,
+    heat_map,
+    range_figure,
     ranges_of,
     run_detection_range,
     tasks,
@@ -164,9 +164,9 @@ def test_the_picture_is_drawn_of_whatever_was_tried():
 
 def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_there():
     rows = rows_of({0.5: 1.0, 1.0: 1.0, 2.0: 1.0, 3.0: 0.2, 4.0: 0.0})
-    png = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes()
+    picture = np.zeros((480, 640), np.uint8)
     corners = np.array([[[300, 200], [340, 200], [340, 240], [300, 240]]], dtype=float)
-    found, missed = MarkerImage(png, corners), MarkerImage(png, np.zeros((0, 4, 2)))
+    found, missed = MarkerImage(picture, corners), MarkerImage(picture, np.zeros((0, 4, 2)))
     pictures = {
         ("marker_panel", row["distance_m"]): found if row["found"] > 10 else missed for row in rows
     }
