@@ -41,8 +41,8 @@ from bullet_lab.ros.messages.images import (
     marker_pose_message,
     marker_transform,
 )
+from bullet_lab.ros.node.lock_step import publisher
 from bullet_lab.ros.node.node import node, tf_prefix
-from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.nodes.image_node import (
     CameraImage,
     Diagnostics,

@@ -31,10 +31,9 @@ from bullet_lab.core.parameters import choice, integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import MODES, OPEN_LOOP, Square, SquareDriver, SquareSize
 from bullet_lab.ros.node.driving import StoppableSender
-from bullet_lab.ros.node.lock_step import Rate
+from bullet_lab.ros.node.lock_step import Rate, publisher
 from bullet_lab.ros.node.node import TF_PREFIX, node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
-from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.nodes.spawn import description_of, spawn
 
 SPAWN_SERVICE = "/gazebo/spawn_urdf_model"

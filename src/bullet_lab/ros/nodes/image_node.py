@@ -35,9 +35,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from bullet_lab.core.parameters import text
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.images import image_message, pixels_of
-from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.ros.node.lock_step import Publisher, join_when, publisher, subscriber
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.vision.drawing import draw_text
 
 # Larger than an image, so that old images do not collect in the socket.

@@ -55,9 +55,9 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, call, numbered
 from bullet_lab.ros.messages.gazebo_types import msg, srv
 from bullet_lab.ros.messages.poses import InputError, pose_message, vector_of
-from bullet_lab.ros.node.node import NodeError, Refusals, node, run_node, spin, wait_until
+from bullet_lab.ros.node.lock_step import Publisher, subscriber
+from bullet_lab.ros.node.node import NodeError, node, run_node, spin, wait_until
 from bullet_lab.ros.node.odometry import FrameFinder
-from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.xml import read_text
 
@@ -229,22 +229,20 @@ class PlaceBeacon:
     def __init__(self, parameters: PlaceBeaconParameters):
         self._parameters = parameters
         self._text = description_of(parameters.model)
-        self._refusals = Refusals()
         self._frames = FrameFinder()
         self._standing = StandingModels()
         self._placed = Publisher("~placed", String, queue_size=10, latch=True)
         # The first message has all models, later ones have changes.
         self._world = rospy.Subscriber(WORLD, MarkerArray, self._standing.take)
         wait_until(self._standing.is_known, f"a publisher of {WORLD}")
-        self._clicks = rospy.Subscriber(CLICKED, PointStamped, self._receive, queue_size=10)
+        subscriber(CLICKED, PointStamped, self._receive, 10)
 
     def _receive(self, message: PointStamped) -> None:
-        with self._refusals.on(CLICKED):
-            point = vector_of(message.point, "the point")
-            x, y, _ = self._frames.bring(Pose(point), message.header.frame_id, FRAME).position
-            name = self._spawn(x, y)
-            rospy.loginfo("%s placed at (%.2f, %.2f) m", name, x, y)
-            self._placed.publish(String(name))
+        point = vector_of(message.point, "the point")
+        x, y, _ = self._frames.bring(Pose(point), message.header.frame_id, FRAME).position
+        name = self._spawn(x, y)
+        rospy.loginfo("%s placed at (%.2f, %.2f) m", name, x, y)
+        self._placed.publish(String(name))
 
     def _spawn(self, x: float, y: float) -> str:
         names = call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names
