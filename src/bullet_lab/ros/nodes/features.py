@@ -43,8 +43,7 @@ class CannyEdges(ImageNode):
         """Publish the edges."""
         given = self.parameters
         edges = cv2.Canny(image.grey, given.low, given.high, apertureSize=given.aperture)
-        if self.has_listeners("edges"):
-            self.publish("edges", image_message(image.header, edges, "mono8"))
+        self.publish("edges", image_message(image.header, edges, "mono8"))
         self.annotate(image, lambda canvas: draw_area(canvas, edges > 0))
         return {"edge pixels": cv2.countNonZero(edges)}
 

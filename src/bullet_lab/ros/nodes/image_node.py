@@ -50,6 +50,8 @@ _CHECK_SECONDS = 0.05
 # Wall seconds between two messages on /diagnostics, and over which rates are counted.
 _PERIOD = 1.0
 _WINDOW = 2.0
+# More than a node can have in that time.
+_MOST_RESULTS = 10_000
 
 Diagnostics = Mapping[str, Any]
 """Figures of an image by their names on /diagnostics."""
@@ -99,15 +101,14 @@ class Traffic:
     """Rate and latency of a node's results over the last two seconds of wall time."""
 
     def __init__(self):
-        self._lock = threading.Lock()
-        self._done: deque[tuple[float, float]] = deque()
+        # When each result was there, and how long it took.
+        self._done: deque[tuple[float, float]] = deque(maxlen=_MOST_RESULTS)
         self._total = 0
 
     def note(self, seconds: float) -> None:
         """Count a result, `seconds` after its input had arrived."""
-        with self._lock:
-            self._total += 1
-            self._done.append((time.monotonic(), seconds))
+        self._total += 1
+        self._done.append((time.monotonic(), seconds))
 
     def figures(self) -> dict[str, str]:
         """Return the number of results, their rate and latency as text."""
@@ -126,10 +127,7 @@ class Traffic:
 
     def _recent(self) -> list[tuple[float, float]]:
         start = time.monotonic() - _WINDOW
-        with self._lock:
-            while self._done and self._done[0][0] < start:
-                self._done.popleft()
-            return list(self._done)
+        return [one for one in tuple(self._done) if one[0] >= start]
 
 
 class ImageNode(ABC):
@@ -143,6 +141,7 @@ class ImageNode(ABC):
         task: of the node, for the diagnostics.
         outputs: its private topics and their types; the node works while one has a subscriber.
         parameters: as given.
+        health: of the node while images come.
     """
 
     task = ""
@@ -154,7 +153,6 @@ class ImageNode(ABC):
         self.parameters = parameters
         self._lock = threading.Condition()
         self._info: CameraInfo | None = None
-        self._waits_for_info = True
         self._last_stamp: rospy.Time | None = None
         # To camera_info and to the images, while there is demand.
         self._subscribers: list[rospy.Subscriber] = []
@@ -163,6 +161,7 @@ class ImageNode(ABC):
         self._refusals = Refusals()
         self._trouble = ""
         self._figures: Diagnostics = {}
+        self.health = Health(DiagnosticStatus.OK, "images come")
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
         self._publishers = {
             # Old images are of no use.
@@ -182,10 +181,6 @@ class ImageNode(ABC):
 
     def reset(self) -> None:
         """Forget earlier images, as time was set back or some are missing."""
-
-    def health(self) -> Health:
-        """Return the health of the node while images come."""
-        return Health(DiagnosticStatus.OK, "images come")
 
     def has_listeners(self, topic: str) -> bool:
         """Return whether an output has a subscriber."""
@@ -238,9 +233,7 @@ class ImageNode(ABC):
 
     def _start(self) -> None:
         with self._lock:
-            self._info = None
-            self._waits_for_info = True
-            self._last_stamp = None
+            self._info = self._last_stamp = None
             self.reset()
             info = subscriber(self.parameters.info_topic, CameraInfo, self._receive_info)
             images = subscriber(
@@ -256,7 +249,6 @@ class ImageNode(ABC):
     def _receive_info(self, message: CameraInfo) -> None:
         with self._lock:
             self._info = message
-            self._waits_for_info = True
             self._lock.notify_all()
 
     def _receive_image(self, message: Image) -> None:
@@ -271,7 +263,10 @@ class ImageNode(ABC):
             if stamp < last:
                 rospy.loginfo("%s: time was set back: resetting", self.parameters.image)
                 self.reset()
-        image = CameraImage(message, self._info_now())
+        with self._lock:
+            if last is None:
+                self._lock.wait_for(lambda: self._info is not None, _INFO_PATIENCE)
+            image = CameraImage(message, self._info)
         try:
             self._figures = self.process(image)
             self._trouble = ""
@@ -282,14 +277,6 @@ class ImageNode(ABC):
             image.info.header = message.header
             self.publish("camera_info", image.info)
         self._traffic.note(time.monotonic() - start)
-
-    def _info_now(self) -> CameraInfo | None:
-        """Return the newest camera_info; the first image waits for it."""
-        with self._lock:
-            if self._info is None and self._waits_for_info:
-                self._lock.wait_for(lambda: self._info is not None, _INFO_PATIENCE)
-                self._waits_for_info = self._info is not None
-            return self._info
 
     def _report(self) -> None:
         """Publish the health of the node.
@@ -314,7 +301,7 @@ class ImageNode(ABC):
             return Health(DiagnosticStatus.WARN, f"no image on {topic}: {reason}")
         if self._trouble:
             return Health(DiagnosticStatus.ERROR, self._trouble)
-        return self.health()
+        return self.health
 
 
 class ViewCamera(ImageNode):
