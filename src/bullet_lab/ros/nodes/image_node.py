@@ -1,15 +1,18 @@
-"""The base class of nodes that process images, and the smallest of them, view_camera.
+"""Nodes that process images: their base class, and those of figure 7 but for aruco.
 
-A node subscribes to the image and its camera_info only while one of its results has a subscriber.
-It processes each image once, in order.
+They show the image (view_camera), its edges (canny_edges), corners (harris_corners) and good
+features (good_features, by Shi and Tomasi). A node subscribes to the image and its camera_info only
+while one of its results has a subscriber. It processes each image once, in order.
 
-A new detector is a subclass of `ImageNode` with its parameters, and an executable in scripts/;
-`bullet_lab.ros.nodes.features` has short examples.
+A new detector is a subclass of `ImageNode` with its parameters, and an executable in scripts/.
 
 :ROS Parameters: see `ImageParameters` and those of the node
 :ROS Subscribers, while a result has a subscriber: ~image and its camera_info
-:ROS Publishers, beside those of the node:
-    - ~image_annotated (sensor_msgs/Image): the image with the results drawn into it
+:ROS Publishers:
+    - canny_edges: ~edges (sensor_msgs/Image), mono8: 255 on an edge, as in figure 7a
+    - harris_corners, good_features: ~points (bullet_lab/ImagePoints), the strongest first
+    - ~image_annotated (sensor_msgs/Image): the image with the results drawn into it: edges in blue,
+      corners as squares as in figure 7d, good features as discs as in 7c
     - ~camera_info (sensor_msgs/CameraInfo): of each annotated image
     - /diagnostics (diagnostic_msgs/DiagnosticArray), once a second of wall time
 """
@@ -32,12 +35,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from numpy import ndarray
 from sensor_msgs.msg import CameraInfo, Image
 
-from bullet_lab.core.parameters import text
+from bullet_lab.core.parameters import integer, number, odd, text
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.images import image_message, pixels_of
+from bullet_lab.msg import ImagePoints
+from bullet_lab.ros.messages.images import image_message, pixels_of, points_message
 from bullet_lab.ros.node.lock_step import Publisher, join_when, publisher, subscriber
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.vision.drawing import draw_text
+from bullet_lab.vision import features
+from bullet_lab.vision.drawing import draw_area, draw_points, draw_text
 
 # Larger than an image, so that old images do not collect in the socket.
 _BUFFER_BYTES = 2**24
@@ -317,7 +322,106 @@ class ViewCamera(ImageNode):
         return {"size": size, "mean grey level": f"{image.grey.mean():.0f}"}
 
 
+@dataclass(frozen=True)
+class CannyParameters(ImageParameters):
+    """Private parameters of canny_edges."""
+
+    low: float = number(100.0, "least gradient of an edge pixel", minimum=0.0)
+    high: float = number(200.0, "least gradient of a strong edge pixel", minimum=0.0)
+    aperture: int = odd(3, "size of the Sobel operator, px", 3, 7)
+
+
+class CannyEdges(ImageNode):
+    """Publishes the edges of each image."""
+
+    task = "edge detection"
+    outputs = {"edges": Image}
+
+    def process(self, image: CameraImage) -> Diagnostics:
+        """Publish the edges."""
+        given = self.parameters
+        edges = cv2.Canny(image.grey, given.low, given.high, apertureSize=given.aperture)
+        self.publish("edges", image_message(image.header, edges, "mono8"))
+        self.annotate(image, lambda canvas: draw_area(canvas, edges > 0))
+        return {"edge pixels": cv2.countNonZero(edges)}
+
+
+@dataclass(frozen=True)
+class HarrisParameters(ImageParameters):
+    """Private parameters of harris_corners."""
+
+    block_size: int = integer(2, "size of the neighbourhood, px", 1, 31)
+    aperture: int = odd(3, "size of the Sobel operator, px", 1, 31)
+    k: float = number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
+    threshold: float = number(
+        0.01, "least response, as a share of the largest", above=0.0, maximum=1.0
+    )
+
+
+class HarrisCorners(ImageNode):
+    """Publishes the corners of each image."""
+
+    task = "corner detection"
+    outputs = {"points": ImagePoints}
+
+    def process(self, image: CameraImage) -> Diagnostics:
+        """Publish the corners."""
+        given = self.parameters
+        area, points = features.harris_corners(
+            image.grey, given.block_size, given.aperture, given.k, given.threshold
+        )
+        self.publish("points", points_message(image.header, image.grey.shape, points))
+        self.annotate(image, lambda canvas: draw_area(canvas, area))
+        return {"corners": len(points)}
+
+
+@dataclass(frozen=True)
+class GoodFeaturesParameters(ImageParameters):
+    """Private parameters of good_features."""
+
+    max_corners: int = integer(25, "greatest number of features", 1, 100000)
+    quality: float = number(
+        0.01, "least strength, as a share of the strongest", above=0.0, maximum=1.0
+    )
+    min_distance: float = number(10.0, "px between two features", minimum=0.0)
+
+
+class GoodFeatures(ImageNode):
+    """Publishes the good features of each image."""
+
+    task = "feature detection"
+    outputs = {"points": ImagePoints}
+
+    def process(self, image: CameraImage) -> Diagnostics:
+        """Publish the features."""
+        given = self.parameters
+        points = features.good_features(
+            image.grey, given.max_corners, given.quality, given.min_distance
+        )
+        self.publish("points", points_message(image.header, image.grey.shape, points))
+        self.annotate(image, lambda canvas: draw_points(canvas, points))
+        return {"features": len(points)}
+
+
 @node
 def view_camera(parameters: ImageParameters) -> None:
     """Run until ROS shuts down."""
     ViewCamera(parameters).run()
+
+
+@node
+def canny_edges(parameters: CannyParameters) -> None:
+    """Run until ROS shuts down."""
+    CannyEdges(parameters).run()
+
+
+@node
+def harris_corners(parameters: HarrisParameters) -> None:
+    """Run until ROS shuts down."""
+    HarrisCorners(parameters).run()
+
+
+@node
+def good_features(parameters: GoodFeaturesParameters) -> None:
+    """Run until ROS shuts down."""
+    GoodFeatures(parameters).run()

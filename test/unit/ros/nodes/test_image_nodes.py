@@ -13,15 +13,16 @@ from sensor_msgs.msg import CameraInfo
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.nodes import aruco, image_node
 from bullet_lab.ros.nodes.aruco import Aruco, ArucoParameters
-from bullet_lab.ros.nodes.features import (
+from bullet_lab.ros.nodes.image_node import (
     CannyEdges,
     CannyParameters,
     GoodFeatures,
     GoodFeaturesParameters,
     HarrisCorners,
     HarrisParameters,
+    ImageParameters,
+    ViewCamera,
 )
-from bullet_lab.ros.nodes.image_node import ImageParameters, ViewCamera
 
 NODE = image_node
 FRAME = "camera_optical_frame"
