@@ -48,7 +48,6 @@ from bullet_lab.core.parameters import (
     choice,
     integer,
     number,
-    number_list,
     text,
 )
 from bullet_lab.core.pose import Pose
@@ -64,6 +63,8 @@ from bullet_lab.simulation.world.xml import read_text
 CLICKED = "/clicked_point"
 # Frame of the world.
 FRAME = "world"
+# m from a point to other models: a beacon's radius and a margin.
+CLEARANCE = 0.3
 # m
 ROBOT_RADIUS = 0.3
 # The three beacons of the report.
@@ -99,8 +100,8 @@ class DepopulateParameters:
 
 
 @dataclass(frozen=True)
-class PlaceParameters(DepopulateParameters):
-    """Private parameters of what places models."""
+class PlaceBeaconParameters(DepopulateParameters):
+    """Private parameters of place_beacon."""
 
     model: str = text(
         "model://beacon", "what to place: model://…, or an SDF or URDF file, a path or package://"
@@ -108,7 +109,7 @@ class PlaceParameters(DepopulateParameters):
 
 
 @dataclass(frozen=True)
-class PopulateParameters(PlaceParameters):
+class PopulateParameters(PlaceBeaconParameters):
     """Private parameters of populate."""
 
     pattern: str = choice(
@@ -123,43 +124,23 @@ class PopulateParameters(PlaceParameters):
     count: int = integer(3, "how many, for the other patterns", 1, 100_000)
     spacing: float = number(1.0, "m between neighbours in a line or grid", above=0.0)
     radius: float = number(3.0, "of the circle, in m", above=0.0)
-    origin: tuple[float, ...] = number_list(
-        (0.0, 0.0, 0.0), "displacement of the pattern: x y z in m"
-    )
     name: str = text("", "name of the model, if it is only one")
-    namespace: str = text(
-        "", "robotNamespace of plugins that have none; the node's own namespace if empty"
-    )
 
 
-@dataclass(frozen=True)
-class PlaceBeaconParameters(PlaceParameters):
-    """Private parameters of place_beacon."""
-
-    clearance: float = number(
-        0.3, "m from the point to other models: a beacon's radius and a margin", above=0.0
-    )
-
-
-def places_of(parameters: PopulateParameters) -> list[se2.PlanarPose]:
-    """Return the poses of the models in the frame that ~origin gives."""
+def places_of(parameters: PopulateParameters) -> dict[str, se2.PlanarPose]:
+    """Return the poses of the models by name; raises ParameterError if ~name is for several."""
+    poses = list(parameters.poses)
     if parameters.pattern == "line":
-        return se2.line(parameters.count, parameters.spacing)
-    if parameters.pattern == "grid":
-        return se2.grid(parameters.count, parameters.spacing)
-    if parameters.pattern == "circle":
-        return se2.circle(parameters.count, parameters.radius)
-    return list(parameters.poses)
-
-
-def names_of(parameters: PopulateParameters) -> list[str]:
-    """Return the names of the models; raises ParameterError if ~name is for several models."""
-    count = len(places_of(parameters))
-    if not parameters.name:
-        return [f"{parameters.prefix}_{index}" for index in range(count)]
-    if count != 1:
-        raise ParameterError(f"~name is '{parameters.name}': {count} models cannot share one name")
-    return [parameters.name]
+        poses = se2.line(parameters.count, parameters.spacing)
+    elif parameters.pattern == "grid":
+        poses = se2.grid(parameters.count, parameters.spacing)
+    elif parameters.pattern == "circle":
+        poses = se2.circle(parameters.count, parameters.radius)
+    name, count = parameters.name, len(poses)
+    if name and count != 1:
+        raise ParameterError(f"~name is '{name}': {count} models cannot share one name")
+    names = [name] if name else [f"{parameters.prefix}_{index}" for index in range(count)]
+    return dict(zip(names, poses))
 
 
 def description_of(model: str) -> str:
@@ -194,17 +175,15 @@ def inclusion_of(uri: str) -> str:
 @node
 def populate(parameters: PopulateParameters) -> None:
     """Spawn the models; raises LabError."""
-    names = names_of(parameters)
+    places = places_of(parameters)
     text = description_of(parameters.model)
-    namespace = parameters.namespace or rospy.get_namespace()
-    dx, dy, dz = parameters.origin
-    for name, (x, y, yaw) in zip(names, places_of(parameters)):
-        pose = Pose((x + dx, y + dy, dz), se2.quaternion_from_yaw(yaw))
+    for name, (x, y, yaw) in places.items():
+        pose = Pose((x, y, 0.0), se2.quaternion_from_yaw(yaw))
         try:
-            spawn(name, text, namespace, pose)
+            spawn(name, text, rospy.get_namespace(), pose)
         except NodeError as error:
             raise NodeError(f"cannot place '{name}': {error}") from error
-    rospy.loginfo("%d models placed: %s …", len(names), "".join(names[:1]))
+    rospy.loginfo("%d models placed: %s …", len(places), "".join([*places][:1]))
 
 
 @node
@@ -227,7 +206,7 @@ class PlaceBeacon:
     """Spawns a beacon for each click."""
 
     def __init__(self, parameters: PlaceBeaconParameters):
-        self._parameters = parameters
+        self._prefix = parameters.prefix
         self._text = description_of(parameters.model)
         self._frames = FrameFinder()
         self._standing = StandingModels()
@@ -247,15 +226,14 @@ class PlaceBeacon:
     def _spawn(self, x: float, y: float) -> str:
         names = call("/gazebo/get_world_properties", srv.GetWorldProperties).model_names
         nearest, distance = self._standing.nearest(x, y)
-        if distance < self._parameters.clearance:
+        if distance < CLEARANCE:
             raise InputError(f"({x:.2f}, {y:.2f}) m is too near to {nearest}")
-        room = self._parameters.clearance + ROBOT_RADIUS
         # The markers leave out the robot, which RViz draws from its description.
         for name in set(names) - set(self._standing.names()):
             place = call("/gazebo/get_model_state", srv.GetModelState, name, "").pose.position
-            if math.hypot(place.x - x, place.y - y) < room:
+            if math.hypot(place.x - x, place.y - y) < CLEARANCE + ROBOT_RADIUS:
                 raise InputError(f"({x:.2f}, {y:.2f}) m is too near to {name}")
-        name = free_name(self._parameters.prefix, names)
+        name = free_name(self._prefix, names)
         spawn(name, self._text, "", Pose((x, y, 0.0)))
         return name
 

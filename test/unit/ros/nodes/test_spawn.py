@@ -11,7 +11,6 @@ from bullet_lab.ros.gazebo.client import numbered
 from bullet_lab.ros.nodes.spawn import (
     PopulateParameters,
     description_of,
-    names_of,
     packages_to_models,
     parse_spawn_arguments,
     places_of,
@@ -32,7 +31,7 @@ POSES = """
 
 @pytest.mark.parametrize("given, places", yaml.safe_load(POSES))
 def test_poses(given, places):
-    assert list(map(list, places_of(wanted(**given)))) == places
+    assert list(map(list, places_of(wanted(**given)).values())) == places
 
 
 def test_the_model_is_a_beacon():
@@ -43,7 +42,7 @@ def test_the_model_is_a_beacon():
 
 @pytest.mark.parametrize("pattern", ["line", "grid", "circle"])
 def test_other_patterns_have_as_many_places_as_asked_for(pattern):
-    assert len(set(places_of(wanted(pattern=pattern, count=7)))) == 7
+    assert len(set(places_of(wanted(pattern=pattern, count=7)).values())) == 7
 
 
 NO_POSES = "[5, [1, 2], [[1]], [[1, 2, 3, 4]], [['1', '2']], [[true, 1]], [[.nan, 0]]]"
@@ -73,10 +72,10 @@ def test_only_numbered_names_are_taken_away():
 
 
 def test_names_are_numbered_but_that_of_one_model():
-    assert names_of(wanted(prefix="post", pattern="line", count=2)) == ["post_0", "post_1"]
-    assert names_of(wanted(name="robot1", poses=[[1, 2]])) == ["robot1"]
+    assert list(places_of(wanted(prefix="post", pattern="line", count=2))) == ["post_0", "post_1"]
+    assert list(places_of(wanted(name="robot1", poses=[[1, 2]]))) == ["robot1"]
     with pytest.raises(ParameterError, match="~name is 'robot1': 3 models cannot share one name"):
-        names_of(wanted(name="robot1"))
+        places_of(wanted(name="robot1"))
 
 
 def parse(line, namespace="/"):
