@@ -25,8 +25,8 @@ from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.topics import DeviceTopics, TopicError
 from bullet_lab.ros.messages.conversions import deleted_markers, world_markers
 from bullet_lab.ros.messages.poses import pose_message, set_time
+from bullet_lab.ros.node.lock_step import BatchPublisher, Publisher
 from bullet_lab.ros.node.node import TF_PREFIX, search_parameter
-from bullet_lab.ros.node.publishers import BatchPublisher, Publisher
 from bullet_lab.simulation.plugins import NAMESPACE
 from bullet_lab.simulation.plugins.samples import OdometrySample
 from bullet_lab.simulation.simulation import ModelInstance, Simulation

@@ -31,7 +31,6 @@ SHARED = (
     "bullet_lab.ros.messages.poses",
     "bullet_lab.ros.node.lock_step",
     "bullet_lab.ros.node.odometry",
-    "bullet_lab.ros.node.publishers",
 )
 # Bytes of the server's command line, which the nodes replace by their own.
 ROOM = 4096

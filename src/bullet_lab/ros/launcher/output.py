@@ -87,15 +87,12 @@ def words_to(path: Path):
             yield
 
 
-
 class VirtualScreen:
     """An Xvfb on a free display, which is set as DISPLAY; its output goes to a log file."""
 
     def __init__(self, log: Path, picture: Path):
         self._log, self._picture = log, picture
         self._next = time.monotonic() + _PICTURE_PERIOD
-        self._server: subprocess.Popen | None = None
-        self._display = ""
 
     def __enter__(self) -> VirtualScreen:
         """Start the screen, for all programs that are started later; raise LabError."""
@@ -123,8 +120,6 @@ class VirtualScreen:
 
     def __exit__(self, *_) -> None:
         """Stop the screen."""
-        if self._server is None:
-            return
         self._server.terminate()
         try:
             self._server.wait(_STOP_TIMEOUT)

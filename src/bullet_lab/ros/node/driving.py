@@ -12,9 +12,8 @@ from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import Twist
 
 from bullet_lab.drive import STANDSTILL, Command
-from bullet_lab.ros.node.lock_step import Rate, in_lock_step
+from bullet_lab.ros.node.lock_step import Publisher, Rate, in_lock_step, publisher
 from bullet_lab.ros.node.odometry import FrameFinder, MessageQueue
-from bullet_lab.ros.node.publishers import Publisher, publisher
 
 REPLACED = "replaced by another goal"
 

@@ -30,15 +30,11 @@ from bullet_lab.core import se2
 from bullet_lab.core.parameters import choice, integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import MODES, OPEN_LOOP, Square, SquareDriver, SquareSize
-from bullet_lab.ros.gazebo.client import call
-from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.driving import StoppableSender
-from bullet_lab.ros.node.lock_step import Rate
+from bullet_lab.ros.node.lock_step import Rate, publisher
 from bullet_lab.ros.node.node import TF_PREFIX, node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
-from bullet_lab.ros.node.publishers import publisher
-from bullet_lab.ros.nodes.populate import description_of
+from bullet_lab.ros.nodes.spawn import description_of, spawn
 
 SPAWN_SERVICE = "/gazebo/spawn_urdf_model"
 MOST_ROBOTS = 100
@@ -152,8 +148,7 @@ def fleet(parameters: FleetParameters) -> None:
         space = rospy.resolve_name(name)
         if not rospy.has_param(f"{space}/{TF_PREFIX}"):
             rospy.set_param(f"{space}/{TF_PREFIX}", name)
-        pose = pose_message(Pose((x, y, 0.0)))
-        call(SPAWN_SERVICE, srv.SpawnModel, name, text, space, pose, "")
+        spawn(name, text, space, Pose((x, y, 0.0)), SPAWN_SERVICE)
     square = Square(parameters.sides, parameters.side)
     topics = [(f"{name}/cmd_vel", f"{name}/odom") for name in names]
     DriveSquares(square, parameters.mode, topics).drive()

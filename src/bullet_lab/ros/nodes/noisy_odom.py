@@ -39,10 +39,9 @@ from bullet_lab.noise.odometry_noise import (
 from bullet_lab.noise.published_noise import PUBLISHED_RATE
 from bullet_lab.noise.systematic import SystematicErrors, SystematicSpread
 from bullet_lab.ros.messages.poses import marker
-from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.ros.node.lock_step import Publisher, join_when, publisher, subscriber
 from bullet_lab.ros.node.node import Refusals, node, spin
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_twist
-from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Iterable, Iterator
 
 import numpy as np
-import rospy
 from geometry_msgs.msg import AccelStamped, Vector3, Wrench, WrenchStamped
 from sensor_msgs.msg import Imu
 from std_msgs.msg import ColorRGBA, Header
@@ -27,8 +26,8 @@ from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import InputError, marker, vector_of
-from bullet_lab.ros.node.node import Refusals, node, spin
-from bullet_lab.ros.node.publishers import Publisher
+from bullet_lab.ros.node.lock_step import Publisher, subscriber
+from bullet_lab.ros.node.node import node, spin
 
 POINT = ColorRGBA(0.9, 0.1, 0.1, 1.0)
 FORCE = ColorRGBA(0.9, 0.4, 0.0, 1.0)
@@ -52,29 +51,24 @@ class ShowSensors:
     """Converts the messages of a bumper and an IMU."""
 
     def __init__(self, parameters: ShowSensorsParameters):
-        self._parameters = parameters
-        self._refusals = Refusals()
+        self._scale = parameters.scale
         self._contacts = Publisher("~contacts", MarkerArray, queue_size=10)
         self._wrench = Publisher("~wrench", WrenchStamped, queue_size=10)
         self._acceleration = Publisher("~acceleration", AccelStamped, queue_size=10)
-        self._bumper = rospy.Subscriber(
-            parameters.bumper, msg.ContactsState, self._show_contacts, queue_size=10
-        )
-        self._imu = rospy.Subscriber(parameters.imu, Imu, self._show_imu, queue_size=10)
+        subscriber(parameters.bumper, msg.ContactsState, self._show_contacts, 10)
+        subscriber(parameters.imu, Imu, self._show_imu, 10)
 
     def _show_contacts(self, message: msg.ContactsState) -> None:
-        with self._refusals.on(self._parameters.bumper):
-            total = total_wrench(message)
-            markers = list(contact_markers(message, self._parameters.scale))
-            self._contacts.publish(MarkerArray(markers))
-            self._wrench.publish(WrenchStamped(message.header, total))
+        total = total_wrench(message)
+        markers = list(contact_markers(message, self._scale))
+        self._contacts.publish(MarkerArray(markers))
+        self._wrench.publish(WrenchStamped(message.header, total))
 
     def _show_imu(self, message: Imu) -> None:
-        with self._refusals.on(self._parameters.imu):
-            vector_of(message.linear_acceleration, "an acceleration")
-            shown = AccelStamped(header=message.header)
-            shown.accel.linear = message.linear_acceleration
-            self._acceleration.publish(shown)
+        vector_of(message.linear_acceleration, "an acceleration")
+        shown = AccelStamped(header=message.header)
+        shown.accel.linear = message.linear_acceleration
+        self._acceleration.publish(shown)
 
 
 def last_states(message: msg.ContactsState) -> list[msg.ContactState]:

@@ -28,10 +28,9 @@ from bullet_lab.core.parameters import boolean, checked, text
 from bullet_lab.core.se2 import hypot
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import marker
-from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, node, spin
+from bullet_lab.ros.node.lock_step import Publisher, join_when, publisher, subscriber
+from bullet_lab.ros.node.node import node, spin
 from bullet_lab.ros.node.odometry import FrameGuard
-from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 
 Number = Union[int, float]
 DEFAULT_BEACONS = (("beacon_0", 1, 1), ("beacon_1", 5, 1), ("beacon_2", -5, 1))
@@ -114,26 +113,22 @@ class TrackRobot:
         self._topics = {beacon.name: _BeaconTopics(beacon) for beacon in parameters.beacons}
         self._markers = Publisher("beacon_markers", MarkerArray, queue_size=1)
         self._frames = FrameGuard()
-        self._refusals = Refusals()
         self._standing = StandingModels()
         if parameters.watch:
             self._world = rospy.Subscriber(WORLD, MarkerArray, self._watch)
         self.sub = subscriber("odom", Odometry, self.callback)
 
     def callback(self, msg: Odometry) -> None:
-        """Publish the distances from the pose of a message."""
-        with self._refusals.on("odom"), self._lock:
+        """Publish the distances from the pose of a message; raises LabError if it has none."""
+        with self._lock:
             x, y, _ = self._frames.check(msg)
-            self._measure(msg, x, y)
-
-    def _measure(self, msg: Odometry, x: float, y: float) -> None:
-        distances = []
-        for topics in self._topics.values():
-            dist = hypot(x - topics.beacon.x, y - topics.beacon.y)
-            topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
-            distances.append((topics.beacon, dist))
-        if self._markers.get_num_connections() > 0:
-            self._markers.publish(self._draw(msg, distances))
+            distances = []
+            for topics in self._topics.values():
+                dist = hypot(x - topics.beacon.x, y - topics.beacon.y)
+                topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
+                distances.append((topics.beacon, dist))
+            if self._markers.get_num_connections() > 0:
+                self._markers.publish(self._draw(msg, distances))
 
     def _watch(self, message: MarkerArray) -> None:
         """Add, move and remove the beacons of the world; those of ~beacons stay."""

@@ -36,10 +36,9 @@ from bullet_lab.reports.squares import FleetReport, SquaresReport
 from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import marker, stamped_pose
-from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.ros.node.lock_step import Publisher, join_when
 from bullet_lab.ros.node.node import NodeError, check_running, holds_within, node
 from bullet_lab.ros.node.odometry import own_frame
-from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock import docking_result
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.ros.record.recorder import (

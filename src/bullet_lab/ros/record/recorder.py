@@ -30,10 +30,9 @@ from bullet_lab.reports import Figures, Reading, Report, Summary, save_results
 from bullet_lab.reports.goal import GoalAnswer
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.images import pixels_of
-from bullet_lab.ros.node.lock_step import END_OF_TIME, grant, join_when, time_held_at
+from bullet_lab.ros.node.lock_step import END_OF_TIME, grant, join_when, subscriber, time_held_at
 from bullet_lab.ros.node.node import NodeError, Refusals, holds_within, wait_until
 from bullet_lab.ros.node.odometry import FrameGuard
-from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters

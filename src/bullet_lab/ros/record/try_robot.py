@@ -34,10 +34,9 @@ from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.driving import StoppableSender
-from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
+from bullet_lab.ros.node.lock_step import Rate, publisher, publishers_know_this_node, subscriber
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
-from bullet_lab.ros.node.publishers import publisher, subscriber
 from bullet_lab.ros.record.recorder import RecordParameters
 from bullet_lab.ros.record.robot_parts import (
     SETTLED,

@@ -20,7 +20,7 @@ from std_srvs.srv import Empty
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
-from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, Publisher
+from bullet_lab.ros.node.lock_step import COMMAND_TIMEOUT, Publisher
 from bullet_lab.ros.view.pad import HOLD, STILL, Shares
 from bullet_lab.srv import SetNoise, SetRtf, Step
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from bullet_lab.ros.launcher import supervision
-from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
+from bullet_lab.ros.launcher.supervision import Verdict, judge
 
 # Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
 # exit status of the run with its reason. The bridge and the plot are required.
@@ -29,7 +29,6 @@ VERDICTS = """
 
 
 def judged(deaths, has_summary=True, stopped_by=None):
-    deaths = [Death(*death) for death in deaths.items()]
     return judge(deaths, 3, {"bridge", "plot"}, has_summary, stopped_by)
 
 
@@ -45,7 +44,7 @@ def test_run_goes_on_until_a_required_node_ends():
 
 
 def test_all_nodes_ended_without_a_required_one():
-    verdict = judge([Death("drive", 0)], 1, set(), True, None)
+    verdict = judge({"/drive": 0}, 1, set(), True, None)
     assert verdict.status == 1
 
 

@@ -13,15 +13,16 @@ from sensor_msgs.msg import CameraInfo
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.nodes import aruco, image_node
 from bullet_lab.ros.nodes.aruco import Aruco, ArucoParameters
-from bullet_lab.ros.nodes.features import (
+from bullet_lab.ros.nodes.image_node import (
     CannyEdges,
     CannyParameters,
     GoodFeatures,
     GoodFeaturesParameters,
     HarrisCorners,
     HarrisParameters,
+    ImageParameters,
+    ViewCamera,
 )
-from bullet_lab.ros.nodes.image_node import ImageParameters, ViewCamera
 
 NODE = image_node
 FRAME = "camera_optical_frame"
@@ -219,7 +220,7 @@ def test_every_image_is_answered_also_without_a_marker(published, pixels, number
     node = finder(camera_info())
     (answer,) = answers(node, published, image(pixels), "detections")
     assert len(answer.detections) == number
-    level, line = node.health()
+    level, line = node.health
     assert (level, "id 0 at 2.0" in line) == ((0, True) if number else (1, False))
 
 
@@ -229,5 +230,5 @@ def test_a_camera_that_is_none(published):
     node = finder(zero)
     (answer,) = answers(node, published, image(marker_image()), "detections")
     assert answer.detections[0].size == 0.0
-    assert node.health().level == 2
-    assert "zero K" in node.health().message
+    assert node.health.level == 2
+    assert "zero K" in node.health.message

@@ -7,6 +7,7 @@ import rospy
 from message_fields import message
 from nav_msgs.msg import Odometry
 
+from bullet_lab.errors import LabError
 from bullet_lab.ros.nodes import track_robot
 from bullet_lab.ros.nodes.track_robot import TrackRobot, TrackRobotParameters, accept_beacons
 
@@ -76,9 +77,11 @@ def test_markers_say_the_distances(published):
 
 def test_what_cannot_be_used_is_refused(published):
     node = TrackRobot(TrackRobotParameters())
-    bad = [odometry(2.0, ".nan"), odometry(2.0, frame="map")]
-    for given in [odometry(1.0), *bad, odometry(3.0)]:
-        node.callback(given)
+    node.callback(odometry(1.0))
+    for bad in (odometry(2.0, ".nan"), odometry(2.0, frame="map")):
+        with pytest.raises(LabError):
+            node.callback(bad)
+    node.callback(odometry(3.0))
     assert [m.header.stamp.to_sec() for m in published["beacon_2/range"]] == [1.0, 3.0]
 
 
