@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Tuple
+from urllib.parse import quote
 
 from geometry_msgs.msg import Pose as PoseMessage
 from tf2_msgs.msg import TFMessage
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import normalised_pose
-from bullet_lab.ros.view.scene import Copies, Labels
+from bullet_lab.ros.view.scene import Copies, Nodes
 from bullet_lab.ros.view.subscription import Subscription, reader_of
 
 # Frames between a frame and its root; more are a cycle.
 MAX_DEPTH = 200
 # Sizes in m of the axes of a frame.
-AXES_LENGTH = 0.2
-AXES_RADIUS = 0.006
+AXES = {"axes_length": 0.2, "axes_radius": 0.006}
 
 Placed = Tuple[str, Pose]
 """A frame, and a pose in it."""
@@ -132,11 +133,8 @@ class FramesDisplay:
         self._context = context
         read = reader_of(TFMessage, read_transforms)
         self._subscriptions = [Subscription(t, read, every=True) for t in ("/tf_static", "/tf")]
-        make = lambda arrays: context.scene.add_batched_axes(  # noqa: E731
-            "/frames/axes", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, **arrays
-        )
-        self._axes = Copies(make, ("batched_positions", "batched_wxyzs"))
-        self._names = Labels(context.scene, "/frames/names")
+        self._axes = Copies(partial(context.scene.add_batched_axes, "/frames/axes", **AXES))
+        self._names = Nodes(context.scene)
 
     def read(self) -> None:
         """Read the new transforms."""
@@ -147,17 +145,18 @@ class FramesDisplay:
 
     def show(self, axes: bool, names: bool) -> None:
         """Show or hide the axes and the names of all frames."""
-        frames = self._context.frames.frames()
-        self._names.keep(frames if names else [])
-        for frame in frames:
-            if not axes:
-                self._axes.drop(frame)
-            if axes or names:
-                pose = self._context.pose_of(frame)
+        if not axes:
+            self._axes.clear()
+        if not names:
+            self._names.clear()
+        for frame in self._context.frames.frames() if axes or names else ():
+            pose = self._context.pose_of(frame)
             if axes:
                 self._axes.put(frame, pose)
             if names:
-                self._names.put(frame, frame, pose.position)
+                # Nodes below a node would move with it.
+                name = f"/frames/names/{quote(frame, safe='')}"
+                self._names.put_label(name, frame, pose.position)
         self._axes.flush()
 
     def close(self) -> None:

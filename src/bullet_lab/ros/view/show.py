@@ -29,10 +29,10 @@ from bullet_lab.ros.view.displays import (
 )
 from bullet_lab.ros.view.frames import DisplayContext, FramesDisplay
 from bullet_lab.ros.view.markers import (
+    ContactsDisplay,
+    MarkerDisplay,
     MarkersDisplay,
     WorldDisplay,
-    contacts_display,
-    single_marker_display,
 )
 from bullet_lab.ros.view.panel import Panel, TabControls
 from bullet_lab.ros.view.robots import Robots
@@ -62,8 +62,8 @@ KINDS = (
     Kind(
         "Contacts",
         {
-            "gazebo_msgs/ContactsState": contacts_display,
-            "bullet_lab/ContactsState": contacts_display,
+            "gazebo_msgs/ContactsState": ContactsDisplay,
+            "bullet_lab/ContactsState": ContactsDisplay,
         },
     ),
     Kind("Goals and docks", {"geometry_msgs/PoseStamped": PoseDisplay}),
@@ -71,7 +71,7 @@ KINDS = (
         "Markers",
         {
             "visualization_msgs/MarkerArray": MarkersDisplay,
-            "visualization_msgs/Marker": single_marker_display,
+            "visualization_msgs/Marker": MarkerDisplay,
         },
         lambda topic, topics: topic != WORLD,
     ),

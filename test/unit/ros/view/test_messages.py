@@ -124,21 +124,16 @@ def test_markers():
     fields = """
         frame: odom
         key: [line, 7]
-        text: größer
+        message.text: größer
         points: [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
         colours: [[0.5, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 1.0]]
         pose.quaternion: [0.0, 0.0, 0.0, 1.0]
-        locked: true
-        embedded: false
     """
     check(first, fields)
     fields = """
-        mesh: package://a/b.dae
         scale: [1.0, 2.0, 3.0]
         colour: [0.5, 0.25, 0.0, 1.0]
         pose.position: [1.0, 2.0, 3.0]
-        locked: false
-        embedded: true
     """
     check(second, fields)
 
