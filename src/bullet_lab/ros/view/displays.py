@@ -23,9 +23,8 @@ from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.messages.poses import normalised_pose
 from bullet_lab.ros.node.node import Refusals
-from bullet_lab.ros.view.frames import DisplayContext
+from bullet_lab.ros.view.context import DisplayContext, MessageError, Subscription, reader_of
 from bullet_lab.ros.view.scene import RGB, Nodes, rgb, segments, wxyz
-from bullet_lab.ros.view.subscription import MessageError, Subscription, reader_of
 
 # The colours of all figures: perfect paths are orange, noisy ones blue, and plans green.
 PERFECT = rgb((0.90, 0.62, 0.0))

@@ -18,10 +18,9 @@ from bullet_lab.ros.messages.conversions import look_of
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import normalised_pose, vector_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
+from bullet_lab.ros.view.context import DisplayContext, reader_of
 from bullet_lab.ros.view.displays import NO_POINTS, Display, finite, placed
-from bullet_lab.ros.view.frames import DisplayContext
 from bullet_lab.ros.view.scene import Solids, VisualCopies, rgb
-from bullet_lab.ros.view.subscription import reader_of
 from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere

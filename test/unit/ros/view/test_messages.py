@@ -14,10 +14,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.view import displays
+from bullet_lab.ros.view.context import DisplayContext, MessageError, reader_of
 from bullet_lab.ros.view.displays import OdometryDisplay, ScanDisplay, read_path
-from bullet_lab.ros.view.frames import DisplayContext, read_transforms
 from bullet_lab.ros.view.markers import MarkersDisplay, read_marker, read_markers
-from bullet_lab.ros.view.subscription import MessageError, reader_of
+from bullet_lab.ros.view.robots import read_transforms
 
 
 @pytest.fixture
