@@ -95,15 +95,12 @@ class TabControls:
         """Topic of the image; empty for none."""
         return _chosen(self._source, NOTHING)
 
-    @property
-    def full_speed(self) -> float:
-        """Full speed forward, m/s."""
-        return _within(self._full)
-
-    @property
-    def full_turn_rate(self) -> float:
-        """Full turn rate, rad/s."""
-        return _within(self._turn)
+    def twist(self, shares: Shares) -> Twist:
+        """Return the command of shares of the full speeds."""
+        twist = Twist()
+        twist.linear.x = shares[0] * _within(self._full)
+        twist.angular.z = shares[1] * _within(self._turn)
+        return twist
 
     def offer(
         self, driven: list[str], robot: str | None, images: list[str], image: str | None
@@ -252,10 +249,7 @@ class Driver:
                 self._publish(self._driven, Twist())
             self._driven = topic
             if topic:
-                twist = Twist()
-                twist.linear.x = shares[0] * controls.full_speed
-                twist.angular.z = shares[1] * controls.full_turn_rate
-                self._publish(topic, twist)
+                self._publish(topic, controls.twist(shares))
 
     def stop(self) -> None:
         """Stop the robot that is driven, if one is."""
@@ -286,13 +280,8 @@ class Driver:
     def _publish(self, topic: str, message: Any) -> None:
         key = (topic, type(message))
         if key not in self._publishers:
-            is_goal = not isinstance(message, Twist)
             # Goals are latched, as the subscriber connects a moment later.
-            self._publishers[key] = Publisher(
-                topic,
-                type(message),
-                queue_size=10,
-                latch=is_goal,
-                headers=None if is_goal else COMMAND_HEADERS,
-            )
+            is_command = isinstance(message, Twist)
+            options = {"headers": COMMAND_HEADERS} if is_command else {"latch": True}
+            self._publishers[key] = Publisher(topic, type(message), queue_size=10, **options)
         self._publishers[key].publish(message)

@@ -4,7 +4,7 @@ from unittest import mock
 
 import pytest
 
-from bullet_lab.ros.view import show
+from bullet_lab.ros.view import node
 
 TICK = 1.0 / 30.0
 
@@ -20,11 +20,11 @@ def test_topics_are_updated_each_second_however_long_an_update_takes(
         clock.sleep(seconds_of_an_update)
         ends.append(clock.now)
 
-    monkeypatch.setattr(show, "time", clock)
-    monkeypatch.setattr(show, "Subscription", mock.MagicMock())
-    monkeypatch.setattr(show, "FramesDisplay", mock.MagicMock())
-    monkeypatch.setattr(show.Show, "_update", update)
-    shown = show.Show(mock.MagicMock(), mock.MagicMock(), list, "world", 10.0)
+    monkeypatch.setattr(node, "time", clock)
+    monkeypatch.setattr(node, "Subscription", mock.MagicMock())
+    monkeypatch.setattr(node, "FramesDisplay", mock.MagicMock())
+    monkeypatch.setattr(node.Show, "_update", update)
+    shown = node.Show(mock.MagicMock(), mock.MagicMock(), list, node.ViewParameters())
     while len(begins) < 8:
         shown.tick()
         clock.sleep(TICK)

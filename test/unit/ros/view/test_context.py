@@ -5,7 +5,7 @@ from math import pi
 import pytest
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.view.frames import FrameTree
+from bullet_lab.ros.view.context import FrameTree
 
 
 def test_poses_are_chained_up_and_down():

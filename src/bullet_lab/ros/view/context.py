@@ -1,26 +1,100 @@
-"""Frames: the tree that TF spans, the scene's fixed frame, and the axes and names of all frames."""
+"""What displays share: subscriptions, the tree that TF spans, and the scene with its fixed frame.
+
+Messages stay bytes; only those that are shown are deserialised.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, Tuple
+from typing import Any, Callable, Tuple
 
-from geometry_msgs.msg import Pose as PoseMessage
-from tf2_msgs.msg import TFMessage
+import genpy
+import rospy
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.poses import normalised_pose
-from bullet_lab.ros.view.scene import Copies, Labels
-from bullet_lab.ros.view.subscription import Subscription, reader_of
+from bullet_lab.errors import LabError
+from bullet_lab.ros.node.node import Refusals
 
+# Messages that are kept until they are read, if each of them counts.
+MAX_WAITING = 2000
+# More than a large image has, so that old images do not pile up in the socket.
+BUFFER_BYTES = 2**24
 # Frames between a frame and its root; more are a cycle.
 MAX_DEPTH = 200
-# Sizes in m of the axes of a frame.
-AXES_LENGTH = 0.2
-AXES_RADIUS = 0.006
 
+# A frame, and a pose in it.
 Placed = Tuple[str, Pose]
-"""A frame, and a pose in it."""
+
+
+class MessageError(LabError):
+    """A message does not match its type, or has numbers that are not finite."""
+
+
+class Subscription:
+    """The messages of one topic since the last read.
+
+    Args:
+        topic: to subscribe to.
+        read: makes an object from the bytes of a message, or raises LabError to refuse it.
+        every: whether each message counts, not only the newest one.
+        large: whether a message may be larger than rospy's default buffer.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        read: Callable[[bytes], Any],
+        every: bool = False,
+        large: bool = False,
+    ):
+        self.topic = topic
+        self._read = read
+        self._waiting: deque[bytes] = deque(maxlen=MAX_WAITING if every else 1)
+        self._refusals = Refusals()
+        self._subscriber = rospy.Subscriber(
+            topic,
+            rospy.AnyMsg,
+            lambda message: self._waiting.append(message._buff),
+            queue_size=None if every else 1,
+            # rospy allocates this much memory for each reception.
+            buff_size=BUFFER_BYTES if large else rospy.topics.DEFAULT_BUFF_SIZE,
+            tcp_nodelay=True,
+        )
+
+    def take(self) -> list[Any]:
+        """Return the new messages as `read` makes them, in their order."""
+        found = []
+        while self._waiting:
+            with self._refusals.on(self.topic):
+                found.append(self._read(self._waiting.popleft()))
+        return found
+
+    def newest(self) -> Any:
+        """Return the newest message as `read` makes it; None if there is no new one."""
+        return next(iter(self.take()[-1:]), None)
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._subscriber.unregister()
+
+
+def reader_of(
+    message_type: type, convert: Callable[[Any], Any] | None = None
+) -> Callable[[bytes], Any]:
+    """Return a function from the bytes of a message to the message, or to what `convert` returns.
+
+    The function raises MessageError if the bytes do not match the type.
+    """
+
+    def read(data: bytes) -> Any:
+        try:
+            message = message_type().deserialize(data)
+        except genpy.DeserializationError as error:
+            raise MessageError(f"the bytes do not match {message_type._type}: {error}") from error
+        return message if convert is None else convert(message)
+
+    return read
 
 
 class FrameTree:
@@ -113,56 +187,3 @@ class DisplayContext:
             self.assumed.add(root)
             pose = self.frames.pose(frame, root) or Pose()
         return pose
-
-
-def read_transforms(message: TFMessage) -> list[tuple[str, str, Pose]]:
-    """Return frame, parent, and pose of each transform; raises InputError if one is not finite."""
-    found = []
-    for one in message.transforms:
-        pose = normalised_pose(PoseMessage(one.transform.translation, one.transform.rotation))
-        frame, parent = one.child_frame_id, one.header.frame_id
-        found.append((frame.lstrip("/"), parent.lstrip("/"), pose))
-    return found
-
-
-class FramesDisplay:
-    """Reads TF into the context's tree, and shows the axes and names of all frames."""
-
-    def __init__(self, context: DisplayContext):
-        self._context = context
-        read = reader_of(TFMessage, read_transforms)
-        self._subscriptions = [Subscription(t, read, every=True) for t in ("/tf_static", "/tf")]
-        make = lambda arrays: context.scene.add_batched_axes(  # noqa: E731
-            "/frames/axes", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, **arrays
-        )
-        self._axes = Copies(make, ("batched_positions", "batched_wxyzs"))
-        self._names = Labels(context.scene, "/frames/names")
-
-    def read(self) -> None:
-        """Read the new transforms."""
-        for subscription in self._subscriptions:
-            for transforms in subscription.take():
-                for frame, parent, pose in transforms:
-                    self._context.frames.put(frame, parent, pose)
-
-    def show(self, axes: bool, names: bool) -> None:
-        """Show or hide the axes and the names of all frames."""
-        frames = self._context.frames.frames()
-        self._names.keep(frames if names else [])
-        for frame in frames:
-            if not axes:
-                self._axes.drop(frame)
-            if axes or names:
-                pose = self._context.pose_of(frame)
-            if axes:
-                self._axes.put(frame, pose)
-            if names:
-                self._names.put(frame, frame, pose.position)
-        self._axes.flush()
-
-    def close(self) -> None:
-        """Unsubscribe, and show nothing."""
-        for subscription in self._subscriptions:
-            subscription.close()
-        self.show(axes=False, names=False)
-        self._context.frames.clear()
