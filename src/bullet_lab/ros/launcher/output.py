@@ -14,8 +14,6 @@ import time
 from pathlib import Path
 from typing import BinaryIO, Iterator
 
-from PIL import ImageGrab
-
 from bullet_lab.core.files import FileError
 from bullet_lab.errors import LabError
 
@@ -134,6 +132,9 @@ class VirtualScreen:
 
     def picture(self) -> None:
         """Save a picture of the screen, cropped to the windows; none while it is empty."""
+        # Imported late: few runs have a virtual screen.
+        from PIL import ImageGrab
+
         self._next = time.monotonic() + _PICTURE_PERIOD
         with contextlib.suppress(OSError):
             image = ImageGrab.grab(xdisplay=self._display).convert("RGB")
