@@ -36,6 +36,8 @@ PROGRAM = "bullet_lab"
 SUMMARY = "summary.json"
 STATUS_FAILED = 1
 STATUS_BAD_VALUE = 2
+# As of a program that SIGPIPE ends.
+STATUS_UNREAD = 141
 _HELP = ("-h", "--help")
 
 
@@ -49,7 +51,13 @@ def main() -> None:
 def status_of(program: str, dispatch: Callable[[list[str]], int], words: list[str]) -> int:
     """Return the exit status of a command line; an error of the user is printed as one line."""
     try:
-        return dispatch(words)
+        status = dispatch(words)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # Nobody reads on, as in `| head`. Python would report it again when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return STATUS_UNREAD
     except LabError as error:
         print(f"{program}: {error}", file=sys.stderr)
         wrong = isinstance(error, (UsageError, ParameterError))
