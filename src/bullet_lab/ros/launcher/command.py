@@ -163,7 +163,7 @@ def _launch(job, values, out: OutputFolder, signals, screen, server):
         print(f"{job.name}: running on {whose} {master.uri}", file=terminal, flush=True)
         # The page in a browser stays after the job has finished.
         stays = values.get("view") == "browser"
-        announced = not stays
+        announced = False
         with Launch(job, values, master, server) as launch:
             while True:
                 verdict = launch.verdict(out.has_summary, signals.received)
@@ -171,7 +171,10 @@ def _launch(job, values, out: OutputFolder, signals, screen, server):
                     break
                 if screen:
                     screen.picture_now_and_then()
-                if not announced and out.is_finished():
+                # The last picture of the screen is of all nodes.
+                if not stays and not screen and out.is_finished():
+                    launch.end_others()
+                if stays and not announced and out.is_finished():
                     announced = True
                     where = f"{job.name}: the results are in {shown(out.path)}"
                     print(f"{where}; the page stays until Ctrl-C", file=terminal, flush=True)

@@ -12,7 +12,7 @@ import xmlrpc.client
 from http.client import HTTPException
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Callable, Mapping, NamedTuple
+from typing import Callable, Iterable, Mapping, NamedTuple
 from urllib.parse import urlsplit
 
 # On Debian 12, rosclean, which roslaunch imports, would import all of setuptools for distutils.
@@ -158,11 +158,17 @@ class Launch:
         self._server = server
         self._config = _load(job.path, values)
         self._required = {node.name for node in self._config.nodes if node.required}
+        self._others = {
+            rosgraph.names.ns_join(node.namespace, node.name)
+            for node in self._config.nodes
+            if not node.respawn and not (node.required and self._writes_results(node))
+        }
         # At the end of a required node, roslaunch would shut down, and lose track of nodes
         # that it is about to start.
         for node in self._config.nodes:
             node.required = False
         self._deaths: dict[str, int] = {}
+        self._is_ending = False
         self._processes: dict[str, subprocess.Popen | NodeProcess] = {}
         self._parent = roslaunch.parent.ROSLaunchParent(
             master.run_id,
@@ -171,6 +177,10 @@ class Launch:
             sigint_timeout=_SIGINT_TIMEOUT,
             sigterm_timeout=_SIGTERM_TIMEOUT,
         )
+
+    def _writes_results(self, node: roslaunch.core.Node) -> bool:
+        name = rosgraph.names.ns_join(node.namespace, node.name)
+        return f"{name}/out" in self._config.params
 
     def __enter__(self) -> Launch:
         """Start the nodes; raise LabError if one of them cannot be started."""
@@ -225,7 +235,18 @@ class Launch:
         if self._parent.pm:
             # From now on, roslaunch starts no node again, and reports no end.
             self._parent.pm.shutdown()
-        for name, process in self._processes.items():
+        self._end(self._processes)
+        self._parent.shutdown()
+
+    def end_others(self) -> None:
+        """End the nodes that do not write the results, which are complete, unless it was done."""
+        if not self._is_ending:
+            self._is_ending = True
+            self._end(self._others & self._processes.keys())
+
+    def _end(self, names: Iterable[str]) -> None:
+        for name in names:
+            process = self._processes[name]
             if process.poll() is not None:
                 # roslaunch starts each node in a process group: its children may still run.
                 number = signal.SIGKILL
@@ -233,7 +254,6 @@ class Launch:
                 number = signal.SIGINT if self._is_registered(name) else signal.SIGTERM
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, number)
-        self._parent.shutdown()
 
     def _is_registered(self, name: str) -> bool:
         try:
@@ -247,7 +267,7 @@ class Launch:
         # Before the summary is looked for, which a node writes before it ends.
         for name, process in self._processes.items():
             status = process.poll()
-            if status is not None:
+            if status is not None and not (self._is_ending and name in self._others):
                 self._deaths.setdefault(name, status)
         count = len(self._config.nodes)
         return judge(self._deaths, count, self._required, has_summary(), stopped_by)
