@@ -158,11 +158,7 @@ class Launch:
         self._server = server
         self._config = _load(job.path, values)
         self._required = {node.name for node in self._config.nodes if node.required}
-        self._others = {
-            rosgraph.names.ns_join(node.namespace, node.name)
-            for node in self._config.nodes
-            if not node.respawn and not (node.required and self._writes_results(node))
-        }
+        self._others = _others_than_writers(self._config)
         # At the end of a required node, roslaunch would shut down, and lose track of nodes
         # that it is about to start.
         for node in self._config.nodes:
@@ -177,10 +173,6 @@ class Launch:
             sigint_timeout=_SIGINT_TIMEOUT,
             sigterm_timeout=_SIGTERM_TIMEOUT,
         )
-
-    def _writes_results(self, node: roslaunch.core.Node) -> bool:
-        name = rosgraph.names.ns_join(node.namespace, node.name)
-        return f"{name}/out" in self._config.params
 
     def __enter__(self) -> Launch:
         """Start the nodes; raise LabError if one of them cannot be started."""
@@ -271,6 +263,14 @@ class Launch:
                 self._deaths.setdefault(name, status)
         count = len(self._config.nodes)
         return judge(self._deaths, count, self._required, has_summary(), stopped_by)
+
+
+def _others_than_writers(config: roslaunch.config.ROSLaunchConfig) -> set[str]:
+    """Return the nodes that end when the results are complete; none if nobody is told to write."""
+    nodes = {rosgraph.names.ns_join(node.namespace, node.name): node for node in config.nodes}
+    told = {name for name in nodes if f"{name}/out" in config.params}
+    writers = {name for name in told if nodes[name].required}
+    return {name for name, node in nodes.items() if writers and not node.respawn} - writers
 
 
 class _Loader(roslaunch.xmlloader.XmlLoader):
