@@ -111,13 +111,10 @@ def clip(value: float, limit: float) -> float:
 
 
 def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
-    """Return the speed for the remaining distance or angle.
+    """Return the speed for the remaining distance or angle, in m or rad, > 0.
 
-    Args:
-        left: the remaining distance or angle, in m or rad, > 0.
-        fastest: the speed far from the target, in units of `left` per second.
-        slowest: the speed close to it, unless `fastest` is slower still.
-        gain: speed for each remaining unit, in between, 1/s.
+    It is `slowest` close to the target, unless `fastest` is slower still, and has a gain (1/s) in
+    between.
 
     Example:
         >>> approach(1.0, 0.2, 0.02), approach(0.05, 0.2, 0.02), approach(0.001, 0.2, 0.02)
@@ -182,11 +179,7 @@ class SquareDriver:
         self._slowest_turn = SlowestTurn()
 
     def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
-        """Return the next command (m/s, rad/s), or None at the end.
-
-        Args:
-            pose: of the robot (m, m, rad); not used in open loop.
-        """
+        """Return the next command (m/s, rad/s), or None at the end; open loop needs no pose."""
         try:
             if self._commands is None:
                 self._commands = self._by_odometry(pose) if self.needs_pose else self._by_clock()
@@ -263,16 +256,9 @@ class GoalLimits:
 
 
 class GoalDriver:
-    """Computes the velocity towards one goal, tick by tick.
+    """Computes the velocity towards one goal, a pose in the frame of the odometry, tick by tick.
 
-    Args:
-        goal: pose (m, m, rad) in the frame of the odometry.
-        limits: for the drive.
-        command: the last command, if the robot is already moving.
-
-    Attributes:
-        phase: the present one.
-        moving: the last command (m/s, rad/s).
+    `moving` is the last command (m/s, rad/s), at the start that of a robot which is moving already.
 
     Raises:
         LabError: the goal is not finite.
@@ -308,9 +294,7 @@ class GoalDriver:
     def command(self, pose: PlanarPose, seconds: float) -> Command:
         """Return the velocity (m/s, rad/s) for the present pose; zeros once arrived.
 
-        Args:
-            pose: m, m, rad.
-            seconds: since the previous command, for the accelerations.
+        `seconds` since the previous command limit the accelerations.
         """
         v_goal, w_goal = self._control(pose)
         limits, (v, w) = self._limits, self.moving

@@ -140,12 +140,10 @@ class DockParticles:
         return bool(np.any(free))
 
     def add_failed_look(self, expected: ndarray, missed: float, counts: bool = True) -> None:
-        """Learn from a look that found nothing.
+        """Learn from a look that found nothing, which lessens `mass` if it counts.
 
-        Args:
-            expected: (n,) whether the marker should be found if the dock has the pose.
-            missed: probability that a look misses a marker that it should find.
-            counts: the look lessens `mass`, the share of the prior that is left.
+        `expected` (n,) is whether the marker should be found if the dock has the pose, and `missed`
+        the probability that a look misses a marker that it should find.
         """
         self._learn(1.0 - (1.0 - missed) * expected, counts)
 
@@ -221,7 +219,6 @@ class DockBelief:
         rng: draws the particles.
 
     Attributes:
-        dock, mount, settings: as given.
         odometry: the last messages.
         particles: of the dock's pose before its marker was seen; None before the first odometry.
         walls: likewise, but without learning from looks that found nothing: the walls are there

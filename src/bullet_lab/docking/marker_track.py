@@ -124,11 +124,8 @@ class SizeTest:
 class MarkerTrack:
     """A print of the marker, followed from image to image.
 
-    Args:
-        sighting: the first one.
-        view: by which camera.
-        marker: the real one.
-        prior: of the dock's pose in the robot's frame.
+    It begins with a first sighting, and a prior of the dock's pose in the robot's frame if the
+    print is the real marker.
 
     Attributes:
         frames: images that were taken into account.
@@ -138,11 +135,7 @@ class MarkerTrack:
     """
 
     def __init__(
-        self,
-        sighting: Sighting,
-        view: Viewpoint,
-        marker: DockMarker,
-        prior: GaussianPose,
+        self, sighting: Sighting, view: Viewpoint, marker: DockMarker, prior: GaussianPose
     ):
         self._size, self._height = marker.size, marker.height
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0

@@ -219,11 +219,7 @@ class PathPlanner:
         """Return a safe path to the same distance, but beside the axis; None if there is none.
 
         A flat marker looks narrower with the square of the viewing angle: on its axis, that shows
-        little of its yaw.
-
-        Args:
-            estimate: of the dock.
-            to_the_left: try this side of the axis first.
+        little of its yaw. The left side of the axis is tried first, or the right one.
         """
         walls, before = self._dock.walls, float(np.hypot(*estimate.robot[:2]))
         angle = _FARTHEST_ASIDE
@@ -269,12 +265,7 @@ class NextView(NamedTuple):
 
 
 class MarkerSearch:
-    """Searches for a dock's marker: rates views, and learns from those that found nothing.
-
-    Args:
-        belief: of the dock's pose; looks that find nothing change it.
-        paths: plans the robot's paths.
-    """
+    """Searches for a dock's marker: rates views, and learns from those that found nothing."""
 
     def __init__(self, belief: DockBelief, paths: PathPlanner):
         self._belief, self._paths = belief, paths

@@ -191,14 +191,9 @@ class WatchedTask(ABC):
 
 
 class DockingTask(WatchedTask):
-    """Drives a robot into a dock.
+    """Drives a robot into a dock whose rough pose in the odometry frame is `dock_pose`.
 
-    Args:
-        dock: what is known of the dock.
-        dock_pose: its rough pose in the odometry frame.
-        mount: where the camera is on the robot.
-        settings: speeds and limits.
-        seed: of the particles of possible docks.
+    `mount` is where the camera is on the robot, and `seed` that of the particles of possible docks.
     """
 
     def __init__(
@@ -341,12 +336,9 @@ class DockingTask(WatchedTask):
 class UndockingTask(WatchedTask):
     """Backs out on the dock's axis if the marker is seen, else straight by the odometry.
 
-    Args:
+    The arguments are those of `DockingTask`, but:
         distance: how far, m; 0: until the robot is at the staging distance from the marker.
-        dock: what is known of the dock.
-        dock_pose: its rough pose in the odometry frame.
-        mount: where the camera is on the robot; None: images are of no use.
-        settings: speeds and limits, but for the time limit.
+        mount: None: images are of no use.
 
     Attributes:
         remaining: how far it still is, m; NaN before it begins.

@@ -28,17 +28,12 @@ ON_THE_WAY = 0.5
 
 
 class MapDriver(GoalDriver):
-    """Computes the velocity towards one goal on a map, tick by tick.
+    """Computes the velocity towards one goal on a map, in whose frame all poses are.
 
-    Args:
-        goal: pose (m, m, rad) in the map's frame, as all poses.
-        costmap: the robot's; its user passes on the scans.
-        limits: for the drive.
-        wait: s without a way after which it gives up.
-        command: the last command, if the robot is already moving.
+    It gives up after `wait` s without a way.
 
     Attributes:
-        costmap: as given; it may be replaced while the robot drives.
+        costmap: the robot's, to which its user passes on the scans; it may be replaced.
         failure: why the goal cannot be reached; empty while it may be.
         plans: number of plans so far.
     """

@@ -256,12 +256,7 @@ def marker_poses(
     """Return the poses (3,) that a dock may have in the robot's frame by one image of its marker.
 
     Two where the image leaves open which of a flat marker's poses it is; none where it shows none.
-
-    Args:
-        corners: (4, 2) px: top left, top right, bottom right, bottom left.
-        size: edge of the black square, m.
-        camera: that took the image.
-        mount: where it is on the robot.
+    `corners` are as in `Sighting`, `size` is the edge of the black square, m.
     """
     try:
         estimate = estimate_pose(corners, size, camera)
