@@ -305,7 +305,7 @@ class MarkerSearch:
         particles = self._belief.particles
         for visibility, missed, counts in looks:
             expected = visibility.found(self._cameras(particles.poses), particles.reach)
-            particles.add_failed_look(expected, missed, counts)
+            particles.learn(1.0 - (1.0 - missed) * expected, counts)
 
     def use_cue(self) -> bool:
         """Narrow the belief by a copy on the dock's back wall, and return whether there is one.

@@ -18,7 +18,6 @@ from bullet_lab.docking.geometry import misfit
 from bullet_lab.docking.progress import DockAxis, DockingFailureError, DockingProgress
 from bullet_lab.docking.states import TRANSITIONS, LookForMarker, Outcome, State
 from bullet_lab.docking.types import (
-    HALF_WIDTH,
     CameraMount,
     DockingError,
     DockingResult,
@@ -235,7 +234,7 @@ class DockingTask(WatchedTask):
     def _move(self, odometry: Odometry) -> None:
         first = self._belief.odometry.last is None
         self._belief.add_odometry(odometry)
-        free = self._belief.stands_free(HALF_WIDTH)
+        free = self._belief.stands_free()
         if first and not free:
             self._end(DockingError.NOT_VALID, "the robot stands where the dock's walls must be")
         else:

@@ -32,7 +32,6 @@ from bullet_lab.docking.paths import PathPlanner
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.task import USUAL, DockingTask, WatchedTask
 from bullet_lab.docking.types import (
-    HALF_WIDTH,
     CameraMount,
     DockingError,
     DockingResult,
@@ -145,7 +144,7 @@ class GracefulTask(WatchedTask):
     def _move(self, odometry: Odometry) -> None:
         if self._phase == self._navigate:
             self._belief.add_odometry(odometry)
-            self._belief.stands_free(HALF_WIDTH)
+            self._belief.stands_free()
         else:
             self._belief.odometry.add(odometry)
 
