@@ -324,7 +324,7 @@ class GoalDriver:
         off = wrap(atan2(self.goal[1] - pose[1], self.goal[0] - pose[0]) - pose[2])
         if abs(off) > (TURN_UNTIL if self._on_the_spot else TURN_BEYOND):
             self._on_the_spot = True
-            return 0.0, math.copysign(self._turn_speed(off), off)
+            return self._turn_by(off)
         self._on_the_spot = False
         fastest = min(limits.speed, math.sqrt(2.0 * limits.acceleration * left))
         speed = approach(left, fastest, SLOWEST_DRIVE, limits.gain)
@@ -335,9 +335,10 @@ class GoalDriver:
             self.phase = DrivePhase.ARRIVED
             return STANDSTILL
         self.phase = DrivePhase.TURNING
-        return 0.0, math.copysign(self._turn_speed(left), left)
+        return self._turn_by(left)
 
-    def _turn_speed(self, left: float) -> float:
+    def _turn_by(self, left: float) -> Command:
         limits = self._limits
         fastest = min(limits.turn_speed, math.sqrt(2.0 * limits.turn_acceleration * abs(left)))
-        return approach(abs(left), fastest, self._slowest_turn.now(left), limits.turn_gain)
+        speed = approach(abs(left), fastest, self._slowest_turn.now(left), limits.turn_gain)
+        return 0.0, math.copysign(speed, left)

@@ -49,8 +49,6 @@ _MARGIN = 1.1
 _AGAIN, _LEVER = 0.05, 0.5
 # Relative standard deviation of the size of a copy.
 _SIZE_DEVIATION = 0.05
-# Size in the image at which the marker should be found, px.
-_FOUND_SIZE = 18.0
 # Least size of a sighting and least distance from the edge of the image, px.
 _SMALLEST = 6.0
 _BORDER = 3.0
@@ -355,8 +353,8 @@ class DockBelief:
         self._estimated = None
         camera = observation.camera
         if camera is not self._camera:
-            self._camera, height = camera, self.mount.z
-            self.visibility = MarkerVisibility(self.dock, camera, height, self.farthest(camera))
+            self._camera = camera
+            self.visibility = MarkerVisibility(self.dock, camera, self.mount.z)
         self.last_image = max(self.last_image, observation.stamp)
         self.images += 1
         view = Viewpoint(camera, self.mount, tuple(se2.between(self.pose, then).tolist()))
@@ -366,10 +364,6 @@ class DockBelief:
         for track in self.tracks if self.copy is not None else ():
             if track is not self.copy:
                 track.adopt_yaw(*_wall_yaw(self.copy))
-
-    def farthest(self, camera: PinholeCamera) -> float:
-        """Return from how far (m) a camera should find the marker."""
-        return camera.fy * self.dock.marker.size / _FOUND_SIZE
 
     def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""

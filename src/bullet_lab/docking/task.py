@@ -222,8 +222,7 @@ class DockingTask(WatchedTask):
             return
         if observation.camera != self._camera:
             self._camera = observation.camera
-            belief, farthest = self._belief, self._belief.farthest(self._camera)
-            trouble = misfit(belief.dock, self._camera, belief.mount, farthest)
+            trouble = misfit(self._belief.dock, self._camera, self._belief.mount)
             if trouble:
                 self._end(DockingError.NOT_VALID, trouble)
                 return
