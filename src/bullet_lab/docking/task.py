@@ -83,16 +83,17 @@ class WatchedTask(ABC):
     Pass it all odometry and one observation for each image that it wants, and call `tick` at a
     steady rate (20 Hz). All stamps are in seconds of one clock.
 
-    Args:
-        done: what the task is when it has succeeded, in a word.
-        belief: of the dock's pose; has the odometry and the settings.
+    The belief of the dock's pose has the odometry and the settings.
 
     Attributes:
+        done: what the task is when it has succeeded, in a word.
         result: how it ended; None before.
     """
 
-    def __init__(self, done: str, belief: DockBelief):
-        self._done, self._belief, self._settings = done, belief, belief.settings
+    done = "docked"
+
+    def __init__(self, belief: DockBelief):
+        self._belief, self._settings = belief, belief.settings
         self._command = STANDSTILL
         self._stuck = StuckWatch()
         self._started: float | None = None
@@ -172,7 +173,7 @@ class WatchedTask(ABC):
         """Raise DockingFailureError if the task cannot go on."""
         limit, last = self._settings.time_limit, self._belief.odometry.last
         if self._now - self._started > limit:
-            message = f"not {self._done} after {limit:g} s"
+            message = f"not {self.done} after {limit:g} s"
             raise DockingFailureError(DockingError.TIMED_OUT, message)
         quiet = self._now - (self._started if last is None else last.stamp)
         if quiet > _ODOMETRY_TIMEOUT:
@@ -206,7 +207,7 @@ class DockingTask(WatchedTask):
         # Independent of noise that is drawn from the same seed.
         rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
         belief = DockBelief(dock, dock_pose, mount, settings, rng)
-        super().__init__("docked", belief)
+        super().__init__(belief)
         self._progress = DockingProgress(belief)
         self._state: State = LookForMarker()
         self._waiting: deque[Observation] = deque(maxlen=_MOST_WAITING)
@@ -342,6 +343,8 @@ class UndockingTask(WatchedTask):
         remaining: how far it still is, m; NaN before it begins.
     """
 
+    done = "undocked"
+
     def __init__(
         self,
         distance: float,
@@ -354,7 +357,7 @@ class UndockingTask(WatchedTask):
         self._sees = mount is not None
         mount = mount or CameraMount(0.0, 0.0, 0.0)
         belief = DockBelief(dock, dock_pose, mount, settings, np.random.default_rng(0))
-        super().__init__("undocked", belief)
+        super().__init__(belief)
         self._distance = distance
         self._docked = np.array([dock.docked_distance + mount.x, 0.0, 0.0])
         self._axis = DockAxis(belief)

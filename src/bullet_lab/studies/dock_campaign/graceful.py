@@ -121,7 +121,7 @@ class GracefulTask(WatchedTask):
     ):
         # The belief gets no images: it knows the database only.
         belief = DockBelief(dock, dock_pose, mount, USUAL, np.random.default_rng(seed))
-        super().__init__("docked", belief)
+        super().__init__(belief)
         self._paths, self._law = PathPlanner(belief), settings
         self._database = np.array(dock_pose, dtype=float)
         self._staging = se2.compose(dock_pose, (-dock.staging_distance, 0.0, 0.0))
