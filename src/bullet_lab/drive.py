@@ -175,25 +175,25 @@ class SquareDriver:
         self.needs_pose = mode == CLOSED_LOOP
         self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
         self.sides_done = 0
-        self._commands: Optional[_Commands] = None
         self._slowest_turn = SlowestTurn()
+        self._commands = self._by_odometry() if self.needs_pose else self._by_clock()
+        next(self._commands)
 
     def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
         """Return the next command (m/s, rad/s), or None at the end; open loop needs no pose."""
         try:
-            if self._commands is None:
-                self._commands = self._by_odometry(pose) if self.needs_pose else self._by_clock()
-                return next(self._commands)
             return self._commands.send(pose)
         except StopIteration:
             return None
 
     def _by_clock(self) -> _Commands:
+        yield STANDSTILL  # before the first command
         for _ in range(self._square.sides):
             yield from open_loop_side(self._square)
             self.sides_done += 1
 
-    def _by_odometry(self, pose: PlanarPose) -> _Commands:
+    def _by_odometry(self) -> _Commands:
+        pose = yield STANDSTILL  # before the first command
         square, heading = self._square, pose[2]
         for _ in range(square.sides):
             x, y, _yaw = pose

@@ -178,20 +178,17 @@ class DockingProgress:
         self.now = 0.0
         self.retries = self.unclear = self._stagings = self._rejections = 0
         self.lost_at_the_end = False
-        self._at_rest_since: float | None = None
+        self._at_rest_since = math.inf
         self._noted: tuple[MarkerTrack | None, int] = (None, 0)
 
     def note_command(self, command: Command) -> None:
         """Note the command (m/s, rad/s) that is in force now."""
-        if command != STANDSTILL:
-            self._at_rest_since = None
-        elif self._at_rest_since is None:
-            self._at_rest_since = self.now
+        is_rest = command == STANDSTILL
+        self._at_rest_since = min(self._at_rest_since, self.now) if is_rest else math.inf
 
     def is_settled(self) -> bool:
         """Return whether the robot has stood for so long that images count."""
-        resting = 0.0 if self._at_rest_since is None else self.now - self._at_rest_since
-        return resting >= _SETTLE_SECONDS
+        return self.now - self._at_rest_since >= _SETTLE_SECONDS
 
     @property
     def left(self) -> float:

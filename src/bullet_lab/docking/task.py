@@ -211,7 +211,7 @@ class DockingTask(WatchedTask):
         self._progress = DockingProgress(belief)
         self._state: State = LookForMarker()
         self._waiting: deque[Observation] = deque(maxlen=_MOST_WAITING)
-        self._wanted_since: float | None = None
+        self._wanted_since = math.inf
         self._camera: PinholeCamera | None = None
 
     def add_observation(self, observation: Observation) -> None:
@@ -314,11 +314,8 @@ class DockingTask(WatchedTask):
 
     def _check(self) -> None:
         super()._check()
-        if not self.wants_images:
-            self._wanted_since = None
-            return
-        if self._wanted_since is None:
-            self._wanted_since = self._now
+        wanted = self.wants_images
+        self._wanted_since = min(self._wanted_since, self._now) if wanted else math.inf
         quiet = self._now - max(self._wanted_since, self._belief.last_image)
         if quiet > _IMAGE_TIMEOUT:
             raise DockingFailureError(DockingError.CAMERA_LOST, f"no image for {quiet:.1f} s")

@@ -51,7 +51,7 @@ class MapDriver(GoalDriver):
         self.failure, self.plans = "", 0
         self._follower: PathFollower | None = None
         self._now = self._next_try = self._back_until = 0.0
-        self._since: float | None = None
+        self._since = math.inf
         self._cleared = False
         # Where and when the robot was last seen to move, and where it drove back first.
         self._moved: tuple[PlanarPose, float] | None = None
@@ -79,11 +79,11 @@ class MapDriver(GoalDriver):
             return
         way = self.costmap.plan(pose, self.goal)
         if way is not None:
-            self._follower, self._since, self._cleared = PathFollower(way), None, False
+            self._follower, self._since, self._cleared = PathFollower(way), math.inf, False
             self.plans += 1
             return
         self._follower, self._next_try = None, self._now + RETRY
-        self._since = self._now if self._since is None else self._since
+        self._since = min(self._since, self._now)
         waited = self._now - self._since
         if waited >= 0.5 * self._wait and not self._cleared:
             # What the laser saw before may be gone.
