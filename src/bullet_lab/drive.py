@@ -259,6 +259,7 @@ class GoalDriver:
     """Computes the velocity towards one goal, a pose in the frame of the odometry, tick by tick.
 
     `moving` is the last command (m/s, rad/s), at the start that of a robot which is moving already.
+    Who stops the robot otherwise sets it to `STANDSTILL`.
 
     Raises:
         LabError: the goal is not finite.
@@ -303,10 +304,6 @@ class GoalDriver:
         # On arrival the speed is so low that no braking is needed.
         self.moving = STANDSTILL if self.phase is DrivePhase.ARRIVED else (v, w)
         return self.moving
-
-    def stopped(self) -> None:
-        """Start from rest, as something else has stopped the robot."""
-        self.moving = STANDSTILL
 
     def _control(self, pose: PlanarPose) -> Command:
         """Return the velocity without limits of acceleration, and change the phase."""

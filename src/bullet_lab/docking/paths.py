@@ -202,9 +202,9 @@ class PathPlanner:
         The point is near enough to find the marker, or else at the database's distance.
         """
         staging, visibility = self._dock.staging_distance, self._belief.visibility
-        way = None
+        way, walls = None, self._dock.walls
         if visibility is not None:
-            room = self._dock.depth + TURNING_RADIUS + _ROOM_TO_TURN
+            room = (0.0 if walls is None else walls.depth) + TURNING_RADIUS + _ROOM_TO_TURN
             near = min(staging, max(room, 0.9 * visibility.farthest + self._belief.mount.x))
             way = self._safe_way(estimate, (-near, 0.0, 0.0))
         return way or self._safe_way(estimate, (-staging, 0.0, 0.0))

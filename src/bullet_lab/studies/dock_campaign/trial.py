@@ -319,9 +319,8 @@ class _SimulatedDocking:
         self._delayed.append((simulation.seconds + delay, observation))
 
     def _check_contact(self, step: int) -> None:
-        touching = any(other != FLOOR for other in self._simulation.contacts(self._robot.name))
-        if touching and not self._touching:
-            self._contacts += 1
+        touching = bool(self._simulation.contacts(self._robot.name) - {FLOOR})
+        self._contacts += touching and not self._touching
         self._touching = touching
 
 
