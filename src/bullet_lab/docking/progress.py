@@ -218,11 +218,11 @@ class DockingProgress:
         """
         if track.real >= _SURE or (self._rejections >= _MOST_REJECTIONS and track.real > 0.2):
             return False
-        copy, walls = self.belief.copy, self.belief.dock.walls
-        if track.real > 0.5 and copy is not None and walls is not None:
+        copy = self.belief.copy
+        if track.real > 0.5 and copy is not None:
             # If real, it is on the back wall, where a larger copy is.
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
-            if off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening:
+            if off[0] < _SAME_PLANE and off[1] < 0.5 * self.belief.dock.walls.opening:
                 return False
         self._rejections += 1
         return True
