@@ -167,29 +167,25 @@ class SquareDriver:
         self.needs_pose = mode == CLOSED_LOOP
         self.rate = CLOSED_LOOP_RATE if self.needs_pose else OPEN_LOOP_RATE
         self.sides_done = 0
-        self._commands: Optional[_Commands] = None
         self._slowest_turn = SlowestTurn()
+        self._commands = self._by_odometry() if self.needs_pose else self._by_clock()
+        next(self._commands)
 
     def command(self, pose: Optional[PlanarPose] = None) -> Optional[Command]:
-        """Return the next command (m/s, rad/s), or None at the end.
-
-        Args:
-            pose: of the robot (m, m, rad); not used in open loop.
-        """
+        """Return the next command (m/s, rad/s), or None at the end; open loop needs no pose."""
         try:
-            if self._commands is None:
-                self._commands = self._by_odometry(pose) if self.needs_pose else self._by_clock()
-                return next(self._commands)
             return self._commands.send(pose)
         except StopIteration:
             return None
 
     def _by_clock(self) -> _Commands:
+        yield STANDSTILL  # before the first command
         for _ in range(self._square.sides):
             yield from open_loop_side(self._square)
             self.sides_done += 1
 
-    def _by_odometry(self, pose: PlanarPose) -> _Commands:
+    def _by_odometry(self) -> _Commands:
+        pose = yield STANDSTILL  # before the first command
         square, heading = self._square, pose[2]
         for _ in range(square.sides):
             x, y, _yaw = pose
@@ -252,9 +248,10 @@ class GoalLimits:
 
 
 class GoalDriver:
-    """Computes the velocity towards one goal, a pose (m, m, rad) in the odometry's frame.
+    """Computes the velocity towards one goal, a pose in the frame of the odometry, tick by tick.
 
-    `moving` is the last command (m/s, rad/s), at first that of a robot that is already moving.
+    `moving` is the last command (m/s, rad/s), at the start that of a robot which is moving already.
+    Who stops the robot otherwise sets it to `STANDSTILL`.
 
     Raises:
         LabError: the goal is not finite.
@@ -299,10 +296,6 @@ class GoalDriver:
         self.moving = STANDSTILL if self.phase is DrivePhase.ARRIVED else (v, w)
         return self.moving
 
-    def stopped(self) -> None:
-        """Start from rest, as something else has stopped the robot."""
-        self.moving = STANDSTILL
-
     def _control(self, pose: PlanarPose) -> Command:
         """Return the velocity without limits of acceleration, and change the phase."""
         limits, left = self._limits, self.distance(pose)
@@ -319,7 +312,7 @@ class GoalDriver:
         off = wrap(atan2(self.goal[1] - pose[1], self.goal[0] - pose[0]) - pose[2])
         if abs(off) > (TURN_UNTIL if self._on_the_spot else TURN_BEYOND):
             self._on_the_spot = True
-            return 0.0, math.copysign(self._turn_speed(off), off)
+            return self._turn_by(off)
         self._on_the_spot = False
         fastest = min(limits.speed, math.sqrt(2.0 * limits.acceleration * left))
         speed = approach(left, fastest, SLOWEST_DRIVE, limits.gain)
@@ -330,9 +323,10 @@ class GoalDriver:
             self.phase = DrivePhase.ARRIVED
             return STANDSTILL
         self.phase = DrivePhase.TURNING
-        return 0.0, math.copysign(self._turn_speed(left), left)
+        return self._turn_by(left)
 
-    def _turn_speed(self, left: float) -> float:
+    def _turn_by(self, left: float) -> Command:
         limits = self._limits
         fastest = min(limits.turn_speed, math.sqrt(2.0 * limits.turn_acceleration * abs(left)))
-        return approach(abs(left), fastest, self._slowest_turn.now(left), limits.turn_gain)
+        speed = approach(abs(left), fastest, self._slowest_turn.now(left), limits.turn_gain)
+        return 0.0, math.copysign(speed, left)

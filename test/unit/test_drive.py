@@ -245,7 +245,7 @@ def test_another_goal_on_the_way_starts_from_the_present_speed():
     driver = GoalDriver((-5.0, 0.0, 0.0), command=(0.2, 0.0))
     v, _ = driver.command(ORIGIN, PERIOD)
     assert v == pytest.approx(0.2 - LIMITS.acceleration * PERIOD)
-    driver.stopped()
+    driver.moving = STANDSTILL
     assert driver.command(ORIGIN, PERIOD)[0] == 0.0
 
 

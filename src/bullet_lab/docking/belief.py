@@ -27,6 +27,7 @@ from bullet_lab.docking.geometry import (
 )
 from bullet_lab.docking.marker_track import MarkerTrack
 from bullet_lab.docking.types import (
+    HALF_WIDTH,
     CameraMount,
     DockingSettings,
     MotionStep,
@@ -48,8 +49,6 @@ _MARGIN = 1.1
 _AGAIN, _LEVER = 0.05, 0.5
 # Relative standard deviation of the size of a copy.
 _SIZE_DEVIATION = 0.05
-# Size in the image at which the marker should be found, px.
-_FOUND_SIZE = 18.0
 # Least size of a sighting and least distance from the edge of the image, px.
 _SMALLEST = 6.0
 _BORDER = 3.0
@@ -67,6 +66,8 @@ _HARDLY_REAL = 0.01
 # its quantiles evenly.
 _REACHES = (0.0, 0.15, 1.0), (0.35, 0.7, 1.15)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+# Share of the particles that stay where a track is dropped.
+_MIXED = 0.6
 # Standard deviation of the difference in yaw of two prints on one wall, rad.
 _SAME_WALL = 0.015
 
@@ -101,7 +102,7 @@ class DockParticles:
         # What the robot has moved since the poses were; and m since `stands_free` looked at them.
         self._ahead: MotionStep | None = None
         self._travelled = math.inf
-        self.weights = np.full(count, 1.0 / count)
+        self.weights = self._even = np.full(count, 1.0 / count)
         self.mass = 1.0
         # Errors of the odometry.
         self._errors = rng.standard_normal((count, len(UNKNOWN_ODOMETRY))) * UNKNOWN_ODOMETRY
@@ -124,30 +125,20 @@ class DockParticles:
             self._poses, self._ahead = se2.between(steps, self._poses), None
         return self._poses
 
-    def stands_free(self, radius: float) -> bool:
-        """Drop poses at which the robot, a circle, touches a wall; return whether any is left.
+    def stands_free(self) -> bool:
+        """Drop poses at which the robot, as a circle, is in a wall; return whether any is left.
 
         It looks again when the robot has moved by some centimetres.
         """
         if self._travelled < _AGAIN:
             return True
         self._travelled = 0.0
-        if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._extent + radius) ** 2:
+        if np.square(self.poses[:, :2]).sum(axis=1).min() > (self._extent + HALF_WIDTH) ** 2:
             return True
-        free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > radius
+        free = clearance(se2.inverse(self.poses)[:, :2], self._boxes) > HALF_WIDTH
         if not np.all(free):
-            self._learn(np.where(free, 1.0, 1e-6), counts=False)
+            self.learn(np.where(free, 1.0, 1e-6), counts=False)
         return bool(np.any(free))
-
-    def add_failed_look(self, expected: ndarray, missed: float, counts: bool = True) -> None:
-        """Learn from a look that found nothing.
-
-        Args:
-            expected: (n,) whether the marker should be found if the dock has the pose.
-            missed: probability that a look misses a marker that it should find.
-            counts: the look lessens `mass`, the share of the prior that is left.
-        """
-        self._learn(1.0 - (1.0 - missed) * expected, counts)
 
     def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Move the particles to a pose, with so much more uncertainty to either side, m."""
@@ -159,11 +150,11 @@ class DockParticles:
         beside = np.zeros((count, 3))
         beside[:, 1] = self._rng.uniform(-margin, margin, count)
         self._poses, self._ahead = se2.compose(drawn, beside), None
-        self.weights = np.full(count, 1.0 / count)
+        self.weights = self._even
 
-    def mix_in(self, poses: ndarray, share: float) -> None:
+    def mix_in(self, poses: ndarray) -> None:
         """Replace a share of the particles by other poses (n, 3)."""
-        count = int(share * len(self.poses))
+        count = int(_MIXED * len(self.poses))
         keep = self._rng.choice(len(self.poses), len(self.poses) - count, p=self.weights)
         drawn = poses[self._rng.integers(len(poses), size=count)]
         self._take(np.concatenate([keep, np.arange(count)]))
@@ -173,7 +164,7 @@ class DockParticles:
         """Keep the particles of these indices (n,), with equal weights."""
         self._poses, self._errors = self.poses[chosen], self._errors[chosen]
         self.reach = self.reach[chosen]
-        self.weights = np.full(len(chosen), 1.0 / len(chosen))
+        self.weights = self._even
 
     def gaussian(self) -> GaussianPose:
         """Return mean and covariance, widened a little."""
@@ -189,7 +180,8 @@ class DockParticles:
         chosen = self._rng.choice(len(self.poses), count, p=self.weights)
         return self.poses[chosen], self.reach[chosen]
 
-    def _learn(self, likelihood: ndarray, counts: bool) -> None:
+    def learn(self, likelihood: ndarray, counts: bool = True) -> None:
+        """Weigh the poses by the likelihood (n,) of a look, which lessens `mass` if it counts."""
         weights = self.weights * likelihood
         total = float(np.sum(weights))
         if counts:
@@ -221,7 +213,6 @@ class DockBelief:
         rng: draws the particles.
 
     Attributes:
-        dock, mount, settings: as given.
         odometry: the last messages.
         particles: of the dock's pose before its marker was seen; None before the first odometry.
         walls: likewise, but without learning from looks that found nothing: the walls are there
@@ -304,10 +295,10 @@ class DockBelief:
         walls, _ = self.walls.samples(of_walls)
         return np.concatenate([particles, walls])
 
-    def stands_free(self, radius: float) -> bool:
-        """Drop poses at which the robot, a circle, touches a wall; return whether any is left."""
-        self.walls.stands_free(radius)
-        return self.particles.stands_free(radius)
+    def stands_free(self) -> bool:
+        """Drop poses at which the robot is in a wall; return whether any is left."""
+        self.walls.stands_free()
+        return self.particles.stands_free()
 
     def obstacles(self) -> ndarray:
         """Return copies of the marker as obstacles (n, 4): x, y, radius (m, odometry), weight."""
@@ -362,8 +353,8 @@ class DockBelief:
         self._estimated = None
         camera = observation.camera
         if camera is not self._camera:
-            self._camera, height = camera, self.mount.z
-            self.visibility = MarkerVisibility(self.dock, camera, height, self.farthest(camera))
+            self._camera = camera
+            self.visibility = MarkerVisibility(self.dock, camera, self.mount.z)
         self.last_image = max(self.last_image, observation.stamp)
         self.images += 1
         view = Viewpoint(camera, self.mount, tuple(se2.between(self.pose, then).tolist()))
@@ -373,10 +364,6 @@ class DockBelief:
         for track in self.tracks if self.copy is not None else ():
             if track is not self.copy:
                 track.adopt_yaw(*_wall_yaw(self.copy))
-
-    def farthest(self, camera: PinholeCamera) -> float:
-        """Return from how far (m) a camera should find the marker."""
-        return camera.fy * self.dock.marker.size / _FOUND_SIZE
 
     def concentrate(self, estimate: GaussianPose, margin: float) -> None:
         """Concentrate the belief at a pose, with so much more uncertainty to either side, m."""
@@ -389,8 +376,8 @@ class DockBelief:
         if track.real > 0.3:
             drawn = track.samples(self._rng, 200)
             drawn = drawn + self._rng.standard_normal(drawn.shape) * (0.1, 0.1, 0.06)
-            self.particles.mix_in(drawn, 0.6)
-            self.walls.mix_in(drawn, 0.6)
+            self.particles.mix_in(drawn)
+            self.walls.mix_in(drawn)
         self.tracks.remove(track)
         self.copy, self._estimated = self._copy_on_the_wall(), None
 

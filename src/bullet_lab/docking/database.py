@@ -106,11 +106,6 @@ class Dock:
     tolerance: DockTolerance
     uncertainty: DockUncertainty
 
-    @property
-    def depth(self) -> float:
-        """Of its walls, m; 0 without."""
-        return 0.0 if self.walls is None else self.walls.depth
-
 
 def drawn_error(uncertainty: DockUncertainty, share: float, seed: int) -> PlanarPose:
     """Draw an error (m, m, rad), uniform within a share of an uncertainty, from a seed.

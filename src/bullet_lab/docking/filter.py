@@ -282,23 +282,14 @@ def _camera_turns(turns: ndarray) -> ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """The corners of a marker in one image.
-
-    Attributes:
-        sighting: the marker.
-        view: the camera.
-        repeated: factor of the standard deviations of images that repeat each other.
-    """
+    """The corners of a marker in one image."""
 
     sighting: Sighting
     view: Viewpoint
-    repeated: float = 1.0
+    repeated: float = 1.0  #: factor of the standard deviations of images that repeat each other
 
     def covariance(self, tilts: ndarray) -> ndarray:
-        """Return the (n, 8, 8) covariance of the corners, px².
-
-        `tilts` are the (n, 8, 3) derivatives by roll, pitch and yaw.
-        """
+        """Return the (n, 8, 8) covariance of the corners, px²; `tilts` are as of `predict`."""
         extent, deviations = extent_of(self.sighting.corners), self.sighting.deviations
         own = _CORNER**2 + (_RELATIVE * extent) ** 2 + (_SMALL / extent) ** 2
         each = own * _EYE[:8, :8]

@@ -23,6 +23,8 @@ from bullet_lab.navigation.paths import Point
 # Largest angle between the line of sight and the dock's axis, and px that the marker should be
 # away from the image's edges.
 _SLANT, _BORDER = math.radians(55.0), 40.0
+# Size in the image at which it should be found, px.
+_FOUND_SIZE = 18.0
 # px that its corners have to be away from them where it is docked at.
 _WHOLE = 6.0
 QUIET_ZONE = 0.125
@@ -171,12 +173,14 @@ def whole_in_image(
     return np.all((pixels >= _WHOLE) & (pixels <= edge), axis=(1, 2, 3))
 
 
-def misfit(dock: Dock, camera: PinholeCamera, mount: CameraMount, farthest: float) -> str:
-    """Return why a camera, which finds the marker up to `farthest` m, cannot see it from the dock.
+def reach_of(camera: PinholeCamera, dock: Dock) -> float:
+    """Return from how far (m) a camera should find the marker of a dock."""
+    return camera.fy * dock.marker.size / _FOUND_SIZE
 
-    Empty where it can.
-    """
-    wanted = dock.docked_distance
+
+def misfit(dock: Dock, camera: PinholeCamera, mount: CameraMount) -> str:
+    """Return why a camera cannot see the marker from the dock; empty where it can."""
+    wanted, farthest = dock.docked_distance, reach_of(camera, dock)
     if wanted <= farthest and whole_in_image(dock, camera, mount, [wanted])[0]:
         return ""
     trouble = f"docked_distance is {wanted:g} m, where the camera does not see the whole marker"
@@ -189,15 +193,15 @@ def misfit(dock: Dock, camera: PinholeCamera, mount: CameraMount, farthest: floa
 
 
 class MarkerVisibility:
-    """Visibility of a dock's marker for a camera at a height above the floor.
+    """Visibility of a dock's marker for a camera at a height above the floor, up to `farthest`, m.
 
-    `height` and the range, `farthest`, are in m.
+    `height` is in m as well.
     """
 
-    def __init__(self, dock: Dock, camera: PinholeCamera, height: float, farthest: float = 4.5):
+    def __init__(self, dock: Dock, camera: PinholeCamera, height: float):
         self._half = dock.marker.size * (0.5 + QUIET_ZONE)
         self._walls = dock.walls
-        self.farthest = farthest
+        self.farthest = reach_of(camera, dock)
         beside = min(camera.cx, camera.width - 1.0 - camera.cx) - _BORDER
         above = min(camera.cy, camera.height - 1.0 - camera.cy) - 0.25 * _BORDER
         self._half_angle = math.atan(beside / camera.fx)

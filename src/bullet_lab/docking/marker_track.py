@@ -124,11 +124,8 @@ class SizeTest:
 class MarkerTrack:
     """A print of the marker, followed from image to image.
 
-    Args:
-        sighting: the first one.
-        view: by which camera.
-        marker: the real one.
-        prior: of the dock's pose in the robot's frame.
+    It begins with a first sighting, and a prior of the dock's pose in the robot's frame if the
+    print is the real marker.
 
     Attributes:
         frames: images that were taken into account.
@@ -138,16 +135,13 @@ class MarkerTrack:
     """
 
     def __init__(
-        self,
-        sighting: Sighting,
-        view: Viewpoint,
-        marker: DockMarker,
-        prior: GaussianPose,
+        self, sighting: Sighting, view: Viewpoint, marker: DockMarker, prior: GaussianPose
     ):
         self._size, self._height = marker.size, marker.height
         self.frames, self.last_seen, self.found_from = 0, -math.inf, 0.0
         self._eye = np.array([view.mount.x, view.mount.y])
-        self._spot: ndarray | None = None
+        # What was driven (m) and turned (rad) since the first image from this spot.
+        self._spot = np.array([math.inf, math.inf])
         self._spot_frames = 0
         self._outliers = 0
         # Poses and covariances of the real ones, which are needed many times at each tick.
@@ -241,8 +235,7 @@ class MarkerTrack:
         self._sizing.travel(-float(ray @ moved), abs(beside), variance)
         self._x, self._p = carried(self._x, self._p, motion)
         self._known = None
-        if self._spot is not None:
-            self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
+        self._spot = self._spot + np.abs((math.hypot(dx, dy), turn))
 
     def nearest(self, sighting: Sighting, view: Viewpoint) -> tuple[float, ndarray]:
         """Return the least squared Mahalanobis distance (of 8 values) to one of its Gaussians.
@@ -318,7 +311,7 @@ class MarkerTrack:
 
     def _repeated_here(self) -> float:
         """Return by how much more images from this spot are off than the first ones."""
-        if self._spot is None or self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
+        if self._spot[0] > 0.012 or self._spot[1] > math.radians(0.7):
             self._spot, self._spot_frames = np.zeros(2), 0
         self._spot_frames += 1
         few = _OF_A_SMALL_ONE if self._extent < _SMALL else _FRAMES_AT_A_SPOT

@@ -84,6 +84,9 @@ _FAR_MISSED = 0.3
 WALL_MARGIN = 0.04
 """Distance that is kept between robot and walls, m."""
 
+ROOM = TURNING_RADIUS + WALL_MARGIN
+"""Radius of the circle that the robot is to have for itself, m."""
+
 
 class Costmap(CostGrid):
     """Risks on a grid of (rows, columns) cells, along x and y of the odometry frame.
@@ -93,7 +96,6 @@ class Costmap(CostGrid):
         docks: (n, 3) possible poses of the dock in the odometry frame.
         boxes: walls in the dock's frame, see `wall_boxes`.
         obstacles: (m, 4) x, y, radius and probability of other things.
-        radius: of the circle that the robot is to have for itself, m.
         reach: how far the map goes beyond robot and docks, m.
 
     Attributes:
@@ -107,7 +109,6 @@ class Costmap(CostGrid):
         docks: ndarray,
         boxes: ndarray,
         obstacles: ndarray,
-        radius: float,
         reach: float = 4.0,
     ):
         low = np.minimum(robot[:2], docks[:, :2].min(axis=0)) - reach
@@ -117,12 +118,12 @@ class Costmap(CostGrid):
         x = low[0] + cell * np.arange(shape[0])
         y = low[1] + cell * np.arange(shape[1])
         self.points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        self.touch, near = self._risks(docks, boxes, obstacles, radius, cell)
+        self.touch, near = self._risks(docks, boxes, obstacles, cell)
         free = np.hypot(*(self.points - robot[:2]).transpose(2, 0, 1)) < 1.2 * cell
         self.touch[free] = 0.0
         super().__init__(low, cell, 1.0 + _TOUCH_COST * self.touch + _NEAR_COST * near, robot)
 
-    def _risks(self, docks, boxes, obstacles, radius: float, cell: float):
+    def _risks(self, docks, boxes, obstacles, cell: float):
         """Return the shares of docks that a robot in a cell would touch, and come near to."""
         shape = self.points.shape[:2]
         touch, near = np.zeros(shape), np.zeros(shape)
@@ -130,10 +131,10 @@ class Costmap(CostGrid):
         flat[..., :2] = self.points
 
         def add(away: ndarray, weight: float, cells: Any = ...) -> None:
-            touch[cells][away < radius] += weight
-            near[cells][away < radius + _NEAR] += weight
+            touch[cells][away < ROOM] += weight
+            near[cells][away < ROOM + _NEAR] += weight
 
-        reach = extent_of_walls(boxes) + radius + _NEAR
+        reach = extent_of_walls(boxes) + ROOM + _NEAR
         for dock in docks if len(boxes) else ():
             low = np.maximum((dock[:2] - reach - flat[0, 0, :2]) / cell, 0.0).astype(int).tolist()
             cells = tuple(slice(first, first + 3 + int(2.0 * reach / cell)) for first in low)
@@ -154,19 +155,12 @@ class PathPlanner:
     def __init__(self, belief: DockBelief):
         self._belief, self._dock = belief, belief.dock
         self._boxes = wall_boxes(belief.dock)
-        # Of the circle that the robot is to have for itself, m.
-        self._radius = TURNING_RADIUS + WALL_MARGIN
         self._probes = 0
 
     def costmap(self) -> Costmap:
         """Return the costmap of the floor as it is believed to be now."""
-        return Costmap(
-            self._belief.pose[:2],
-            self._belief.samples(_SAMPLES),
-            self._boxes,
-            self._obstacles(),
-            self._radius,
-        )
+        docks = self._belief.samples(_SAMPLES)
+        return Costmap(self._belief.pose[:2], docks, self._boxes, self._obstacles())
 
     def is_safe(self, way: Sequence[Point]) -> bool:
         """Return whether the next 1.5 m of a path are safe by the present belief."""
@@ -195,7 +189,7 @@ class PathPlanner:
         """
         rows = self._belief.obstacles()
         away = np.hypot(*(rows[:, :2] - self._belief.pose[:2]).T) - rows[:, 2]
-        return rows[away > self._radius]
+        return rows[away > ROOM]
 
     def _ahead_of_robot(self, way, begin: float = 0.15) -> ndarray:
         """Return points of a path from `begin` (m) on; the robot occupies what is before."""
@@ -208,9 +202,9 @@ class PathPlanner:
         The point is near enough to find the marker, or else at the database's distance.
         """
         staging, visibility = self._dock.staging_distance, self._belief.visibility
-        way = None
+        way, walls = None, self._dock.walls
         if visibility is not None:
-            room = self._dock.depth + TURNING_RADIUS + _ROOM_TO_TURN
+            room = (0.0 if walls is None else walls.depth) + TURNING_RADIUS + _ROOM_TO_TURN
             near = min(staging, max(room, 0.9 * visibility.farthest + self._belief.mount.x))
             way = self._safe_way(estimate, (-near, 0.0, 0.0))
         return way or self._safe_way(estimate, (-staging, 0.0, 0.0))
@@ -219,11 +213,7 @@ class PathPlanner:
         """Return a safe path to the same distance, but beside the axis; None if there is none.
 
         A flat marker looks narrower with the square of the viewing angle: on its axis, that shows
-        little of its yaw.
-
-        Args:
-            estimate: of the dock.
-            to_the_left: try this side of the axis first.
+        little of its yaw. The left side of the axis is tried first, or the right one.
         """
         walls, before = self._dock.walls, float(np.hypot(*estimate.robot[:2]))
         angle = _FARTHEST_ASIDE
@@ -269,12 +259,7 @@ class NextView(NamedTuple):
 
 
 class MarkerSearch:
-    """Searches for a dock's marker: rates views, and learns from those that found nothing.
-
-    Args:
-        belief: of the dock's pose; looks that find nothing change it.
-        paths: plans the robot's paths.
-    """
+    """Searches for a dock's marker: rates views, and learns from those that found nothing."""
 
     def __init__(self, belief: DockBelief, paths: PathPlanner):
         self._belief, self._paths = belief, paths
@@ -314,7 +299,7 @@ class MarkerSearch:
         particles = self._belief.particles
         for visibility, missed, counts in looks:
             expected = visibility.found(self._cameras(particles.poses), particles.reach)
-            particles.add_failed_look(expected, missed, counts)
+            particles.learn(1.0 - (1.0 - missed) * expected, counts)
 
     def use_cue(self) -> bool:
         """Narrow the belief by a copy on the dock's back wall, and return whether there is one.

@@ -178,20 +178,17 @@ class DockingProgress:
         self.now = 0.0
         self.retries = self.unclear = self._stagings = self._rejections = 0
         self.lost_at_the_end = False
-        self._at_rest_since: float | None = None
+        self._at_rest_since = math.inf
         self._noted: tuple[MarkerTrack | None, int] = (None, 0)
 
     def note_command(self, command: Command) -> None:
         """Note the command (m/s, rad/s) that is in force now."""
-        if command != STANDSTILL:
-            self._at_rest_since = None
-        elif self._at_rest_since is None:
-            self._at_rest_since = self.now
+        is_rest = command == STANDSTILL
+        self._at_rest_since = min(self._at_rest_since, self.now) if is_rest else math.inf
 
     def is_settled(self) -> bool:
         """Return whether the robot has stood for so long that images count."""
-        resting = 0.0 if self._at_rest_since is None else self.now - self._at_rest_since
-        return resting >= _SETTLE_SECONDS
+        return self.now - self._at_rest_since >= _SETTLE_SECONDS
 
     @property
     def left(self) -> float:
@@ -221,11 +218,11 @@ class DockingProgress:
         """
         if track.real >= _SURE or (self._rejections >= _MOST_REJECTIONS and track.real > 0.2):
             return False
-        copy, walls = self.belief.copy, self.belief.dock.walls
-        if track.real > 0.5 and copy is not None and walls is not None:
+        copy = self.belief.copy
+        if track.real > 0.5 and copy is not None:
             # If real, it is on the back wall, where a larger copy is.
             off = np.abs(se2.between(copy.likeliest().mean, track.likeliest().mean))
-            if off[0] < _SAME_PLANE and off[1] < 0.5 * walls.opening:
+            if off[0] < _SAME_PLANE and off[1] < 0.5 * self.belief.dock.walls.opening:
                 return False
         self._rejections += 1
         return True

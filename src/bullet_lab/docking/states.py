@@ -291,15 +291,14 @@ class Approach(TrackedState):
 
     state = DockingState.APPROACHING
 
-    _held: float | None = None
-    _entered = False
+    _held, _entered = math.inf, False
 
     def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         robot = estimate.robot
         missing = docking.unseen(track) > _UNSEEN and docking.is_in_reach(robot)
         if missing and not docking.may_drive_blind(track):
             # Wait at rest for it to be seen again.
-            self._held = docking.now if self._held is None else self._held
+            self._held = min(self._held, docking.now)
             if docking.now - self._held <= _UNSEEN:
                 return STANDSTILL
             if not docking.is_near:
@@ -308,7 +307,7 @@ class Approach(TrackedState):
             docking.lost_at_the_end = True
             if not docking.may_drive_blind(track):
                 return _retry(docking, "the marker is lost before the dock")
-        self._held = None
+        self._held = math.inf
         if docking.left <= _THERE:
             return Outcome("arrived")
         trouble = docking.axis.check_gate(robot)
@@ -331,7 +330,7 @@ class Retreat(TrackedState):
 
     state = DockingState.RETREATING
 
-    _since: float | None = None
+    _since = math.inf
 
     def __init__(self, left: float, in_sight: bool = True):
         self._target, self._in_sight = left, in_sight
@@ -339,7 +338,7 @@ class Retreat(TrackedState):
     def follow(self, docking: DockingProgress, track: MarkerTrack, estimate: GaussianPose) -> Step:
         target = docking.limit_to_sight(self._target) if self._in_sight else self._target
         left = target - docking.left
-        self._since = docking.now if self._since is None else self._since
+        self._since = min(self._since, docking.now)
         # It may not be found from the place of the start only.
         unseen = min(docking.unseen(track), docking.now - self._since)
         if left <= 0.0:

@@ -18,7 +18,6 @@ from bullet_lab.docking.geometry import misfit
 from bullet_lab.docking.progress import DockAxis, DockingFailureError, DockingProgress
 from bullet_lab.docking.states import TRANSITIONS, LookForMarker, Outcome, State
 from bullet_lab.docking.types import (
-    HALF_WIDTH,
     CameraMount,
     DockingError,
     DockingResult,
@@ -84,16 +83,17 @@ class WatchedTask(ABC):
     Pass it all odometry and one observation for each image that it wants, and call `tick` at a
     steady rate (20 Hz). All stamps are in seconds of one clock.
 
-    Args:
-        done: what the task is when it has succeeded, in a word.
-        belief: of the dock's pose; has the odometry and the settings.
+    The belief of the dock's pose has the odometry and the settings.
 
     Attributes:
+        done: what the task is when it has succeeded, in a word.
         result: how it ended; None before.
     """
 
-    def __init__(self, done: str, belief: DockBelief):
-        self._done, self._belief, self._settings = done, belief, belief.settings
+    done = "docked"
+
+    def __init__(self, belief: DockBelief):
+        self._belief, self._settings = belief, belief.settings
         self._command = STANDSTILL
         self._stuck = StuckWatch()
         self._started: float | None = None
@@ -173,7 +173,7 @@ class WatchedTask(ABC):
         """Raise DockingFailureError if the task cannot go on."""
         limit, last = self._settings.time_limit, self._belief.odometry.last
         if self._now - self._started > limit:
-            message = f"not {self._done} after {limit:g} s"
+            message = f"not {self.done} after {limit:g} s"
             raise DockingFailureError(DockingError.TIMED_OUT, message)
         quiet = self._now - (self._started if last is None else last.stamp)
         if quiet > _ODOMETRY_TIMEOUT:
@@ -191,14 +191,9 @@ class WatchedTask(ABC):
 
 
 class DockingTask(WatchedTask):
-    """Drives a robot into a dock.
+    """Drives a robot into a dock whose rough pose in the odometry frame is `dock_pose`.
 
-    Args:
-        dock: what is known of the dock.
-        dock_pose: its rough pose in the odometry frame.
-        mount: where the camera is on the robot.
-        settings: speeds and limits.
-        seed: of the particles of possible docks.
+    `mount` is where the camera is on the robot, and `seed` that of the particles of possible docks.
     """
 
     def __init__(
@@ -212,11 +207,11 @@ class DockingTask(WatchedTask):
         # Independent of noise that is drawn from the same seed.
         rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
         belief = DockBelief(dock, dock_pose, mount, settings, rng)
-        super().__init__("docked", belief)
+        super().__init__(belief)
         self._progress = DockingProgress(belief)
         self._state: State = LookForMarker()
         self._waiting: deque[Observation] = deque(maxlen=_MOST_WAITING)
-        self._wanted_since: float | None = None
+        self._wanted_since = math.inf
         self._camera: PinholeCamera | None = None
 
     def add_observation(self, observation: Observation) -> None:
@@ -228,8 +223,7 @@ class DockingTask(WatchedTask):
             return
         if observation.camera != self._camera:
             self._camera = observation.camera
-            belief, farthest = self._belief, self._belief.farthest(self._camera)
-            trouble = misfit(belief.dock, self._camera, belief.mount, farthest)
+            trouble = misfit(self._belief.dock, self._camera, self._belief.mount)
             if trouble:
                 self._end(DockingError.NOT_VALID, trouble)
                 return
@@ -240,7 +234,7 @@ class DockingTask(WatchedTask):
     def _move(self, odometry: Odometry) -> None:
         first = self._belief.odometry.last is None
         self._belief.add_odometry(odometry)
-        free = self._belief.stands_free(HALF_WIDTH)
+        free = self._belief.stands_free()
         if first and not free:
             self._end(DockingError.NOT_VALID, "the robot stands where the dock's walls must be")
         else:
@@ -320,11 +314,8 @@ class DockingTask(WatchedTask):
 
     def _check(self) -> None:
         super()._check()
-        if not self.wants_images:
-            self._wanted_since = None
-            return
-        if self._wanted_since is None:
-            self._wanted_since = self._now
+        wanted = self.wants_images
+        self._wanted_since = min(self._wanted_since, self._now) if wanted else math.inf
         quiet = self._now - max(self._wanted_since, self._belief.last_image)
         if quiet > _IMAGE_TIMEOUT:
             raise DockingFailureError(DockingError.CAMERA_LOST, f"no image for {quiet:.1f} s")
@@ -341,16 +332,15 @@ class DockingTask(WatchedTask):
 class UndockingTask(WatchedTask):
     """Backs out on the dock's axis if the marker is seen, else straight by the odometry.
 
-    Args:
+    The arguments are those of `DockingTask`, but:
         distance: how far, m; 0: until the robot is at the staging distance from the marker.
-        dock: what is known of the dock.
-        dock_pose: its rough pose in the odometry frame.
-        mount: where the camera is on the robot; None: images are of no use.
-        settings: speeds and limits, but for the time limit.
+        mount: None: images are of no use.
 
     Attributes:
         remaining: how far it still is, m; NaN before it begins.
     """
+
+    done = "undocked"
 
     def __init__(
         self,
@@ -364,7 +354,7 @@ class UndockingTask(WatchedTask):
         self._sees = mount is not None
         mount = mount or CameraMount(0.0, 0.0, 0.0)
         belief = DockBelief(dock, dock_pose, mount, settings, np.random.default_rng(0))
-        super().__init__("undocked", belief)
+        super().__init__(belief)
         self._distance = distance
         self._docked = np.array([dock.docked_distance + mount.x, 0.0, 0.0])
         self._axis = DockAxis(belief)

@@ -48,11 +48,6 @@ class DockingState(IntEnum):
     RETREATING = 5
     DOCKED = 6
 
-    @property
-    def label(self) -> str:
-        """The name in small letters."""
-        return self.name.lower()
-
 
 class DockingError(IntEnum):
     """Reason of a failure, numbered as in action/Dock.action."""

@@ -28,17 +28,12 @@ ON_THE_WAY = 0.5
 
 
 class MapDriver(GoalDriver):
-    """Computes the velocity towards one goal on a map, tick by tick.
+    """Computes the velocity towards one goal on a map, in whose frame all poses are.
 
-    Args:
-        goal: pose (m, m, rad) in the map's frame, as all poses.
-        costmap: the robot's; its user passes on the scans.
-        limits: for the drive.
-        wait: s without a way after which it gives up.
-        command: the last command, if the robot is already moving.
+    It gives up after `wait` s without a way.
 
     Attributes:
-        costmap: as given; it may be replaced while the robot drives.
+        costmap: the robot's, to which its user passes on the scans; it may be replaced.
         failure: why the goal cannot be reached; empty while it may be.
         plans: number of plans so far.
     """
@@ -56,7 +51,7 @@ class MapDriver(GoalDriver):
         self.failure, self.plans = "", 0
         self._follower: PathFollower | None = None
         self._now = self._next_try = self._back_until = 0.0
-        self._since: float | None = None
+        self._since = math.inf
         self._cleared = False
         # Where and when the robot was last seen to move, and where it drove back first.
         self._moved: tuple[PlanarPose, float] | None = None
@@ -84,11 +79,11 @@ class MapDriver(GoalDriver):
             return
         way = self.costmap.plan(pose, self.goal)
         if way is not None:
-            self._follower, self._since, self._cleared = PathFollower(way), None, False
+            self._follower, self._since, self._cleared = PathFollower(way), math.inf, False
             self.plans += 1
             return
         self._follower, self._next_try = None, self._now + RETRY
-        self._since = self._now if self._since is None else self._since
+        self._since = min(self._since, self._now)
         waited = self._now - self._since
         if waited >= 0.5 * self._wait and not self._cleared:
             # What the laser saw before may be gone.

@@ -60,17 +60,11 @@ class MapError(LabError):
 
 @dataclass(frozen=True)
 class OccupancyMap:
-    """A grid of the floor.
+    """A grid of the floor, with rows along y and columns along x."""
 
-    Attributes:
-        cells: (rows along y, columns along x) int8: 0 free to 100 occupied, -1 unknown.
-        resolution: edge of a cell, m.
-        origin: pose of the lower left corner of the first cell: m, m, rad.
-    """
-
-    cells: ndarray
-    resolution: float
-    origin: PlanarPose = (0.0, 0.0, 0.0)
+    cells: ndarray  #: int8: 0 free to 100 occupied, -1 unknown
+    resolution: float  #: edge of a cell, m
+    origin: PlanarPose = (0.0, 0.0, 0.0)  #: of the first cell's lower left corner: m, m, rad
 
     def extent(self) -> Tuple[float, float, float, float]:
         """Return left, right, bottom and top in m, as of matplotlib's `imshow`."""

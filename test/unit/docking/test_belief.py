@@ -47,7 +47,7 @@ def test_the_same_look_again_tells_no_more_where_it_may_be_too_dark():
     camera = np.tile((-0.85 * visibility.farthest, 0.0, 0.0), (len(particles.poses), 1))
     left = []
     for _ in range(6):
-        particles.add_failed_look(visibility.found(camera, particles.reach), 0.25)
+        particles.learn(1.0 - 0.75 * visibility.found(camera, particles.reach))
         left.append(particles.mass)
     # It would be found in good light from there, so what is left is darker.
     assert 0.3 < left[-1] < left[0] < 0.6
@@ -57,7 +57,7 @@ def test_the_same_look_again_tells_no_more_where_it_may_be_too_dark():
 def test_a_place_where_the_marker_was_missed_may_have_walls():
     belief = Lookout().belief
     for _ in range(8):
-        belief.particles.add_failed_look(belief.particles.poses[:, 1] > 0.0, 0.05)
+        belief.particles.learn(1.0 - 0.95 * (belief.particles.poses[:, 1] > 0.0))
     to_the_left = belief.particles.samples(400)[0][:, 1] > 0.0
     assert np.mean(to_the_left) < 0.01
     walls_to_the_left = se2.between(belief.pose, belief.samples(400))[:, 1] > 0.0

@@ -16,7 +16,7 @@ NOTHING = np.empty((0, 4))
 
 def costmap(robot=(0.0, 0.0), boxes=BOXES, obstacles=NOTHING):
     docks = np.array([4.0, 0.0, 0.0]) + np.linspace(-0.2, 0.2, 9)[:, None] * [1.0, -1.0, 0.5]
-    return Costmap(robot, docks, boxes, obstacles, 0.32, reach=2.0)
+    return Costmap(robot, docks, boxes, obstacles, reach=2.0)
 
 
 def cheapest(rate, start):

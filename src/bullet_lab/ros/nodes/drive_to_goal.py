@@ -327,7 +327,7 @@ class DriveToGoal(GoalNode):
         elif not self._waiting and silence > self._parameters.stale:
             self._waiting = True
             self._sender.stop()
-            self._driver.stopped()
+            self._driver.moving = STANDSTILL
             rospy.logwarn("no odometry on %s: the robot is stopped", odom)
         return False
 

@@ -43,6 +43,7 @@ from bullet_lab.ros.node.odometry import (
     FrameFinder,
     MessageQueue,
     OdometryError,
+    framed,
     planar_pose,
 )
 
@@ -206,15 +207,15 @@ class Floor:
         """Publish a new plan, and the costmap now and then; give the driver the newest map."""
         if driver is not None:
             driver.costmap = self._costmap
-        if driver is not None and driver.plans != self._plans:
-            self._plans = driver.plans
-            self._plan.publish(self._path(now, [self._pose[:2], *driver.plan]))
-        if driver is not None and not driver.plan and not driver.failure:
-            rospy.logwarn_throttle(5.0, "no way to the goal now: waiting")
+            if driver.plans != self._plans:
+                self._plans = driver.plans
+                self._plan.publish(self._path(now, [self._pose[:2], *driver.plan]))
+            if not driver.plan and not driver.failure:
+                rospy.logwarn_throttle(5.0, "no way to the goal now: waiting")
         due = not 0.0 <= (now - self._shown).to_sec() < COSTMAP_PERIOD
         if due and self._costmap is not None and self._costs.has_connections():
             self._shown = now
-            header = Header(stamp=now, frame_id=self._frame)
+            header = Header(0, now, self._frame)
             self._costs.publish(grid_message(self._costmap.values(), header))
 
     def _path(self, now: rospy.Time, way: list[Point]) -> Path:
@@ -224,16 +225,14 @@ class Floor:
             yaw = math.atan2(second[1] - first[1], second[0] - first[0])
             points = along(first, second, self._costmap.map.resolution).tolist()
             poses += [stamped_pose(now, self._frame, (x, y, yaw)) for x, y in points]
-        return Path(Header(stamp=now, frame_id=self._frame), poses)
+        return Path(Header(0, now, self._frame), poses)
 
     # In threads of rospy
 
     def _take_map(self, message: OccupancyGrid) -> None:
         with self._refusals.on(self._parameters.map):
-            frame = message.header.frame_id.lstrip("/")
-            if not frame:
-                raise InputError("no frame_id")
-            self._use(read_grid(message), frame)
+            frame, known = framed(read_grid)(message)
+            self._use(known, frame)
 
     def _use(self, known: OccupancyMap, frame: str) -> None:
         limits = self._parameters

@@ -331,7 +331,7 @@ READERS: dict[str, tuple[type, Callable[[Any], tuple]]] = {
     # Detail: the state of the docking.
     "bullet_lab/DockActionFeedback": (
         DockActionFeedback,
-        lambda m: ((), DockingState(m.feedback.state).label),
+        lambda m: ((), DockingState(m.feedback.state).name.lower()),
     ),
     # Detail: x and y of each pose (m), and of each point (px).
     "nav_msgs/Path": (Path, lambda m: _places(stamped.pose.position for stamped in m.poses)),

@@ -36,17 +36,10 @@ NAV2_THRESHOLD = 0.05
 """nav2's `docking_threshold`, m: within it a robot counts as docked, with any heading."""
 
 
-
 def compare(folder: Path, beside: Path, dockings: int) -> list[str]:
-    """Compare the campaign of a folder with another one; write table, figure and numbers.
+    """Compare the dockings of a folder's campaign with those in the log of another one.
 
-    Args:
-        folder: of a finished campaign.
-        beside: log of another one of the same draws, with at least as many dockings.
-        dockings: number of dockings, from index 0 on.
-
-    Returns:
-        Lines for the user.
+    Write table, figure and numbers into the folder; return lines for the user.
 
     Raises:
         LabError: the other campaign has other dockings, or lacks some of them.

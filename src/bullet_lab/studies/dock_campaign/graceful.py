@@ -32,7 +32,6 @@ from bullet_lab.docking.paths import PathPlanner
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.task import USUAL, DockingTask, WatchedTask
 from bullet_lab.docking.types import (
-    HALF_WIDTH,
     CameraMount,
     DockingError,
     DockingResult,
@@ -122,7 +121,7 @@ class GracefulTask(WatchedTask):
     ):
         # The belief gets no images: it knows the database only.
         belief = DockBelief(dock, dock_pose, mount, USUAL, np.random.default_rng(seed))
-        super().__init__("docked", belief)
+        super().__init__(belief)
         self._paths, self._law = PathPlanner(belief), settings
         self._database = np.array(dock_pose, dtype=float)
         self._staging = se2.compose(dock_pose, (-dock.staging_distance, 0.0, 0.0))
@@ -145,7 +144,7 @@ class GracefulTask(WatchedTask):
     def _move(self, odometry: Odometry) -> None:
         if self._phase == self._navigate:
             self._belief.add_odometry(odometry)
-            self._belief.stands_free(HALF_WIDTH)
+            self._belief.stands_free()
         else:
             self._belief.odometry.add(odometry)
 
@@ -256,12 +255,7 @@ def marker_poses(
     """Return the poses (3,) that a dock may have in the robot's frame by one image of its marker.
 
     Two where the image leaves open which of a flat marker's poses it is; none where it shows none.
-
-    Args:
-        corners: (4, 2) px: top left, top right, bottom right, bottom left.
-        size: edge of the black square, m.
-        camera: that took the image.
-        mount: where it is on the robot.
+    `corners` are as in `Sighting`, `size` is the edge of the black square, m.
     """
     try:
         estimate = estimate_pose(corners, size, camera)

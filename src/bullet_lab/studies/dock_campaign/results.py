@@ -44,13 +44,10 @@ QUANTITIES = {
 
 
 def campaign_summary(records: Sequence[Record]) -> Summary:
-    """Return the figures of a campaign for summary.json: rates, errors and contacts.
+    """Return the figures of at least one docking for summary.json: rates, errors and contacts.
 
     The errors are magnitudes, of all robots that report that they have docked, within the dock's
     tolerances or not.
-
-    Args:
-        records: at least one, in the order of their indices.
     """
     failed = [record for record in records if record["result"] != DOCKED]
     docked = len(records) - len(failed)
@@ -118,7 +115,6 @@ def _shares(records: Sequence[Record], name: str) -> Summary:
     total = Counter(record[name] for record in records)
     docked = Counter(record[name] for record in records if record["result"] == DOCKED)
     return {value: f"{docked[value]} of {total[value]}" for value in sorted(total)}
-
 
 
 def read_log(path: Path) -> tuple[dict[str, Any], dict[int, Record]]:
@@ -219,11 +215,6 @@ def campaign_figure(
 
     Docked robots are blue; failed ones are vermilion, and their ends are crosses. The docks' own
     tolerances are dashed.
-
-    Args:
-        records: of at least one docking.
-        obstacles: in the worlds.
-        title: of the figure.
     """
     figure = new_figure(11.0, 8.8, title)
     left, right = figure.add_gridspec(

@@ -19,7 +19,7 @@ from bullet_lab.simulation.world.description import Link, Model, Visual, World
 from bullet_lab.simulation.world.shapes import Box
 
 FARTHEST_DOCK = 5.0
-MOUNT_TURN, MOUNT_SHIFT = math.radians(2.0), 0.010
+MOUNT_TURN, MOUNT_SHIFT = 2.0, 0.010  # degrees, m
 FOCAL_ERROR, SIZE_ERROR, ODOMETRY_ERROR = 0.02, 0.03, 0.05
 LATEST_IMAGE, DROPPED = 0.2, 0.3
 BIAS = math.radians(2.0)
@@ -36,53 +36,32 @@ SLIP_TURN = 0.1  # rad/m, largest turn that a slip adds
 
 @dataclass(frozen=True)
 class Stress:
-    """Differences between the truth and what docking knows; by default there are none.
+    """Differences between the truth and what docking knows; by default there are none."""
 
-    Attributes:
-        dock_x_m: of the dock in the room; the start keeps its pose relative to the dock.
-        dock_y_m: likewise.
-        dock_yaw_deg: likewise.
-        mount_x_m: of the camera from its known pose, in its known frame.
-        mount_y_m: likewise.
-        mount_z_m: likewise.
-        mount_roll_deg: likewise.
-        mount_pitch_deg: likewise.
-        mount_yaw_deg: likewise.
-        focal_error: focal length / the known one - 1.
-        size_error: of the print / the known one - 1.
-        latest_image_s: largest delay of an image; it is uniform.
-        dropped: probability that an image is lost.
-        scale_error: as in SystematicErrors.
-        base_error: as in SystematicErrors.
-        bias_rad_per_m: gyro_bias_per_metre of SystematicErrors.
-        slips_per_m: mean number of slips per metre.
-        hidden_corner: number of the marker's corner that a cover hides; -1: none.
-        cover: edge of the cover, as a share of the marker's.
-        cover_grey: brightness of the cover, 0 to 1.
-        seed: of the draws during a docking: delays, losses and slips.
-    """
-
+    #: Of the dock in the room; the start keeps its pose relative to the dock.
     dock_x_m: float = 4.0
     dock_y_m: float = 0.0
     dock_yaw_deg: float = 0.0
+    #: Of the camera from its known pose, in its known frame.
     mount_x_m: float = 0.0
     mount_y_m: float = 0.0
     mount_z_m: float = 0.0
     mount_roll_deg: float = 0.0
     mount_pitch_deg: float = 0.0
     mount_yaw_deg: float = 0.0
-    focal_error: float = 0.0
-    size_error: float = 0.0
-    latest_image_s: float = 0.0
-    dropped: float = 0.0
+    focal_error: float = 0.0  #: focal length / the known one - 1
+    size_error: float = 0.0  #: of the print / the known one - 1
+    latest_image_s: float = 0.0  #: largest delay of an image; it is uniform
+    dropped: float = 0.0  #: probability that an image is lost
+    #: As in SystematicErrors, the last as gyro_bias_per_metre.
     scale_error: float = 0.0
     base_error: float = 0.0
     bias_rad_per_m: float = 0.0
-    slips_per_m: float = 0.0
-    hidden_corner: int = -1
-    cover: float = 0.0
-    cover_grey: float = 0.0
-    seed: int = 0
+    slips_per_m: float = 0.0  #: mean number of slips
+    hidden_corner: int = -1  #: number of the marker's corner that a cover hides; -1: none
+    cover: float = 0.0  #: edge of the cover, as a share of the marker's
+    cover_grey: float = 0.0  #: brightness of the cover, 0 to 1
+    seed: int = 0  #: of the draws during a docking: delays, losses and slips
 
     @property
     def mount(self) -> Pose:
@@ -150,10 +129,8 @@ def _corner(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-_SHIFTS = tuple((f"mount_{axis}_m", MOUNT_SHIFT) for axis in "xyz")
-_TURNS = tuple(
-    (f"mount_{axis}_deg", math.degrees(MOUNT_TURN)) for axis in ("roll", "pitch", "yaw")
-)
+_SHIFTS = [(f"mount_{axis}_m", MOUNT_SHIFT) for axis in "xyz"]
+_TURNS = [(f"mount_{axis}_deg", MOUNT_TURN) for axis in ("roll", "pitch", "yaw")]
 
 STRESSES: dict[str, Draw] = {
     "pose": _uniform(
@@ -206,11 +183,7 @@ def found_columns(calibration: CalibrationErrors | None) -> dict[str, Any]:
 def world_under(stress: Stress, world: World, known_dock: PlanarPose, dock: Dock) -> World:
     """Return a world with its models moved along with the dock, and the cover of a corner.
 
-    Args:
-        stress: to apply.
-        world: as in its file.
-        known_dock: pose of the dock in the file.
-        dock: the true one.
+    `known_dock` is the pose of the dock in the world's file.
     """
     models = world.models
     if stress.dock != known_dock:

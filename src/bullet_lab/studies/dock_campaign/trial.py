@@ -82,7 +82,6 @@ UNKNOWN_CLEARANCE = 1.0
 LARGEST_NOISES = (0.1, 0.02, 1.0)
 """Of the odometry's std, and of noise (share of white) and blur (px) of images."""
 
-
 CRASHED = "crashed"
 """Result of a docking that did not end, beside those of `judge`."""
 
@@ -109,34 +108,21 @@ _SETTLE_STEPS = 100
 class DockingScenario:
     """Conditions of a docking.
 
-    Attributes:
-        world: name of a world of the package.
-        light: name of its light, one of `worlds.LIGHTS`.
-        start: of the robot in the world, m, m, rad.
-        dock_error: error of the dock's pose in the database, along the world's axes: m, m, rad.
-        odometry: "odom" or "noisy_odom".
-        odometry_std: of noisy_odom, by the report's rule.
-        odometry_seed: of the noise.
-        image_noise: standard deviation as a share of white.
-        image_blur: standard deviation in px.
-        image_seed: of the image noise.
-        controller: the one of `CONTROLLERS` under test.
-        stress: perturbations to apply. `start` and `dock_error` hold for the dock's pose in the
-            world's file.
+    `start` and `dock_error` hold for the dock's pose in the world's file.
     """
 
-    world: str
-    light: str
-    start: PlanarPose
-    dock_error: PlanarPose
-    odometry: str
-    odometry_std: float
-    odometry_seed: int
-    image_noise: float
-    image_blur: float
-    image_seed: int
-    controller: str
-    stress: Stress
+    world: str  #: name of a world of the package
+    light: str  #: name of its light, one of `worlds.LIGHTS`
+    start: PlanarPose  #: of the robot in the world, m, m, rad
+    dock_error: PlanarPose  #: of the dock's pose in the database, along the world's axes
+    odometry: str  #: one of `ODOMETRY`
+    odometry_std: float  #: of noisy_odom, by the report's rule
+    odometry_seed: int  #: of the noise
+    image_noise: float  #: standard deviation as a share of white
+    image_blur: float  #: standard deviation in px
+    image_seed: int  #: of the image noise
+    controller: str  #: the one of `CONTROLLERS` under test
+    stress: Stress  #: perturbations to apply
 
 
 @dataclass(frozen=True)
@@ -333,9 +319,8 @@ class _SimulatedDocking:
         self._delayed.append((simulation.seconds + delay, observation))
 
     def _check_contact(self, step: int) -> None:
-        touching = any(other != FLOOR for other in self._simulation.contacts(self._robot.name))
-        if touching and not self._touching:
-            self._contacts += 1
+        touching = bool(self._simulation.contacts(self._robot.name) - {FLOOR})
+        self._contacts += touching and not self._touching
         self._touching = touching
 
 

@@ -1,6 +1,7 @@
 import math
 from dataclasses import astuple
 
+import docking_standin as standin
 import numpy as np
 import pytest
 import yaml
@@ -12,7 +13,6 @@ from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
-from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
 from bullet_lab.docking.progress import DockingFailureError
 from bullet_lab.docking.types import CalibrationErrors, DockingError, DockingResult, Learned
 from bullet_lab.errors import LabError
@@ -30,17 +30,7 @@ from bullet_lab.ros.nodes.dock import (
     sightings_of,
 )
 
-DOCK = Dock(
-    "dock",
-    "odom",
-    (4.0, 0.0, 0.1),
-    DockMarker("DICT_APRILTAG_36h10", 0, 0.2, 0.5),
-    None,
-    3.0,
-    0.4,
-    DockTolerance(0.005, 0.006, 0.007),
-    DockUncertainty(0.3, 0.2),
-)
+DOCK = standin.make_dock(standin.Stand((0.0, 0.0, 0.0), (0.0, 0.0, 0.1)))
 
 
 def test_odometry_with_the_covariance_of_its_twist():

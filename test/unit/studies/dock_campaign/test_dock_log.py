@@ -1,5 +1,3 @@
-import json
-
 import pytest
 
 from bullet_lab.core.files import FileError
@@ -22,14 +20,6 @@ def written(path, *indices):
     log = DockLog(path, PARAMETERS)
     for index in indices:
         log.append(record(index))
-    log.close()
-
-
-def test_each_line_is_in_the_file_at_once(path):
-    log = DockLog(path, PARAMETERS)
-    log.append(record(3))
-    lines = [json.loads(line) for line in path.read_text().splitlines()]
-    assert lines == [{"campaign": {"seed": 1, "worlds": ["a", "b"]}}, record(3)]
     log.close()
 
 
