@@ -12,7 +12,6 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import (
     EntityError,
     bounds,
-    find_entity,
     find_joint,
     find_link,
     frame_state,
@@ -76,7 +75,7 @@ def test_models_links_and_merged_links_are_found(space, robot):
         "left::tool": upper * Pose((0.5, 0.0, 0.0)),
     }
     for name, place in expected.items():
-        alike(find_entity(space.models, name).state().pose, TILTED * place)
+        alike(frame_state(space.models, name).pose, TILTED * place)
     assert find_link(space.models, "left::tool").frame.link == "upper"
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from bullet_lab.simulation.physics.physics import SHAPES as BODIES
-from bullet_lab.simulation.world.sdf import read_spawned
-from bullet_lab.simulation.world.shapes import SHAPES, Box, Cylinder, Mesh, Plane, Sphere
+from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Shape, Sphere
 
 SOLIDS = [Box((0.4, 1.0, 2.0)), Cylinder(0.3, 1.2), Sphere(0.7)]
 # The greatest corner, and the distances of a point inside and one outside.
@@ -26,22 +25,11 @@ def test_a_shape_has_its_size(shape, size):
     assert shape.distance((0.7, 0.0, 0.0)) == pytest.approx(outside)
 
 
-@pytest.mark.parametrize("shape", SOLIDS + [Plane((0.0, 0.6, 0.8), (3.0, 4.0))])
-def test_a_shape_is_read_as_it_measures(shape):
-    measures = "".join(
-        f"<{name}>{' '.join(map(repr, values))}</{name}>"
-        for name, values in shape.measures().items()
-    )
-    geometry = f"<geometry><{shape.tag}>{measures}</{shape.tag}></geometry>"
-    text = f"<sdf version='1.6'><model name='m'><link name='l'><collision name='c'>{geometry}"
-    model = read_spawned(f"{text}</collision></link></model></sdf>", "here")
-    assert model.links[0].collisions[0].geometry == shape
-
-
 def test_all_that_makes_something_of_shapes_knows_each():
     pytest.importorskip("rospy")
     from bullet_lab.ros.messages.conversions import MARKERS
 
-    assert set(MARKERS) == set(SHAPES.values())
+    shapes = set(Shape.__subclasses__())
+    assert set(MARKERS) == shapes
     # A mesh is made by its corners.
-    assert set(BODIES) == set(SHAPES.values()) - {Mesh}
+    assert set(BODIES) == shapes - {Mesh}
