@@ -42,12 +42,6 @@ def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, po
     assert read_spawned(text, "here", tmp_path).pose.position == (0.0, 0.0, height)
 
 
-def test_an_include_may_let_a_model_go(read_world, save_model):
-    save_model("rock", model("<static>true</static>" + link(), "rock"))
-    (free,) = read_world(include("<uri>model://rock</uri><static>false</static>")).models
-    assert (free.static, free.links[0].inertia.mass) == (False, 1.0)
-
-
 def test_the_newest_file_of_a_model_config_is_read(read_world, save_model):
     folder = save_model(
         "thing",
