@@ -11,7 +11,6 @@ from typing import Any, Callable, Collection, Container, Iterable, Tuple, Union
 from xml.etree.ElementTree import Element, SubElement
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.simulation.world.actors import actor_model
 from bullet_lab.simulation.world.description import (
     LIMITS,
     NO_LIMIT,
@@ -39,6 +38,7 @@ from bullet_lab.simulation.world.tags import (
     Document,
     Frames,
     SdfTag,
+    actor_model,
     plugins_in,
     report_unknown,
     version_of,

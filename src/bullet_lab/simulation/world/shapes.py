@@ -1,8 +1,8 @@
 """Describe the shapes of bodies, and read the triangles of mesh files.
 
 Lengths are metres in the shape's frame, whose origin is in the middle of all but planes and meshes.
-A new shape is a class here, in SHAPES, in the table of `tags`, and an entry in the tables of
-`physics.physics`, `rendering.drawables` and `ros.messages.conversions`.
+A new shape is a class here, and an entry in the tables of `tags`, `physics.physics`,
+`rendering.drawables` and `ros.messages.conversions`.
 """
 
 from __future__ import annotations
@@ -155,9 +155,6 @@ class Mesh(Shape):
     def bounds(self) -> ndarray:
         vertices = load_triangles(self).vertices
         return np.array((vertices.min(axis=0), vertices.max(axis=0)))
-
-
-SHAPES = {kind.tag: kind for kind in (Box, Cylinder, Sphere, Plane, Mesh)}
 
 
 def load_triangles(mesh: Mesh) -> MeshPart:

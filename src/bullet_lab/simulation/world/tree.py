@@ -138,13 +138,12 @@ def _reversed(joint: Joint) -> Joint:
 
 def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[Links, Joints]:
     """Return links and joints, with the links anchored that are fixed to the world."""
-    to_world = {joint.child: joint.kind for joint in joints if joint.parent == WORLD_LINK}
-    fixed = {name for name, kind in to_world.items() if kind == "fixed"}
+    fixed = {j.child for j in joints if j.parent == WORLD_LINK and j.kind == "fixed"}
     found = [replace(link, anchored=link.anchored or link.name in fixed) for link in links]
-    if len(fixed) < len(to_world):
+    kept = tuple(j for j in joints if j.parent != WORLD_LINK or j.child not in fixed)
+    if any(joint.parent == WORLD_LINK for joint in kept):
         found.append(Link(WORLD_LINK, anchored=True))
-    kept = (j for j in joints if j.parent != WORLD_LINK or j.child not in fixed)
-    return tuple(found), tuple(kept)
+    return tuple(found), kept
 
 
 def top_down(root: str, joints: Iterable[Joint]) -> list[str]:
@@ -181,22 +180,20 @@ def lump_fixed_joints(model: Model) -> Model:
     for name, (link, pose) in model.frames.items():
         base, offset = places[link]
         frames[name] = (base, offset * pose)
-    frames.update({name: place for name, place in places.items() if name in fixed})
     members: defaultdict[str, list[tuple[Link, Pose]]] = defaultdict(list)
     for link in model.links:
         base, pose = places[link.name]
         members[base].append((link, pose))
-    kept = (link for link in model.links if link.name not in fixed)
+        if link.name in fixed:
+            frames[link.name] = (base, pose)
     joints = []
-    for joint in (joint for joint in model.joints if joint.child not in fixed):
-        parent, pose = places[joint.parent]
-        joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
-    return replace(
-        model,
-        links=tuple(_merge(link, members[link.name]) for link in kept),
-        joints=tuple(joints),
-        frames=frames,
-    )
+    for joint in model.joints:
+        if joint.child not in fixed:
+            parent, pose = places[joint.parent]
+            joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
+    kept = (link for link in model.links if link.name not in fixed)
+    links = tuple(_merge(link, members[link.name]) for link in kept)
+    return replace(model, links=links, joints=tuple(joints), frames=frames)
 
 
 def _merges(joint: Joint, model: Model) -> bool:
