@@ -67,13 +67,6 @@ def program_text(file: str) -> str:
     return Path(__file__).with_name(file).read_text()
 
 
-def check_samples(samples: float) -> None:
-    """Raise RendererError unless a pixel may have this number of samples."""
-    if samples not in SAMPLES:
-        known = ", ".join(map(str, SAMPLES))
-        raise RendererError(f"{samples:g} samples per pixel; allowed are {known}")
-
-
 class Canvas:
     """A buffer of Panda3D, with the texture that holds the result.
 
