@@ -19,7 +19,7 @@ from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.lenses import Lens, WideLens
 from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
-from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError
+from bullet_lab.simulation.rendering import SAMPLES, RendererError
 from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 
 LOG = logging.getLogger(__name__)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.graphics import panda3d
+from bullet_lab.simulation.rendering import panda3d
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.world.description import (
     WHITE,

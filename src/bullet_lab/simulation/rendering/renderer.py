@@ -15,8 +15,7 @@ from numpy import ndarray
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
-from bullet_lab.simulation.rendering.graphics import (
+from bullet_lab.simulation.rendering import (
     DEPTHS,
     SAMPLES,
     Canvas,
@@ -25,6 +24,7 @@ from bullet_lab.simulation.rendering.graphics import (
     set_pose,
     shared_graphics,
 )
+from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
 from bullet_lab.simulation.rendering.lights import (
     BITS,
     MOVING,

@@ -16,7 +16,7 @@ from typing import Any, Callable, Iterator, Sequence
 
 from bullet_lab.core.parameters import choices, integer, numbers
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.simulation.rendering import driver_name
 from bullet_lab.studies.detection_range.figures import heat_map, range_figure
 from bullet_lab.studies.detection_range.trial import (
     WORLDS,
