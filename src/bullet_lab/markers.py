@@ -21,7 +21,7 @@ import numpy as np
 from numpy import ndarray
 from PIL import Image
 
-from bullet_lab.core.files import make_folder, replace_file
+from bullet_lab.core.files import make_folder, replace_file, write_text
 from bullet_lab.core.parameters import ArgumentParser
 from bullet_lab.core.pose import Vector
 from bullet_lab.errors import LabError
@@ -336,8 +336,8 @@ def _write_model(face: Face, boxes: Boxes, folder: Path, about: str) -> None:
         else:
             visual += _GREY.format(f"{WALL_GREY / 255.0:.3f}")
         shapes += _SHAPES.format(name=part, box=box, visual=visual)
-    _write(folder / "model.sdf", _SDF.format(name=name, shapes=shapes))
-    _write(folder / "model.config", _CONFIG.format(name=name, about=escape(about)))
+    write_text(folder / "model.sdf", _SDF.format(name=name, shapes=shapes))
+    write_text(folder / "model.config", _CONFIG.format(name=name, about=escape(about)))
 
 
 def write_plate(face: Face, thickness: float, folder: Path, name: str) -> tuple[Path, ...]:
@@ -356,15 +356,11 @@ def write_plate(face: Face, thickness: float, folder: Path, name: str) -> tuple[
     """
     make_folder(folder)
     obj, mtl, png = (folder / f"{name}.{kind}" for kind in ("obj", "mtl", "png"))
-    _write(obj, _obj(face, thickness, name))
-    _write(mtl, _MTL.format(name=name))
+    write_text(obj, _obj(face, thickness, name))
+    write_text(mtl, _MTL.format(name=name))
     image = Image.fromarray(np.ascontiguousarray(face.image))
     replace_file(png, lambda part: image.save(part, optimize=True))
     return obj, mtl, png
-
-
-def _write(path: Path, text: str) -> None:
-    replace_file(path, lambda part: part.write_text(text))
 
 
 def _obj(face: Face, thickness: float, name: str) -> str:

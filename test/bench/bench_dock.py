@@ -26,7 +26,7 @@ def main() -> None:
     # Here, since each worker imports this module: as with the command, it is to import little.
     from common import options, write
 
-    from bullet_lab.simulation.rendering.graphics import driver_name
+    from bullet_lab.simulation.rendering import driver_name
     from bullet_lab.studies.dock_campaign.study import DockCampaignSettings, describe, run_campaign
     from bullet_lab.studies.study import workers
 

@@ -28,7 +28,7 @@ from bullet_lab.simulation.plugins.samples import (
     PointsSample,
     Trigger,
 )
-from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError
+from bullet_lab.simulation.rendering import SAMPLES, RendererError
 from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 from bullet_lab.simulation.world.description import PluginTag
 

@@ -15,7 +15,7 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins import PluginError, SensorTag
-from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.rendering import RendererError
 
 # The ideal picture is at most this many times larger than the distorted one.
 WIDEST = 3.0

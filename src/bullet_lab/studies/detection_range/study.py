@@ -25,7 +25,7 @@ from numpy import ndarray
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, new_figure, panels
 from bullet_lab.core.parameters import choices, integer, numbers
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.simulation.rendering import driver_name
 from bullet_lab.studies.detection_range.trial import (
     WORLDS,
     Cell,

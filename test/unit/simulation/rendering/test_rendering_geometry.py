@@ -10,7 +10,7 @@ from picture_worlds import CAMERA, FOCAL, checkers, plate, simulation_of, thing,
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.lenses import Lens
-from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.rendering import RendererError
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.world.description import Box
 

@@ -10,7 +10,7 @@ from alike import assert_as_before, lines_of, lines_of_figure
 from study_runs import csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
-from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.simulation.rendering import driver_name
 from bullet_lab.studies.detection_range.study import (
     RangeSettings,
     describe,
