@@ -125,14 +125,10 @@ class Kobuki(MobileBase):
         self._tread_links = {
             index: n for n, link in enumerate(treads) for index in self._body.link_indices(link)
         }
-        self._bumpers, self._cliffs, self._drops = (
-            Switches(self.output(f"{PREFIX}/events/{name}", kind), count)
-            for name, kind, count in (
-                ("bumper", BumperEvent, len(SIDES)),
-                ("cliff", CliffEvent, len(SIDES)),
-                ("wheel_drop", WheelDropEvent, len(treads)),
-            )
-        )
+        events = f"{PREFIX}/events"
+        self._bumpers = Switches(self.output(f"{events}/bumper", BumperEvent), len(SIDES))
+        self._cliffs = Switches(self.output(f"{events}/cliff", CliffEvent), len(SIDES))
+        self._drops = Switches(self.output(f"{events}/wheel_drop", WheelDropEvent), len(treads))
 
     def command(self, command: PlanarCommand) -> None:
         super().command(command)
@@ -161,7 +157,7 @@ class Kobuki(MobileBase):
             wheel.stop()
 
     def _wheel_angles(self) -> list[float]:
-        return [wheel.state().position for wheel in self._wheels]
+        return [wheel.angle for wheel in self._wheels]
 
     def before_step(self, step: int) -> None:
         self._now = step

@@ -11,6 +11,7 @@ from typing import Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.drive import clip
 from bullet_lab.simulation.physics.bodies import Body, JointState
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.physics.surfaces import GRAVITY
@@ -71,6 +72,11 @@ class Wheel:
         """Return angle, speed and torque."""
         return self._body.joint_state(self.joint)
 
+    @property
+    def angle(self) -> float:
+        """The angle in rad."""
+        return self.state().position
+
     def stop(self) -> None:
         """Drive at speed 0, at once."""
         self._speed = 0.0
@@ -84,7 +90,7 @@ class Wheel:
         elif not self._held:
             self._held = True
             self._body.set_sticking(self.joint, True)
-            self._body.hold_joint(self.joint, self.state().position, self._torque)
+            self._body.hold_joint(self.joint, self.angle, self._torque)
 
     def keep(self, speed: float) -> None:
         """Drive at a speed in rad/s that nobody else changes; for each step."""
@@ -134,6 +140,10 @@ class WheelDrive(MobileBase):
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
         self._report(step, seconds)
+        self._drive(seconds)
+
+    def _drive(self, seconds: float) -> None:
+        """Set the motors, `seconds` after the last time."""
         speeds = self._rim_speeds(self._command.rims(self.separation), seconds)
         for number, wheel in enumerate(self.wheels):
             side = 2 * number // len(self.wheels)
@@ -294,13 +304,12 @@ class DiffDrive(WheelDrive):
             return wanted
         most = self._acceleration * seconds
         self._set_speeds = tuple(
-            speed + max(-most, min(most, lack)) for speed, lack in zip(self._set_speeds, lacks)
+            speed + clip(lack, most) for speed, lack in zip(self._set_speeds, lacks)
         )
         return self._set_speeds
 
     def _angles(self) -> tuple[float, float]:
-        left, right = self.wheels[:2]
-        return left.state().position, right.state().position
+        return tuple(wheel.angle for wheel in self.wheels[:2])
 
     def _report(self, step: int, seconds: float) -> None:
         if self._from_wheels:
@@ -312,11 +321,11 @@ class DiffDrive(WheelDrive):
         if self.wheel_transforms.wanted:
             for joint, wheel in zip(self._joints, self.wheels):
                 frames = (self.mount.frame(joint.parent), self.mount.frame(joint.child))
-                place = _hub_pose(joint, wheel.state().position)
+                place = _hub_pose(joint, wheel.angle)
                 self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
             # The right wheel before the left one, as Gazebo sends them.
-            states = ((wheel.joint, wheel.state().position) for wheel in self.wheels[::-1])
+            states = ((wheel.joint, wheel.angle) for wheel in self.wheels[::-1])
             self.wheel_states.send(JointSample(step, *zip(*states)))
 
     def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
@@ -432,21 +441,18 @@ class TricycleDrive(DiffDrive):
             Wheel(self._body, joint.name, torque) for joint, torque in zip(self._joints, torques)
         )
 
-    def produce(self, step: int) -> None:
-        seconds = (step - self._last_step) / STEPS_PER_SECOND
-        self._last_step = step
-        self._report(step, seconds)
+    def _drive(self, seconds: float) -> None:
         driven, fork = self.wheels[2:]
         wanted, speed = self._command.vx / self._radius, driven.state().velocity
         if self._acceleration > 0.0:
             slows = abs(wanted) < abs(speed)
             most = seconds * (self._deceleration if slows else self._acceleration)
-            wanted = speed + max(-most, min(most, wanted - speed))
+            wanted = speed + clip(wanted - speed, most)
         driven.follow(wanted)
-        angle = max(-0.5 * math.pi, min(0.5 * math.pi, self._command.wz))
+        angle = clip(self._command.wz, 0.5 * math.pi)
         if self._steering_speed == 0.0:
             self._body.hold_joint(fork.joint, angle, STRONGEST, 1.0)
             return
-        lack = angle - fork.state().position
+        lack = angle - fork.angle
         turns = abs(lack) > self._tolerance
         fork.follow(math.copysign(self._steering_speed, lack) if turns else 0.0)

@@ -255,8 +255,10 @@ class JointPid(JointTargets):
 
     def configure(self, given: ControlParameters) -> None:
         super().configure(given)
-        paths = [f"{joint.name}/pid" if self.grouped else "pid" for joint in self.joints]
-        self._pids = [Pid(given.below(path)) for path in paths]
+        self._pids = [
+            Pid(given.below(f"{joint.name}/pid" if self.grouped else "pid"))
+            for joint in self.joints
+        ]
         self._updates = 0
         self.states = Output(self.topic("state"), LoopSample)
         self.outputs = () if self.grouped else (self.states,)
@@ -276,7 +278,7 @@ class JointPid(JointTargets):
                 value, slope = joint.velocity, 0.0
                 error = target - value
             joint.command = pid.command(error, seconds)
-            if self._updates % STATE_EVERY == 0 and self.outputs and self.states.wanted:
+            if self._updates % STATE_EVERY == 0 and self.states.wanted:
                 loop = (target, value, slope, error, seconds, joint.command)
                 gains = (pid.p, pid.i, pid.d, pid.i_max)
                 self.states.send(LoopSample(step, *loop, gains, pid.antiwindup))
