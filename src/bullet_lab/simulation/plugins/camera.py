@@ -146,7 +146,7 @@ class Camera(Plugin):
         self._baseline = mount.number("hackBaseline")
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
-        self._table: tuple[tuple, SensorNoise] | None = None
+        self._table: SensorNoise | None = None
         self.name = mount.text("cameraName")
         self.calibration: Mapping[str, Any] = {}
         self.image = self._output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
@@ -200,7 +200,7 @@ class Camera(Plugin):
         Noise depends on the step. Raises LabError if something cannot be drawn.
         """
         picture = self._with_noise(step, self._coloured(self.lens.picture(self._picture)))
-        return np.multiply(picture, TO_16, dtype=np.uint16) if "16" in self.encoding else picture
+        return picture * np.uint16(TO_16) if "16" in self.encoding else picture
 
     def _coloured(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture in the colours of the encoding, with 8 bits each."""
@@ -221,10 +221,9 @@ class Camera(Plugin):
         key = (self.settings.noise_mean, self.settings.noise_stddev)
         if not any(key):
             return picture
-        if self._table is None or self._table[0] != key:
-            table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
-            self._table = (key, table)
-        return self._table[1].add_to(picture, self._noise.at(step))
+        if self._table is None or self._table.key != key:
+            self._table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
+        return self._table.add_to(picture, self._noise.at(step))
 
     def _picture(self, turn: Pose) -> np.ndarray:
         """Return a picture before the lens; if that blurs, with values brighter than white.
@@ -365,8 +364,8 @@ class DepthCamera(Camera):
         if not self._in_millimetres:
             return ImageSample(step, self.frame, "32FC1", depths)
         # In this format, 0 means no depth. Millimetres are rounded down, as in Gazebo.
-        whole = np.nan_to_num(np.floor(1e3 * depths.astype(float)), nan=0.0)
-        pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
+        whole = np.floor(1e3 * depths.astype(float))
+        pixels = np.where(whole <= MOST_MILLIMETRES, whole, 0).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
 
     def _measured_range(self) -> tuple[float, float]:
@@ -375,7 +374,7 @@ class DepthCamera(Camera):
         closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
         default = KINECTS_CUTOFF if self._is_kinect else self.far
         farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
-        if not closest < farthest:
+        if closest >= farthest:
             where = mount.where("pointCloudCutoff")
             problem = f"the least depth, {closest:g} m, is not below the greatest, {farthest:g} m"
             raise PluginError(f"{where}: {problem}")

@@ -188,10 +188,11 @@ class SensorNoise:
 
     Drawing new numbers for each frame would take as long as rendering it. The numbers in a picture
     are independent. Two pictures share numbers, at different pixels unless their offsets are the
-    same (one in a million). Mean and deviation are shares of white.
+    same (one in a million). Mean and deviation, its `key`, are shares of white.
     """
 
     def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
+        self.key = (mean, stddev)
         noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
         noise = np.rint(WHITE * (mean + stddev * noise))
         # Two arrays, since adding and subtracting bytes is fast and saturates.

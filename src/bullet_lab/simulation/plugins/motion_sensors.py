@@ -218,8 +218,8 @@ class TruePose(Sensor):
         # The velocity of the frame of reference at the place of the link: base + spin x arm.
         carried = add(base, cross(spin, subtract(pose.position, frame.position)))
         into = frame.inverse()
-        linear, angular = subtract(linear, carried), subtract(angular, spin)
-        return into * pose, into.rotate(linear), into.rotate(angular)
+        velocities = subtract(linear, carried), subtract(angular, spin)
+        return (into * pose, *map(into.rotate, velocities))
 
 
 class JointStatePublisher(Sensor):
@@ -233,10 +233,10 @@ class JointStatePublisher(Sensor):
         self._body = mount.body
         known = self._body.joint_names
         listed = [name.strip() for name in mount.text("jointName").split(",")]
-        self._names = tuple(name for name in listed if name) or known
-        missing = [name for name in self._names if name not in known]
-        if missing:
-            raise PluginError(f"{mount.where('jointName')}: no movable joint '{missing[0]}'")
+        self._names = tuple(filter(None, listed)) or known
+        for name in self._names:
+            if name not in known:
+                raise PluginError(f"{mount.where('jointName')}: no movable joint '{name}'")
         self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:

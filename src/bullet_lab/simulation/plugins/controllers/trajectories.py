@@ -108,7 +108,6 @@ class JointTrajectory(actions.ActionController):
         super().configure(given)
         self._names = given.required_names("joints")
         self.joints = self.find_joints(self._names)
-        self._wraps = [joint.described.kind == "continuous" for joint in self.joints]
         self._partial = given.get("allow_partial_joints_goal", False)
         self._stop_seconds = max(0.0, given.get("stop_trajectory_duration", 0.0))
         limits = given.below("constraints")
@@ -118,8 +117,8 @@ class JointTrajectory(actions.ActionController):
         for name in self._names:
             path, goal = (limits.get(f"{name}/{where}", 0.0) for where in ("trajectory", "goal"))
             self._tolerances[name] = Tolerance((path, 0.0), (goal, slowest), late)
-        by_pid = self.interface != POSITION
-        self._pids = [Pid(given.below(f"gains/{name}")) for name in self._names if by_pid]
+        by_pid = () if self.interface == POSITION else self._names
+        self._pids = [Pid(given.below(f"gains/{name}")) for name in by_pid]
         self._forward = [given.get(f"velocity_ff/{name}", 0.0) for name in self._names]
         self._publishing = self.schedule(given, "state_publish_rate", 50.0)
         self.states = Output(self.topic("state"), TrajectorySample)
@@ -256,7 +255,7 @@ class JointTrajectory(actions.ActionController):
             last: Sequence[float | None] = segment_at(self._paths[number], start).at(start)
             made = [one for one in self._paths[number] if one.start <= start]
             shift, first = 0.0, points[0].positions[column]
-            if self._wraps[number]:
+            if self.joints[number].described.kind == "continuous":
                 shift = last[0] + math.remainder(first - last[0], math.tau) - first
             for point in points:
                 others = (point.velocities, point.accelerations)
