@@ -85,10 +85,9 @@ class Kobuki(MobileBase):
     def __init__(self, mount: Mount):
         mount.require_moving()
         super().__init__(mount)
-        (self._separation,) = mount.sizes("wheel_separation", 1)
-        (diameter,) = mount.sizes("wheel_diameter", 1)
+        sizes = (mount.sizes(tag, 1)[0] for tag in ("wheel_separation", "wheel_diameter", "torque"))
+        self._separation, diameter, torque = sizes
         self._radius = 0.5 * diameter
-        (torque,) = mount.sizes("torque", 1)
         (timeout,) = mount.numbers("velocity_command_timeout", 1)
         self._timeout = round(timeout * STEPS_PER_SECOND)
         tags = ("left_wheel_joint_name", "right_wheel_joint_name")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import Iterable
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
@@ -22,6 +23,7 @@ from bullet_lab.simulation.plugins.samples import (
     TransformSample,
     is_sound,
 )
+from bullet_lab.simulation.world.description import Link
 
 # Variance of what the odometry does not know, as in Gazebo.
 UNKNOWN = 1e12
@@ -282,6 +284,11 @@ class ForceBasedMove(PlanarMove):
         self._body.push(self._body.links[0].name, *pushes, place.position)
 
 
+def mass_of(links: Iterable[Link]) -> float:
+    """Return the mass of links in kg."""
+    return sum(link.inertia.mass for link in links if link.inertia is not None)
+
+
 def along(quaternion: Quaternion, x: float, y: float) -> tuple[float, float]:
     """Return the parts of a vector in the world ahead and to the left of a robot."""
     cosine, sine = heading_of(quaternion)
@@ -303,7 +310,6 @@ def _support_patch(mount: Mount) -> SupportPatch | None:
         raise PluginError(f"{mount.name()}: its first link cannot move")
     if not mount.text("supportRadius", ""):
         return None
-    masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
     friction = min((c.friction for c in root.collisions), default=1.0)
-    radius = mount.coefficient("supportRadius")
-    return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))
+    radius, mass = mount.coefficient("supportRadius"), mass_of(mount.model.links)
+    return SupportPatch(friction, radius, mass, float(root.inertia.matrix[2, 2]))

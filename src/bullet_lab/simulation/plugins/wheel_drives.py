@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Tuple
+from typing import Sequence, Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -21,6 +21,7 @@ from bullet_lab.simulation.plugins.mobile_base import (
     UNKNOWN,
     MobileBase,
     along,
+    mass_of,
     upright,
 )
 from bullet_lab.simulation.plugins.samples import (
@@ -29,7 +30,7 @@ from bullet_lab.simulation.plugins.samples import (
     PlanarCommand,
     TransformSample,
 )
-from bullet_lab.simulation.world.description import Joint
+from bullet_lab.simulation.world.description import Joint, Link
 
 LOG = logging.getLogger(__name__)
 
@@ -357,34 +358,33 @@ class SkidSteer(WheelDrive):
     def __init__(self, mount: Mount):
         super().__init__(mount, 0.4)
         torque = mount.coefficient("torque", 5.0)
-        names = [
-            wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint").name
+        joints = [
+            wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint")
             for side in ("left", "right")
             for end in ("Front", "Rear")
         ]
-        if len(set(names)) < len(names):
+        if len({joint.name for joint in joints}) < len(joints):
             where = mount.where("rightRearJoint")
             raise PluginError(f"{where}: the four joints must be different, but one is named twice")
-        self.wheels = tuple(Wheel(self._body, name, torque) for name in names)
+        self.wheels = tuple(Wheel(self._body, joint.name, torque) for joint in joints)
         self._creep, self._most_friction = 0.0, 0.0
         if not mount.simulation.world.coulomb:
-            self._find_creep()
+            links = mount.model.links_by_name()
+            self._find_creep([links[joint.child] for joint in joints])
         x, y = (mount.coefficient(f"covariance_{axis}", 1e-4) for axis in "xy")
         yaw = mount.coefficient("covariance_yaw", 1e-2)
         self._variances = (x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw)
         self.transform = self.output("/tf", TransformSample, mount.boolean("broadcastTF", False))
 
-    def _find_creep(self) -> None:
+    def _find_creep(self, wheels: Sequence[Link]) -> None:
         """Set the creep (m/s) and the largest friction of a side (N), unless a wheel is soft."""
-        links = {link.joint.name: link.link for link in self._body.bullet_links if link.joint}
-        wheels = [links[wheel.joint] for wheel in self.wheels]
         shapes = [shape for wheel in wheels for shape in wheel.collisions]
         soft = any(s.stiffness is not None or s.damping is not None for s in shapes)
         if soft or not shapes:
             return
-        mass = sum(link.inertia.mass for link in self._body.links if link.inertia is not None)
-        of_wheels = sum(wheel.inertia.mass for wheel in wheels if wheel.inertia is not None)
-        self._creep = (CREEP + CREEP_BY_MASS * (mass / of_wheels - 1.0)) * GRAVITY * STEP_SECONDS
+        mass = mass_of(self._body.links)
+        by_mass = CREEP_BY_MASS * (mass / mass_of(wheels) - 1.0)
+        self._creep = (CREEP + by_mass) * GRAVITY * STEP_SECONDS
         self._most_friction = 0.5 * mass * GRAVITY * min(shape.friction for shape in shapes)
 
     def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
