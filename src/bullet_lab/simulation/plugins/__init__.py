@@ -142,11 +142,7 @@ class Mount(TagReader):
         return full
 
     def noise(self, part: str = "") -> StepNoise:
-        """Return the noise of this plugin, or of a part of it.
-
-        It depends on the simulation's seed and the names of model and plugin, so that other
-        robots in the world do not change it.
-        """
+        """Return the noise of this plugin, or of a part of it; other robots do not change it."""
         return StepNoise(self.simulation.seed, f"{self.model.name}/{self.plugin.name}{part}")
 
     def frame(self, name: str) -> str:
@@ -192,11 +188,7 @@ class Mount(TagReader):
 
 
 class SensorTag(ElementReader):
-    """The `<sensor>` element around a plugin, which URDF and SDF share.
-
-    Raises:
-        PluginError: the plugin is not in a sensor of one of the `kinds`.
-    """
+    """The `<sensor>` element around a plugin; raises PluginError for one of another kind."""
 
     def __init__(self, mount: Mount, kinds: tuple[str, ...]):
         sensor, where = mount.plugin.sensor, mount.name()

@@ -84,12 +84,8 @@ MOST_REQUESTS = 100
 class CameraSettings:
     """Settings of a camera that may change between pictures.
 
-    Attributes:
-        samples: samples of each pixel, 1, 2 or 4.
-        exposure: factor of the brightness.
-        blur: standard deviation of the blur in pixels.
-        noise_mean: mean of the noise of each pixel and colour, as a share of white.
-        noise_stddev: its standard deviation, likewise.
+    A pixel has 1, 2 or 4 samples. `exposure` is a factor of the brightness, `blur` a standard
+    deviation in pixels. Noise of each pixel and colour is a share of white.
     """
 
     samples: int = 1

@@ -62,8 +62,7 @@ class MobileBase(Plugin):
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.
 
-        Raises:
-            PluginError: not finite or beyond `LARGEST_COMMAND`; the last command stays.
+        Raises PluginError if it is not finite or too large; the last command stays.
         """
         if not is_sound(*(getattr(command, name) for name in self.directions)):
             raise PluginError(f"the velocity {command} is not finite, or too large")
@@ -106,11 +105,9 @@ class SupportPatch:
     about the vertical satisfy (F/μN)² + (M/μNr)² = 1, with N the load and r the effective radius
     of the patch, and oppose the slip.
 
-    Attributes:
-        friction: Coulomb's coefficient μ.
-        radius: the effective radius r in m; a disc of radius R under even pressure has 2R/3.
-        mass: of the robot, in kg.
-        inertia: of the robot about the vertical through its centre of mass, in kg m².
+    `friction` is Coulomb's coefficient μ, `radius` the effective radius r in m; a disc of radius R
+    under even pressure has 2R/3. Mass (kg) and inertia (kg m², about the vertical through the
+    centre of mass) are those of the robot.
     """
 
     friction: float

@@ -184,10 +184,8 @@ class DeadReckoning:
     >>> driven, turned, reckoning.pose
     (0.5, 0.0, (0.5, 0.0, 0.0))
 
-    Args:
-        separation: of the wheels' contacts with the floor, in m.
-        radius: of both wheels in m, or of the left one.
-        right_radius: of the right wheel in m, if it differs.
+    Lengths are in m: the `separation` of the wheels' contacts with the floor, and the `radius` of
+    both wheels, or of the left one if there is a `right_radius`.
     """
 
     def __init__(self, separation: float, radius: float, right_radius: float | None = None):

@@ -60,18 +60,11 @@ class Controller(ABC):
     """Base of all controllers.
 
     While a controller runs, `update` is called at each control period. It reads its joints and
-    writes their commands, which act until the next ones.
-
-    Args:
-        name: of the controller.
-        kind: its type in ros_control.
-        namespace: of the robot, with a slash at its end.
-        parameters: of the controller.
-        handles: all joints of the robot that have a transmission, by name.
+    writes their commands, which act until the next ones. `namespace` is that of the robot, with a
+    slash at its end; `handles` are all joints of the robot that have a transmission, by name.
 
     Attributes:
-        kinds: the types of ros_controllers that the class implements, each with its hardware
-            interface.
+        kinds: the types of ros_controllers that the class implements, with their interfaces.
         joints: those that it commands.
         inputs: topics with commands for it.
         outputs: topics with its samples.
@@ -206,9 +199,7 @@ class JointTargets(Controller):
     def command(self, command: JointCommand | JointCommands) -> None:
         """Take over new targets of the joints.
 
-        Raises:
-            ControlError: the number of values is not that of the joints, or a value is not finite
-                or exceeds `LARGEST_COMMAND`.
+        Raises ControlError if their number is wrong, or one is not finite or too large.
         """
         values = (command.value,) if isinstance(command, JointCommand) else command.values
         if len(values) != len(self.joints):

@@ -147,8 +147,7 @@ class DiffDriveController(Controller):
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.
 
-        Raises:
-            ControlError: not finite or beyond `LARGEST_COMMAND`, or the controller does not run.
+        Raises ControlError if it is not finite or too large, or the controller does not run.
         """
         if not self.running:
             raise ControlError(f"controller '{self.name}' is not running")

@@ -79,16 +79,10 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class DescribedJoint:
-    """A joint of the URDF.
+    """A joint of the URDF; `kind` is URDF's type, `interface` that of its transmission.
 
-    Attributes:
-        name: of the joint.
-        kind: URDF's type.
-        origin: its place in its parent link, in m.
-        limits: of its `<limit>` and `<safety_controller>`.
-        radius: of the wheel below it in m: of the first collision of its child link; None if that
-            is neither a cylinder nor a sphere.
-        interface: of its transmission.
+    `origin` is its place in its parent link in m. `radius` is that of the wheel below it in m: of
+    the first collision of its child link; None if that is neither a cylinder nor a sphere.
     """
 
     name: str
@@ -191,14 +185,9 @@ def _transmission(element: Element) -> tuple[str, str]:
 class Pid:
     """A PID loop with the gains, clamps and anti-windup of control_toolbox.
 
-    With `antiwindup` the integral itself is kept so small that its contribution is within the
-    clamps, else only its contribution.
-
-    Args:
-        parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup.
-
-    Raises:
-        ControlError: there is no p.
+    Parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup. With `antiwindup` the
+    integral itself is kept so small that its contribution is within the clamps, else only its
+    contribution. Raises ControlError without p.
     """
 
     def __init__(self, parameters: ControlParameters):
@@ -393,12 +382,7 @@ def joint_handles(
     """Return the joints of a robot that have a transmission, by name.
 
     A transmission of a joint that the model does not have, or that cannot move, is ignored with
-    a warning.
-
-    Args:
-        bodies: of the robot.
-        described: the joints with a transmission, by name.
-        parameters: with joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
+    a warning. Parameters: joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
     """
     handles: dict[str, JointHandle] = {}
     owners = {name: body for body in bodies.values() for name in body.joint_names}

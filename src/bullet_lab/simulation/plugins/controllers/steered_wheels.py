@@ -31,16 +31,10 @@ NEVER = 1e9
 
 
 class SteeredWheel:
-    """A driven wheel on a steered fork.
+    """A driven wheel with a radius (m) on a steered fork, whose `place` in the robot is in m.
 
-    Args:
-        fork: the joint that steers it, counter-clockwise.
-        axle: the joint that drives it.
-        radius: of the wheel in m.
-        gains: of PIDs, for a fork that takes no angles and an axle that takes no speeds.
-
-    Attributes:
-        place: of the fork in the robot, in m.
+    The joint `fork` steers it counter-clockwise, and `axle` drives it. A fork that takes no angles
+    and an axle that takes no speeds need `gains` of PIDs.
     """
 
     def __init__(
