@@ -164,7 +164,14 @@ class Kobuki(MobileBase):
             self._command = STANDSTILL
         for wheel, speed in zip(self._wheels, self._command.rims(self._separation)):
             wheel.keep(speed / self._radius)
-        self._note_contacts()
+        # What touched something in the step before: wheels and bumpers.
+        for _, body, _, link, _, place, _, normal, *_ in self._body.touching_points():
+            if link in self._tread_links:
+                self._standing.add(self._tread_links[link])
+            # What lies below or above presses no bumper.
+            elif link in self._bumper_links and abs(normal[2]) < STEEPEST:
+                shape = self.mount.simulation.shape_name(body, link, place)
+                self._press(shape, place, normal)
 
     def produce(self, step: int) -> None:
         seconds = (step - self._last_step) / STEPS_PER_SECOND
@@ -198,16 +205,6 @@ class Kobuki(MobileBase):
             self._drops.set(step, number, number not in self._standing)
         self._pressed.clear()
         self._standing.clear()
-
-    def _note_contacts(self) -> None:
-        """Note which bumpers and which wheels touched something in the step before."""
-        for _, body, _, link, _, place, _, normal, *_ in self._body.touching_points():
-            if link in self._tread_links:
-                self._standing.add(self._tread_links[link])
-            # What lies below or above presses no bumper.
-            elif link in self._bumper_links and abs(normal[2]) < STEEPEST:
-                shape = self.mount.simulation.shape_name(body, link, place)
-                self._press(shape, place, normal)
 
     def _press(self, shape: str, place: Vector, normal: Vector) -> None:
         """Press the bumper at a contact (m, world) of a shape; the normal points to the robot."""

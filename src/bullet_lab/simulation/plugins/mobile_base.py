@@ -205,9 +205,16 @@ class PlanarMove(MobileBase):
         return _in_world(command.vx, command.vy, command.wz, quaternion)
 
     def produce(self, step: int) -> None:
-        pose = self._pose()
-        velocity = self._velocity_since(step, pose)
+        pose, before = self._pose(), self._last_pose
+        seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step, self._last_pose = step, pose
+        velocity = STANDSTILL
+        if seconds > 0.0:
+            # The mean velocity since the last sample, in the robot's present frame.
+            (x, y, yaw), (last_x, last_y, last_yaw) = pose.planar, before.planar
+            ahead, left = along(pose.quaternion, x - last_x, y - last_y)
+            turned = math.remainder(yaw - last_yaw, math.tau)
+            velocity = PlanarCommand(ahead / seconds, left / seconds, turned / seconds)
         self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
 
     def reset(self, step: int) -> None:
@@ -219,15 +226,6 @@ class PlanarMove(MobileBase):
         self._height = self._body.com_pose().position[2]
         if self._patch is not None:
             self._load = self._patch.mass * self._pull()
-
-    def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
-        """Return the mean velocity since the last sample, in the robot's present frame."""
-        dt = (step - self._last_step) / STEPS_PER_SECOND
-        if dt <= 0.0:
-            return STANDSTILL
-        (x, y, yaw), (last_x, last_y, last_yaw) = pose.planar, self._last_pose.planar
-        ahead, left = along(pose.quaternion, x - last_x, y - last_y)
-        return PlanarCommand(ahead / dt, left / dt, math.remainder(yaw - last_yaw, math.tau) / dt)
 
 
 class ForceBasedMove(PlanarMove):

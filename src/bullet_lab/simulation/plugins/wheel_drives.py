@@ -312,7 +312,10 @@ class DiffDrive(WheelDrive):
 
     def _report(self, step: int, seconds: float) -> None:
         if self._from_wheels:
-            pose, velocity = self._reckoned(seconds)
+            driven, turned = self._reckoning.advance(*self._angles())
+            pose, velocity = Pose.on_floor(*self._reckoning.pose), STANDSTILL
+            if seconds > 0.0:
+                velocity = PlanarCommand(vx=driven / seconds, wz=turned / seconds)
         else:
             pose = self._pose()
             velocity = self._velocity(pose)
@@ -326,14 +329,6 @@ class DiffDrive(WheelDrive):
             # The right wheel before the left one, as Gazebo sends them.
             states = ((wheel.joint, wheel.angle) for wheel in self.wheels[::-1])
             self.wheel_states.send(JointSample(step, *zip(*states)))
-
-    def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
-        """Return the pose by the wheels' angles, and the mean velocity since the last update."""
-        driven, turned = self._reckoning.advance(*self._angles())
-        pose = Pose.on_floor(*self._reckoning.pose)
-        if seconds <= 0.0:
-            return pose, STANDSTILL
-        return pose, PlanarCommand(vx=driven / seconds, wz=turned / seconds)
 
 
 def _hub_pose(joint: Joint, angle: float) -> Pose:

@@ -194,7 +194,12 @@ class DiffDriveController(Controller):
         self._velocity = self._last if self._open_loop else PlanarCommand(*means)
         if is_due(self._schedule, step):
             self._report(step)
-        command = self._drive(step, seconds)
+        if self._asked_at is None:
+            self._asked_at = step
+        late = (step - self._asked_at) / STEPS_PER_SECOND > self._timeout
+        command = self.limited(STANDSTILL if late else self._asked, seconds)
+        self._before, self._last = self._last, command
+        self.command_joints(command, seconds)
         if self.commanded.wanted:
             self.commanded.send(VelocitySample(step, "", command))
 
@@ -216,16 +221,6 @@ class DiffDriveController(Controller):
             self.odometry.send(sample)
         if self._sends_transforms and self.transform.wanted:
             self.transform.send(TransformSample(step, *self._frames, pose))
-
-    def _drive(self, step: int, seconds: float) -> PlanarCommand:
-        """Command the wheels within the limits; return the limited velocity."""
-        if self._asked_at is None:
-            self._asked_at = step
-        late = (step - self._asked_at) / STEPS_PER_SECOND > self._timeout
-        command = self.limited(STANDSTILL if late else self._asked, seconds)
-        self._before, self._last = self._last, command
-        self.command_joints(command, seconds)
-        return command
 
     def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
         """Return a velocity within the limits."""
