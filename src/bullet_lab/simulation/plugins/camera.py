@@ -263,23 +263,16 @@ def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
     for name in GEOMETRY_TAGS:
         if mount.number(name) != 0.0:
             LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
-    distortion = _distortion(mount, tag)
-    if is_wide:
-        return WideLens(tag, width, height, fov)
-    return Lens(replace(centred_camera(width, height, fov), distortion=distortion))
-
-
-def _distortion(mount: Mount, tag: SensorTag) -> tuple[float, ...]:
-    """Return k1, k2, p1, p2, k3, of the plugin's tags or the sensor's.
-
-    Gazebo draws with the sensor's and publishes the plugin's.
-    """
-    plugin = tuple(mount.number(f"distortion{key}") for key in DISTORTION_TAGS)
-    sensor = tuple(tag.number(f"camera/distortion/{key}") for key in DISTORTION_TAGS.values())
-    if any(plugin) and any(sensor) and plugin != sensor:
+    # Gazebo draws with the sensor's distortion and publishes the plugin's.
+    own = tuple(mount.number(f"distortion{key}") for key in DISTORTION_TAGS)
+    other = tuple(tag.number(f"camera/distortion/{key}") for key in DISTORTION_TAGS.values())
+    if any(own) and any(other) and own != other:
         where = mount.where("distortionK1")
         raise PluginError(f"{where}: the coefficients differ from those of the sensor")
-    return plugin if any(plugin) else sensor
+    if is_wide:
+        return WideLens(tag, width, height, fov)
+    camera = centred_camera(width, height, fov)
+    return Lens(replace(camera, distortion=own if any(own) else other))
 
 
 def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
@@ -316,7 +309,14 @@ class DepthCamera(Camera):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._is_kinect = mount.plugin.filename.startswith(KINECT)
-        self._closest, self._farthest = self._measured_range()
+        # The least and the greatest depth that is measured, in m.
+        self._closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
+        default = KINECTS_CUTOFF if self._is_kinect else self.far
+        self._farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
+        if self._closest >= self._farthest:
+            limits = f"{self._closest:g} m, is not below the greatest, {self._farthest:g} m"
+            where = mount.where("pointCloudCutoff")
+            raise PluginError(f"{where}: the least depth, {limits}")
         self._in_millimetres = mount.boolean("useDepth16UC1Format", False)
         for tag in NOT_SIMULATED:
             mount.text(tag)
@@ -363,18 +363,6 @@ class DepthCamera(Camera):
         whole = np.floor(1e3 * depths.astype(float))
         pixels = np.where(whole <= MOST_MILLIMETRES, whole, 0).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
-
-    def _measured_range(self) -> tuple[float, float]:
-        """Return the least and the greatest depth that is measured, in m."""
-        mount = self.mount
-        closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
-        default = KINECTS_CUTOFF if self._is_kinect else self.far
-        farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
-        if closest >= farthest:
-            where = mount.where("pointCloudCutoff")
-            problem = f"the least depth, {closest:g} m, is not below the greatest, {farthest:g} m"
-            raise PluginError(f"{where}: {problem}")
-        return closest, farthest
 
 
 class MultiCamera(Camera):

@@ -150,13 +150,10 @@ class Kobuki(MobileBase):
         super().reset(step)
 
     def placed(self) -> None:
-        self._angles = self._wheel_angles()
+        self._angles = [wheel.angle for wheel in self._wheels]
         self._gyroscope.placed()
         for wheel in self._wheels:
             wheel.stop()
-
-    def _wheel_angles(self) -> list[float]:
-        return [wheel.angle for wheel in self._wheels]
 
     def before_step(self, step: int) -> None:
         self._now = step
@@ -217,7 +214,7 @@ class Kobuki(MobileBase):
 
     def _report(self, step: int, seconds: float) -> None:
         """Send the odometry, `seconds` after the last time."""
-        angles = self._wheel_angles()
+        angles = [wheel.angle for wheel in self._wheels]
         driven = 0.5 * self._radius * sum(new - old for new, old in zip(angles, self._angles))
         self._angles = angles
         self._x += driven * math.cos(self._yaw)

@@ -142,7 +142,11 @@ class DiffDriveController(Controller):
         apart = given.get("wheel_separation", math.dist(left.origin, right.origin))
         # Before all multipliers.
         self._measured = apart, wheel_radius(given, left)
-        self._set_multipliers(_multipliers(given))
+        both = given.get("wheel_radius_multiplier")
+        radii = (f"{side}_wheel_radius_multiplier" for side in ("left", "right"))
+        found = {name: given.get(name, 1.0) if both is None else both for name in radii}
+        name = "wheel_separation_multiplier"
+        self._set_multipliers({**found, name: given.get(name, 1.0)})
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.
@@ -245,7 +249,10 @@ class DiffDriveController(Controller):
         )
 
     def _set_multipliers(self, multipliers: dict[str, float]) -> None:
-        """Set the multipliers; raises ControlError for invalid ones, and changes nothing then."""
+        """Set the multipliers of both radii and of the separation, by name.
+
+        Raises ControlError for invalid ones, and changes nothing then.
+        """
         (separation, radius), (left, right, apart) = self._measured, multipliers.values()
         sizes = (apart * separation, left * radius, right * radius)
         if not all(0.0 < size < math.inf for size in sizes):
@@ -261,12 +268,3 @@ def wheel_radius(given: ControlParameters, wheel: DescribedJoint) -> float:
         what = f"the first collision of the wheel on '{wheel.name}'"
         raise ControlError(f"{what} is no cylinder or sphere, and there is no wheel_radius")
     return radius
-
-
-def _multipliers(given: ControlParameters) -> dict[str, float]:
-    """Return the multipliers of the left and right radius and of the separation, by their names."""
-    both = given.get("wheel_radius_multiplier")
-    radii = (f"{side}_wheel_radius_multiplier" for side in ("left", "right"))
-    found = {name: given.get(name, 1.0) if both is None else both for name in radii}
-    name = "wheel_separation_multiplier"
-    return {**found, name: given.get(name, 1.0)}
