@@ -174,14 +174,33 @@ def is_due(schedule: Schedule | None, step: int) -> bool:
 
 
 class JointTargets(Controller):
-    """Takes a number for a joint, or one for each joint of a group, on the topic `command`.
+    """Brings joints to targets from the topic `command`: a number, or one for each of a group.
 
-    Parameters: joint, or joints for the kinds named JointGroup….
+    Parameters: joint, or joints for the kinds named JointGroup…. A target of the kind that a joint
+    takes is passed on to it; as in ros_controllers, the joint keeps its last one when the
+    controller stops. For the others there are PIDs, with the gains in pid, or <joint>/pid in a
+    group; with them, the state of a single joint is sent at each tenth update.
     """
 
+    passed_on = {
+        "position_controllers/JointPositionController": POSITION,
+        "position_controllers/JointGroupPositionController": POSITION,
+        "velocity_controllers/JointVelocityController": VELOCITY,
+        "velocity_controllers/JointGroupVelocityController": VELOCITY,
+        "effort_controllers/JointEffortController": EFFORT,
+        "effort_controllers/JointGroupEffortController": EFFORT,
+    }
+    kinds = {
+        **passed_on,
+        "effort_controllers/JointPositionController": EFFORT,
+        "effort_controllers/JointGroupPositionController": EFFORT,
+        "velocity_controllers/JointPositionController": VELOCITY,
+        "effort_controllers/JointVelocityController": EFFORT,
+    }
+
     def configure(self, given: ControlParameters) -> None:
-        self.grouped = "/JointGroup" in self.kind
-        if self.grouped:
+        grouped = "/JointGroup" in self.kind
+        if grouped:
             kind, names = JointCommands, given.required_names("joints")
         else:
             kind, names = JointCommand, (given.get("joint", ""),)
@@ -190,11 +209,19 @@ class JointTargets(Controller):
         self.by_position = self.kind.endswith("PositionController")
         self.joints = self.find_joints(names)
         self.inputs = (Input(self.topic("command"), kind, self.command),)
-        self.targets: tuple[float, ...] = (0.0,) * len(names)
+        self.targets = (0.0,) * len(names)
+        by_pid = () if self.kind in self.passed_on else names
+        paths = [f"{name}/pid" if grouped else "pid" for name in by_pid]
+        self._pids = [Pid(given.below(path)) for path in paths]
+        self._updates = 0
+        self.states = Output(self.topic("state"), LoopSample)
+        self.outputs = (self.states,) if by_pid and not grouped else ()
 
     def starting(self, step: int) -> None:
         """Have the present positions as targets, or no velocity or effort."""
         self.targets = tuple(one.position if self.by_position else 0.0 for one in self.joints)
+        for pid in self._pids:
+            pid.reset()
 
     def command(self, command: JointCommand | JointCommands) -> None:
         """Take over new targets of the joints.
@@ -209,57 +236,10 @@ class JointTargets(Controller):
             raise ControlError(f"a command to '{self.name}' is not finite, or too large")
         self.targets = tuple(values)
 
-
-class ForwardCommand(JointTargets):
-    """Passes commands on to the joints.
-
-    As in ros_controllers, a joint keeps its last command when the controller stops.
-    """
-
-    kinds = {
-        "position_controllers/JointPositionController": POSITION,
-        "position_controllers/JointGroupPositionController": POSITION,
-        "velocity_controllers/JointVelocityController": VELOCITY,
-        "velocity_controllers/JointGroupVelocityController": VELOCITY,
-        "effort_controllers/JointEffortController": EFFORT,
-        "effort_controllers/JointGroupEffortController": EFFORT,
-    }
-
     def update(self, step: int, seconds: float) -> None:
-        for joint, target in zip(self.joints, self.targets):
-            joint.command = target
-
-
-class JointPid(JointTargets):
-    """Brings joints to a position or velocity by an effort, or to a position by a velocity.
-
-    Parameters besides those of the joints: the gains in pid, or <joint>/pid in a group. The state
-    of a single joint is sent at each tenth update.
-    """
-
-    kinds = {
-        "effort_controllers/JointPositionController": EFFORT,
-        "effort_controllers/JointGroupPositionController": EFFORT,
-        "velocity_controllers/JointPositionController": VELOCITY,
-        "effort_controllers/JointVelocityController": EFFORT,
-    }
-
-    def configure(self, given: ControlParameters) -> None:
-        super().configure(given)
-        self._pids = [
-            Pid(given.below(f"{joint.name}/pid" if self.grouped else "pid"))
-            for joint in self.joints
-        ]
-        self._updates = 0
-        self.states = Output(self.topic("state"), LoopSample)
-        self.outputs = () if self.grouped else (self.states,)
-
-    def starting(self, step: int) -> None:
-        super().starting(step)
-        for pid in self._pids:
-            pid.reset()
-
-    def update(self, step: int, seconds: float) -> None:
+        if not self._pids:
+            for joint, target in zip(self.joints, self.targets):
+                joint.command = target
         for joint, pid, target in zip(self.joints, self._pids, self.targets):
             if self.by_position:
                 value, slope = joint.position, joint.velocity
