@@ -130,7 +130,7 @@ class Camera(Plugin):
         tag = SensorTag(mount, self.sensors)
         offset = tag.numbers("camera/pose", 6, "0 0 0 0 0 0")
         self._place = tag.place(Pose.from_rpy(offset[:3], offset[3:]))
-        self.lens: Lens | WideLens = _lens(mount, tag)
+        self.lens = _lens(mount, tag)
         if self.lens.black:
             where, share = tag.where("camera/distortion"), 100.0 * self.lens.black
             LOG.warning("%s: %.0f %% of the picture is black: outside of the lens", where, share)
@@ -252,7 +252,7 @@ def _span(line: np.ndarray) -> slice:
     return slice(places[0], places[-1] + 1)
 
 
-def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
+def _lens(mount: Mount, tag: SensorTag) -> Lens:
     width = tag.count("camera/image/width", 320, LARGEST_SIDE)
     height = tag.count("camera/image/height", 240, LARGEST_SIDE)
     fov = tag.number("camera/horizontal_fov", 1.047)
