@@ -264,11 +264,49 @@ class Output:
             listener(sample)
 
 
+class Device:
+    """What takes commands and sends samples: a plugin, or a controller of one.
+
+    Attributes:
+        inputs: topics with commands for it.
+        outputs: topics with its samples.
+    """
+
+    inputs: tuple[Input, ...] = ()
+    outputs: tuple[Output, ...] = ()
+
+    def topic(self, name: str) -> str:
+        """Return the full name of a topic of the device."""
+        raise NotImplementedError
+
+    def input(
+        self, topic: str, kind: type, handle: Callable[[Any], None], alone: bool = False
+    ) -> None:
+        """Take the commands of a topic; see `Input`."""
+        self.inputs += (Input(self.topic(topic), kind, handle, alone),)
+
+    def output(self, topic: str, kind: type, offered: bool = True) -> Output:
+        """Return a new output on a topic.
+
+        It is added to `outputs` if it is offered; otherwise, it never has a listener.
+        """
+        made = Output(self.topic(topic), kind)
+        if offered:
+            self.outputs += (made,)
+        return made
+
+    def placed(self) -> None:
+        """Handle that the model was placed somewhere else."""
+
+    def reset(self, step: int) -> None:
+        """Start anew after a reset of the model; simulated time is now `step`."""
+
+
 # The classes of plugins by the names of files.
 _KINDS: dict[str, type[Plugin]] = {}
 
 
-class Plugin:
+class Plugin(Device):
     """Base of all plugins.
 
     Attributes:
@@ -276,8 +314,6 @@ class Plugin:
         named_by_model: whether the namespace is the model's name if the plugin has no
             robotNamespace, and if it has an empty one: Gazebo's plugins differ.
         acts: whether `before_step` does anything; the loop skips it otherwise.
-        inputs: topics with commands for it.
-        outputs: topics with its samples.
         schedule: when `produce` is due; None for a plugin without samples.
         refused: names and types of controllers that could not be loaded.
     """
@@ -292,8 +328,6 @@ class Plugin:
 
     def __init__(self, mount: Mount):
         self.mount = mount
-        self.inputs: tuple[Input, ...] = ()
-        self.outputs: tuple[Output, ...] = ()
         self.schedule: Schedule | None = None
         self.refused: dict[str, str] = {}
 
@@ -307,15 +341,8 @@ class Plugin:
         """Return the tags that stand for one: several if its sensor has several cameras."""
         return (tag,)
 
-    def output(self, topic: str, kind: type, offered: bool = True) -> Output:
-        """Return a new output on a topic in the plugin's namespace.
-
-        It is added to `outputs` if it is offered; otherwise, it never has a listener.
-        """
-        made = Output(self.mount.topic(topic), kind)
-        if offered:
-            self.outputs += (made,)
-        return made
+    def topic(self, name: str) -> str:
+        return self.mount.topic(name)
 
     def before_step(self, step: int) -> None:
         """Act on the model before the physics advances from `step` to `step + 1`."""
@@ -325,12 +352,6 @@ class Plugin:
 
     def produce(self, step: int) -> None:
         """Measure and send, at the simulated time `step`."""
-
-    def placed(self) -> None:
-        """Handle that the model was placed somewhere else."""
-
-    def reset(self, step: int) -> None:
-        """Start anew after a reset of the model; simulated time is now `step`."""
 
 
 class Sensor(Plugin, ABC):

@@ -20,7 +20,7 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError, SensorTag
+from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.lenses import WHITE, Lens, SensorNoise, WideLens, blurred
 from bullet_lab.simulation.plugins.samples import (
     CameraInfoSample,
@@ -169,11 +169,11 @@ class Camera(Plugin):
         return self._place.pose()
 
     def _output(self, tag: str, default: str, kind: type) -> Output:
-        """Return an output on the topic in a tag, in the camera's namespace."""
-        return self.output(self.topic(self.mount.text(tag, default)), kind)
+        """Return an output on the topic in a tag."""
+        return self.output(self.mount.text(tag, default), kind)
 
     def topic(self, name: str) -> str:
-        """Return the full name of a topic in the camera's namespace."""
+        """Return the full name of a topic, which is in the camera's namespace."""
         below = self.name and not name.startswith("/")
         return self.mount.topic(f"{self.name}/{name}" if below else name)
 
@@ -411,10 +411,10 @@ class TriggeredCamera(Camera):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self.schedule = OnDemand(0.0)
-        topic = self.topic(mount.text("triggerTopicName", "image_trigger"))
+        topic = mount.text("triggerTopicName", "image_trigger")
         # Filled by other threads.
         self._requests: deque[Trigger] = deque(maxlen=MOST_REQUESTS)
-        self.inputs = (Input(topic, Trigger, self._requests.append),)
+        self.input(topic, Trigger, self._requests.append)
 
     def reset(self, step: int) -> None:
         self._requests.clear()

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Input, Mount, Output, SensorTag
+from bullet_lab.simulation.plugins import Mount, Output, SensorTag
 from bullet_lab.simulation.plugins.mobile_base import MobileBase
 from bullet_lab.simulation.plugins.motion_sensors import InertialUnit
 from bullet_lab.simulation.plugins.ray_sensors import RayScan, watched_shapes
@@ -96,10 +96,8 @@ class Kobuki(MobileBase):
         self.transform = self.output("/tf", TransformSample, mount.boolean("publish_tf", False))
         self._joint_states = self.output("joint_states", JointSample)
         self._core = self.output(f"{PREFIX}/sensors/core", SwitchesSample)
-        self.inputs += (
-            Input(mount.topic(f"{PREFIX}/commands/motor_power"), MotorPower, self._switch_motors),
-            Input(mount.topic(f"{PREFIX}/commands/reset_odometry"), Trigger, self._zero),
-        )
+        self.input(f"{PREFIX}/commands/motor_power", MotorPower, self._switch_motors)
+        self.input(f"{PREFIX}/commands/reset_odometry", Trigger, self._zero)
         self._find_sensors()
         self.outputs += self._gyroscope.outputs
         self.schedule = mount.schedule("update_rate", 0.0)
@@ -223,4 +221,4 @@ class Kobuki(MobileBase):
         pose = Pose.on_floor(self._x, self._y, self._yaw)
         speed = driven / seconds if seconds > 0.0 else 0.0
         velocity = PlanarCommand(vx=speed, wz=self._turn_rate)
-        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
+        self.send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)

@@ -14,7 +14,7 @@ from typing import Iterable
 from bullet_lab.core.pose import Pose, Quaternion, Vector, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError
+from bullet_lab.simulation.plugins import Device, Mount, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     Diagonal,
@@ -33,31 +33,49 @@ LOAD_SMOOTHING = 0.05
 STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
 
 
-class MobileBase(Plugin):
+class OdometrySender(Device):
+    """Sends odometry, and its transform if `sends_transforms`; `frames` are the two of both."""
+
+    frames: tuple[str, str]
+    odometry: Output
+    transform: Output
+    sends_transforms = True
+
+    def send_odometry(
+        self, step: int, pose: Pose, velocity: PlanarCommand, *variances: Diagonal, flat: bool
+    ) -> None:
+        """Send a pose as odometry, flat with z = 0, and as transform."""
+        if self.odometry.wanted:
+            x, y, z = pose.position
+            seen = Pose((x, y, 0.0 if flat else z), pose.quaternion)
+            self.odometry.send(OdometrySample(step, *self.frames, seen, velocity, *variances))
+        if self.sends_transforms and self.transform.wanted:
+            self.transform.send(TransformSample(step, *self.frames, pose))
+
+
+class MobileBase(Plugin, OdometrySender):
     """A robot that takes velocity commands, and sends odometry and its transform.
 
     Attributes:
         directions: the components of a command that it uses.
         command_topic: the default of their topic.
         base_frame: the default of the robot's frame.
-        frame: name of the odometry's frame.
     """
 
     directions = ("vx", "wz")
     command_topic = "cmd_vel"
     base_frame = "base_footprint"
-    transform: Output
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._body = mount.body
         root = mount.model.root_links()[0].pose
         self._in_root = None if root == Pose() else root.inverse()
-        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
-        self._base_frame = mount.frame(mount.text("robotBaseFrame", self.base_frame))
+        odom = mount.frame(mount.text("odometryFrame", "odom"))
+        self.frames = (odom, mount.frame(mount.text("robotBaseFrame", self.base_frame)))
         self.odometry = self.output(mount.text("odometryTopic", "odom"), OdometrySample)
-        topic = mount.topic(mount.text("commandTopic", self.command_topic))
-        self.inputs = (Input(topic, PlanarCommand, self.command),)
+        topic = mount.text("commandTopic", self.command_topic)
+        self.input(topic, PlanarCommand, self.command)
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.
@@ -77,18 +95,6 @@ class MobileBase(Plugin):
         """Return the pose of the model's frame in the world; its first link's may differ."""
         pose = self._body.pose()
         return pose if self._in_root is None else pose * self._in_root
-
-    def _send_odometry(
-        self, step: int, pose: Pose, velocity: PlanarCommand, *variances: Diagonal, flat: bool
-    ) -> None:
-        """Send a pose as odometry, flat with z = 0, and as transform."""
-        frames = (self.frame, self._base_frame)
-        if self.odometry.wanted:
-            x, y, z = pose.position
-            seen = Pose((x, y, 0.0 if flat else z), pose.quaternion)
-            self.odometry.send(OdometrySample(step, *frames, seen, velocity, *variances))
-        if self.transform.wanted:
-            self.transform.send(TransformSample(step, *frames, pose))
 
 
 def upright(pose: Pose) -> Pose:
@@ -215,7 +221,7 @@ class PlanarMove(MobileBase):
             ahead, left = along(pose.quaternion, x - last_x, y - last_y)
             turned = math.remainder(yaw - last_yaw, math.tau)
             velocity = PlanarCommand(ahead / seconds, left / seconds, turned / seconds)
-        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
+        self.send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
 
     def reset(self, step: int) -> None:
         self._now, self._expires = step, math.inf

@@ -319,7 +319,7 @@ class DiffDrive(WheelDrive):
         else:
             pose = self._pose()
             velocity = self._velocity(pose)
-        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=False)
+        self.send_odometry(step, pose, velocity, POSE_VARIANCES, flat=False)
         if self.wheel_transforms.wanted:
             for joint, wheel in zip(self._joints, self.wheels):
                 frames = (self.mount.frame(joint.parent), self.mount.frame(joint.child))
@@ -397,7 +397,7 @@ class SkidSteer(WheelDrive):
     def _report(self, step: int, seconds: float) -> None:
         pose = self._pose()
         variances = (self._variances, self._variances)
-        self._send_odometry(step, pose, self._velocity(pose), *variances, flat=True)
+        self.send_odometry(step, pose, self._velocity(pose), *variances, flat=True)
 
 
 class TricycleDrive(DiffDrive):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Iterator, Mapping, Sequence
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins import Input, Output
+from bullet_lab.simulation.plugins import Device
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.joints import (
     EFFORT,
@@ -56,7 +56,7 @@ class Setting:
     choices: tuple[str, ...] = ()
 
 
-class Controller(ABC):
+class Controller(Device, ABC):
     """Base of all controllers.
 
     While a controller runs, `update` is called at each control period. It reads its joints and
@@ -66,8 +66,6 @@ class Controller(ABC):
     Attributes:
         kinds: the types of ros_controllers that the class implements, with their interfaces.
         joints: those that it commands.
-        inputs: topics with commands for it.
-        outputs: topics with its samples.
         adjustables: the settings that `adjust` changes, with their first values.
     """
 
@@ -90,8 +88,6 @@ class Controller(ABC):
         self.interface = self.kinds[kind]
         self.state = INITIALIZED
         self.joints: tuple[JointHandle, ...] = ()
-        self.inputs: tuple[Input, ...] = ()
-        self.outputs: tuple[Output, ...] = ()
         self.adjustables: tuple[Setting, ...] = ()
         self.configure(parameters)
 
@@ -100,8 +96,8 @@ class Controller(ABC):
         """Read the parameters; raises ControlError."""
 
     def topic(self, name: str) -> str:
-        """Return a topic's name within the controller's namespace."""
-        return f"{self.namespace}{self.name}/{name}"
+        """Return a topic's full name, which is within the controller's namespace."""
+        return name if name.startswith("/") else f"{self.namespace}{self.name}/{name}"
 
     def find_joints(self, names: Sequence[str], *interfaces: str) -> tuple[JointHandle, ...]:
         """Return joints that take commands of one of the interfaces; raises ControlError.
@@ -141,12 +137,6 @@ class Controller(ABC):
 
     def stopping(self) -> None:
         """Write the last commands before a stop."""
-
-    def placed(self) -> None:
-        """Handle that the robot was placed somewhere else."""
-
-    def reset(self, step: int) -> None:
-        """Start anew after a reset of the robot; simulated time is now `step`."""
 
     def adjust(self, values: Mapping[str, Any], step: int) -> None:
         """Change the adjustable settings, by name, from the simulated time `step` on."""
@@ -208,14 +198,13 @@ class JointTargets(Controller):
                 raise ControlError(f"{given.where}/joint is missing or empty; it must name a joint")
         self.by_position = self.kind.endswith("PositionController")
         self.joints = self.find_joints(names)
-        self.inputs = (Input(self.topic("command"), kind, self.command),)
+        self.input("command", kind, self.command)
         self.targets = (0.0,) * len(names)
         by_pid = () if self.kind in self.passed_on else names
         paths = [f"{name}/pid" if grouped else "pid" for name in by_pid]
         self._pids = [Pid(given.below(path)) for path in paths]
         self._updates = 0
-        self.states = Output(self.topic("state"), LoopSample)
-        self.outputs = (self.states,) if by_pid and not grouped else ()
+        self.states = self.output("state", LoopSample, bool(by_pid) and not grouped)
 
     def starting(self, step: int) -> None:
         """Have the present positions as targets, or no velocity or effort."""
@@ -277,8 +266,7 @@ class JointStateController(Controller):
         self._read = [self.handles[name] for name in names]
         self._extra = tuple(_extra_joints(given, names))
         self._names = (*names, *(name for name, *_ in self._extra))
-        self.states = Output(f"{self.namespace}joint_states", JointSample)
-        self.outputs = (self.states,)
+        self.states = self.output(f"{self.namespace}joint_states", JointSample)
         self._begun = False
 
     def starting(self, step: int) -> None:

@@ -10,7 +10,6 @@ from typing import Any, Mapping
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import (
     Controller,
@@ -19,6 +18,7 @@ from bullet_lab.simulation.plugins.controllers.controller import (
     schedule_of,
 )
 from bullet_lab.simulation.plugins.controllers.joints import VELOCITY, DescribedJoint
+from bullet_lab.simulation.plugins.mobile_base import OdometrySender
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     OdometrySample,
@@ -76,7 +76,7 @@ def _clamp(value: float, ends: tuple[float, float], scale: float = 1.0) -> float
     return min(max(value, ends[0] * scale), ends[1] * scale)
 
 
-class DiffDriveController(Controller):
+class DiffDriveController(Controller, OdometrySender):
     """Drives the wheels of each side as commanded, within limits, and reports odometry.
 
     Its parameters are those of ros_controllers. The robot stops if no command has come for
@@ -101,7 +101,7 @@ class DiffDriveController(Controller):
         self._where, rate = given.where, given.get("publish_rate", 50.0)
         self._schedule = schedule_of(rate, self._where)
         odom = given.get("odom_frame_id", "odom")
-        self._frames = (odom, given.get("base_frame_id", "base_link"))
+        self.frames = (odom, given.get("base_frame_id", "base_link"))
         self._variances = [
             given.numbers(f"{kind}_covariance_diagonal", 6) for kind in ("pose", "twist")
         ]
@@ -110,22 +110,20 @@ class DiffDriveController(Controller):
         self._velocities: deque[tuple[float, ...]] = deque(maxlen=window)
         # With distances of the rims instead of angles: the sides may have different radii.
         self._reckoning = DeadReckoning(self.separation, 1.0)
-        self._sends_transforms = given.get("enable_odom_tf", True)
+        self.sends_transforms = given.get("enable_odom_tf", True)
         if self._multipliers:
             multipliers = self._multipliers.items()
             self.adjustables = (
                 *(Setting(name, value, name, *MULTIPLIERS) for name, value in multipliers),
                 Setting("publish_rate", rate, "Hz of the odometry", *RATES),
-                Setting("enable_odom_tf", self._sends_transforms, "odometry on /tf"),
+                Setting("enable_odom_tf", self.sends_transforms, "odometry on /tf"),
             )
         alone = not given.get("allow_multiple_cmd_vel_publishers", True)
-        self.inputs = (Input(self.topic("cmd_vel"), PlanarCommand, self.command, alone),)
-        self.odometry = Output(self.topic("odom"), OdometrySample)
-        self.transform = Output("/tf", TransformSample)
-        self.commanded = Output(self.topic("cmd_vel_out"), VelocitySample)
-        self.outputs = (self.odometry, self.transform)
-        if given.get("publish_cmd", False):
-            self.outputs += (self.commanded,)
+        self.input("cmd_vel", PlanarCommand, self.command, alone)
+        self.odometry = self.output("odom", OdometrySample)
+        self.transform = self.output("/tf", TransformSample)
+        tells = given.get("publish_cmd", False)
+        self.commanded = self.output("cmd_vel_out", VelocitySample, tells)
         self.reset(0)
         if given.get("publish_wheel_joint_controller_state", False):
             LOG.warning("%s/publish_wheel_joint_controller_state is not simulated", given.where)
@@ -166,7 +164,7 @@ class DiffDriveController(Controller):
         self.placed()
         schedule.restart(step)
         self._schedule = schedule
-        self._sends_transforms = values["enable_odom_tf"]
+        self.sends_transforms = values["enable_odom_tf"]
 
     def starting(self, step: int) -> None:
         self.stopping()
@@ -197,7 +195,8 @@ class DiffDriveController(Controller):
         means = (sum(speeds) / len(speeds) for speeds in zip(*self._velocities))
         self._velocity = self._last if self._open_loop else PlanarCommand(*means)
         if is_due(self._schedule, step):
-            self._report(step)
+            pose = Pose.on_floor(*self._reckoning.pose)
+            self.send_odometry(step, pose, self._velocity, *self._variances, flat=True)
         if self._asked_at is None:
             self._asked_at = step
         late = (step - self._asked_at) / STEPS_PER_SECOND > self._timeout
@@ -217,14 +216,6 @@ class DiffDriveController(Controller):
             left, right = self.distances()
         driven, turned = self._reckoning.advance(left, right)
         return driven, 0.0, turned
-
-    def _report(self, step: int) -> None:
-        pose = Pose.on_floor(*self._reckoning.pose)
-        if self.odometry.wanted:
-            sample = OdometrySample(step, *self._frames, pose, self._velocity, *self._variances)
-            self.odometry.send(sample)
-        if self._sends_transforms and self.transform.wanted:
-            self.transform.send(TransformSample(step, *self._frames, pose))
 
     def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
         """Return a velocity within the limits."""

@@ -11,7 +11,6 @@ import math
 from dataclasses import replace
 from typing import Sequence
 
-from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController, wheel_radius
 from bullet_lab.simulation.plugins.controllers.joints import (
@@ -151,10 +150,9 @@ class SteeredWheelBase(SteeredWheels):
         }
         super().configure(ControlParameters(usual, given.where))
         self._limiters = Limiter(given, "linear"), Limiter(given, "yaw")
-        self.inputs += (Input("/cmd_vel", PlanarCommand, self.command),)
-        shared = Output("/odom", OdometrySample)
+        self.input("/cmd_vel", PlanarCommand, self.command)
+        shared = self.output("/odom", OdometrySample)
         self.odometry.connect(shared.send, lambda: shared.wanted)
-        self.outputs += (shared,)
 
     def find_wheels(self, given: ControlParameters) -> None:
         listed = given.value("wheels")

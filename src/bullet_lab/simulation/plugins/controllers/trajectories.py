@@ -8,7 +8,6 @@ from itertools import chain
 from typing import Iterable, Mapping, NamedTuple, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, actions
 from bullet_lab.simulation.plugins.controllers.controller import is_due
 from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, VELOCITY, Pid
@@ -121,9 +120,8 @@ class JointTrajectory(actions.ActionController):
         self._pids = [Pid(given.below(f"gains/{name}")) for name in by_pid]
         self._forward = [given.get(f"velocity_ff/{name}", 0.0) for name in self._names]
         self._publishing = self.schedule(given, "state_publish_rate", 50.0)
-        self.states = Output(self.topic("state"), TrajectorySample)
-        self.outputs = (self.states,)
-        self.inputs = (Input(self.topic("command"), Trajectory, self.command),)
+        self.states = self.output("state", TrajectorySample)
+        self.input("command", Trajectory, self.command)
         self.queries = {"query_state": self.query}
         # What each joint follows, in the order of time; there is always a segment.
         self._paths: list[list[Segment]] = []
