@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from itertools import chain
-from typing import Iterable, Mapping, NamedTuple, Sequence
+from typing import Iterable, NamedTuple, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, actions
@@ -31,17 +31,6 @@ class TrajectoryError(ControlError):
     def __init__(self, code: int, text: str):
         super().__init__(text)
         self.code = code
-
-
-class Tolerance(NamedTuple):
-    """The greatest errors of a joint's position and velocity on the path and at its end; 0 for any.
-
-    The end may be late by `seconds`.
-    """
-
-    path: tuple[float, ...] = ()
-    goal: tuple[float, ...] = ()
-    seconds: float = 0.0
 
 
 def spline(
@@ -111,11 +100,12 @@ class JointTrajectory(actions.ActionController):
         self._stop_seconds = max(0.0, given.get("stop_trajectory_duration", 0.0))
         limits = given.below("constraints")
         slowest = limits.get("stopped_velocity_tolerance", 0.01)
-        late = limits.get("goal_time", 0.0)
+        self._goal_time = limits.get("goal_time", 0.0)
+        # The greatest errors of position and velocity by joint, on the path and at its end; 0: any.
         self._tolerances = {}
         for name in self._names:
-            path, goal = (limits.get(f"{name}/{where}", 0.0) for where in ("trajectory", "goal"))
-            self._tolerances[name] = Tolerance((path, 0.0), (goal, slowest), late)
+            self._tolerances[name, "path"] = (limits.get(f"{name}/trajectory", 0.0), 0.0)
+            self._tolerances[name, "goal"] = (limits.get(f"{name}/goal", 0.0), slowest)
         by_pid = () if self.interface == POSITION else self._names
         self._pids = [Pid(given.below(f"gains/{name}")) for name in by_pid]
         self._forward = [given.get(f"velocity_ff/{name}", 0.0) for name in self._names]
@@ -125,9 +115,9 @@ class JointTrajectory(actions.ActionController):
         self.queries = {"query_state": self.query}
         # What each joint follows, in the order of time; there is always a segment.
         self._paths: list[list[Segment]] = []
-        # Tolerances of the active goal, and when they begin to hold.
-        self._bounds: Mapping[str, Tolerance] = {}
-        self._since = 0.0
+        # Tolerances of the active goal, when they begin to hold, and how late it may be in s.
+        self._bounds: dict[tuple[str, str], Sequence[float]] = {}
+        self._since = self._patience = 0.0
 
     def starting(self, step: int) -> None:
         self._desired = [(joint.position, joint.velocity, 0.0) for joint in self.joints]
@@ -151,18 +141,15 @@ class JointTrajectory(actions.ActionController):
 
     def begin(self, content: TrajectoryGoal, step: int) -> None:
         self._check(content.trajectory)
-        bounds = {}
-        for name, (path, goal, seconds) in self._tolerances.items():
-            bounds[name] = Tolerance(
-                _chosen(content.path.get(name, ()), path),
-                _chosen(content.goal.get(name, ()), goal),
-                *_chosen((content.seconds,), (seconds,)),
-            )
         if not content.trajectory.points:
             self.hold(step)
             return
         self._follow(content.trajectory, step)
-        self._bounds = bounds
+        self._patience = content.seconds or self._goal_time
+        for (name, where), usual in self._tolerances.items():
+            # 0 stands for the usual bound; a negative one is none.
+            asked = getattr(content, where).get(name, usual)
+            self._bounds[name, where] = tuple(a or kept for a, kept in zip(asked, usual))
 
     def refusal(self, error: ControlError) -> tuple[int, str]:
         return getattr(error, "code", INVALID_GOAL), str(error)
@@ -268,11 +255,10 @@ class JointTrajectory(actions.ActionController):
         """End the goal if a tolerance is violated, or if all joints have arrived."""
         is_done = True
         for name, path, errors in zip(self._names, self._paths, self._errors):
-            tolerance = self._bounds.get(name, Tolerance())
             is_over = len(path) == 1 and now >= path[0].end
             where, code = ("goal", OFF_GOAL) if is_over else ("path", OFF_PATH)
-            problem = _violation(errors, getattr(tolerance, where), where)
-            if problem and not (is_over and now < path[0].end + tolerance.seconds):
+            problem = _violation(errors, self._bounds.get((name, where), ()), where)
+            if problem and not (is_over and now < path[0].end + self._patience):
                 text = f"joint '{name}': {problem}"
                 self.end(actions.ABORTED, (code, text), text)
                 return
@@ -283,11 +269,6 @@ class JointTrajectory(actions.ActionController):
 
 def _point(seconds: float, states: Iterable[Sequence[float]]) -> TrajectoryPoint:
     return TrajectoryPoint(seconds, *zip(*states))
-
-
-def _chosen(asked: Sequence[float], default: Sequence[float]) -> tuple[float, ...]:
-    """Return bounds: those that are asked for, or the default for 0; a negative one is none."""
-    return tuple(given or kept for given, kept in zip(asked or default, default))
 
 
 def _violation(errors: Sequence[float], bounds: Sequence[float], where: str) -> str:
