@@ -130,13 +130,13 @@ class DiffDriveController(Controller, OdometrySender):
 
     def find_wheels(self, given: ControlParameters) -> None:
         """Find the joints and the geometry of the wheels; raises ControlError."""
-        sides = [given.required_names(f"{side}_wheel") for side in ("left", "right")]
-        if len(sides[0]) != len(sides[1]):
-            raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
-        self._left, self._right = map(self.find_joints, sides)
-        self.joints = self._left + self._right
+        left, right = (given.required_names(f"{side}_wheel") for side in ("left", "right"))
+        if len(left) != len(right):
+            raise ControlError(f"{len(left)} wheels on the left, {len(right)} on the right")
+        self._sides = (self.find_joints(left), self.find_joints(right))
+        self.joints = sum(self._sides, ())
         # Values that are no parameters come from the URDF, of the first wheel of each side.
-        left, right = self._left[0].described, self._right[0].described
+        left, right = (side[0].described for side in self._sides)
         apart = given.get("wheel_separation", math.dist(left.origin, right.origin))
         # Before all multipliers.
         self._measured = apart, wheel_radius(given, left)
@@ -227,8 +227,7 @@ class DiffDriveController(Controller, OdometrySender):
 
     def command_joints(self, command: PlanarCommand, _seconds: float) -> None:
         """Pass a velocity on to the joints."""
-        sides = (self._left, self._right)
-        for side, speed, radius in zip(sides, command.rims(self.separation), self.radii):
+        for side, speed, radius in zip(self._sides, command.rims(self.separation), self.radii):
             for joint in side:
                 joint.command = speed / radius
 
@@ -236,7 +235,7 @@ class DiffDriveController(Controller, OdometrySender):
         """Return how far (m) the wheels of each side have rolled, on average."""
         return tuple(
             radius * sum(joint.position for joint in side) / len(side)
-            for radius, side in zip(self.radii, (self._left, self._right))
+            for radius, side in zip(self.radii, self._sides)
         )
 
     def _set_multipliers(self, multipliers: dict[str, float]) -> None:

@@ -92,12 +92,15 @@ class SteeredWheels(DiffDriveController):
     separation = 1.0
 
     def set_wheels(
-        self, given: ControlParameters, names: Sequence[tuple[str, str]], radii: Sequence[float]
+        self,
+        given: ControlParameters,
+        forks: Sequence[str],
+        axles: Sequence[str],
+        radii: Sequence[float],
     ) -> None:
         """Set the wheels by the names of forks and axles, and their radii; raises ControlError."""
         if not all(0.0 < radius < math.inf for radius in radii):
             raise ControlError("the sizes of the wheels have to be positive")
-        forks, axles = zip(*names)
         pairs = (self.find_joints(forks, *INTERFACES), self.find_joints(axles, VELOCITY, EFFORT))
         self.joints = sum(pairs, ())
         gains = given.below("pid_gains")
@@ -159,9 +162,9 @@ class SteeredWheelBase(SteeredWheels):
         if not isinstance(listed, list) or len(listed) < 2:
             raise ControlError(f"{given.where}/wheels has to be a list of two wheels or more")
         wheels = [ControlParameters(one, f"{given.where}/wheels") for one in listed]
-        names = [[one.get(f"{key}_joint", "") for key in ("steering", "axle")] for one in wheels]
+        joints = ([one.get(f"{key}_joint", "") for one in wheels] for key in ("steering", "axle"))
         scale = 0.5 * given.get("wheel_diameter_scale")
-        self.set_wheels(given, names, [scale * one.get("diameter", 0.0) for one in wheels])
+        self.set_wheels(given, *joints, [scale * one.get("diameter", 0.0) for one in wheels])
 
     def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
         linear, angular = self._limiters
@@ -213,7 +216,7 @@ class FourWheelSteering(SteeredWheels):
             raise ControlError("it needs two joints in each of front_wheel … rear_steering")
         (first,) = self.find_joints(axles[:1])
         radius = wheel_radius(given, first.described)
-        self.set_wheels(given, list(zip(forks, axles)), [radius] * 4)
+        self.set_wheels(given, forks, axles, [radius] * 4)
 
     def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
         return replace(super().limited(asked, seconds), vy=asked.vy)

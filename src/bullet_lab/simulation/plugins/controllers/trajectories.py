@@ -113,11 +113,6 @@ class JointTrajectory(actions.ActionController):
         self.states = self.output("state", TrajectorySample)
         self.input("command", Trajectory, self.command)
         self.queries = {"query_state": self.query}
-        # What each joint follows, in the order of time; there is always a segment.
-        self._paths: list[list[Segment]] = []
-        # Tolerances of the active goal, when they begin to hold, and how late it may be in s.
-        self._bounds: dict[tuple[str, str], Sequence[float]] = {}
-        self._since = self._patience = 0.0
 
     def starting(self, step: int) -> None:
         self._desired = [(joint.position, joint.velocity, 0.0) for joint in self.joints]
@@ -157,7 +152,11 @@ class JointTrajectory(actions.ActionController):
     def hold(self, step: int) -> None:
         """Stop within stop_trajectory_duration, or where the joints are."""
         now, span = step / STEPS_PER_SECOND, self._stop_seconds
-        self._paths, self._bounds, self._since = [], {}, now
+        # What each joint follows, in the order of time; there is always a segment.
+        self._paths: list[list[Segment]] = []
+        # Tolerances of the active goal, and when they begin to hold.
+        self._bounds: dict[tuple[str, str], Sequence[float]] = {}
+        self._since = now
         for joint, (position, velocity, _) in zip(self.joints, self._desired):
             parts: tuple[float, ...] = (joint.position,)
             if span:
