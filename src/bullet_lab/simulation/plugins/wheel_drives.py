@@ -118,18 +118,20 @@ class WheelDrive(MobileBase):
 
     Attributes:
         size_tags: of the separation and the diameter of the wheels.
+        default_separation: in m.
         separation: of the left and right wheels in m, by the tags.
         radii: of the left and right wheels in m, by the tags.
         wheels: the left ones before as many right ones.
     """
 
     size_tags = ("wheelSeparation", "wheelDiameter")
+    default_separation = 0.34
     wheels: tuple[Wheel, ...]
 
-    def __init__(self, mount: Mount, separation: float):
+    def __init__(self, mount: Mount):
         mount.require_moving()
         super().__init__(mount)
-        self.separation = mount.positive(self.size_tags[0], separation)
+        self.separation = mount.positive(self.size_tags[0], self.default_separation)
         self.radii = 2 * (0.5 * mount.positive(self.size_tags[1], 0.15),)
         self.schedule = mount.schedule("updateRate", 100.0)
 
@@ -243,12 +245,11 @@ class DiffDrive(WheelDrive):
 
     filenames = ("libgazebo_ros_diff_drive.so", "libcreate_diff_drive.so")
     named_by_model = (True, True)
-    # Tags of the joints, with their defaults, and the default separation in m.
+    # Tags of the joints, with their defaults.
     joint_tags = (("leftJoint", "left_joint"), ("rightJoint", "right_joint"))
-    default_separation = 0.34
 
     def __init__(self, mount: Mount):
-        super().__init__(mount, self.default_separation)
+        super().__init__(mount)
         if mount.boolean("legacyMode", False):
             reason = "as in ROS Noetic: <leftJoint> is the wheel on the left"
             LOG.warning("%s is ignored, %s", mount.where("legacyMode"), reason)
@@ -348,8 +349,10 @@ class SkidSteer(WheelDrive):
 
     filenames = ("libgazebo_ros_skid_steer_drive.so",)
 
+    default_separation = 0.4
+
     def __init__(self, mount: Mount):
-        super().__init__(mount, 0.4)
+        super().__init__(mount)
         torque = mount.coefficient("torque", 5.0)
         joints = [
             wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint")
