@@ -32,8 +32,11 @@ LENSES = {
     "equisolid_angle": (2.0, 2.0, "sin"),
     "orthographic": (1.0, 1.0, "sin"),
 }
-# Pitch and yaw of the faces of a cube, in quarters of a turn.
-FACES = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (-1, 0))
+# The faces of a cube, by pitch and yaw in quarters of a turn.
+FACES = [
+    Pose.from_rpy((0.0, 0.0, 0.0), (0.0, pitch * 0.5 * math.pi, yaw * 0.5 * math.pi))
+    for pitch, yaw in ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (-1, 0))
+]
 # Pixels of a face beyond its edge, for the interpolation.
 MARGIN = 3
 # How many numbers the table of noise has beyond those of one picture: the number of its offsets.
@@ -136,17 +139,16 @@ class WideLens(Lens):
         side = 2 * (focal + MARGIN)
         centre = 0.5 * (side - 1)
         self.ideal = PinholeCamera(side, side, focal, focal, centre, centre)
-        turns = [Pose.from_rpy((0.0,) * 3, (0.0, *np.multiply(0.5 * math.pi, f))) for f in FACES]
-        axes = [turn.rotation_matrix() for turn in turns]
+        axes = [face.rotation_matrix() for face in FACES]
         nearest = np.argmax([rays @ own[:, 0] for own in axes], axis=0)
         self._faces = []
-        for number, turn in enumerate(turns):
+        for number, face in enumerate(FACES):
             own = shown & (nearest == number)
             if own.any():
                 ahead, *sideways = (rays[own] @ axes[number]).T
                 places = np.full((2, height, width), NOWHERE, np.float32)
                 places[:, own] = centre - focal * np.array(sideways) / ahead
-                self._faces.append((turn, places))
+                self._faces.append((face, places))
 
 
 def _function(tag: SensorTag, half: float, fov: float) -> tuple[Callable, Callable]:
