@@ -201,6 +201,7 @@ class SensorTag(ElementReader):
 
     def count(self, path: str, default: int, most: int) -> int:
         """Return the whole number from 1 to `most` in a tag; raises LabError."""
+
         def is_wrong(values: tuple[float, ...]) -> bool:
             return not (values[0].is_integer() and 1 <= values[0] <= most)
 
@@ -401,6 +402,7 @@ def warn_of_rivals(plugin: Plugin, others: Iterable[Plugin]) -> None:
         if joints and other is not plugin:
             both = f"{other.mount.name()} and plugin '{plugin.mount.plugin.name}'"
             LOG.warning("%s both drive %s: each undoes what the other does", both, joints)
+
 
 def missing_physics(files: Iterable[str]) -> list[str]:
     """Return the physics that the plugins of some files need and that is not simulated.

@@ -33,9 +33,7 @@ class TrajectoryError(ControlError):
         self.code = code
 
 
-def spline(
-    one: Sequence[float | None], two: Sequence[float | None], t: float
-) -> tuple[float, ...]:
+def spline(one: Sequence[float | None], two: Sequence[float | None], t: float) -> tuple[float, ...]:
     """Return the coefficients of a polynomial from a state to one that is `t` seconds later.
 
     A state is a position, a velocity and an acceleration; the last two may be None. The polynomial
