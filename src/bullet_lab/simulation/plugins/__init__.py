@@ -142,11 +142,7 @@ class Mount(TagReader):
         return full
 
     def noise(self, part: str = "") -> StepNoise:
-        """Return the noise of this plugin, or of a part of it.
-
-        It depends on the simulation's seed and the names of model and plugin, so that other
-        robots in the world do not change it.
-        """
+        """Return the noise of this plugin, or of a part of it; other robots do not change it."""
         return StepNoise(self.simulation.seed, f"{self.model.name}/{self.plugin.name}{part}")
 
     def frame(self, name: str) -> str:
@@ -192,11 +188,7 @@ class Mount(TagReader):
 
 
 class SensorTag(ElementReader):
-    """The `<sensor>` element around a plugin, which URDF and SDF share.
-
-    Raises:
-        PluginError: the plugin is not in a sensor of one of the `kinds`.
-    """
+    """The `<sensor>` element around a plugin; raises PluginError for one of another kind."""
 
     def __init__(self, mount: Mount, kinds: tuple[str, ...]):
         sensor, where = mount.plugin.sensor, mount.name()
@@ -209,6 +201,7 @@ class SensorTag(ElementReader):
 
     def count(self, path: str, default: int, most: int) -> int:
         """Return the whole number from 1 to `most` in a tag; raises LabError."""
+
         def is_wrong(values: tuple[float, ...]) -> bool:
             return not (values[0].is_integer() and 1 <= values[0] <= most)
 
@@ -272,11 +265,49 @@ class Output:
             listener(sample)
 
 
+class Device:
+    """What takes commands and sends samples: a plugin, or a controller of one.
+
+    Attributes:
+        inputs: topics with commands for it.
+        outputs: topics with its samples.
+    """
+
+    inputs: tuple[Input, ...] = ()
+    outputs: tuple[Output, ...] = ()
+
+    def topic(self, name: str) -> str:
+        """Return the full name of a topic of the device."""
+        raise NotImplementedError
+
+    def input(
+        self, topic: str, kind: type, handle: Callable[[Any], None], alone: bool = False
+    ) -> None:
+        """Take the commands of a topic; see `Input`."""
+        self.inputs += (Input(self.topic(topic), kind, handle, alone),)
+
+    def output(self, topic: str, kind: type, offered: bool = True) -> Output:
+        """Return a new output on a topic.
+
+        It is added to `outputs` if it is offered; otherwise, it never has a listener.
+        """
+        made = Output(self.topic(topic), kind)
+        if offered:
+            self.outputs += (made,)
+        return made
+
+    def placed(self) -> None:
+        """Handle that the model was placed somewhere else."""
+
+    def reset(self, step: int) -> None:
+        """Start anew after a reset of the model; simulated time is now `step`."""
+
+
 # The classes of plugins by the names of files.
 _KINDS: dict[str, type[Plugin]] = {}
 
 
-class Plugin:
+class Plugin(Device):
     """Base of all plugins.
 
     Attributes:
@@ -284,8 +315,6 @@ class Plugin:
         named_by_model: whether the namespace is the model's name if the plugin has no
             robotNamespace, and if it has an empty one: Gazebo's plugins differ.
         acts: whether `before_step` does anything; the loop skips it otherwise.
-        inputs: topics with commands for it.
-        outputs: topics with its samples.
         schedule: when `produce` is due; None for a plugin without samples.
         refused: names and types of controllers that could not be loaded.
     """
@@ -300,8 +329,6 @@ class Plugin:
 
     def __init__(self, mount: Mount):
         self.mount = mount
-        self.inputs: tuple[Input, ...] = ()
-        self.outputs: tuple[Output, ...] = ()
         self.schedule: Schedule | None = None
         self.refused: dict[str, str] = {}
 
@@ -315,15 +342,8 @@ class Plugin:
         """Return the tags that stand for one: several if its sensor has several cameras."""
         return (tag,)
 
-    def output(self, topic: str, kind: type, offered: bool = True) -> Output:
-        """Return a new output on a topic in the plugin's namespace.
-
-        It is added to `outputs` if it is offered; otherwise, it never has a listener.
-        """
-        made = Output(self.mount.topic(topic), kind)
-        if offered:
-            self.outputs += (made,)
-        return made
+    def topic(self, name: str) -> str:
+        return self.mount.topic(name)
 
     def before_step(self, step: int) -> None:
         """Act on the model before the physics advances from `step` to `step + 1`."""
@@ -333,12 +353,6 @@ class Plugin:
 
     def produce(self, step: int) -> None:
         """Measure and send, at the simulated time `step`."""
-
-    def placed(self) -> None:
-        """Handle that the model was placed somewhere else."""
-
-    def reset(self, step: int) -> None:
-        """Start anew after a reset of the model; simulated time is now `step`."""
 
 
 class Sensor(Plugin, ABC):
@@ -388,6 +402,7 @@ def warn_of_rivals(plugin: Plugin, others: Iterable[Plugin]) -> None:
         if joints and other is not plugin:
             both = f"{other.mount.name()} and plugin '{plugin.mount.plugin.name}'"
             LOG.warning("%s both drive %s: each undoes what the other does", both, joints)
+
 
 def missing_physics(files: Iterable[str]) -> list[str]:
     """Return the physics that the plugins of some files need and that is not simulated.

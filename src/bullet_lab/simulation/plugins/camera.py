@@ -20,7 +20,7 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError, SensorTag
+from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
 from bullet_lab.simulation.plugins.lenses import WHITE, Lens, SensorNoise, WideLens, blurred
 from bullet_lab.simulation.plugins.samples import (
     CameraInfoSample,
@@ -84,12 +84,8 @@ MOST_REQUESTS = 100
 class CameraSettings:
     """Settings of a camera that may change between pictures.
 
-    Attributes:
-        samples: samples of each pixel, 1, 2 or 4.
-        exposure: factor of the brightness.
-        blur: standard deviation of the blur in pixels.
-        noise_mean: mean of the noise of each pixel and colour, as a share of white.
-        noise_stddev: its standard deviation, likewise.
+    A pixel has 1, 2 or 4 samples. `exposure` is a factor of the brightness, `blur` a standard
+    deviation in pixels. Noise of each pixel and colour is a share of white.
     """
 
     samples: int = 1
@@ -134,7 +130,7 @@ class Camera(Plugin):
         tag = SensorTag(mount, self.sensors)
         offset = tag.numbers("camera/pose", 6, "0 0 0 0 0 0")
         self._place = tag.place(Pose.from_rpy(offset[:3], offset[3:]))
-        self.lens: Lens | WideLens = _lens(mount, tag)
+        self.lens = _lens(mount, tag)
         if self.lens.black:
             where, share = tag.where("camera/distortion"), 100.0 * self.lens.black
             LOG.warning("%s: %.0f %% of the picture is black: outside of the lens", where, share)
@@ -146,7 +142,7 @@ class Camera(Plugin):
         self._baseline = mount.number("hackBaseline")
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
-        self._table: tuple[tuple, SensorNoise] | None = None
+        self._table: SensorNoise | None = None
         self.name = mount.text("cameraName")
         self.calibration: Mapping[str, Any] = {}
         self.image = self._output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
@@ -173,11 +169,11 @@ class Camera(Plugin):
         return self._place.pose()
 
     def _output(self, tag: str, default: str, kind: type) -> Output:
-        """Return an output on the topic in a tag, in the camera's namespace."""
-        return self.output(self.topic(self.mount.text(tag, default)), kind)
+        """Return an output on the topic in a tag."""
+        return self.output(self.mount.text(tag, default), kind)
 
     def topic(self, name: str) -> str:
-        """Return the full name of a topic in the camera's namespace."""
+        """Return the full name of a topic, which is in the camera's namespace."""
         below = self.name and not name.startswith("/")
         return self.mount.topic(f"{self.name}/{name}" if below else name)
 
@@ -200,7 +196,7 @@ class Camera(Plugin):
         Noise depends on the step. Raises LabError if something cannot be drawn.
         """
         picture = self._with_noise(step, self._coloured(self.lens.picture(self._picture)))
-        return np.multiply(picture, TO_16, dtype=np.uint16) if "16" in self.encoding else picture
+        return picture * np.uint16(TO_16) if "16" in self.encoding else picture
 
     def _coloured(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture in the colours of the encoding, with 8 bits each."""
@@ -221,10 +217,9 @@ class Camera(Plugin):
         key = (self.settings.noise_mean, self.settings.noise_stddev)
         if not any(key):
             return picture
-        if self._table is None or self._table[0] != key:
-            table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
-            self._table = (key, table)
-        return self._table[1].add_to(picture, self._noise.at(step))
+        if self._table is None or self._table.key != key:
+            self._table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
+        return self._table.add_to(picture, self._noise.at(step))
 
     def _picture(self, turn: Pose) -> np.ndarray:
         """Return a picture before the lens; if that blurs, with values brighter than white.
@@ -257,7 +252,7 @@ def _span(line: np.ndarray) -> slice:
     return slice(places[0], places[-1] + 1)
 
 
-def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
+def _lens(mount: Mount, tag: SensorTag) -> Lens:
     width = tag.count("camera/image/width", 320, LARGEST_SIDE)
     height = tag.count("camera/image/height", 240, LARGEST_SIDE)
     fov = tag.number("camera/horizontal_fov", 1.047)
@@ -268,23 +263,16 @@ def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
     for name in GEOMETRY_TAGS:
         if mount.number(name) != 0.0:
             LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
-    distortion = _distortion(mount, tag)
-    if is_wide:
-        return WideLens(tag, width, height, fov)
-    return Lens(replace(centred_camera(width, height, fov), distortion=distortion))
-
-
-def _distortion(mount: Mount, tag: SensorTag) -> tuple[float, ...]:
-    """Return k1, k2, p1, p2, k3, of the plugin's tags or the sensor's.
-
-    Gazebo draws with the sensor's and publishes the plugin's.
-    """
-    plugin = tuple(mount.number(f"distortion{key}") for key in DISTORTION_TAGS)
-    sensor = tuple(tag.number(f"camera/distortion/{key}") for key in DISTORTION_TAGS.values())
-    if any(plugin) and any(sensor) and plugin != sensor:
+    # Gazebo draws with the sensor's distortion and publishes the plugin's.
+    own = tuple(mount.number(f"distortion{key}") for key in DISTORTION_TAGS)
+    other = tuple(tag.number(f"camera/distortion/{key}") for key in DISTORTION_TAGS.values())
+    if any(own) and any(other) and own != other:
         where = mount.where("distortionK1")
         raise PluginError(f"{where}: the coefficients differ from those of the sensor")
-    return plugin if any(plugin) else sensor
+    if is_wide:
+        return WideLens(tag, width, height, fov)
+    camera = centred_camera(width, height, fov)
+    return Lens(replace(camera, distortion=own if any(own) else other))
 
 
 def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
@@ -321,7 +309,14 @@ class DepthCamera(Camera):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._is_kinect = mount.plugin.filename.startswith(KINECT)
-        self._closest, self._farthest = self._measured_range()
+        # The least and the greatest depth that is measured, in m.
+        self._closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
+        default = KINECTS_CUTOFF if self._is_kinect else self.far
+        self._farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
+        if self._closest >= self._farthest:
+            limits = f"{self._closest:g} m, is not below the greatest, {self._farthest:g} m"
+            where = mount.where("pointCloudCutoff")
+            raise PluginError(f"{where}: the least depth, {limits}")
         self._in_millimetres = mount.boolean("useDepth16UC1Format", False)
         for tag in NOT_SIMULATED:
             mount.text(tag)
@@ -365,21 +360,9 @@ class DepthCamera(Camera):
         if not self._in_millimetres:
             return ImageSample(step, self.frame, "32FC1", depths)
         # In this format, 0 means no depth. Millimetres are rounded down, as in Gazebo.
-        whole = np.nan_to_num(np.floor(1e3 * depths.astype(float)), nan=0.0)
-        pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
+        whole = np.floor(1e3 * depths.astype(float))
+        pixels = np.where(whole <= MOST_MILLIMETRES, whole, 0).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
-
-    def _measured_range(self) -> tuple[float, float]:
-        """Return the least and the greatest depth that is measured, in m."""
-        mount = self.mount
-        closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
-        default = KINECTS_CUTOFF if self._is_kinect else self.far
-        farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
-        if not closest < farthest:
-            where = mount.where("pointCloudCutoff")
-            problem = f"the least depth, {closest:g} m, is not below the greatest, {farthest:g} m"
-            raise PluginError(f"{where}: {problem}")
-        return closest, farthest
 
 
 class MultiCamera(Camera):
@@ -428,10 +411,10 @@ class TriggeredCamera(Camera):
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self.schedule = OnDemand(0.0)
-        topic = self.topic(mount.text("triggerTopicName", "image_trigger"))
+        topic = mount.text("triggerTopicName", "image_trigger")
         # Filled by other threads.
         self._requests: deque[Trigger] = deque(maxlen=MOST_REQUESTS)
-        self.inputs = (Input(topic, Trigger, self._requests.append),)
+        self.input(topic, Trigger, self._requests.append)
 
     def reset(self, step: int) -> None:
         self._requests.clear()

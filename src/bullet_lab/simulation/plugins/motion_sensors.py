@@ -200,7 +200,16 @@ class TruePose(Sensor):
         self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
 
     def measure(self, step: int) -> MotionSample:
-        pose, linear, angular = self._motion()
+        pose, (linear, angular) = self._place.pose(), self._place.velocity(before_friction=True)
+        if self._reference is not None:
+            frame = self._reference.pose()
+            base, spin = self._reference.velocity(before_friction=True)
+            # The velocity of the frame at the place of the link: base + spin x arm.
+            carried = add(base, cross(spin, subtract(pose.position, frame.position)))
+            into = frame.inverse()
+            linear = into.rotate(subtract(linear, carried))
+            angular = into.rotate(subtract(angular, spin))
+            pose = into * pose
         shifted = add(pose.position, self._offset.position)
         moved = Pose(shifted, (self._offset * pose).quaternion)
         if self._deviation:
@@ -208,18 +217,6 @@ class TruePose(Sensor):
             linear, angular = add(linear, errors[:3]), add(angular, errors[3:])
         variance = self._deviation * self._deviation
         return MotionSample(step, *self._frames, moved, linear, angular, variance)
-
-    def _motion(self) -> tuple[Pose, Vector, Vector]:
-        """Return pose, linear and angular velocity in the frame of reference."""
-        pose, (linear, angular) = self._place.pose(), self._place.velocity(before_friction=True)
-        if self._reference is None:
-            return pose, linear, angular
-        frame, (base, spin) = self._reference.pose(), self._reference.velocity(before_friction=True)
-        # The velocity of the frame of reference at the place of the link: base + spin x arm.
-        carried = add(base, cross(spin, subtract(pose.position, frame.position)))
-        into = frame.inverse()
-        linear, angular = subtract(linear, carried), subtract(angular, spin)
-        return into * pose, into.rotate(linear), into.rotate(angular)
 
 
 class JointStatePublisher(Sensor):
@@ -233,10 +230,10 @@ class JointStatePublisher(Sensor):
         self._body = mount.body
         known = self._body.joint_names
         listed = [name.strip() for name in mount.text("jointName").split(",")]
-        self._names = tuple(name for name in listed if name) or known
-        missing = [name for name in self._names if name not in known]
-        if missing:
-            raise PluginError(f"{mount.where('jointName')}: no movable joint '{missing[0]}'")
+        self._names = tuple(filter(None, listed)) or known
+        for name in self._names:
+            if name not in known:
+                raise PluginError(f"{mount.where('jointName')}: no movable joint '{name}'")
         self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:

@@ -81,14 +81,8 @@ class RosControl(Plugin):
     def configure(self, urdf: str, parameters: Any) -> RosControl:
         """Read the robot's joints; return the plugin, as the manager of its controllers.
 
-        Args:
-            urdf: the robot's description.
-            parameters: the tree of parameters in the robot's namespace, with joint_limits/<joint>
-                and gazebo_ros_control/pid_gains/<joint>.
-
-        Raises:
-            XmlError: the description is invalid.
-            ControlError: a parameter of the hardware is missing.
+        `parameters` is the tree of parameters in the robot's namespace. Raises XmlError for an
+        invalid description, and ControlError if a parameter of the hardware is missing.
         """
         where = f"model '{self.mount.model.name}': {self.description}"
         given = ControlParameters(parameters, self.namespace.rstrip("/"))
@@ -112,9 +106,7 @@ class RosControl(Plugin):
     def load(self, name: str, parameters: ControlParameters) -> Controller:
         """Make a controller by its parameters, and return it; it does not run yet.
 
-        Raises:
-            ControlError: the name is loaded already, the type is not simulated, or a parameter
-                is invalid.
+        Raises ControlError for a name that is loaded, an unknown type or an invalid parameter.
         """
         if name in self.controllers:
             raise ControlError(f"controller '{name}' is loaded already")
@@ -143,11 +135,8 @@ class RosControl(Plugin):
     def switch(self, start: Sequence[str], stop: Sequence[str], strict: bool = True) -> None:
         """Stop some controllers and start others, between two steps.
 
-        If not `strict`, controllers that cannot be started or stopped are ignored, except that
-        no two running controllers may command the same joint.
-
-        Raises:
-            ControlError: a controller cannot be started or stopped; nothing is changed.
+        If one cannot be started or stopped, raises ControlError and changes nothing; if not
+        `strict`, it is ignored, but no two running controllers may command the same joint.
         """
         for name in set(start) & set(stop) & set(self.controllers):
             raise ControlError(f"controller '{name}' cannot be started and stopped at once")
@@ -219,10 +208,8 @@ def _refuse_conflicts(controllers: Iterable[Controller]) -> None:
 class MimicJoint(Plugin):
     """Keeps a joint at multiplier · position + offset of another one.
 
-    A motor moves it, or with hasPID an effort by the gains that `configure` gets.
-
-    Attributes:
-        gains: name of the parameters with the gains; empty without hasPID.
+    A motor moves it, or with hasPID an effort by the gains that `configure` gets. `gains` is the
+    name of the parameters with them; empty without hasPID.
     """
 
     filenames = (

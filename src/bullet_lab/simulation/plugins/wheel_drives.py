@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Tuple
+from typing import Sequence, Tuple
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.drive import clip
 from bullet_lab.simulation.physics.bodies import Body, JointState
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.physics.surfaces import GRAVITY
@@ -20,6 +21,7 @@ from bullet_lab.simulation.plugins.mobile_base import (
     UNKNOWN,
     MobileBase,
     along,
+    mass_of,
     upright,
 )
 from bullet_lab.simulation.plugins.samples import (
@@ -28,7 +30,7 @@ from bullet_lab.simulation.plugins.samples import (
     PlanarCommand,
     TransformSample,
 )
-from bullet_lab.simulation.world.description import Joint
+from bullet_lab.simulation.world.description import Joint, Link
 
 LOG = logging.getLogger(__name__)
 
@@ -71,6 +73,11 @@ class Wheel:
         """Return angle, speed and torque."""
         return self._body.joint_state(self.joint)
 
+    @property
+    def angle(self) -> float:
+        """The angle in rad."""
+        return self.state().position
+
     def stop(self) -> None:
         """Drive at speed 0, at once."""
         self._speed = 0.0
@@ -84,7 +91,7 @@ class Wheel:
         elif not self._held:
             self._held = True
             self._body.set_sticking(self.joint, True)
-            self._body.hold_joint(self.joint, self.state().position, self._torque)
+            self._body.hold_joint(self.joint, self.angle, self._torque)
 
     def keep(self, speed: float) -> None:
         """Drive at a speed in rad/s that nobody else changes; for each step."""
@@ -111,18 +118,20 @@ class WheelDrive(MobileBase):
 
     Attributes:
         size_tags: of the separation and the diameter of the wheels.
+        default_separation: in m.
         separation: of the left and right wheels in m, by the tags.
         radii: of the left and right wheels in m, by the tags.
         wheels: the left ones before as many right ones.
     """
 
     size_tags = ("wheelSeparation", "wheelDiameter")
+    default_separation = 0.34
     wheels: tuple[Wheel, ...]
 
-    def __init__(self, mount: Mount, separation: float):
+    def __init__(self, mount: Mount):
         mount.require_moving()
         super().__init__(mount)
-        self.separation = mount.positive(self.size_tags[0], separation)
+        self.separation = mount.positive(self.size_tags[0], self.default_separation)
         self.radii = 2 * (0.5 * mount.positive(self.size_tags[1], 0.15),)
         self.schedule = mount.schedule("updateRate", 100.0)
 
@@ -134,6 +143,10 @@ class WheelDrive(MobileBase):
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
         self._report(step, seconds)
+        self._drive(seconds)
+
+    def _drive(self, seconds: float) -> None:
+        """Set the motors, `seconds` after the last time."""
         speeds = self._rim_speeds(self._command.rims(self.separation), seconds)
         for number, wheel in enumerate(self.wheels):
             side = 2 * number // len(self.wheels)
@@ -173,10 +186,8 @@ class DeadReckoning:
     >>> driven, turned, reckoning.pose
     (0.5, 0.0, (0.5, 0.0, 0.0))
 
-    Args:
-        separation: of the wheels' contacts with the floor, in m.
-        radius: of both wheels in m, or of the left one.
-        right_radius: of the right wheel in m, if it differs.
+    Lengths are in m: the `separation` of the wheels' contacts with the floor, and the `radius` of
+    both wheels, or of the left one if there is a `right_radius`.
     """
 
     def __init__(self, separation: float, radius: float, right_radius: float | None = None):
@@ -234,12 +245,11 @@ class DiffDrive(WheelDrive):
 
     filenames = ("libgazebo_ros_diff_drive.so", "libcreate_diff_drive.so")
     named_by_model = (True, True)
-    # Tags of the joints, with their defaults, and the default separation in m.
+    # Tags of the joints, with their defaults.
     joint_tags = (("leftJoint", "left_joint"), ("rightJoint", "right_joint"))
-    default_separation = 0.34
 
     def __init__(self, mount: Mount):
-        super().__init__(mount, self.default_separation)
+        super().__init__(mount)
         if mount.boolean("legacyMode", False):
             reason = "as in ROS Noetic: <leftJoint> is the wheel on the left"
             LOG.warning("%s is ignored, %s", mount.where("legacyMode"), reason)
@@ -294,38 +304,32 @@ class DiffDrive(WheelDrive):
             return wanted
         most = self._acceleration * seconds
         self._set_speeds = tuple(
-            speed + max(-most, min(most, lack)) for speed, lack in zip(self._set_speeds, lacks)
+            speed + clip(lack, most) for speed, lack in zip(self._set_speeds, lacks)
         )
         return self._set_speeds
 
     def _angles(self) -> tuple[float, float]:
-        left, right = self.wheels[:2]
-        return left.state().position, right.state().position
+        return tuple(wheel.angle for wheel in self.wheels[:2])
 
     def _report(self, step: int, seconds: float) -> None:
         if self._from_wheels:
-            pose, velocity = self._reckoned(seconds)
+            driven, turned = self._reckoning.advance(*self._angles())
+            pose, velocity = Pose.on_floor(*self._reckoning.pose), STANDSTILL
+            if seconds > 0.0:
+                velocity = PlanarCommand(vx=driven / seconds, wz=turned / seconds)
         else:
             pose = self._pose()
             velocity = self._velocity(pose)
-        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=False)
+        self.send_odometry(step, pose, velocity, POSE_VARIANCES, flat=False)
         if self.wheel_transforms.wanted:
             for joint, wheel in zip(self._joints, self.wheels):
                 frames = (self.mount.frame(joint.parent), self.mount.frame(joint.child))
-                place = _hub_pose(joint, wheel.state().position)
+                place = _hub_pose(joint, wheel.angle)
                 self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
             # The right wheel before the left one, as Gazebo sends them.
-            states = ((wheel.joint, wheel.state().position) for wheel in self.wheels[::-1])
+            states = ((wheel.joint, wheel.angle) for wheel in self.wheels[::-1])
             self.wheel_states.send(JointSample(step, *zip(*states)))
-
-    def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
-        """Return the pose by the wheels' angles, and the mean velocity since the last update."""
-        driven, turned = self._reckoning.advance(*self._angles())
-        pose = Pose.on_floor(*self._reckoning.pose)
-        if seconds <= 0.0:
-            return pose, STANDSTILL
-        return pose, PlanarCommand(vx=driven / seconds, wz=turned / seconds)
 
 
 def _hub_pose(joint: Joint, angle: float) -> Pose:
@@ -345,37 +349,38 @@ class SkidSteer(WheelDrive):
 
     filenames = ("libgazebo_ros_skid_steer_drive.so",)
 
+    default_separation = 0.4
+
     def __init__(self, mount: Mount):
-        super().__init__(mount, 0.4)
+        super().__init__(mount)
         torque = mount.coefficient("torque", 5.0)
-        names = [
-            wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint").name
+        joints = [
+            wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint")
             for side in ("left", "right")
             for end in ("Front", "Rear")
         ]
-        if len(set(names)) < len(names):
+        if len({joint.name for joint in joints}) < len(joints):
             where = mount.where("rightRearJoint")
             raise PluginError(f"{where}: the four joints must be different, but one is named twice")
-        self.wheels = tuple(Wheel(self._body, name, torque) for name in names)
+        self.wheels = tuple(Wheel(self._body, joint.name, torque) for joint in joints)
         self._creep, self._most_friction = 0.0, 0.0
         if not mount.simulation.world.coulomb:
-            self._find_creep()
+            links = mount.model.links_by_name()
+            self._find_creep([links[joint.child] for joint in joints])
         x, y = (mount.coefficient(f"covariance_{axis}", 1e-4) for axis in "xy")
         yaw = mount.coefficient("covariance_yaw", 1e-2)
         self._variances = (x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw)
         self.transform = self.output("/tf", TransformSample, mount.boolean("broadcastTF", False))
 
-    def _find_creep(self) -> None:
+    def _find_creep(self, wheels: Sequence[Link]) -> None:
         """Set the creep (m/s) and the largest friction of a side (N), unless a wheel is soft."""
-        links = {link.joint.name: link.link for link in self._body.bullet_links if link.joint}
-        wheels = [links[wheel.joint] for wheel in self.wheels]
         shapes = [shape for wheel in wheels for shape in wheel.collisions]
         soft = any(s.stiffness is not None or s.damping is not None for s in shapes)
         if soft or not shapes:
             return
-        mass = sum(link.inertia.mass for link in self._body.links if link.inertia is not None)
-        of_wheels = sum(wheel.inertia.mass for wheel in wheels if wheel.inertia is not None)
-        self._creep = (CREEP + CREEP_BY_MASS * (mass / of_wheels - 1.0)) * GRAVITY * STEP_SECONDS
+        mass = mass_of(self._body.links)
+        by_mass = CREEP_BY_MASS * (mass / mass_of(wheels) - 1.0)
+        self._creep = (CREEP + by_mass) * GRAVITY * STEP_SECONDS
         self._most_friction = 0.5 * mass * GRAVITY * min(shape.friction for shape in shapes)
 
     def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
@@ -395,7 +400,7 @@ class SkidSteer(WheelDrive):
     def _report(self, step: int, seconds: float) -> None:
         pose = self._pose()
         variances = (self._variances, self._variances)
-        self._send_odometry(step, pose, self._velocity(pose), *variances, flat=True)
+        self.send_odometry(step, pose, self._velocity(pose), *variances, flat=True)
 
 
 class TricycleDrive(DiffDrive):
@@ -432,21 +437,18 @@ class TricycleDrive(DiffDrive):
             Wheel(self._body, joint.name, torque) for joint, torque in zip(self._joints, torques)
         )
 
-    def produce(self, step: int) -> None:
-        seconds = (step - self._last_step) / STEPS_PER_SECOND
-        self._last_step = step
-        self._report(step, seconds)
+    def _drive(self, seconds: float) -> None:
         driven, fork = self.wheels[2:]
         wanted, speed = self._command.vx / self._radius, driven.state().velocity
         if self._acceleration > 0.0:
             slows = abs(wanted) < abs(speed)
             most = seconds * (self._deceleration if slows else self._acceleration)
-            wanted = speed + max(-most, min(most, wanted - speed))
+            wanted = speed + clip(wanted - speed, most)
         driven.follow(wanted)
-        angle = max(-0.5 * math.pi, min(0.5 * math.pi, self._command.wz))
+        angle = clip(self._command.wz, 0.5 * math.pi)
         if self._steering_speed == 0.0:
             self._body.hold_joint(fork.joint, angle, STRONGEST, 1.0)
             return
-        lack = angle - fork.state().position
+        lack = angle - fork.angle
         turns = abs(lack) > self._tolerance
         fork.follow(math.copysign(self._steering_speed, lack) if turns else 0.0)

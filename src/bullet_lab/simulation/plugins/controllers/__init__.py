@@ -30,16 +30,13 @@ class ControlParameters:
     """
 
     def __init__(self, tree: Any, where: str):
-        self._tree = tree if isinstance(tree, Mapping) else {}
-        self.where = where
+        self._tree, self.where = tree, where
 
     def value(self, path: str) -> Any:
         """Return the value at a path, or None."""
         found: Any = self._tree
         for key in path.strip("/").split("/"):
-            if not isinstance(found, Mapping) or key not in found:
-                return None
-            found = found[key]
+            found = found.get(key) if isinstance(found, Mapping) else None
         return found
 
     def below(self, path: str) -> ControlParameters:

@@ -11,6 +11,7 @@ from collections import deque
 from typing import Any, Callable, Mapping, NamedTuple
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND, Schedule
+from bullet_lab.drive import clip
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import Controller, is_due, schedule_of
 from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, STRONGEST, Pid
@@ -204,7 +205,7 @@ class Gripper(ActionController):
             self.end(ABORTED, state._replace(stalled=True), f"'{joint.name}' has stalled")
         if self._pid is not None:
             command = self._pid.command(error, seconds, -joint.velocity)
-            joint.command = min(max(command, -self._effort), self._effort)
+            joint.command = clip(command, self._effort)
         else:
             joint.command = self._target
             # Gazebo places the joint; the motor here would crush what the gripper holds.

@@ -10,7 +10,6 @@ from typing import Any, Mapping
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.controller import (
     Controller,
@@ -19,6 +18,7 @@ from bullet_lab.simulation.plugins.controllers.controller import (
     schedule_of,
 )
 from bullet_lab.simulation.plugins.controllers.joints import VELOCITY, DescribedJoint
+from bullet_lab.simulation.plugins.mobile_base import OdometrySender
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     OdometrySample,
@@ -76,7 +76,7 @@ def _clamp(value: float, ends: tuple[float, float], scale: float = 1.0) -> float
     return min(max(value, ends[0] * scale), ends[1] * scale)
 
 
-class DiffDriveController(Controller):
+class DiffDriveController(Controller, OdometrySender):
     """Drives the wheels of each side as commanded, within limits, and reports odometry.
 
     Its parameters are those of ros_controllers. The robot stops if no command has come for
@@ -101,7 +101,7 @@ class DiffDriveController(Controller):
         self._where, rate = given.where, given.get("publish_rate", 50.0)
         self._schedule = schedule_of(rate, self._where)
         odom = given.get("odom_frame_id", "odom")
-        self._frames = (odom, given.get("base_frame_id", "base_link"))
+        self.frames = (odom, given.get("base_frame_id", "base_link"))
         self._variances = [
             given.numbers(f"{kind}_covariance_diagonal", 6) for kind in ("pose", "twist")
         ]
@@ -110,45 +110,46 @@ class DiffDriveController(Controller):
         self._velocities: deque[tuple[float, ...]] = deque(maxlen=window)
         # With distances of the rims instead of angles: the sides may have different radii.
         self._reckoning = DeadReckoning(self.separation, 1.0)
-        self._sends_transforms = given.get("enable_odom_tf", True)
+        self.sends_transforms = given.get("enable_odom_tf", True)
         if self._multipliers:
             multipliers = self._multipliers.items()
             self.adjustables = (
                 *(Setting(name, value, name, *MULTIPLIERS) for name, value in multipliers),
                 Setting("publish_rate", rate, "Hz of the odometry", *RATES),
-                Setting("enable_odom_tf", self._sends_transforms, "odometry on /tf"),
+                Setting("enable_odom_tf", self.sends_transforms, "odometry on /tf"),
             )
         alone = not given.get("allow_multiple_cmd_vel_publishers", True)
-        self.inputs = (Input(self.topic("cmd_vel"), PlanarCommand, self.command, alone),)
-        self.odometry = Output(self.topic("odom"), OdometrySample)
-        self.transform = Output("/tf", TransformSample)
-        self.commanded = Output(self.topic("cmd_vel_out"), VelocitySample)
-        self.outputs = (self.odometry, self.transform)
-        if given.get("publish_cmd", False):
-            self.outputs += (self.commanded,)
+        self.input("cmd_vel", PlanarCommand, self.command, alone)
+        self.odometry = self.output("odom", OdometrySample)
+        self.transform = self.output("/tf", TransformSample)
+        tells = given.get("publish_cmd", False)
+        self.commanded = self.output("cmd_vel_out", VelocitySample, tells)
         self.reset(0)
         if given.get("publish_wheel_joint_controller_state", False):
             LOG.warning("%s/publish_wheel_joint_controller_state is not simulated", given.where)
 
     def find_wheels(self, given: ControlParameters) -> None:
         """Find the joints and the geometry of the wheels; raises ControlError."""
-        sides = [given.required_names(f"{side}_wheel") for side in ("left", "right")]
-        if len(sides[0]) != len(sides[1]):
-            raise ControlError(f"{len(sides[0])} wheels on the left, {len(sides[1])} on the right")
-        self._left, self._right = map(self.find_joints, sides)
-        self.joints = self._left + self._right
+        left, right = (given.required_names(f"{side}_wheel") for side in ("left", "right"))
+        if len(left) != len(right):
+            raise ControlError(f"{len(left)} wheels on the left, {len(right)} on the right")
+        self._sides = (self.find_joints(left), self.find_joints(right))
+        self.joints = sum(self._sides, ())
         # Values that are no parameters come from the URDF, of the first wheel of each side.
-        left, right = self._left[0].described, self._right[0].described
+        left, right = (side[0].described for side in self._sides)
         apart = given.get("wheel_separation", math.dist(left.origin, right.origin))
         # Before all multipliers.
         self._measured = apart, wheel_radius(given, left)
-        self._set_multipliers(_multipliers(given))
+        both = given.get("wheel_radius_multiplier")
+        radii = (f"{side}_wheel_radius_multiplier" for side in ("left", "right"))
+        found = {name: given.get(name, 1.0) if both is None else both for name in radii}
+        name = "wheel_separation_multiplier"
+        self._set_multipliers({**found, name: given.get(name, 1.0)})
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.
 
-        Raises:
-            ControlError: not finite or beyond `LARGEST_COMMAND`, or the controller does not run.
+        Raises ControlError if it is not finite or too large, or the controller does not run.
         """
         if not self.running:
             raise ControlError(f"controller '{self.name}' is not running")
@@ -163,7 +164,7 @@ class DiffDriveController(Controller):
         self.placed()
         schedule.restart(step)
         self._schedule = schedule
-        self._sends_transforms = values["enable_odom_tf"]
+        self.sends_transforms = values["enable_odom_tf"]
 
     def starting(self, step: int) -> None:
         self.stopping()
@@ -194,8 +195,14 @@ class DiffDriveController(Controller):
         means = (sum(speeds) / len(speeds) for speeds in zip(*self._velocities))
         self._velocity = self._last if self._open_loop else PlanarCommand(*means)
         if is_due(self._schedule, step):
-            self._report(step)
-        command = self._drive(step, seconds)
+            pose = Pose.on_floor(*self._reckoning.pose)
+            self.send_odometry(step, pose, self._velocity, *self._variances, flat=True)
+        if self._asked_at is None:
+            self._asked_at = step
+        late = (step - self._asked_at) / STEPS_PER_SECOND > self._timeout
+        command = self.limited(STANDSTILL if late else self._asked, seconds)
+        self._before, self._last = self._last, command
+        self.command_joints(command, seconds)
         if self.commanded.wanted:
             self.commanded.send(VelocitySample(step, "", command))
 
@@ -210,24 +217,6 @@ class DiffDriveController(Controller):
         driven, turned = self._reckoning.advance(left, right)
         return driven, 0.0, turned
 
-    def _report(self, step: int) -> None:
-        pose = Pose.on_floor(*self._reckoning.pose)
-        if self.odometry.wanted:
-            sample = OdometrySample(step, *self._frames, pose, self._velocity, *self._variances)
-            self.odometry.send(sample)
-        if self._sends_transforms and self.transform.wanted:
-            self.transform.send(TransformSample(step, *self._frames, pose))
-
-    def _drive(self, step: int, seconds: float) -> PlanarCommand:
-        """Command the wheels within the limits; return the limited velocity."""
-        if self._asked_at is None:
-            self._asked_at = step
-        late = (step - self._asked_at) / STEPS_PER_SECOND > self._timeout
-        command = self.limited(STANDSTILL if late else self._asked, seconds)
-        self._before, self._last = self._last, command
-        self.command_joints(command, seconds)
-        return command
-
     def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
         """Return a velocity within the limits."""
         last, before = self._last, self._before
@@ -238,8 +227,7 @@ class DiffDriveController(Controller):
 
     def command_joints(self, command: PlanarCommand, _seconds: float) -> None:
         """Pass a velocity on to the joints."""
-        sides = (self._left, self._right)
-        for side, speed, radius in zip(sides, command.rims(self.separation), self.radii):
+        for side, speed, radius in zip(self._sides, command.rims(self.separation), self.radii):
             for joint in side:
                 joint.command = speed / radius
 
@@ -247,11 +235,14 @@ class DiffDriveController(Controller):
         """Return how far (m) the wheels of each side have rolled, on average."""
         return tuple(
             radius * sum(joint.position for joint in side) / len(side)
-            for radius, side in zip(self.radii, (self._left, self._right))
+            for radius, side in zip(self.radii, self._sides)
         )
 
     def _set_multipliers(self, multipliers: dict[str, float]) -> None:
-        """Set the multipliers; raises ControlError for invalid ones, and changes nothing then."""
+        """Set the multipliers of both radii and of the separation, by name.
+
+        Raises ControlError for invalid ones, and changes nothing then.
+        """
         (separation, radius), (left, right, apart) = self._measured, multipliers.values()
         sizes = (apart * separation, left * radius, right * radius)
         if not all(0.0 < size < math.inf for size in sizes):
@@ -267,12 +258,3 @@ def wheel_radius(given: ControlParameters, wheel: DescribedJoint) -> float:
         what = f"the first collision of the wheel on '{wheel.name}'"
         raise ControlError(f"{what} is no cylinder or sphere, and there is no wheel_radius")
     return radius
-
-
-def _multipliers(given: ControlParameters) -> dict[str, float]:
-    """Return the multipliers of the left and right radius and of the separation, by their names."""
-    both = given.get("wheel_radius_multiplier")
-    radii = (f"{side}_wheel_radius_multiplier" for side in ("left", "right"))
-    found = {name: given.get(name, 1.0) if both is None else both for name in radii}
-    name = "wheel_separation_multiplier"
-    return {**found, name: given.get(name, 1.0)}

@@ -44,25 +44,22 @@ AT_ONCE = 1.0
 
 
 @dataclass(frozen=True)
-class SoftLimits:
-    """URDF's `<safety_controller>`, which slows a joint down; gains in 1/s and N m s."""
-
-    lower: float
-    upper: float
-    k_position: float
-    k_velocity: float
-
-
-@dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint's commands, in rad or m, per s and s², and N m or N; inf for none."""
+    """Limits of a joint's commands, in rad or m, per s and s², and N m or N; inf for none.
+
+    The last four are those of URDF's `<safety_controller>`, which slows a joint down; gains in 1/s
+    and N m s, None without one.
+    """
 
     lower: float = -math.inf
     upper: float = math.inf
     velocity: float = math.inf
     acceleration: float = math.inf
     effort: float = math.inf
-    soft: SoftLimits | None = None
+    soft_lower_limit: float = 0.0
+    soft_upper_limit: float = 0.0
+    k_position: float | None = None
+    k_velocity: float | None = None
 
     def changed_by(self, given: ControlParameters) -> JointLimits:
         """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
@@ -79,16 +76,10 @@ class JointLimits:
 
 @dataclass(frozen=True)
 class DescribedJoint:
-    """A joint of the URDF.
+    """A joint of the URDF; `kind` is URDF's type, `interface` that of its transmission.
 
-    Attributes:
-        name: of the joint.
-        kind: URDF's type.
-        origin: its place in its parent link, in m.
-        limits: of its `<limit>` and `<safety_controller>`.
-        radius: of the wheel below it in m: of the first collision of its child link; None if that
-            is neither a cylinder nor a sphere.
-        interface: of its transmission.
+    `origin` is its place in its parent link in m. `radius` is that of the wheel below it in m: of
+    the first collision of its child link; None if that is neither a cylinder nor a sphere.
     """
 
     name: str
@@ -144,16 +135,15 @@ def described_joints(
 
 
 def _joint(tag: UrdfTag, radii: Mapping[str, float | None]) -> DescribedJoint:
-    kind, limits = tag.text("type"), JointLimits()
+    kind, limits = tag.text("type"), {}
     if tag.element.find("limit") is not None:
-        soft = None
         if tag.element.find("safety_controller") is not None:
-            soft = SoftLimits(*(tag.number(f"safety_controller/{key}") for key in SOFT_LIMITS))
-        limits = JointLimits(**{key: tag.bound(f"limit/{key}") for key in LIMITS}, soft=soft)
+            limits = {key: tag.number(f"safety_controller/{key}") for key in SOFT_LIMITS}
+        limits.update({key: tag.bound(f"limit/{key}") for key in LIMITS})
         if kind == "continuous":
-            limits = replace(limits, lower=-math.inf, upper=math.inf)
+            limits.update(lower=-math.inf, upper=math.inf)
     radius = radii.get(tag.text("child/link"))
-    return DescribedJoint(tag.name, kind, tag.pose().position, limits, radius)
+    return DescribedJoint(tag.name, kind, tag.pose().position, JointLimits(**limits), radius)
 
 
 def _radius(link: UrdfTag) -> float | None:
@@ -191,14 +181,9 @@ def _transmission(element: Element) -> tuple[str, str]:
 class Pid:
     """A PID loop with the gains, clamps and anti-windup of control_toolbox.
 
-    With `antiwindup` the integral itself is kept so small that its contribution is within the
-    clamps, else only its contribution.
-
-    Args:
-        parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup.
-
-    Raises:
-        ControlError: there is no p.
+    Parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup. With `antiwindup` the
+    integral itself is kept so small that its contribution is within the clamps, else only its
+    contribution. Raises ControlError without p.
     """
 
     def __init__(self, parameters: ControlParameters):
@@ -280,11 +265,11 @@ class JointHandle(ABC):
 
     def _speed_limits(self, position: float) -> tuple[float, float]:
         """Return the least and the greatest velocity that the limits allow at a position."""
-        most, soft = self.limits.velocity, self.limits.soft
-        if soft is None or not math.isfinite(self.limits.upper):
+        limits, most = self.limits, self.limits.velocity
+        if limits.k_position is None or not math.isfinite(limits.upper):
             return -most, most
-        ends = (soft.lower, soft.upper)
-        return tuple(_between(-soft.k_position * (position - end), -most, most) for end in ends)
+        ends = (limits.soft_lower_limit, limits.soft_upper_limit)
+        return tuple(_between(-limits.k_position * (position - end), -most, most) for end in ends)
 
 
 def _between(value: float, least: float, most: float) -> float:
@@ -301,11 +286,11 @@ class EffortJoint(JointHandle):
         self._apply(0.0 if stopped else self.command)
 
     def _effort_limits(self) -> tuple[float, float]:
-        limits, soft = self.limits, self.limits.soft
+        limits = self.limits
         least, most = -limits.effort, limits.effort
-        if soft is not None:
+        if limits.k_velocity is not None:
             return tuple(
-                _between(-soft.k_velocity * (self.velocity - speed), least, most)
+                _between(-limits.k_velocity * (self.velocity - speed), least, most)
                 for speed in self._speed_limits(self.position)
             )
         if self.position < limits.lower or self.velocity < -limits.velocity:
@@ -369,7 +354,7 @@ class VelocityJoint(JointHandle):
     def write(self, stopped: bool) -> None:
         slowest, fastest = self._speed_limits(self.position)
         if math.isfinite(self.limits.acceleration):
-            before = self._before if self.limits.soft is None else self.velocity
+            before = self._before if self.limits.k_velocity is None else self.velocity
             change = self.limits.acceleration * STEP_SECONDS
             slowest, fastest = max(slowest, before - change), min(fastest, before + change)
         self.command = self._before = _between(self.command, slowest, fastest)
@@ -393,12 +378,7 @@ def joint_handles(
     """Return the joints of a robot that have a transmission, by name.
 
     A transmission of a joint that the model does not have, or that cannot move, is ignored with
-    a warning.
-
-    Args:
-        bodies: of the robot.
-        described: the joints with a transmission, by name.
-        parameters: with joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
+    a warning. Parameters: joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
     """
     handles: dict[str, JointHandle] = {}
     owners = {name: body for body in bodies.values() for name in body.joint_names}

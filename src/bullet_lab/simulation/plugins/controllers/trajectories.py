@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import math
 from itertools import chain
-from typing import Iterable, Mapping, NamedTuple, Sequence
+from typing import Iterable, NamedTuple, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, actions
 from bullet_lab.simulation.plugins.controllers.controller import is_due
 from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, VELOCITY, Pid
@@ -34,20 +33,7 @@ class TrajectoryError(ControlError):
         self.code = code
 
 
-class Tolerance(NamedTuple):
-    """The greatest errors of a joint's position and velocity on the path and at its end; 0 for any.
-
-    The end may be late by `seconds`.
-    """
-
-    path: tuple[float, ...] = ()
-    goal: tuple[float, ...] = ()
-    seconds: float = 0.0
-
-
-def spline(
-    one: Sequence[float | None], two: Sequence[float | None], t: float
-) -> tuple[float, ...]:
+def spline(one: Sequence[float | None], two: Sequence[float | None], t: float) -> tuple[float, ...]:
     """Return the coefficients of a polynomial from a state to one that is `t` seconds later.
 
     A state is a position, a velocity and an acceleration; the last two may be None. The polynomial
@@ -108,29 +94,23 @@ class JointTrajectory(actions.ActionController):
         super().configure(given)
         self._names = given.required_names("joints")
         self.joints = self.find_joints(self._names)
-        self._wraps = [joint.described.kind == "continuous" for joint in self.joints]
         self._partial = given.get("allow_partial_joints_goal", False)
         self._stop_seconds = max(0.0, given.get("stop_trajectory_duration", 0.0))
         limits = given.below("constraints")
         slowest = limits.get("stopped_velocity_tolerance", 0.01)
-        late = limits.get("goal_time", 0.0)
+        self._goal_time = limits.get("goal_time", 0.0)
+        # The greatest errors of position and velocity by joint, on the path and at its end; 0: any.
         self._tolerances = {}
         for name in self._names:
-            path, goal = (limits.get(f"{name}/{where}", 0.0) for where in ("trajectory", "goal"))
-            self._tolerances[name] = Tolerance((path, 0.0), (goal, slowest), late)
-        by_pid = self.interface != POSITION
-        self._pids = [Pid(given.below(f"gains/{name}")) for name in self._names if by_pid]
+            self._tolerances[name, "path"] = (limits.get(f"{name}/trajectory", 0.0), 0.0)
+            self._tolerances[name, "goal"] = (limits.get(f"{name}/goal", 0.0), slowest)
+        by_pid = () if self.interface == POSITION else self._names
+        self._pids = [Pid(given.below(f"gains/{name}")) for name in by_pid]
         self._forward = [given.get(f"velocity_ff/{name}", 0.0) for name in self._names]
         self._publishing = self.schedule(given, "state_publish_rate", 50.0)
-        self.states = Output(self.topic("state"), TrajectorySample)
-        self.outputs = (self.states,)
-        self.inputs = (Input(self.topic("command"), Trajectory, self.command),)
+        self.states = self.output("state", TrajectorySample)
+        self.input("command", Trajectory, self.command)
         self.queries = {"query_state": self.query}
-        # What each joint follows, in the order of time; there is always a segment.
-        self._paths: list[list[Segment]] = []
-        # Tolerances of the active goal, and when they begin to hold.
-        self._bounds: Mapping[str, Tolerance] = {}
-        self._since = 0.0
 
     def starting(self, step: int) -> None:
         self._desired = [(joint.position, joint.velocity, 0.0) for joint in self.joints]
@@ -154,18 +134,15 @@ class JointTrajectory(actions.ActionController):
 
     def begin(self, content: TrajectoryGoal, step: int) -> None:
         self._check(content.trajectory)
-        bounds = {}
-        for name, (path, goal, seconds) in self._tolerances.items():
-            bounds[name] = Tolerance(
-                _chosen(content.path.get(name, ()), path),
-                _chosen(content.goal.get(name, ()), goal),
-                *_chosen((content.seconds,), (seconds,)),
-            )
         if not content.trajectory.points:
             self.hold(step)
             return
         self._follow(content.trajectory, step)
-        self._bounds = bounds
+        self._patience = content.seconds or self._goal_time
+        for (name, where), usual in self._tolerances.items():
+            # 0 stands for the usual bound; a negative one is none.
+            asked = getattr(content, where).get(name, usual)
+            self._bounds[name, where] = tuple(a or kept for a, kept in zip(asked, usual))
 
     def refusal(self, error: ControlError) -> tuple[int, str]:
         return getattr(error, "code", INVALID_GOAL), str(error)
@@ -173,7 +150,11 @@ class JointTrajectory(actions.ActionController):
     def hold(self, step: int) -> None:
         """Stop within stop_trajectory_duration, or where the joints are."""
         now, span = step / STEPS_PER_SECOND, self._stop_seconds
-        self._paths, self._bounds, self._since = [], {}, now
+        # What each joint follows, in the order of time; there is always a segment.
+        self._paths: list[list[Segment]] = []
+        # Tolerances of the active goal, and when they begin to hold.
+        self._bounds: dict[tuple[str, str], Sequence[float]] = {}
+        self._since = now
         for joint, (position, velocity, _) in zip(self.joints, self._desired):
             parts: tuple[float, ...] = (joint.position,)
             if span:
@@ -256,7 +237,7 @@ class JointTrajectory(actions.ActionController):
             last: Sequence[float | None] = segment_at(self._paths[number], start).at(start)
             made = [one for one in self._paths[number] if one.start <= start]
             shift, first = 0.0, points[0].positions[column]
-            if self._wraps[number]:
+            if self.joints[number].described.kind == "continuous":
                 shift = last[0] + math.remainder(first - last[0], math.tau) - first
             for point in points:
                 others = (point.velocities, point.accelerations)
@@ -271,11 +252,10 @@ class JointTrajectory(actions.ActionController):
         """End the goal if a tolerance is violated, or if all joints have arrived."""
         is_done = True
         for name, path, errors in zip(self._names, self._paths, self._errors):
-            tolerance = self._bounds.get(name, Tolerance())
             is_over = len(path) == 1 and now >= path[0].end
             where, code = ("goal", OFF_GOAL) if is_over else ("path", OFF_PATH)
-            problem = _violation(errors, getattr(tolerance, where), where)
-            if problem and not (is_over and now < path[0].end + tolerance.seconds):
+            problem = _violation(errors, self._bounds.get((name, where), ()), where)
+            if problem and not (is_over and now < path[0].end + self._patience):
                 text = f"joint '{name}': {problem}"
                 self.end(actions.ABORTED, (code, text), text)
                 return
@@ -286,11 +266,6 @@ class JointTrajectory(actions.ActionController):
 
 def _point(seconds: float, states: Iterable[Sequence[float]]) -> TrajectoryPoint:
     return TrajectoryPoint(seconds, *zip(*states))
-
-
-def _chosen(asked: Sequence[float], default: Sequence[float]) -> tuple[float, ...]:
-    """Return bounds: those that are asked for, or the default for 0; a negative one is none."""
-    return tuple(given or kept for given, kept in zip(asked or default, default))
 
 
 def _violation(errors: Sequence[float], bounds: Sequence[float], where: str) -> str:
