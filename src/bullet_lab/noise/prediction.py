@@ -1,19 +1,15 @@
 """How well parameters that were fitted to some steps predict where others end.
 
-The truth's path is cut into windows of some length. For each, systematic errors give the pose that
-the odometry should report at its end, and the noise gives the second moments of the difference, as
-`noisy_odom` publishes them. The parameters are not exactly known, and may change from one stretch
-to the next: with their variances V and the slopes J of the end,
+For each window of the truth's path, systematic errors give the pose that the odometry should report
+at its end, and the noise the second moments of the difference. With the variances V of the
+parameters and the slopes J of the end,
 
     M = dispersion (moments of the noise + J `OWN` V J').
 
-`OWN` is 2, as the stretch that is predicted has errors of its own. The dispersion is that for which
-95 % of the ends are within their regions (more of few ends, as in conformal prediction: of n
-windows the share 0.95 (1 + 1/n)), for the length for which it is largest: errors of a
-few metres are often larger than steps show, as they are neither independent nor Gaussian.
-
-A prediction is judged by the mean logarithm of its density at the reported end: the more, the
-better.
+The dispersion is that for which 95 % of the ends are within their regions (more of few ends, as in
+conformal prediction: of n windows the share 0.95 (1 + 1/n)), for the length for which it is
+largest: errors of a few metres are often larger than steps show, as they are neither independent
+nor Gaussian. docs/jobs/calibrate.md has the rest.
 """
 
 from __future__ import annotations

@@ -1,31 +1,19 @@
 """Systematic errors of odometry: wheels and gyro differ from their nominal parameters.
 
-A robot with a left and a right wheel moves on arcs. Between two poses the middle of its axle
-travels a distance s and turns by phi, so that with the base B (distance of the wheels' contacts)
-the wheels roll
+Between two poses the middle of the axle travels a distance s and turns by phi, so that with the
+base B (distance of the wheels' contacts) and the nominal base b, the wheels of a side rho times as
+large as nominal,
 
-    s_left = s - phi B / 2,    s_right = s + phi B / 2.
-
-Odometry counts the wheels' turns and multiplies them by nominal diameters. If the wheel of a side
-is rho times as large as nominal, it computes s_side / rho_side; with the nominal base b it reports
-
+    s_left, s_right = s -+ phi B / 2,
     s' = (s_right / rho_right + s_left / rho_left) / 2
     phi' = (s_right / rho_right - s_left / rho_left) / b + gyro_bias_per_metre |s|
 
-Encoders count whole ticks of what each wheel rolls by the nominal diameters, and s' and the wheels'
-part of phi' come from these counts.
-
-In turns a robot may go less far than its wheels roll, as they slip: the wheels roll s + loss |phi|
-in the direction of s. A robot that turns on the spot does not go, so that there is nothing to lose:
-if the middle of the axle goes less than half the loss, the wheels roll s.
+are reported (docs/noisy_odom.md). In turns the wheels slip: they roll s + loss |phi| in the
+direction of s. A robot that turns on the spot has nothing to lose: if the middle of the axle goes
+less than half the loss, the wheels roll s.
 
 The diameters are given by their mean and their ratio, as by Borenstein and Feng, Measurement and
 correction of systematic odometry errors in mobile robots (1996).
-
-The errors may differ from path to path, drawn from independent Gaussians about the given ones. What
-that does to the reported pose is followed by one more path for each error, with the error one
-standard deviation larger: to first order, the covariance is the sum of the squares of their
-distances.
 """
 
 from __future__ import annotations
@@ -307,15 +295,7 @@ def _sinc(angle: float) -> float:
 
 @dataclass(frozen=True)
 class SystematicSpread:
-    """Standard deviations of the systematic errors from path to path; 0 if they are known.
-
-    Attributes:
-        scale_error_std: of scale_error, and so on.
-        base_error_std: likewise.
-        diameter_error_std: likewise.
-        gyro_bias_per_metre_std: rad/m.
-        way_per_turn_std: m/rad.
-    """
+    """Standard deviations of the systematic errors from path to path; 0 if they are known."""
 
     scale_error_std: float = _spread("scale_error")
     base_error_std: float = _spread("base_error")
@@ -326,6 +306,9 @@ class SystematicSpread:
 
 class SpreadPath:
     """Makes reported paths from true ones, each with errors of its own; like `SystematicPath`.
+
+    Beside each path, one more is followed for each error, with the error one standard deviation
+    larger: to first order, the covariance is the sum of the squares of their distances.
 
     >>> path = SpreadPath(SystematicErrors(), SystematicSpread(scale_error_std=0.1), seed=1)
     >>> for x in (0.0, 1.0):

@@ -28,7 +28,7 @@ from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file, read_urdf_text
 from bullet_lab.studies.study import MOST_SEED, Settings, UnfinishedError
-from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, SquareRun
+from bullet_lab.studies.umbmark.estimate import CLOCKWISE, DIRECTIONS, SquareRun
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 SETTLING_SECONDS = 0.5
@@ -49,7 +49,6 @@ MULTIPLIERS = (
 """Parameters of diff_drive_controller."""
 
 CONTROLLER_TYPE = "diff_drive_controller/DiffDriveController"
-
 
 
 @dataclass(frozen=True)
@@ -110,15 +109,13 @@ class IdealRobot:
 class FloorRobot:
     """A robot on the floor of an empty world, at rest at the origin, with odometry by its wheels.
 
-    The plugin libgazebo_ros_diff_drive.so, or a diff_drive_controller of ros_control, gets other
-    diameters and another base than the true ones.
-
-    Its pose is that of the midpoint between its wheels, as is that of its odometry.
+    Its plugin or its controller gets other diameters and another base than the true ones. Poses are
+    those of the midpoint between its wheels.
 
     Args:
         robot: URDF or xacro file: a path or package://.
         controller: YAML file with the parameters of its diff_drive_controller; empty for a robot
-            with the plugin.
+            with libgazebo_ros_diff_drive.so.
         errors: diameter_error and base_error of the true wheels, relative to the assumed ones.
         correction: those that a calibration has found; the assumed wheels are corrected.
 

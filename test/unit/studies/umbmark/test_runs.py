@@ -11,9 +11,8 @@ from bullet_lab.drive import Square
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.paths import tum_text
-from bullet_lab.studies.umbmark.estimate import fit
+from bullet_lab.studies.umbmark.estimate import fit, perfect_square, read_runs
 from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels, drive_square
-from bullet_lab.studies.umbmark.runs import perfect_square, read_runs
 
 BELIEVED = Wheels(0.28, 0.28, 0.38)
 TOPICS = ("/truth", "/odom")

@@ -15,9 +15,12 @@ from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.umbmark.estimate import (
     PARAMETERS,
     Benchmark,
+    SquareRun,
     centre_ellipse,
     closed_forms,
     fit,
+    perfect_square,
+    return_errors,
 )
 from bullet_lab.studies.umbmark.robots import (
     BenchmarkSettings,
@@ -26,7 +29,6 @@ from bullet_lab.studies.umbmark.robots import (
     drive_square,
     multipliers,
 )
-from bullet_lab.studies.umbmark.runs import SquareRun, perfect_square, return_errors
 from bullet_lab.studies.umbmark.study import (
     calibrate_robot,
     campaign_summary,
