@@ -378,3 +378,11 @@ def end_of(steps) -> ndarray:
     x = np.sum(np.cos(before) * dx - np.sin(before) * dy, axis=-1)
     y = np.sum(np.sin(before) * dx + np.cos(before) * dy, axis=-1)
     return np.stack((x, y, heading[..., -1]), axis=-1)
+
+
+def path_of(steps: ndarray) -> ndarray:
+    """Return the poses that steps lead to, the start included: (n, 3) to (n + 1, 3)."""
+    heading = np.concatenate(([0.0], np.cumsum(steps[:, 2])))
+    moves = (steps[:, 0] + 1j * steps[:, 1]) * np.exp(1j * heading[:-1])
+    places = np.concatenate(([0j], np.cumsum(moves)))
+    return np.column_stack((places.real, places.imag, wrap(heading)))

@@ -30,17 +30,18 @@ from bullet_lab.core.figures import (
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Fit, Problem, fit, intervals, on_limit, profile
-from bullet_lab.noise.goodness import Goodness, goodness
-from bullet_lab.noise.likelihood import PARTS, StepPairs
-from bullet_lab.noise.odometry_noise import MODELS, WalkRule
-from bullet_lab.noise.prediction import (
+from bullet_lab.noise.goodness import (
     LENGTHS,
     OWN,
+    Goodness,
     Prediction,
+    goodness,
     judged,
     parameter_variances,
     predicted,
 )
+from bullet_lab.noise.likelihood import PARTS, StepPairs
+from bullet_lab.noise.odometry_noise import MODELS, WalkRule
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.calibrate.steps import EACH, Steps, long_length, pairs_of, part_of
 from bullet_lab.studies.paths import Recording

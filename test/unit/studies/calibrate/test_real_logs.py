@@ -13,8 +13,8 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.noise.calibration import Problem, covariance, fit
-from bullet_lab.noise.prediction import INSIDE, LENGTHS, judged, path_of, predicted
-from bullet_lab.noise.systematic import arcs
+from bullet_lab.noise.goodness import INSIDE, LENGTHS, judged, predicted
+from bullet_lab.noise.systematic import arcs, path_of
 from bullet_lab.studies.calibrate.alignment import robust_fit
 from bullet_lab.studies.calibrate.results import ModelCalibration, predictions
 from bullet_lab.studies.calibrate.steps import (
