@@ -143,10 +143,7 @@ def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> ndarray:
     If rule and expectation are right, they are standard normal. NaN if the rule gives the part less
     noise than the truth's poses have, and the error is not larger than that.
 
-    Args:
-        pairs: b odometries of n steps.
-        rule: the noise rule.
-        expected: as of `part_errors`.
+    `pairs` has b odometries of n steps; `expected` is as of `part_errors`.
     """
     errors = part_errors(pairs, expected)
     error, variance = errors.residuals(rule)
@@ -187,13 +184,7 @@ def drawn_pairs(
 
 
 def goodness(found: Fit, follows: ndarray, seed: int) -> Goodness:
-    """Test the fit of one odometry.
-
-    Args:
-        found: the fit, b = 1.
-        follows: whether each step begins where the one before it ended, shape (n,).
-        seed: of the bootstrap, >= 0.
-    """
+    """Test the fit of one odometry; `follows` says whether each step follows the one before."""
     seen = _whitened(found)[0]
     counts = np.isfinite(seen).sum(axis=0)
     distance, squares = _distance(seen), _mean_squares(seen)
@@ -410,10 +401,8 @@ def parameter_variances(found: Fit) -> ndarray:
 def windows(true: ndarray, follows: ndarray, length: float):
     """Return indices of the poses at begin and end of windows, which go over no gap, (w,), (w,).
 
-    Args:
-        true: steps (dx m, dy m, dyaw rad), (n, 3).
-        follows: whether each begins where the one before it ended, (n,).
-        length: m.
+    `true` are steps (dx m, dy m, dyaw rad), (n, 3), and `follows` says whether each begins where
+    the one before it ended, (n,); the length is in m.
     """
     way = np.concatenate(([0.0], np.cumsum(np.hypot(true[:, 0], true[:, 1]))))
     stretch = np.concatenate(([0], np.cumsum(~np.asarray(follows))))

@@ -65,20 +65,10 @@ def _spread(name: str) -> Any:
 class SystematicErrors:
     """The real robot relative to the odometry's nominal parameters; 0 for no error.
 
-    Attributes:
-        scale_error: mean diameter of the wheels / the nominal one - 1. With larger wheels the
-            odometry reports distances and turns that are too small.
-        base_error: base / the nominal one - 1. With a wider base it reports turns that are too
-            large.
-        diameter_error: right diameter / left diameter - 1; nominally they are equal. A larger right
-            wheel turns the robot to the left while the odometry reports a straight line.
-        gyro_bias_per_metre: rad/m, gain of the reported heading on each metre, forwards or back.
-            Driving forwards, it is hard to distinguish from a diameter_error of
-            -gyro_bias_per_metre · wheel_base.
-        wheel_base: m, the nominal base; used only by diameter_error and ticks_per_metre.
-        way_per_turn: m/rad, way that is lost in turns, left and right, on arcs.
-        ticks_per_metre: of the encoder of each wheel, by the nominal diameter; 0 for encoders
-            without ticks.
+    With larger wheels the odometry reports distances and turns that are too small, with a wider
+    base turns that are too large. A larger right wheel turns the robot to the left while it reports
+    a straight line. Driving forwards, gyro_bias_per_metre is hard to distinguish from a
+    diameter_error of -gyro_bias_per_metre · wheel_base. docs/noisy_odom.md has all units.
 
     >>> SystematicErrors(base_error=0.25).steps([[0.0, 0.0, 0.8], [1.0, 0.0, 0.0]])
     array([[0., 0., 1.],
@@ -145,12 +135,9 @@ class SystematicErrors:
     def steps(self, steps) -> ndarray:
         """Return the reported steps for true steps, by encoders without ticks.
 
-        Args:
-            steps: (dx m, dy m, dyaw rad) in the body frame before each, shape (..., 3). A motion
-                across the wheels, which they do not measure, is scaled like the distance.
-
-        Returns:
-            The reported ones, shape (..., 3), |dyaw| not wrapped.
+        Both are (dx m, dy m, dyaw rad) in the body frame before each, (..., 3), the reported dyaw
+        not wrapped. A motion across the wheels, which they do not measure, is scaled like the
+        distance.
         """
         ahead, across, turn = columns(arcs(steps))
         loss = self.way_per_turn * np.abs(turn)
@@ -162,11 +149,7 @@ class SystematicErrors:
         return chords(np.stack((new_ahead, matrix[0, 0] * across, new_turn), axis=-1))
 
     def path(self, poses) -> ndarray:
-        """Return the reported path for a true path, bit for bit that of `SystematicPath`.
-
-        Args:
-            poses: x (m), y (m) and yaw (rad), shape (n, 3).
-        """
+        """Return the reported poses for true ones (m, m, rad), as `SystematicPath`, both (n, 3)."""
         path = SystematicPath(self)
         return np.array([path.update(*pose).pose for pose in np.asarray(poses, float).tolist()])
 
@@ -174,11 +157,8 @@ class SystematicErrors:
 def arcs(steps) -> ndarray:
     """Return the arcs from pose to pose: distance ahead, distance across (m) and turn (rad).
 
-    Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot with two wheels
-    does not move across.
-
-    Args:
-        steps: (dx m, dy m, dyaw rad), shape (..., 3), |dyaw| <= pi.
+    Each is the motion at a constant velocity that leads to (dx m, dy m, dyaw rad), (..., 3), with
+    |dyaw| <= pi; a robot with two wheels does not move across.
 
     >>> arcs([2.0, 2.0, np.pi / 2.0]).round(6)
     array([3.141593, 0.      , 1.570796])
@@ -315,11 +295,6 @@ class SpreadPath:
     ...     step = path.update(x, 0.0, 0.0)
     >>> path.covariance.round(4)[0]
     array([0.0083, 0.    , 0.    ])
-
-    Args:
-        errors: their means.
-        spread: their standard deviations.
-        seed: of the draws, >= 0.
     """
 
     def __init__(self, errors: SystematicErrors, spread: SystematicSpread, seed: int):
