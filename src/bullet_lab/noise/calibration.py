@@ -1,18 +1,9 @@
-r"""Maximum likelihood estimates and intervals of noise parameters and systematic errors.
+"""Maximum likelihood estimates and intervals of noise parameters and systematic errors.
 
-The likelihood is that of `Problem`. Its maximum is found by Fisher's scoring with Levenberg's
-damping: for residuals r of variance exp(v),
-
-    gradient      sum of -r r' exp(-v) + v' (r² exp(-v) - 1) / 2
-    information   sum of  r' r' exp(-v) + v' v' / 2,
-
-with derivatives by finite differences, so that a model needs to define its variances only.
-
+The maximum of the likelihood of `Problem` is found by Fisher's scoring with Levenberg's damping.
 An interval holds the values of a parameter for which the others can be chosen so that twice the
-logarithm of the likelihood is at most 3.84 below its maximum, chi-square's 95 % with one degree
-of freedom: the profile likelihood. Unlike an interval from estimate and standard error, it does
-not depend on the parameterisation, and it does not extend below 0. Its ends are found by false
-position on the root of the fall, which is nearly straight.
+logarithm of the likelihood is at most 3.84 below its maximum (docs/jobs/calibrate.md). Its ends
+are found by false position on the root of the fall, which is nearly straight.
 
 All functions work on many odometries at once.
 """
@@ -30,10 +21,8 @@ from scipy.stats import chi2
 from bullet_lab.noise.likelihood import Problem
 from bullet_lab.noise.odometry_noise import NoiseRule, rule_of
 
-INTERVAL = 0.95
-ROOT = math.sqrt(chi2.ppf(INTERVAL, 1))
-"""Root of twice the fall of the logarithm of the likelihood at the ends of an interval."""
-
+# Root of twice the fall of the logarithm of the likelihood at the ends of an interval.
+_ROOT = math.sqrt(chi2.ppf(0.95, 1))
 _MAX_STEPS = 100
 # Of a search that mostly finds the maximum that is already known.
 _MIRRORED_STEPS = 25
@@ -243,7 +232,7 @@ def _ahead(optimum: Fit, j: int) -> Tuple[ndarray, ndarray]:
     along = inverse[:, :, j] / variance[:, np.newaxis]
     slopes = along * scale[:, j, np.newaxis] / scale
     error = np.sqrt(np.maximum(variance, 1.0)) / scale[:, j]
-    half = 1.02 * ROOT * np.minimum(error, 0.5 * problem.longest[j])
+    half = 1.02 * _ROOT * np.minimum(error, 0.5 * problem.longest[j])
     return np.where(optimum.coordinates > problem.low, slopes, 0.0), half
 
 
@@ -277,7 +266,7 @@ def covariance(information: ndarray) -> Tuple[ndarray, ndarray]:
 
 def _beyond_end(best: ndarray, logarithm: ndarray) -> ndarray:
     """Return how far beyond the end of an interval a likelihood is, in standard deviations."""
-    return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - ROOT
+    return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - _ROOT
 
 
 def _between(inner, below, outer, above) -> ndarray:
@@ -287,5 +276,5 @@ def _between(inner, below, outer, above) -> ndarray:
     """
     with np.errstate(invalid="ignore"):
         share = np.clip(-below / (above - below), 0.05, 0.95)
-        share = np.where(above > 4.0 * ROOT, 0.5, share)
+        share = np.where(above > 4.0 * _ROOT, 0.5, share)
         return inner + share * (outer - inner)

@@ -37,11 +37,9 @@ heading at pose m moves pose n by i (P_n - P_m) per radian.
 
 Moments in exponential coordinates
 ----------------------------------
-The end poses of noisy paths form a cloud that is bent like a banana. In the coordinates of
-`se2.logarithm`, of the noisy pose as seen from the perfect one, it is nearly Gaussian (A. W. Long,
-K. C. Wolfe, M. J. Mashner, G. S. Chirikjian: The banana distribution is Gaussian, Robotics: Science
-and Systems, 2012). To first order their covariance is that of (x, y, heading): both axes and levers
-are the same. Far from the start that is not accurate enough, so mean and covariance are exact here.
+The cloud of end poses of noisy paths, bent like a banana, is nearly Gaussian in the coordinates of
+`se2.logarithm`, of the noisy pose as seen from the perfect one (A. W. Long, K. C. Wolfe, M. J.
+Mashner, G. S. Chirikjian: The banana distribution is Gaussian, Robotics: Science and Systems 2012).
 
 With p the error of the position, H that of the heading, h the same within half a turn and
 f(h) = (h/2) (cot(h/2) - i), the coordinates are v = f(h) p and h. As functions of H alone, f, |f|²,
@@ -228,12 +226,8 @@ def quadratic_shares(quadratic, covariance) -> ndarray:
     It is the largest of u' Q u / u' C u over all directions u of (x, y, heading): 0 for a Gaussian
     error, and about 1 for one that is bent like a banana.
 
-    Args:
-        quadratic: Q, `quadratic_covariances` at some poses, shape (..., 3, 3).
-        covariance: C, the exact ones there, of the same shape.
-
-    Returns:
-        Shape (...); 0 if there is no noise.
+    Q are `quadratic_covariances` at some poses, and C the exact ones there, both (..., 3, 3); 0 if
+    there is no noise.
 
     >>> from bullet_lab.noise.noisy_paths import noisy_steps
     >>> from bullet_lab.noise.odometry_noise import RateInvariantRule
@@ -319,13 +313,8 @@ class RunningMoments:
 def exponential_moments(steps: NoisySteps, at) -> Moments:
     """Return mean and covariance of the error in exponential coordinates, at some poses.
 
-    Args:
-        steps: of the perfect path.
-        at: indices of the poses, in increasing order, shape (k,).
-
-    Returns:
-        Of the `logarithm` of (x, y, heading), noisy minus perfect, in m and rad, along the axes of
-        the odometry frame: mean (k, 3), covariance (k, 3, 3).
+    They are those of the `logarithm` of (x, y, heading), noisy minus perfect, in m and rad, along
+    the axes of the odometry frame, at the poses of the indices `at`, in increasing order, (k,).
 
     >>> from bullet_lab.noise.noisy_paths import noisy_steps
     >>> from bullet_lab.noise.odometry_noise import RateInvariantRule

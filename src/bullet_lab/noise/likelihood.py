@@ -1,26 +1,18 @@
 """Likelihood of the steps of an odometry under a noise model, given the true steps.
 
 For a step of direction psi, signed length d and turn phi, `NoisyPath` reports direction psi + e1,
-length d + et and turn phi + e1 + e2, with independent Gaussian e1, et and e2 whose variances a, s²
-and b are the rule's. So both steps give the noise, and its density is known exactly. The truth is
-measured, too: for each step its position has variance p and its heading variance q. With the true
-step's length D
+length d + et and turn phi + e1 + e2, with independent Gaussian e1, et and e2 of the variances a, s²
+and b. The truth's position has the variance p and its heading q in a step of the true length D:
 
     l = D e1 ~ N(0, D² a + p),    et ~ N(0, s² + p),    w = e1 + e2 ~ N(0, a + b + q),
-    Cov(l, w) = D a,
+    Cov(l, w) = D a.
 
-and w is made independent of l: w - k l with k = D a / (D² a + p) has the variance
-b + q + a p / (D² a + p). A step shorter than `MIN_TRANSLATION` has no direction: D is 0. The result
-is three independent Gaussians for each step. p and q also cover the rounding of a file; without
-them a robot that drives exactly straight, by a rule that gives no noise to turns of 0, would have a
-likelihood of 0 or infinity.
+w - k l with k = D a / (D² a + p) is independent of l and has the variance b + q + a p / (D² a + p).
+A step shorter than `MIN_TRANSLATION` has no direction: D is 0. p and q also cover the rounding of a
+file; without them a robot that drives exactly straight, by a rule that gives no noise to turns of
+0, would have a likelihood of 0 or infinity. docs/jobs/calibrate.md derives the rest.
 
-`Problem` is the logarithm of this likelihood for many odometries at once, as a function of the
-parameters that are to be calibrated. Those that cannot be negative are represented by their
-logarithm.
-
-The Jacobian of the odometry's (x, y) in polar coordinates depends on no parameter, and D is the
-truth's, so likelihoods of all models and systematic errors are comparable.
+Parameters that cannot be negative are represented by their logarithm.
 """
 
 from __future__ import annotations

@@ -27,11 +27,7 @@ STEPS_PER_BLOCK = 16384
 
 
 def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
-    """Return the steps of a perfect path.
-
-    Args:
-        poses: x (m), y (m) and yaw (rad), finite, shape (n+1, 3), n >= 1.
-        rule: gives the variances of a step.
+    """Return the steps of a perfect path: x (m), y (m), yaw (rad), finite, (n+1, 3), n >= 1.
 
     >>> from bullet_lab.noise.odometry_noise import ReportRule
     >>> steps = noisy_steps([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], ReportRule(0.5))
@@ -116,16 +112,10 @@ def noisy_blocks(
 
 
 def study_generator(seed: int, model: str, std: float, rate: float) -> np.random.Generator:
-    """Return the random generator of one case of a study.
+    """Return the random generator of one case of a study: a model at a level and a rate (Hz).
 
-    Each case has its own stream, spawned from the seed with a key made of the case. So the stream
-    does not depend on the other cases, on the registered models, or on their order.
-
-    Args:
-        seed: of the study, >= 0.
-        model: one of `MODELS`.
-        std: the level.
-        rate: Hz.
+    Its stream is spawned from the seed (>= 0) with a key made of the case, so that it does not
+    depend on the other cases, on the registered models, or on their order.
 
     >>> stds = (0.0, -0.0, 0.2)
     >>> one, same, other = (study_generator(1, "report", s, 20.0).standard_normal() for s in stds)

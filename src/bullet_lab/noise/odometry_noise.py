@@ -33,19 +33,11 @@ class NoiseError(LabError):
 
 
 def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
-    """Decompose one displacement into (rot1, trans, rot2).
+    """Decompose a displacement (m, m, rad) in the body frame before it into (rot1, trans, rot2).
 
-    Turning by rot1, going trans ahead (back when negative) and turning by rot2 leads to the
-    same pose. A step shorter than `MIN_TRANSLATION` has no meaningful direction: its rot1 is 0 and
-    its rot2 is dyaw.
-
-    Args:
-        dx: m, ahead in the body frame before the step.
-        dy: m, to the left in the same frame.
-        dyaw: rad.
-
-    Returns:
-        rot1 (rad, in [-pi/2, pi/2]), trans (m, signed), rot2 (rad, in [-pi, pi)).
+    Turning by rot1 (rad, in [-pi/2, pi/2]), going trans ahead (m, back when negative) and turning
+    by rot2 (rad, in [-pi, pi)) leads to the same pose. A step shorter than `MIN_TRANSLATION` has no
+    meaningful direction: its rot1 is 0.
 
     >>> decompose(0.5, 0.0, 0.25)
     (0.0, 0.5, 0.25)
@@ -66,11 +58,8 @@ def decompose_steps(steps) -> ndarray:
 def line_of_travel(dx, dy) -> Tuple[ndarray, ndarray]:
     """Return the line of travel (rad, in [-pi/2, pi/2]) and the signed length (m) along it.
 
-    Unlike in `decompose`, even the shortest step has a direction.
-
-    Args:
-        dx: m, ahead, an array.
-        dy: m, to the left, of the same shape.
+    dx (m, ahead) and dy (m, to the left) are arrays of a shape. Unlike in `decompose`, even the
+    shortest step has a direction.
     """
     sign = np.where(dx < 0.0, -1.0, 1.0)
     return np.arctan2(sign * dy, np.abs(dx)), sign * hypot(dx, dy)
@@ -198,10 +187,9 @@ class WalkRule(NoiseRule):
 class RateInvariantRule(WalkRule):
     """Variance in proportion to the distance travelled, as of a random walk.
 
-    Translation gains std² per metre; heading gains std² per metre and per radian, half of it
-    before and half after the translation. The heading variance of a path, and the variance along
-    a straight one, do not depend on the number of messages; across, N steps give
-    1 + 1/(2 N²) times the limit std² L³ / 3. Strafing counts as distance, not as two turns.
+    The heading variance of a path, and the variance along a straight one, do not depend on the
+    number of messages; across, N steps give 1 + 1/(2 N²) times the limit std² L³ / 3. Strafing
+    counts as distance, not as two turns.
 
     Attributes:
         std: m/√m and rad/√m and rad/√rad, >= 0.
@@ -313,15 +301,10 @@ def noise_parameters() -> Any:
 
 
 def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:
-    """Return the noise rule of a model.
+    """Return the noise rule of a model; raises NoiseError if it is unknown.
 
-    Args:
-        model: one of `MODELS`.
-        values: of parameters by name, which have been checked. Those of other models are ignored,
-            and missing ones have their defaults.
-
-    Raises:
-        NoiseError: the model is unknown.
+    The values of parameters by name have been checked. Those of other models are ignored, and
+    missing ones have their defaults.
 
     >>> rule_of("report", {"std": 0.2, "alpha1": 0.1})
     ReportRule(std=0.2)
@@ -345,11 +328,7 @@ def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
 def derived_seed(seed: int, index: int) -> int:
     """Return the seed, within 31 bits, of one of several independent sources.
 
-    Unlike seed + index, neighbouring seeds do not share derived seeds.
-
-    Args:
-        seed: of all sources, >= 0.
-        index: of the source, >= 0.
+    Unlike seed + index, neighbouring seeds (>= 0) do not share derived seeds.
 
     >>> derived_seed(1, 0), derived_seed(1, 1)
     (917752063, 594516694)
@@ -363,9 +342,8 @@ class NoisyStep:
 
     Attributes:
         pose: noisy x (m), y (m) and yaw (rad, in [-pi, pi)) in the odometry frame.
-        covariance: 3x3, of (x, y, yaw) in the odometry frame, accumulated since the start: the
-            exact second moments of the error about the perfect pose, so that the mean NEES is 3
-            even if the noise is large. Its axes are the perfect path's.
+        covariance: 3x3, of (x, y, yaw) in the odometry frame: the exact second moments of the error
+            about the perfect pose since the start. Its axes are the perfect path's.
         motion_error: noisy minus true step as (dx m, dy m, dyaw rad), each step in the body
             frame before it.
         motion_covariance: 3x3, likewise, of this step alone, in the body frame before it. Divided
@@ -382,11 +360,9 @@ class NoisyPath:
     """Makes a noisy path from a perfect one, pose by pose.
 
     The first pose is returned unchanged. Each later pose adds the noisy step to the previous noisy
-    pose, so that errors accumulate and a heading error bends the rest of the path. If the rule
-    gives no noise, the noisy path equals the perfect one, to rounding.
-
-    Message k uses the normal draws 3k-3 to 3k-1 of the generator (for trans, rot1 and rot2),
-    whether the robot moves or not. So the draws depend only on the seed and the message's number.
+    pose, so that errors accumulate and a heading error bends the rest of the path. Message k uses
+    the normal draws 3k-3 to 3k-1 of the generator (for trans, rot1 and rot2), whether the robot
+    moves or not.
 
     Args:
         rule: gives the variances of a step.

@@ -5,19 +5,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bullet_lab.noise.calibration import Problem, fit
-from bullet_lab.noise.goodness import drawn_pairs
+from bullet_lab.noise.goodness import INSIDE, LENGTHS, drawn_pairs, judged, predicted, windows
 from bullet_lab.noise.likelihood import LongErrors, StepPairs, walk_shares
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.odometry_noise import RandomWalkRule, rule_of
-from bullet_lab.noise.prediction import (
-    INSIDE,
-    LENGTHS,
-    judged,
-    path_of,
-    predicted,
-    windows,
-)
-from bullet_lab.noise.systematic import SystematicErrors, end_of
+from bullet_lab.noise.systematic import SystematicErrors, end_of, path_of
 
 RULE = RandomWalkRule(0.02, 0.03, 0.05)
 ERRORS = SystematicErrors(0.02, -0.03, 0.01, way_per_turn=0.03)

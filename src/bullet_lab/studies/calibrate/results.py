@@ -30,19 +30,20 @@ from bullet_lab.core.figures import (
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Fit, Problem, fit, intervals, on_limit, profile
-from bullet_lab.noise.goodness import Goodness, goodness
-from bullet_lab.noise.likelihood import PARTS, StepPairs
-from bullet_lab.noise.odometry_noise import MODELS, WalkRule
-from bullet_lab.noise.prediction import (
+from bullet_lab.noise.goodness import (
     LENGTHS,
     OWN,
+    Goodness,
     Prediction,
+    goodness,
     judged,
     parameter_variances,
     predicted,
 )
+from bullet_lab.noise.likelihood import PARTS, StepPairs
+from bullet_lab.noise.odometry_noise import MODELS, WalkRule
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
+from bullet_lab.studies.calibrate.steps import EACH, Steps, long_length, pairs_of, part_of
 from bullet_lab.studies.paths import Recording
 from bullet_lab.studies.study import Record, Summary
 
@@ -57,7 +58,6 @@ _POINTS = 11
 _LIMIT = 3.841
 
 
-
 @dataclass(frozen=True, eq=False)
 class ModelCalibration:
     """A noise model, with systematic errors, that is fitted to steps.
@@ -67,7 +67,7 @@ class ModelCalibration:
         intervals: of the parameters, 95 %, shape (k, 2); as wide as the dispersion makes them.
         goodness: of the fit.
         prediction: how well halves of the steps predict each other.
-        length: m and rad of long steps; 0, 0 for steps as they were taken.
+        length: m and rad of long steps; `EACH` for steps as they were taken.
     """
 
     fit: Fit
@@ -125,16 +125,19 @@ def calibrate(
         LabError: the steps do not determine the parameters.
     """
     make = functools.partial(Problem, model=model, systematic=systematic, wheel_base=wheel_base)
-    length = (0.0, 0.0)
+
+    def fitted(length: tuple[float, float]) -> tuple[Fit, Goodness]:
+        pairs, follows = pairs_of(steps, length)
+        found = fit(make(pairs))
+        return found, goodness(found, follows, seed)
+
+    length = EACH
     try:
-        found = fit(make(pairs_of(steps)))
-        quality = goodness(found, steps.follows, seed)
+        found, quality = fitted(length)
         if issubclass(MODELS[model], WalkRule) and not quality.fits:
             length = long_length(steps)
-        if any(length):
-            pairs, follows = long_pairs(steps, length)
-            found = fit(make(pairs))
-            quality = goodness(found, follows, seed)
+        if length != EACH:
+            found, quality = fitted(length)
         prediction = judged(list(predictions(make, steps, length)))
         ends = intervals(found)[0]
     except np.linalg.LinAlgError:
@@ -154,10 +157,10 @@ def calibrate(
 def predictions(make: Callable[[StepPairs], Problem], steps: Steps, length: tuple[float, float]):
     """Yield windows of each half of the steps, predicted by a fit of the other."""
     for number in (0, 1):
-        own, other = part_of(steps, number), part_of(steps, 1 - number)
-        found = fit(make(long_pairs(own, length)[0] if any(length) else pairs_of(own)))
+        found = fit(make(pairs_of(part_of(steps, number), length)[0]))
+        others = pairs_of(part_of(steps, 1 - number))
         for size in LENGTHS:
-            yield predicted(found, pairs_of(other), other.follows, size)
+            yield predicted(found, *others, size)
 
 
 def symbol(name: str) -> str:
@@ -238,7 +241,7 @@ def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, fl
     for one in ranked:
         less = ranked[0].prediction.density - one.prediction.density
         rank = "predicts best" if one is ranked[0] else f"predicts worse by {less:.2f}"
-        steps = "steps of {:g} m or {:g} rad" if any(one.length) else "each step"
+        steps = "steps of {:g} m or {:g} rad" if one.length != EACH else "each step"
         text.append(f"{one.model}: {rank}; {steps.format(*one.length)}; {_verdict(one.goodness)}")
         text += [f"  NO RESULT: {name} lies on its limit" for name in one.limited]
         text.append(f"  {_predicted(one.prediction)}")

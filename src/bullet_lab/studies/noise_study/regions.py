@@ -55,10 +55,7 @@ class Theory:
     limits were measured: up to `GAUSSIAN_SHARE` the published 95 % regions, of the position and of
     all three coordinates, hold 95 ± 1 %; up to `FIRST_ORDER_SHARE` those of first order do.
 
-    Attributes:
-        exact: the exact moments at each pose.
-        first_order: those to first order.
-        quadratic: covariance of the part that is quadratic in the noise, at each pose, (n+1, 3, 3).
+    `quadratic` is the covariance of the part that is quadratic in the noise, (n+1, 3, 3).
     """
 
     exact: Moments
@@ -153,14 +150,7 @@ def checkpoints(trajectory: Trajectory) -> ndarray:
 
 @dataclass(frozen=True)
 class Region:
-    """Statistics of the regions of one method at one pose.
-
-    Attributes:
-        coverage: share of the paths in the region of each of `LEVELS`.
-        bands: their 95 % intervals.
-        nees: mean, 3 for a correct covariance.
-        nees_band: its 95 % interval.
-    """
+    """Shares of paths in the regions of each of `LEVELS`, and the mean NEES, with 95 % bands."""
 
     coverage: tuple[float, ...]
     bands: tuple[tuple[float, float], ...]
@@ -176,7 +166,7 @@ class Region:
 def right_up_to(
     places: Sequence[float], regions: Sequence[Region | None]
 ) -> float | None:
-    """Return the last of some places before the first wrong region; 0 if the first one is wrong.
+    """Return the last place before the first wrong region, 0 if there is none.
 
     Returns None if there is no region.
     """
@@ -212,11 +202,7 @@ class Cloud(NamedTuple):
 
 
 class Ellipsoids:
-    """Regions around the means of errors by several methods, at several poses.
-
-    Args:
-        means: shape (m, k, d), of m methods at k poses.
-        covariances: shape (m, k, d, d).
+    """Regions around the means of errors, (m, k, d), by m methods at k poses.
 
     Attributes:
         known: whether a region has a volume, shape (m, k).

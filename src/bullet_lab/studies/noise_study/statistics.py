@@ -75,16 +75,10 @@ def find_laps(trajectory: Trajectory) -> tuple[ndarray, ndarray]:
 
 
 def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[ndarray, ndarray]:
-    """Pair each pose with the one whose distance along the path is nearest to delta.
+    """Return indices of poses, and of those whose distance along the path is nearest to delta.
 
     Pairs that differ from delta by more than `DELTA_TOLERANCE` are left out. These are the pairs
-    of evo, taken from the reference with `all_pairs`.
-
-    Returns:
-        Indices of the first and second poses, two arrays of the same length.
-
-    Raises:
-        LabError: there is no pair.
+    of evo, taken from the reference with `all_pairs`. Raises LabError if there is none.
     """
     travelled = trajectory.travelled()
     count = len(travelled)
@@ -269,7 +263,7 @@ def study_case(
     delta: float,
     keep: int = 0,
 ) -> Case:
-    """Draw many noisy versions of a path and measure them.
+    """Draw some noisy versions of a path and measure them.
 
     Args:
         trajectory: the perfect path, at the rate of the case.

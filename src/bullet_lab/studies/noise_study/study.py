@@ -57,7 +57,6 @@ KEPT_PATHS = 60
 SIDES_PER_LAP = 4
 _DISTANCES_PER_CASE = 100
 
-
 STUDIED = ("report", "rate_invariant", "probabilistic")
 """Models by default."""
 

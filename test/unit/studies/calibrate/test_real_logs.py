@@ -13,14 +13,13 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.noise.calibration import Problem, covariance, fit
-from bullet_lab.noise.prediction import INSIDE, LENGTHS, judged, path_of, predicted
-from bullet_lab.noise.systematic import arcs
+from bullet_lab.noise.goodness import INSIDE, LENGTHS, judged, predicted
+from bullet_lab.noise.systematic import arcs, path_of
 from bullet_lab.studies.calibrate.alignment import robust_fit
 from bullet_lab.studies.calibrate.results import ModelCalibration, predictions
 from bullet_lab.studies.calibrate.steps import (
     StepSettings,
     long_length,
-    long_pairs,
     pairs_of,
     part_of,
     short_steps,
@@ -41,7 +40,7 @@ WALKS = ("rate_invariant", "random_walk")
 def winner(steps):
     """The best random walk of long steps, without its intervals and tests, which take long."""
     length, found = long_length(steps), []
-    pairs, _ = long_pairs(steps, length)
+    pairs, _ = pairs_of(steps, length)
     for model in WALKS:
         make = functools.partial(Problem, model=model, systematic=ERRORS)
         prediction = judged(list(predictions(make, steps, length)))
@@ -72,7 +71,7 @@ def robust_gain(steps):
 
 def ends(one, other):
     """Squares and logarithms of the density of the other half's windows, by length."""
-    windows = (predicted(one.fit, pairs_of(other), other.follows, length) for length in LENGTHS)
+    windows = (predicted(one.fit, *pairs_of(other), length) for length in LENGTHS)
     return [found.squares(one.prediction.dispersion) for found in windows]
 
 

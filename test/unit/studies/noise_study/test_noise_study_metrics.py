@@ -10,7 +10,7 @@ from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error
 from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.prediction import path_of
+from bullet_lab.noise.systematic import path_of
 from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.noise_study.statistics import (
     PathMetrics,
