@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from alike import assert_as_before, lines_of_figure
 from recorded_paths import read_paths_csv
 
@@ -106,24 +107,18 @@ def test_ellipses_are_those_of_the_noise_that_covariances_describe(tmp_path, abo
     assert sum("ellipses" in label for label in labels) == shown
 
 
-@pytest.mark.parametrize(
-    "about, line",
-    [
-        ({}, ""),
-        (
-            {"std": 0.1, "alpha1": 0.3, "alpha4": 0.0, "model": "probabilistic"},
-            "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic",
-        ),
-        (
-            {"std": 0.1, "alpha1": 0.3, "model": "probabilistic", "as_published": True},
-            "\nstd = 0.1, model = probabilistic, as published",
-        ),
-        (
-            {"std": 0.1, "scale_error": 0.0, "base_error": -0.02, "wheel_base": 0.38},
-            "\nstd = 0.1, base_error = -0.02",
-        ),
-    ],
-)
+TITLES = r"""
+- [{}, ""]
+- - {std: 0.1, alpha1: 0.3, alpha4: 0.0, model: probabilistic}
+  - "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic"
+- - {std: 0.1, alpha1: 0.3, model: probabilistic, as_published: true}
+  - "\nstd = 0.1, model = probabilistic, as published"
+- - {std: 0.1, scale_error: 0.0, base_error: -0.02, wheel_base: 0.38}
+  - "\nstd = 0.1, base_error = -0.02"
+"""
+
+
+@pytest.mark.parametrize("about, line", yaml.safe_load(TITLES))
 def test_the_title_has_the_settings_that_act(about, line):
     assert settings_line(about) == line
 
