@@ -157,7 +157,7 @@ def test_the_picture_is_drawn_of_whatever_was_tried():
         *rows_of({1.0: 0.0}, bearing=30.0, light="dark"),
         *rows_of({1.0: 0.5}, world="docking", light="dark"),
     ]
-    figure = range_figure(rows, ranges_of(rows), {})
+    figure = range_figure(rows, {})
     assert "found from nowhere" in figure._suptitle.get_text()
     assert len(heat_map("marker_panel", rows[:2]).axes) == 1
 
@@ -170,7 +170,7 @@ def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_the
     pictures = {
         ("marker_panel", row["distance_m"]): found if row["found"] > 10 else missed for row in rows
     }
-    figure = range_figure(rows, ranges_of(rows), pictures)
+    figure = range_figure(rows, pictures)
     assert "from 0.5 m to 2 m" in figure._suptitle.get_text()
     assert_as_before(lines_of_figure(figure), HERE / "range.txt")
 
