@@ -18,7 +18,6 @@ from bullet_lab.reports.squares import (
     analyse,
     noise_figure,
     settings_line,
-    squares_summary,
 )
 
 TICK = 50_000_000
@@ -72,7 +71,7 @@ def test_an_empty_recording(recording):
     recording.finish()
     assert lines(recording, "paths.csv") == [CSV_HEADER]
     assert lines(recording, "odom.tum") == []
-    summary = squares_summary(None, None)
+    summary = recording.measured()
     assert (summary["side_lengths_m"], summary["pairs"], summary["ape_rmse_m"]) == ([], 0, None)
 
 
@@ -82,7 +81,7 @@ def test_the_summary_has_the_sides_and_the_errors(recording):
         recording.take("odom", Reading(number * TICK, pose))
         noisy = Reading(number * TICK, np.add(pose, (0.3, 0.4, 0.1)))
         recording.take("noisy_odom", noisy)
-    summary = squares_summary(recording.perfect(), recording.pairs())
+    summary = recording.measured()
     assert summary["side_lengths_m"] == pytest.approx([0.9875])
     expected = {
         "path_length_m": 0.9875,
