@@ -171,18 +171,18 @@ def test_help_names_every_setting():
     assert all(word in said for word in ("Studies.", "--levels", "--all-of-it", "of noise", "0.1"))
 
 
-@pytest.mark.parametrize(
-    ("words", "status", "said"),
-    [
-        ([], 2, "the following arguments are required: out"),
-        (["out", "--paths", "0"], 2, "--paths is '0': it must be a whole number from 1"),
-        (["out", "--nix"], 2, "unrecognized arguments: --nix"),
-        (["/proc/nowhere"], 2, "cannot make the folder"),
-    ],
-)
-def test_bad_words(words, status, said):
-    found, _, printed = ended(words)
-    assert found == status
+BAD = """
+- [[], "the following arguments are required: out"]
+- [[out, --paths, "0"], "--paths is '0': it must be a whole number from 1"]
+- [[out, --nix], "unrecognized arguments: --nix"]
+- [[/proc/nowhere], cannot make the folder]
+"""
+
+
+@pytest.mark.parametrize(("words", "said"), yaml.safe_load(BAD))
+def test_bad_words(words, said):
+    status, _, printed = ended(words)
+    assert status == 2
     assert_one_line("a_study", said, printed)
 
 
