@@ -25,7 +25,7 @@ from bullet_lab.core.figures import (
     new_figure,
     plan_axes,
 )
-from bullet_lab.core.files import Join, PathSeries, Series, Values
+from bullet_lab.core.files import Join, PathSeries, Series
 from bullet_lab.core.parameters import declarations
 from bullet_lab.core.se2 import ellipse_points, hypot
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, path_error
@@ -172,7 +172,10 @@ class SquaresReport(Report):
         paths = (self.PERFECT, self.NOISY)
         self.series = {name: PathSeries(self.folder / f"{name}.tum") for name in paths}
         self._pairs = Series(self.folder / "paths.csv", CSV_HEADER.split(",")[1:])
-        self._join = Join(self.series, self._add_pair)
+        self._join = Join(
+            self.series,
+            lambda stamp, both: self._pairs.add(stamp, [*both[self.PERFECT], *both[self.NOISY]]),
+        )
 
     def take(self, topic: str, reading: Reading) -> bool:
         name = topic.rpartition("/")[2]
@@ -193,9 +196,6 @@ class SquaresReport(Report):
     def finish(self, until: int | None = None) -> None:
         super().finish(until)
         self._pairs.finish(until)
-
-    def _add_pair(self, stamp: int, poses: dict[str, Values]) -> None:
-        self._pairs.add(stamp, (*poses[self.PERFECT], *poses[self.NOISY]))
 
     def summary(self, finished: bool, run: Summary) -> Summary:
         return {"finished": finished, **self.measured(), **run}
