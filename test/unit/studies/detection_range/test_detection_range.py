@@ -50,7 +50,7 @@ def seen(printed, pose, identifier=0, shift=0.0):
 
 
 def judged(pose, *markers, others=()):
-    return judge(list(markers), pose, WANTED, others, CAMERA)
+    return judge(list(markers), pose, (WANTED, *others), CAMERA)
 
 
 # ---- Judging ----
