@@ -91,31 +91,28 @@ def read_command(
 class OutputFolder:
     """A folder for the results of one run, locked against a second run.
 
-    The lock is on the folder itself and ends with the process, however that ends.
+    The lock is on the folder itself and ends with the process, however that ends. Logs of the run
+    are in the folder `log`.
     """
 
     def __init__(self, path: Path):
-        self.path = path
-        self._descriptor = -1
+        self.path, self.log = path, path / "log"
+        self._lock = contextlib.ExitStack()
         self._before: dict[Path, int] = {}
-
-    @property
-    def log(self) -> Path:
-        """The folder for the logs of the run."""
-        return self.path / "log"
 
     def __enter__(self) -> OutputFolder:
         """Create and lock the folder, delete the summary of an earlier run; raise UsageError."""
         try:
             make_folder(self.path)
             self.log.mkdir(exist_ok=True)
-            self._descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+            self._lock.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             (self.path / SUMMARY).unlink(missing_ok=True)
         except FileError as error:
             raise UsageError(str(error)) from error
         except OSError as error:
-            self._close()
+            self._lock.close()
             message = f"cannot write to {self.path}: {error.strerror}"
             if isinstance(error, BlockingIOError):
                 message = f"another run is writing to {self.path}, choose another out:="
@@ -136,12 +133,7 @@ class OutputFolder:
         # There are no logs without ROS.
         with contextlib.suppress(OSError):
             self.log.rmdir()
-        self._close()
-
-    def _close(self) -> None:
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        self._lock.close()
 
     def has_summary(self) -> bool:
         """Return whether this run has written its summary."""

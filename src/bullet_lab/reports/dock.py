@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from pathlib import Path
-from typing import Any, Iterable, NamedTuple, Sequence, Tuple
+from typing import Any, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -156,17 +156,9 @@ class DockReport(DriveReport):
         )
 
     def figures(self, summary: Summary) -> Figures:
-        station = self._station
-        docks = (station.dock, station.entry.pose)
         plans = [one.detail for one in self.readings["dock/plan"] if one.detail]
-        path = docking_figure(
-            self.truth.path(),
-            self._states,
-            plans[-1] if plans else (),
-            station.outlines,
-            docks,
-            self.line(summary),
-        )
+        drawn = self.truth.path(), self._states, plans[-1] if plans else ()
+        path = docking_figure(*drawn, self._station, self.line(summary))
         frames = [(at, self._state_at(at), picture) for at, picture in self._frames.chosen()]
         strip = {"camera.png": strip_figure(frames)} if frames else {}
         return {"path.png": path, **strip}
@@ -234,8 +226,7 @@ def docking_figure(
     truth: Trajectory | None,
     states: Sequence[StateChange],
     plan: Sequence[tuple[float, float]],
-    outlines: Iterable[Outline],
-    docks: tuple[Sequence[float], Sequence[float]],
+    station: Station,
     title: str,
 ) -> Figure:
     """Draw the true path over the plan of the station, in the colours of the states.
@@ -244,15 +235,14 @@ def docking_figure(
         truth: the path; None for none.
         states: of docking, by the names in `STATES`.
         plan: points (m) of the last planned path; may be empty.
-        outlines: as in `Station`.
-        docks: x, y (m) and yaw (rad) of the dock, the true ones and those that the robot got.
+        station: with the dock, where it is and where the robot takes it to be.
         title: of the figure.
     """
     figure = figures.new_figure(9.0, 6.6, title)
     axes = figure.add_axes((0.08, 0.09, 0.89, 0.81))
-    shown = [np.asarray(outline, dtype=float) for outline in outlines]
-    figures.draw_plan(axes, shown, docks[0])
-    (x, y, yaw), half = docks[1], 0.5 * figures.MARKER_SIDE
+    shown = [np.asarray(outline, dtype=float) for outline in station.outlines]
+    figures.draw_plan(axes, shown, station.dock)
+    (x, y, yaw), half = station.entry.pose, 0.5 * figures.MARKER_SIDE
     across = np.array([-half, half])
     rough = (x - across * math.sin(yaw), y + across * math.cos(yaw))
     axes.plot(*rough, color=PURPLE, linewidth=2.0, linestyle=":", label="marker in the database")

@@ -118,14 +118,11 @@ class GoalReport(DriveReport):
 
     def is_complete(self) -> bool:
         # The robot stands after the first goal, or does not drive to it.
-        if self._stay:
-            return False
-        return bool(self._refused) or (self._first_is_over() and super().is_complete())
-
-    def _first_is_over(self) -> bool:
-        """Return whether pose and last status of the first goal have come, in any order."""
-        first = next(iter(self._answers.values()), None)
-        return bool(self._poses) and first is not None and first.over
+        if self._stay or self._refused:
+            return not self._stay
+        # Pose and last status of the goal come in any order.
+        is_over = any(answer.over for answer in [*self._answers.values()][:1])
+        return is_over and bool(self._poses) and super().is_complete()
 
     def summary(self, finished: bool, run: Summary) -> Summary:
         truth = self.truth.path()

@@ -25,7 +25,7 @@ from bullet_lab.core.figures import (
     new_figure,
     plan_axes,
 )
-from bullet_lab.core.files import Join, PathSeries, Series, Values
+from bullet_lab.core.files import Join, PathSeries, Series
 from bullet_lab.core.parameters import declarations
 from bullet_lab.core.se2 import ellipse_points, hypot
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, path_error
@@ -154,20 +154,6 @@ def _is_straight(positions: ndarray) -> bool:
     return bool(hypot(*(positions[-1] - positions[0])) >= MIN_STRAIGHTNESS * driven)
 
 
-def squares_summary(
-    perfect: Trajectory | None, pairs: tuple[Trajectory, Trajectory] | None
-) -> Summary:
-    """Return the figures of a square, from the paths of `SquaresReport`; None for unknown."""
-    summary = {"side_lengths_m": [], "turns_deg": []}
-    summary.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
-    if perfect is not None:
-        summary.update(analyse(perfect)._asdict(), path_length_m=perfect.length())
-    if pairs is not None:
-        error = path_error(*pairs)
-        summary.update({name: getattr(error, name) for name in ERRORS}, pairs=len(pairs[0]))
-    return summary
-
-
 class SquaresReport(Report):
     """The perfect and the noisy path of one robot: odom.tum, noisy_odom.tum and paths.csv.
 
@@ -186,7 +172,10 @@ class SquaresReport(Report):
         paths = (self.PERFECT, self.NOISY)
         self.series = {name: PathSeries(self.folder / f"{name}.tum") for name in paths}
         self._pairs = Series(self.folder / "paths.csv", CSV_HEADER.split(",")[1:])
-        self._join = Join(self.series, self._add_pair)
+        self._join = Join(
+            self.series,
+            lambda stamp, both: self._pairs.add(stamp, [*both[self.PERFECT], *both[self.NOISY]]),
+        )
 
     def take(self, topic: str, reading: Reading) -> bool:
         name = topic.rpartition("/")[2]
@@ -208,11 +197,20 @@ class SquaresReport(Report):
         super().finish(until)
         self._pairs.finish(until)
 
-    def _add_pair(self, stamp: int, poses: dict[str, Values]) -> None:
-        self._pairs.add(stamp, (*poses[self.PERFECT], *poses[self.NOISY]))
-
     def summary(self, finished: bool, run: Summary) -> Summary:
-        return {"finished": finished, **squares_summary(self.perfect(), self.pairs()), **run}
+        return {"finished": finished, **self.measured(), **run}
+
+    def measured(self) -> Summary:
+        """Return the figures of the square; None for unknown."""
+        perfect, pairs = self.perfect(), self.pairs()
+        found = {"side_lengths_m": [], "turns_deg": []}
+        found.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
+        if perfect is not None:
+            found.update(analyse(perfect)._asdict(), path_length_m=perfect.length())
+        if pairs is not None:
+            error = path_error(*pairs)
+            found.update({name: getattr(error, name) for name in ERRORS}, pairs=len(pairs[0]))
+        return found
 
     def figures(self, summary: Summary) -> Figures:
         pairs = self.pairs()
@@ -355,10 +353,10 @@ class FleetReport(Report):
         return max(paths.seconds() for paths in self.robots.values())
 
     def summary(self, finished: bool, run: Summary) -> Summary:
-        robots = []
-        for name, paths in self.robots.items():
-            figures = squares_summary(paths.perfect(), paths.pairs())
-            robots.append({"name": name, "seed": self._seeds[name], **figures})
+        robots = [
+            {"name": name, "seed": self._seeds[name], **paths.measured()}
+            for name, paths in self.robots.items()
+        ]
         return {"finished": finished, **run, **fleet_summary(robots)}
 
     def figures(self, summary: Summary) -> Figures:

@@ -63,7 +63,7 @@ TOLERANCES = {"published_noise": 0.0}
 """Jobs with a tolerance that differs; 0: the bytes must be the same, except in pictures."""
 
 UNREPEATABLE = (NAME, "grade")
-"""Jobs that are not run unless they are named: submissions are not in lock step."""
+"""Jobs that are not run: itself, and submissions, which are not in lock step."""
 
 LEFT_OUT = {"save_world": ("path", "saving_s")}
 """Jobs with JSON keys that are not compared, besides WALL_CLOCK_KEYS: a path, a wall time."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence, Tuple
+from typing import Iterator, Mapping, Sequence, Tuple
 
 import numpy as np
 from numpy import ndarray
@@ -140,11 +140,9 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         known_paths = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
         raise LabError(f"{path}: nothing on the topic {topic}; {known_paths}")
     places = [f"message {number} of {topic}" for number in range(1, len(messages) + 1)]
-    return trajectory_of([_pose_row(message) for message in messages], path, places)
-
-
-def _pose_row(message: Any) -> list[float]:
-    return [message.header.stamp.to_sec(), *pose_from_above(*_POSES[message._type](message))]
+    poses = (pose_from_above(*_POSES[message._type](message)) for message in messages)
+    rows = [(m.header.stamp.to_sec(), *pose) for m, pose in zip(messages, poses)]
+    return trajectory_of(rows, path, places)
 
 
 def tum_text(trajectory: Trajectory) -> str:

@@ -56,7 +56,6 @@ LIVES = 3
 MOST_WORKERS = 1024
 
 _SPAWN = get_context("spawn")
-_LOST = "each worker process that ran the task has died"
 
 Task = Callable[[int], Any]
 Results = Iterator[Tuple[int, Any]]
@@ -232,20 +231,18 @@ def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
                 worker.give(left.pop())
             for pipe in connection.wait(list(busy)):
                 number, found = busy[pipe].number, busy[pipe].result()
-                if found is not None and left:
+                has_died = isinstance(found, TaskLostError)
+                if left and not has_died:
                     busy[pipe].give(left.pop())
                 else:
                     busy.pop(pipe).end()
-                if found is None:
-                    deaths[number] += 1
-                    if deaths[number] < LIVES:
-                        left.append(number)
-                        continue
-                    found = True, TaskLostError(_LOST)
-                done, value = found
-                if not done:
-                    raise UnfinishedError(value)
-                yield number, value
+                deaths[number] += has_died
+                if has_died and deaths[number] < LIVES:
+                    left.append(number)
+                elif isinstance(found, UnfinishedError) and not has_died:
+                    raise found
+                else:
+                    yield number, found
     finally:
         for worker in busy.values():
             worker.end()
@@ -268,16 +265,16 @@ class _Worker:
     def give(self, number: int) -> None:
         """Send the number of a task."""
         self.number = number
-        # If the process has died, `result` returns None.
+        # If the process has died, `result` tells it.
         with contextlib.suppress(OSError):
             self.pipe.send(number)
 
     def result(self) -> Any:
-        """Return what `_work` sends, or None if the process has died."""
+        """Return what `_work` sends, or a TaskLostError if the process has died."""
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
-            return None
+            return TaskLostError("each worker process that ran the task has died")
 
     def end(self) -> None:
         """Kill the process, even while it runs a task."""
@@ -287,7 +284,7 @@ class _Worker:
 
 
 def _work(task: Task, pipe: connection.Connection) -> None:
-    """Run the tasks of the numbers that arrive; send (True, result) or (False, error)."""
+    """Run the tasks of the numbers that arrive; send the results, or why one failed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     # Not before: the program itself may need no images.
@@ -300,16 +297,11 @@ def _work(task: Task, pipe: connection.Connection) -> None:
         while True:
             number = pipe.recv()
             try:
-                pipe.send((True, task(number)))
+                pipe.send(task(number))
             except Exception as error:  # of the task, or of a result that cannot be pickled
-                pipe.send((False, _reason(error)))
-
-
-def _reason(error: Exception) -> str:
-    """Return why a task failed, in one line."""
-    if isinstance(error, LabError):
-        return str(error)
-    return f"a worker process failed: {type(error).__name__}: {error}"
+                known = isinstance(error, LabError)
+                reason = f"a worker process failed: {type(error).__name__}: {error}"
+                pipe.send(UnfinishedError(str(error) if known else reason))
 
 
 def _end_with_parent() -> None:

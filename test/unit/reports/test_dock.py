@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,5 +144,6 @@ def test_the_figure_is_as_before():
     truth = Trajectory(along, np.column_stack([2.0 * along, 0.2 * along, 0.0 * along]))
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
     walls, plan = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))], [(0.0, 0.0), (3.0, 0.0)]
-    figure = docking_figure(truth, states, plan, walls, (DOCK, DOCK), "title")
+    station = Station(walls, DOCK, 0.16, replace(ENTRY, pose=DOCK))
+    figure = docking_figure(truth, states, plan, station, "title")
     assert_as_before(lines_of_figure(figure), Path(__file__).parent / "dock.txt")

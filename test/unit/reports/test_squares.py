@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from alike import assert_as_before, lines_of_figure
 from recorded_paths import read_paths_csv
 
@@ -17,7 +18,6 @@ from bullet_lab.reports.squares import (
     analyse,
     noise_figure,
     settings_line,
-    squares_summary,
 )
 
 TICK = 50_000_000
@@ -71,7 +71,7 @@ def test_an_empty_recording(recording):
     recording.finish()
     assert lines(recording, "paths.csv") == [CSV_HEADER]
     assert lines(recording, "odom.tum") == []
-    summary = squares_summary(None, None)
+    summary = recording.measured()
     assert (summary["side_lengths_m"], summary["pairs"], summary["ape_rmse_m"]) == ([], 0, None)
 
 
@@ -81,7 +81,7 @@ def test_the_summary_has_the_sides_and_the_errors(recording):
         recording.take("odom", Reading(number * TICK, pose))
         noisy = Reading(number * TICK, np.add(pose, (0.3, 0.4, 0.1)))
         recording.take("noisy_odom", noisy)
-    summary = squares_summary(recording.perfect(), recording.pairs())
+    summary = recording.measured()
     assert summary["side_lengths_m"] == pytest.approx([0.9875])
     expected = {
         "path_length_m": 0.9875,
@@ -106,24 +106,18 @@ def test_ellipses_are_those_of_the_noise_that_covariances_describe(tmp_path, abo
     assert sum("ellipses" in label for label in labels) == shown
 
 
-@pytest.mark.parametrize(
-    "about, line",
-    [
-        ({}, ""),
-        (
-            {"std": 0.1, "alpha1": 0.3, "alpha4": 0.0, "model": "probabilistic"},
-            "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic",
-        ),
-        (
-            {"std": 0.1, "alpha1": 0.3, "model": "probabilistic", "as_published": True},
-            "\nstd = 0.1, model = probabilistic, as published",
-        ),
-        (
-            {"std": 0.1, "scale_error": 0.0, "base_error": -0.02, "wheel_base": 0.38},
-            "\nstd = 0.1, base_error = -0.02",
-        ),
-    ],
-)
+TITLES = r"""
+- [{}, ""]
+- - {std: 0.1, alpha1: 0.3, alpha4: 0.0, model: probabilistic}
+  - "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic"
+- - {std: 0.1, alpha1: 0.3, model: probabilistic, as_published: true}
+  - "\nstd = 0.1, model = probabilistic, as published"
+- - {std: 0.1, scale_error: 0.0, base_error: -0.02, wheel_base: 0.38}
+  - "\nstd = 0.1, base_error = -0.02"
+"""
+
+
+@pytest.mark.parametrize("about, line", yaml.safe_load(TITLES))
 def test_the_title_has_the_settings_that_act(about, line):
     assert settings_line(about) == line
 

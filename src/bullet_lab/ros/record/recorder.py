@@ -132,7 +132,7 @@ class Recorder:
         report.about = parameters.about
         self._period = parameters.plot_period
         if parameters.until:
-            self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
+            rospy.Subscriber(parameters.until, Time, self._receive_end)
         self._subscribers: list[rospy.Subscriber] = []
         for topic, kind in report.topics.items():
             message_type, read = reader_of(kind)

@@ -134,14 +134,21 @@ def _do(todo: Sequence[Task], number: int) -> Any:
 COUNTS = ("other_detections", "double_detections", "false_detections")
 
 
+def grouped(rows: Sequence[Record], *names: str) -> dict[tuple, list[Record]]:
+    """Return rows by what they have in some columns, in the order in which that comes."""
+    groups: dict[tuple, list[Record]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in names), []).append(row)
+    return groups
+
+
 def ranges_of(rows: Sequence[Record]) -> list[Record]:
     """Return a record for each world and light from the rows of all cells, as in the table.
 
     It has the ranges (m), None if there is none, and the numbers of detections.
     """
     found = []
-    for world, light in dict.fromkeys((row["world"], row["light"]) for row in rows):
-        of_light = [row for row in rows if (row["world"], row["light"]) == (world, light)]
+    for (world, light), of_light in grouped(rows, "world", "light").items():
         frontal, aside = (found_range(of_light, bearing) for bearing in (0.0, 30.0))
         found.append(
             {
@@ -201,7 +208,7 @@ def heat_map(world: str, rows: Sequence[Record]) -> Figure:
 
     `rows` are those of all its cells, as in the table.
     """
-    lights = list(dict.fromkeys(row["light"] for row in rows))
+    lights = grouped(rows, "light")
     bearings = sorted({row["bearing_deg"] for row in rows})
     distances = sorted({row["distance_m"] for row in rows})
     width = max(1.6 + 0.52 * len(distances), 6.0)
@@ -212,8 +219,7 @@ def heat_map(world: str, rows: Sequence[Record]) -> Figure:
         "bearing (°)",
     )
     figure, grid = panels((len(lights), 1), (width, height), title, labels, False)
-    for axes, light in zip(grid.flat, lights):
-        of_light = [row for row in rows if row["light"] == light]
+    for axes, ((light,), of_light) in zip(grid.flat, lights.items()):
         _draw_map(axes, of_light, distances, bearings)
         axes.set_title(f"{light} light", fontsize=10, loc="left")
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.05 / height))
@@ -245,9 +251,7 @@ def _colour(row: Record) -> str:
 
 
 def range_figure(
-    rows: Sequence[Record],
-    ranges: Sequence[Record],
-    pictures: Mapping[tuple[str, float], MarkerImage],
+    rows: Sequence[Record], pictures: Mapping[tuple[str, float], MarkerImage]
 ) -> Figure:
     """Draw the answer to the report's question: how close, how far.
 
@@ -260,10 +264,9 @@ def range_figure(
         2, 12, height_ratios=(1.6, 1.0), hspace=0.3, wspace=0.4,
         left=0.05, right=0.985, top=0.9, bottom=0.05,
     )  # fmt: skip
-    world, light = rows[0]["world"], rows[0]["light"]
-    own = [row for row in rows if (row["world"], row["light"]) == (world, light)]
-    (entry,) = (one for one in ranges if (one["world"], one["light"]) == (world, light))
-    ends = entry["closest_m"], entry["farthest_frontal_m"]
+    (world, light), own = next(iter(grouped(rows, "world", "light").items()))
+    ranges = ranges_of(rows)
+    ends = ranges[0]["closest_m"], ranges[0]["farthest_frontal_m"]
     floor = figure.add_subplot(grid[0, :8])
     _draw_floor(floor, own, ends)
     floor.set_title(f"{world}, {light} light: where the marker is found")
@@ -435,12 +438,12 @@ def run_detection_range(
         },
     }
     pictures = {(row["world"], row["distance_m"]): image for row, image in cells if image}
+    # Not of a world without room.
     figures = {
-        f"heat_map_{world}.png": heat_map(world, [row for row in rows if row["world"] == world])
-        # Not of a world without room.
-        for world in dict.fromkeys(row["world"] for row in rows)
+        f"heat_map_{world}.png": heat_map(world, of_world)
+        for (world,), of_world in grouped(rows, "world").items()
     }
-    figures["detection_range.png"] = range_figure(rows, summary["ranges"], pictures)
+    figures["detection_range.png"] = range_figure(rows, pictures)
     # Enough digits to read.
     table = [
         {name: f"{v:.6g}" if isinstance(v, float) else v for name, v in row.items()} for row in rows

@@ -199,8 +199,7 @@ class FreeCamera:
 
     def judged(self, shot: CameraShot) -> Frame:
         """Take an image and compare the detections in it with the truth."""
-        wanted, *others = self.printed
-        return judge(self.observed(shot)[1], shot.pose, wanted, others, self.camera)
+        return judge(self.observed(shot)[1], shot.pose, self.printed, self.camera)
 
 
 def in_optical_frame(pose: Pose, points: ndarray) -> ndarray:
@@ -317,17 +316,17 @@ def _free_camera(world: str, light: str, seed: int) -> FreeCamera:
 def judge(
     markers: list[ObservedMarker],
     pose: Pose,
-    wanted: PrintedMarker,
-    others: Sequence[PrintedMarker],
+    printed: Sequence[PrintedMarker],
     camera: PinholeCamera,
 ) -> Frame:
     """Compare the detections in an image from a pose in the world with the truth.
 
-    `others` are other markers with the same id.
+    The first marker that is printed is the wanted one; the others have the same id.
     """
+    wanted, *others = printed
 
-    def is_at(marker: ObservedMarker, printed: PrintedMarker) -> bool:
-        corners = camera.project(in_optical_frame(pose, printed.corners()))
+    def is_at(marker: ObservedMarker, one: PrintedMarker) -> bool:
+        corners = camera.project(in_optical_frame(pose, one.corners()))
         farthest = np.linalg.norm(marker.corners - corners, axis=1).max()
         is_near = farthest <= 1.0 + LARGEST_OFFSET * mean_side(corners)
         return marker.id == WANTED_ID and bool(is_near)

@@ -10,9 +10,9 @@ from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Reading
 from bullet_lab.reports.squares import (
     FleetReport,
+    SquaresReport,
     fleet_figure,
     fleet_summary,
-    squares_summary,
 )
 from bullet_lab.ros.nodes.drive_squares import robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters, robots_of
@@ -36,7 +36,7 @@ def test_each_robot_has_noise_of_its_own():
     assert {its.std for its in robots.values()} == {0.3}
 
 
-def test_summary_has_mean_and_largest_errors():
+def test_summary_has_mean_and_largest_errors(tmp_path):
     robots = [
         {"name": "robot1", **FIGURES},
         {"name": "robot2", **FIGURES, "final_error_m": 0.4, "final_heading_error_deg": 1.0},
@@ -49,7 +49,7 @@ def test_summary_has_mean_and_largest_errors():
     }
     assert expected.items() <= fleet_summary(robots).items()
     # Robots that have not moved have no errors.
-    robots[1] = {"name": "robot2", **squares_summary(None, None)}
+    robots[1] = {"name": "robot2", **SquaresReport(tmp_path).measured()}
     assert fleet_summary(robots)["final_error_m_rms"] is None
     assert fleet_summary([])["ape_rmse_m_largest"] is None
 
