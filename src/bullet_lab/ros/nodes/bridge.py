@@ -65,12 +65,7 @@ from bullet_lab.ros.bridge.stepper import FOR_EVER, Pace, Stepper, StepperError,
 from bullet_lab.ros.bridge.topics import DeviceTopics, Route
 from bullet_lab.ros.gazebo.interface import Warnings, offer_all
 from bullet_lab.ros.gazebo.services import offer
-from bullet_lab.ros.messages.poses import (
-    NANOSECONDS_PER_STEP,
-    first_step_at,
-    set_time,
-    time_of,
-)
+from bullet_lab.ros.messages.poses import first_step_at, set_time, time_of
 from bullet_lab.ros.node.node import (
     MASTER_ERRORS,
     NodeError,
@@ -190,7 +185,9 @@ class PyBulletBridge:
         self._clock = Clock()
         self._clock_publisher = world.topics.publisher("/clock", Clock)
         simulation.every(parameters.clock_rate, self._publish_clock)
-        simulation.every(LOG_TIME_RATE, _set_log_time)
+        # This node does not subscribe to /clock.
+        set_log_time = rospy.rostime._set_rostime
+        simulation.every(LOG_TIME_RATE, lambda step: set_log_time(time_of(step)))
         for instance in simulation.models.values():
             world.connect(instance)
         frame, hidden = parameters.world_frame, _add_robot(world, parameters)
@@ -315,11 +312,6 @@ def _read_robot(parameters: BridgeParameters) -> Model | None:
     name = parameters.robot_description
     text = rospy.get_param(name, "") if name else ""
     return read_urdf(str(text), name) if text else None
-
-
-def _set_log_time(step: int) -> None:
-    """Set the time of this node's log messages, as it does not subscribe to /clock."""
-    rospy.rostime._set_rostime(rospy.Time(*divmod(step * NANOSECONDS_PER_STEP, 10**9)))
 
 
 class _Transport(xmlrpc.client.Transport):

@@ -126,8 +126,5 @@ def find_world(name: str) -> str:
 
 def main() -> None:
     """Run the node."""
-
-    def read() -> BridgeParameters:
-        return bridge_parameters(parse_server_arguments(rospy.myargv(sys.argv)[1:]))
-
-    serve("gazebo", read)
+    words = rospy.myargv(sys.argv)[1:]
+    serve("gazebo", lambda: bridge_parameters(parse_server_arguments(words)))
