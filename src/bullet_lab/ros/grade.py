@@ -197,10 +197,11 @@ class Watcher:
         describe.wait_for_service(START)
         models = [one for one in describe("", False).models if one.name != GROUND]
         self._robot = next((one.name for one in models if not one.of_world_file), "")
-        for one in models:
-            if one.name != self._robot:
-                box = [one.least.x, one.least.y, one.greatest.x, one.greatest.y]
-                self.record.boxes[one.name] = box
+        self.record.boxes = {
+            one.name: [one.least.x, one.least.y, one.greatest.x, one.greatest.y]
+            for one in models
+            if one.name != self._robot
+        }
         rospy.Subscriber("/gazebo/model_states", ModelStates, self._locate)
         rospy.Subscriber("/bullet_lab/touched", TouchedModels, self._touch)
         for one in (*(one for one in exercise.criteria if one.topic), COMMANDS):
