@@ -51,6 +51,8 @@ COMMAND_TIMEOUT = "command_timeout"
 # Directions of connections in the slave API's getBusInfo.
 INBOUND = "i"
 OUTBOUND = "o"
+# rospy warns of it.
+warnings.filterwarnings("ignore", "The publisher should be created with an explicit", SyntaxWarning)
 
 
 @functools.lru_cache
@@ -163,12 +165,6 @@ class Publisher(rospy.Publisher):
 
     Without a `queue_size` it writes to its subscribers at once and drops no message.
     """
-
-    def __init__(self, *args: Any, **kwds: Any):
-        with warnings.catch_warnings():
-            # rospy warns about a missing queue size.
-            warnings.simplefilter("ignore", SyntaxWarning)
-            super().__init__(*args, **kwds)
 
     def has_connections(self) -> bool:
         """Return whether anybody subscribes."""
