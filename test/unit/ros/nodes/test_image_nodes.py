@@ -130,12 +130,9 @@ def test_parameters_count(published, node, figures):
     ("encoding", "channels"),
     [("bgr8", [0, 1, 2]), ("rgb8", [2, 1, 0]), ("bgra8", [0, 1, 2, 3]), ("rgba8", [2, 1, 0, 3])],
 )
-def test_encodings_that_cameras_have(published, encoding, channels):
+def test_encodings_that_cameras_have(encoding, channels):
     colours = np.full((480, 640, 4), (10, 120, 230, 255), np.uint8)[..., channels]
-    node = ViewCamera(ImageParameters())
-    (seen,) = answers(
-        node, published, image(np.ascontiguousarray(colours), 1.0, encoding), "image_annotated"
-    )
+    seen = image(colours, encoding=encoding)
     assert pixels_of(seen, "bgr8")[300, 300].tolist() == [10, 120, 230]
 
 
