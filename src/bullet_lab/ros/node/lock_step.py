@@ -51,7 +51,7 @@ COMMAND_TIMEOUT = "command_timeout"
 # Directions of connections in the slave API's getBusInfo.
 INBOUND = "i"
 OUTBOUND = "o"
-# rospy warns of it.
+# A publisher without a queue size writes at once; rospy takes that for a mistake.
 warnings.filterwarnings("ignore", "The publisher should be created with an explicit", SyntaxWarning)
 
 
