@@ -234,13 +234,6 @@ def publisher(
     a thread.) Time advances only when the bridge has received the messages that were sent to it.
 
     For messages that are only displayed, as in RViz, use `Publisher`, which lock step ignores.
-
-    Args:
-        topic: its name.
-        kind: class of its messages.
-        queue_size: without lock step, messages that wait for a slow subscriber before the oldest
-            is dropped; None for no queue.
-        latch: whether later subscribers receive the last message.
     """
     size = None if in_lock_step() else queue_size
     made = Publisher(topic, kind, queue_size=size, latch=latch, tcp_nodelay=True)
@@ -257,13 +250,8 @@ def subscriber(
 ) -> rospy.Subscriber:
     """Return a subscriber that drops no message in lock step.
 
-    Args:
-        topic: its name.
-        kind: class of its messages.
-        receive: called with each message, in the topic's thread; may raise LabError to refuse it.
-        queue_size: without lock step, messages that wait before the oldest is dropped; None to
-            drop none.
-        buffer_bytes: larger than a large message, or old messages stay in the socket.
+    `receive` is called in the topic's thread, and may raise LabError to refuse a message.
+    `buffer_bytes` is larger than a large message, or old messages stay in the socket.
     """
     refusals = Refusals()
 
@@ -280,10 +268,7 @@ def subscriber(
 class Rate:
     """Ticks by simulated time, which a node in lock step holds back between the ticks.
 
-    Args:
-        hz: ticks per simulated second.
-        is_ready: in lock step, condition to wait for before time starts.
-        what: what that waits for, for the log.
+    In lock step, it waits for `is_ready` before time starts, and logs `what` that waits for.
 
     Attributes:
         now: ROS time at the last tick; a reset may have set it back.

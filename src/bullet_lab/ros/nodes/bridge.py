@@ -76,7 +76,6 @@ from bullet_lab.ros.node.node import (
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.video import Video
-from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder, listed_folders
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 from bullet_lab.simulation.world.xml import parse_text, read_text
@@ -293,9 +292,14 @@ class PyBulletBridge:
 
 def _add_robot(world: RunningWorld, parameters: BridgeParameters) -> str:
     """Add the robot of the parameters, if there is one, and return its name."""
-    model = _read_robot(parameters)
-    if model is None:
-        return ""
+    if parameters.robot:
+        model = read_urdf_file(ResourceFinder.anywhere().find(parameters.robot))
+    else:
+        name = parameters.robot_description
+        text = rospy.get_param(name, "") if name else ""
+        if not text:
+            return ""
+        model = read_urdf(str(text), name)
     pose = Pose.from_rpy(parameters.robot_pose[:3], parameters.robot_pose[3:])
     # As in spawn_model; the plugins' topics are not in a namespace of the model's name.
     namespace = parameters.robot_namespace or "/"
@@ -304,14 +308,6 @@ def _add_robot(world: RunningWorld, parameters: BridgeParameters) -> str:
         if isinstance(device, Camera):
             device.set_rate(parameters.camera_rate, 0)
     return robot.name
-
-
-def _read_robot(parameters: BridgeParameters) -> Model | None:
-    if parameters.robot:
-        return read_urdf_file(ResourceFinder.anywhere().find(parameters.robot))
-    name = parameters.robot_description
-    text = rospy.get_param(name, "") if name else ""
-    return read_urdf(str(text), name) if text else None
 
 
 class _Transport(xmlrpc.client.Transport):

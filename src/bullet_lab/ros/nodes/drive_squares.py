@@ -91,13 +91,7 @@ class _Robot:
 
 
 class DriveSquares:
-    """Drives several robots in squares at the same time.
-
-    Args:
-        square: of each robot.
-        mode: of `MODES`: what ends a side.
-        robots: topics (cmd_vel, odom) of each robot.
-    """
+    """Drives several robots, each with topics (cmd_vel, odom), in squares at the same time."""
 
     def __init__(self, square: Square, mode: str, robots: Sequence[tuple[str, str]]):
         self._square = square

@@ -90,12 +90,8 @@ def total_wrench(message: msg.ContactsState) -> Wrench:
 def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
     """Yield markers for the points of the last step, which replace those of the message before.
 
-    Args:
-        message: of a bumper.
-        scale: length in m of an arrow for each N.
-
-    Raises:
-        InputError: a number is not finite, or a point has no normal or force.
+    An arrow has a length of `scale` m for each N. Raises InputError if a number is not finite, or a
+    point has no normal or force.
     """
     header, points = message.header, []
     yield Marker(header=header, action=Marker.DELETEALL)

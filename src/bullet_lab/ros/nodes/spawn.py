@@ -248,16 +248,9 @@ def place_beacon(parameters: PlaceBeaconParameters) -> None:
 def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> argparse.Namespace:
     """Read the arguments of spawn_model, as in gazebo_ros for Noetic, without those of ROS.
 
-    Args:
-        words: the arguments.
-        namespace: of the node; it is also the robot's by default.
-
-    Returns:
-        The values of the options by their names, and
-            source: of the description and its name there, such as "file" and the file's name.
-            pose: in the reference frame.
-            joints: initial positions by name, in rad or m.
-            b: whether the model is deleted when this process ends.
+    Return the values of the options by their names, and the source of the description with its name
+    there, the pose in the reference frame, and initial positions of joints in rad or m. By default,
+    the robot has the namespace of the node.
 
     Raises:
         ArgumentsError: an option is unknown, missing or given twice, or its value invalid.
