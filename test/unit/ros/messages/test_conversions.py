@@ -12,13 +12,11 @@ from geometry_msgs.msg import Twist, Vector3
 from message_fields import check, message, message_of, plain
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray
-from visualization_msgs.msg import Marker
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.conversions import (
     COMMANDS,
-    LARGEST_PLANE,
     Converter,
     Look,
     _marker,
@@ -88,6 +86,7 @@ RANGES = np.array([1.5, math.inf, -math.inf])
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
 # Its rows are not in one piece.
 PICTURE = np.arange(36, dtype=np.uint8).reshape(2, 6, 3)[:, ::2]
+POINTS = np.arange(18, dtype=np.float32).reshape(2, 3, 3)
 CONTACT = ShapeContact(
     1,
     "a::b::c",
@@ -126,6 +125,9 @@ SAMPLES = [
     ImageSample(1234, "optical", "mono8", PICTURE[..., 0]),
     ImageSample(7, "optical", "32FC1", np.array([[1.5, math.nan], [0.4, 5.0]], np.float32)),
     ImageSample(7, "optical", "16UC1", np.array([[65000, 1]], np.uint16)),
+    # Of the second, a point is unknown.
+    PointsSample(9, "optical", POINTS, PICTURE),
+    PointsSample(9, "optical", np.where(POINTS < 3, math.nan, POINTS), PICTURE),
 ]
 
 
@@ -204,39 +206,6 @@ def test_frames_are_those_of_the_first_message():
     guard.check(odometry())
 
 
-def picture(*shape, seed=0):
-    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
-
-
-def test_points_are_read_as_what_they_were():
-    points = np.random.default_rng(0).normal(size=(3, 4, 3)).astype(np.float32)
-    colours = picture(3, 4, 3, seed=1)
-    sample = PointsSample(9, "optical", points, colours)
-    converter = Converter(PointsSample)
-    message = converter.convert(sample)
-    fields = """
-        header.stamp: 0.009
-        height: 3
-        width: 4
-        is_dense: true
-        point_step: 32
-        row_step: 128
-        is_bigendian: false
-        # All of FLOAT32.
-        fields: [[x, 0, 7, 1], [y, 4, 7, 1], [z, 8, 7, 1], [rgb, 16, 7, 1]]
-    """
-    check(message, fields)
-    found = np.frombuffer(message.data, np.uint8).reshape(3, 4, 32)
-    assert found[..., :12].tobytes() == points.tobytes()
-    # As PCL takes them apart: blue, green, red.
-    assert (found[..., 16:19] == colours[..., ::-1]).all()
-    assert not found[..., 19].any()
-    points[1, 1] = np.nan
-    assert not converter.convert(sample).is_dense
-    smaller = PointsSample(9, "optical", points[:2], colours[:2])
-    assert len(converter.convert(smaller).data) == 2 * 4 * 32
-
-
 COLOURED = np.full((8, 12, 3), [200, 100, 50], np.uint8)
 
 
@@ -279,34 +248,15 @@ WORLD = """<sdf version="1.6"><world name="shapes">
 </world></sdf>"""
 
 
-@pytest.fixture
-def markers(tmp_path):
+def test_each_visible_shape_is_a_marker_of_its_own(tmp_path):
     path = tmp_path / "shapes.world"
     path.write_text(WORLD)
     with Simulation(read_world_file(path)) as simulation:
-        yield world_markers(simulation.models["things"], "map")
-
-
-def test_each_visible_shape_is_a_marker_of_its_own(markers):
-    kinds = [Marker.CUBE, Marker.CYLINDER, Marker.SPHERE, Marker.CUBE, Marker.MESH_RESOURCE]
-    assert [marker.type for marker in markers] == kinds
-    assert len({marker.id for marker in markers}) == len(markers)
-    for marker in markers:
-        check(marker, "{ns: things, header.frame_id: map, action: 0}")
-    sizes = [plain(marker.scale) for marker in markers]
-    floor = sizes.pop(3)
-    assert sizes == [[1, 2, 3], [1, 1, 2], [0.5, 0.5, 0.5], [1, 2, 3]]
-    assert floor[:2] == [LARGEST_PLANE, 4]
-    assert markers[4].mesh_resource == "package://bullet_lab/meshes/beacon.dae"
-    # 3 m ahead of a link that is 1 m above a model which looks along y from (1, 2).
-    place, turn = [1.0, 5.0, 1.0], [0.0, 0.0, 0.5**0.5, 0.5**0.5]
-    assert plain(markers[0].pose) == [pytest.approx(place), pytest.approx(turn)]
-    assert plain(markers[0].color) == pytest.approx([0.1, 0.2, 0.3, 0.4])
-
-
-def test_a_plane_is_drawn_below_its_surface(markers):
-    floor = markers[3]
-    assert floor.pose.position.z + 0.5 * floor.scale.z < 1.0
+        markers = world_markers(simulation.models["things"], "map")
+    told = [line for marker in markers for line in str(marker).splitlines()]
+    assert_as_before(told, Path(__file__).with_name("markers.txt"))
+    # A plane is drawn below its surface.
+    assert markers[3].pose.position.z + 0.5 * markers[3].scale.z < 1.0
 
 
 def test_meshes_keep_what_they_bring_in_rviz(tmp_path):
