@@ -162,13 +162,6 @@ class LauncherTest(unittest.TestCase):
         self.assertIn("drive_squares was killed by signal 9", err)
         self.assertEqual([], processes_of(out))
 
-    def test_dead_master_is_one_clear_line(self):
-        run = start(self.folder, "squares", ROS_MASTER_URI="http://127.0.0.1:4")
-        status, _, err = finish(run)
-        self.assertEqual(1, status)
-        self.assertEqual(1, len(err.splitlines()), err)
-        self.assertIn("no ROS master answers at", err)
-
 
 def command_of(pid):
     """The command line of a process."""

@@ -205,10 +205,11 @@ class Watcher:
         describe.wait_for_service(START)
         models = [one for one in describe("", False).models if one.name != GROUND]
         self._robot = next((one.name for one in models if not one.of_world_file), "")
-        for one in models:
-            if one.name != self._robot:
-                box = [one.least.x, one.least.y, one.greatest.x, one.greatest.y]
-                self.record.boxes[one.name] = box
+        self.record.boxes = {
+            one.name: [one.least.x, one.least.y, one.greatest.x, one.greatest.y]
+            for one in models
+            if one.name != self._robot
+        }
         rospy.Subscriber("/gazebo/model_states", ModelStates, self._locate)
         rospy.Subscriber("/bullet_lab/touched", TouchedModels, self._touch)
         for one in (*(one for one in exercise.criteria if one.topic), COMMANDS):
@@ -331,23 +332,22 @@ class GradeSettings(WorkerSettings):
 
 @dataclass(frozen=True)
 class Grader:
-    """Grades submissions to the exercise in a file; `results` has a folder for each of them."""
+    """Grades submissions to the exercise in a file; each has a folder for its results."""
 
     file: Path
-    submissions: list[Path]
-    results: list[Path]
+    folders: list[tuple[Path, Path]]
 
     def kept(self, number: int) -> dict[str, Any]:
         """Return the mark from an earlier run with the same files; empty if there is none."""
+        folder, out = self.folders[number]
         try:
-            mark = json.loads((self.results[number] / GRADE).read_text())
-            return mark if mark["files"] == self._digest(number) else {}
+            mark = json.loads((out / GRADE).read_text())
+            return mark if mark["files"] == self._digest(folder) else {}
         except (OSError, ValueError, LookupError, TypeError):
             return {}
 
-    def _digest(self, number: int) -> str:
+    def _digest(self, folder: Path) -> str:
         digest = hashlib.sha256(self.file.read_bytes())
-        folder = self.submissions[number]
         for path in sorted(path for path in folder.rglob("*") if os.path.isfile(path)):
             with contextlib.suppress(OSError):
                 name = f"{path.relative_to(folder)} {path.stat().st_mode} {path.stat().st_size}"
@@ -357,8 +357,8 @@ class Grader:
 
     def __call__(self, number: int) -> dict[str, Any]:
         """Run and grade a submission, write the files of its mark, and return the mark."""
-        exercise, folder = read_exercise(self.file), self.submissions[number]
-        out = make_folder(self.results[number])
+        exercise, (folder, out) = read_exercise(self.file), self.folders[number]
+        make_folder(out)
         try:
             command_of(folder)
             seeds = range(exercise.seed, exercise.seed + exercise.runs)
@@ -368,7 +368,7 @@ class Grader:
             records = [Record(notes=[str(error)])]
         mark = grade(folder.name, exercise, records)
         is_slow = any(AGAIN in line for line in mark["why"])
-        mark["files"] = "" if is_slow else self._digest(number)
+        mark["files"] = "" if is_slow else self._digest(folder)
         write_grade(out, mark, exercise, records)
         return mark
 
@@ -416,26 +416,24 @@ def _run(out: Path, settings: GradeSettings, tell: Tell) -> list[str]:
         raise LabError("submission or class is needed, one of the two: the folder to grade")
     given = settings.class_folder or settings.submission
     folder = ResourceFinder.anywhere().find(given if "://" in given else str(base / given))
-    submissions, results = [folder], [out]
+    folders = [(folder, out)]
     if settings.class_folder:
         submissions = sorted(one for one in folder.glob("[!.]*") if one.is_dir())
-        results = [out / one.name for one in submissions]
-    if not submissions or not folder.is_dir():
+        folders = [(one, out / one.name) for one in submissions]
+    if not folders or not folder.is_dir():
         raise LabError(f"there are no submissions in '{given}'")
-    grader = Grader(file, submissions, results)
-    marks = {number: grader.kept(number) for number in range(len(submissions))}
-    todo = [number for number, mark in marks.items() if not mark]
-    done, total = len(submissions) - len(todo), len(submissions)
+    grader, total = Grader(file, folders), len(folders)
+    marks = [grader.kept(number) for number in range(total)]
+    todo = [number for number, mark in enumerate(marks) if not mark]
     found = workers(settings.workers)(grader, todo)
-    for number, mark in progress(found, "submissions", total, tell, done):
+    for number, mark in progress(found, "submissions", total, tell, total - len(todo)):
         if isinstance(mark, TaskLostError):
             lost = Record(notes=[f"it has killed its grader: {mark}"])
-            mark = grade(submissions[number].name, exercise, [lost])
+            mark = grade(folders[number][0].name, exercise, [lost])
         marks[number] = mark
     heads = ("submission", "points", "of")
     rows = [
-        {**{name: mark[name] for name in heads}, "why": "; ".join(mark["why"])}
-        for mark in marks.values()
+        {**{head: mark[head] for head in heads}, "why": "; ".join(mark["why"])} for mark in marks
     ]
     with file_errors(f"cannot write {out / TABLE}"):
         write_table(out / TABLE, rows)

@@ -72,7 +72,7 @@ def grader(tmp_path):
     """The grader of one empty submission by one criterion."""
     (tmp_path / "e.yaml").write_text("criteria: [{measure: contacts, at_most: 0}]")
     (tmp_path / "a").mkdir()
-    return Grader(tmp_path / "e.yaml", [tmp_path / "a"], [tmp_path / "marks"])
+    return Grader(tmp_path / "e.yaml", [(tmp_path / "a", tmp_path / "marks")])
 
 
 def test_a_mark_is_kept_until_a_file_changes(tmp_path, grader):
@@ -88,7 +88,7 @@ def test_a_mark_is_kept_until_a_file_changes(tmp_path, grader):
         lambda: (tmp_path / "e.yaml").write_text("title: y"),
     )
     for change in changes:
-        mark.write_text(json.dumps({"files": grader._digest(0)}))
+        mark.write_text(json.dumps({"files": grader._digest(tmp_path / "a")}))
         assert grader.kept(0)
         change()
         assert grader.kept(0) == {}

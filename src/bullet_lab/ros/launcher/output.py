@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 import os
 import re
@@ -51,7 +52,7 @@ def temporary_folder() -> Iterator[str]:
                 sweeper.kill()
 
 
-class PlainText:
+class PlainText(io.TextIOBase):
     """A text file without terminal colours; text is lost while the disk is full."""
 
     def __init__(self, file: BinaryIO):
@@ -63,9 +64,6 @@ class PlainText:
         with contextlib.suppress(OSError):
             self._file.write(plain.encode(errors="replace"))
         return len(text)
-
-    def flush(self) -> None:
-        """Do nothing: each write is immediate."""
 
 
 @contextlib.contextmanager

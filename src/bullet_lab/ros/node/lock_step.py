@@ -51,6 +51,8 @@ COMMAND_TIMEOUT = "command_timeout"
 # Directions of connections in the slave API's getBusInfo.
 INBOUND = "i"
 OUTBOUND = "o"
+# A publisher without a queue size writes at once; rospy takes that for a mistake.
+warnings.filterwarnings("ignore", "The publisher should be created with an explicit", SyntaxWarning)
 
 
 @functools.lru_cache
@@ -164,12 +166,6 @@ class Publisher(rospy.Publisher):
     Without a `queue_size` it writes to its subscribers at once and drops no message.
     """
 
-    def __init__(self, *args: Any, **kwds: Any):
-        with warnings.catch_warnings():
-            # rospy warns about a missing queue size.
-            warnings.simplefilter("ignore", SyntaxWarning)
-            super().__init__(*args, **kwds)
-
     def has_connections(self) -> bool:
         """Return whether anybody subscribes."""
         return self.impl is not None and self.impl.has_connections()
@@ -238,13 +234,6 @@ def publisher(
     a thread.) Time advances only when the bridge has received the messages that were sent to it.
 
     For messages that are only displayed, as in RViz, use `Publisher`, which lock step ignores.
-
-    Args:
-        topic: its name.
-        kind: class of its messages.
-        queue_size: without lock step, messages that wait for a slow subscriber before the oldest
-            is dropped; None for no queue.
-        latch: whether later subscribers receive the last message.
     """
     size = None if in_lock_step() else queue_size
     made = Publisher(topic, kind, queue_size=size, latch=latch, tcp_nodelay=True)
@@ -261,13 +250,8 @@ def subscriber(
 ) -> rospy.Subscriber:
     """Return a subscriber that drops no message in lock step.
 
-    Args:
-        topic: its name.
-        kind: class of its messages.
-        receive: called with each message, in the topic's thread; may raise LabError to refuse it.
-        queue_size: without lock step, messages that wait before the oldest is dropped; None to
-            drop none.
-        buffer_bytes: larger than a large message, or old messages stay in the socket.
+    `receive` is called in the topic's thread, and may raise LabError to refuse a message.
+    `buffer_bytes` is larger than a large message, or old messages stay in the socket.
     """
     refusals = Refusals()
 
@@ -284,10 +268,7 @@ def subscriber(
 class Rate:
     """Ticks by simulated time, which a node in lock step holds back between the ticks.
 
-    Args:
-        hz: ticks per simulated second.
-        is_ready: in lock step, condition to wait for before time starts.
-        what: what that waits for, for the log.
+    In lock step, it waits for `is_ready` before time starts, and logs `what` that waits for.
 
     Attributes:
         now: ROS time at the last tick; a reset may have set it back.

@@ -164,11 +164,8 @@ class MessageQueue(Generic[T]):
 
     In lock step it is always open, and waits for the messages that are due.
 
-    Args:
-        topic: to subscribe to while open.
-        kind: class of the messages, which have a header.
-        read: converts a message, or raises LabError to refuse it.
-        rate: messages of the bridge per simulated second.
+    `read` converts a message, which has a header, or raises LabError to refuse it; `rate` are the
+    messages of the bridge per simulated second.
 
     Attributes:
         trouble: the error of the last message; empty if it was not refused.

@@ -90,36 +90,28 @@ def total_wrench(message: msg.ContactsState) -> Wrench:
 def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
     """Yield markers for the points of the last step, which replace those of the message before.
 
-    Args:
-        message: of a bumper.
-        scale: length in m of an arrow for each N.
-
-    Raises:
-        InputError: a number is not finite, or a point has no normal or force.
+    An arrow has a length of `scale` m for each N. Raises InputError if a number is not finite, or a
+    point has no normal or force.
     """
-    header = message.header
+    header, points = message.header, []
     yield Marker(header=header, action=Marker.DELETEALL)
-    number = 0
     for state in last_states(message):
-        count = len(state.contact_positions)
-        if count != len(state.contact_normals) or count != len(state.wrenches):
+        columns = (state.contact_positions, state.contact_normals, state.wrenches)
+        if len(set(map(len, columns))) > 1:
             raise InputError("a contact point without a normal or a force")
-        for place, normal, wrench in zip(
-            state.contact_positions, state.contact_normals, state.wrenches
-        ):
-            start = vector_of(place, "a point of contact")
-            normal = vector_of(normal, "a normal")
-            force = vector_of(wrench.force, "a force")
-            drawn = [
-                marker(header, "point", Marker.SPHERE, POINT, (0.03, 0.03, 0.03), start),
-                _arrow(header, "normal", NORMAL, start, normal, NORMAL_LENGTH),
-            ]
-            if math.hypot(*force) > LEAST_FORCE:
-                drawn.append(_arrow(header, "force", FORCE, start, force, scale))
-            for one in drawn:
-                one.id = number
-                yield one
-            number += 1
+        points += zip(*columns)
+    for index, (place, normal, wrench) in enumerate(points):
+        start = vector_of(place, "a point of contact")
+        force = vector_of(wrench.force, "a force")
+        drawn = [
+            marker(header, "point", Marker.SPHERE, POINT, (0.03, 0.03, 0.03), start),
+            _arrow(header, "normal", NORMAL, start, vector_of(normal, "a normal"), NORMAL_LENGTH),
+        ]
+        if math.hypot(*force) > LEAST_FORCE:
+            drawn.append(_arrow(header, "force", FORCE, start, force, scale))
+        for one in drawn:
+            one.id = index
+            yield one
 
 
 def _arrow(

@@ -248,16 +248,9 @@ def place_beacon(parameters: PlaceBeaconParameters) -> None:
 def parse_spawn_arguments(words: Sequence[str], namespace: str = "/") -> argparse.Namespace:
     """Read the arguments of spawn_model, as in gazebo_ros for Noetic, without those of ROS.
 
-    Args:
-        words: the arguments.
-        namespace: of the node; it is also the robot's by default.
-
-    Returns:
-        The values of the options by their names, and
-            source: of the description and its name there, such as "file" and the file's name.
-            pose: in the reference frame.
-            joints: initial positions by name, in rad or m.
-            bond: whether the model is deleted when this process ends.
+    Return the values of the options by their names, and the source of the description with its name
+    there, the pose in the reference frame, and initial positions of joints in rad or m. By default,
+    the robot has the namespace of the node.
 
     Raises:
         ArgumentsError: an option is unknown, missing or given twice, or its value invalid.
@@ -283,13 +276,12 @@ def _parser(namespace: str) -> ArgumentParser:
         source.add_argument(f"-{name}", dest="source", type=read)
     source.add_argument("-stdin", dest="source", action="store_const", const=("stdin", ""))
     parser.add_argument("-model", type=_filled, required=True)
-    parser.add_argument("-reference_frame", default="")
     parser.add_argument("-gazebo_namespace", default="/gazebo")
     parser.add_argument("-robot_namespace", "-namespace", default=namespace)
-    parser.add_argument("-wait", default="")
-    parser.add_argument("-unpause", action="store_true")
-    parser.add_argument("-package_to_model", action="store_true")
-    parser.add_argument("-b", dest="bond", action="store_true")
+    for option in ("-reference_frame", "-wait"):
+        parser.add_argument(option, default="")
+    for option in ("-unpause", "-package_to_model", "-b"):
+        parser.add_argument(option, action="store_true")
     for name in NUMBERS:
         parser.add_argument(f"-{name}", type=_finite, default=0.0)
     parser.add_argument("-J", action="append", nargs=2, default=[])
@@ -385,7 +377,7 @@ def spawn_model() -> None:
 
     def body() -> None:
         rospy.loginfo("spawn_model: %s", spawn_by(arguments))
-        if arguments.bond:
+        if arguments.b:
             rospy.on_shutdown(delete)
             spin()
 

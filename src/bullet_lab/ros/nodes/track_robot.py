@@ -80,11 +80,6 @@ class TrackRobotParameters:
     prefix: str = text("beacon", "first part of the names of those beacons: beacon_0 …")
 
 
-def report_line(beacon: Beacon, dist: float) -> str:
-    """Return the line that the report publishes for a beacon."""
-    return f"source: {beacon.name}, position: x:{beacon.x} y:{beacon.y}, distance: {dist}"
-
-
 class _BeaconTopics:
     """The two publishers of one beacon."""
 
@@ -94,8 +89,9 @@ class _BeaconTopics:
         self._range = publisher(f"{beacon.name}/range", Range, QUEUE_SIZE)
 
     def publish(self, header: Header, dist: float) -> None:
-        """Publish a distance in m, with a header."""
-        self._line.publish(String(report_line(self.beacon, dist)))
+        """Publish a distance in m, as the line of the report and with a header."""
+        name, x, y = self.beacon.name, self.beacon.x, self.beacon.y
+        self._line.publish(String(f"source: {name}, position: x:{x} y:{y}, distance: {dist}"))
         self._range.publish(Range(header, Range.INFRARED, 0.0, 0.0, math.inf, dist))
 
     def close(self) -> None:

@@ -7,6 +7,7 @@ from unittest import mock
 import pytest
 import yaml
 
+from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher import supervision
 from bullet_lab.ros.launcher.supervision import Verdict, judge
 
@@ -61,3 +62,9 @@ def test_the_stock_master_of_another_user_is_not_joined(monkeypatch, user, joins
     monkeypatch.setattr(supervision.os, "getuid", lambda: mine + user)
     monkeypatch.setattr(supervision.os, "environ", {"ROS_MASTER_URI": uri})
     assert supervision.prepare_master().own is not joins
+
+
+def test_a_master_that_does_not_answer_is_named(monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:4")
+    with pytest.raises(LabError, match="^no ROS master answers at ROS_MASTER_URI=http"):
+        supervision.prepare_master()
