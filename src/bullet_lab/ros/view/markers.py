@@ -158,8 +158,10 @@ class MarkersDisplay(Display):
         self._hide(key)
 
     def _drop_all(self) -> None:
-        for key in list(self._markers):
-            self._drop(key)
+        for shown in (self._markers, self._frame_poses, self._numbers):
+            shown.clear()
+        for shown in (self._solids, self._meshes, self.nodes):
+            shown.clear()
 
     def _flush(self) -> None:
         self._solids.flush()

@@ -49,7 +49,6 @@ from bullet_lab.ros.view.markers import (
     MarkersDisplay,
     WorldDisplay,
 )
-from bullet_lab.ros.view.pad import DriverSeat
 from bullet_lab.ros.view.page import Page
 from bullet_lab.ros.view.panel import Driver, Panel, TabControls
 from bullet_lab.ros.view.robots import FramesDisplay, Robots
@@ -316,11 +315,10 @@ class ViewNode:
 
     def __init__(self, given: ViewParameters):
         self._given = given
-        self._driver = Driver()
         # By the id of viser's client, in the order in which they were opened.
         self._tabs: dict[int, TabControls] = {}
-        self._seat = DriverSeat(lambda tab, shares: self._driver.drive(self._controls(tab), shares))
-        self._page = Page(given.port, self._seat)
+        self._driver = Driver(self._controls)
+        self._page = Page(given.port, self._driver)
         server = self._page.server
         self._panel = Panel(server.gui, SWITCHES, OFF_AT_FIRST)
         self._show: Show | None = None
@@ -411,7 +409,7 @@ class ViewNode:
         controls = self._tabs.get(event.client_id)
         if controls is None:
             return
-        if not self._seat.claim(controls.tab):
+        if not self._driver.claim(controls.tab):
             controls.status.show("another page drives: click on the pad to take over")
             return
         topic = controls.drive_topic

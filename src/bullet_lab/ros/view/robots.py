@@ -131,13 +131,11 @@ class Robots:
         return Description(text, namespace)
 
     def _show(self, robots: dict[str, Description]) -> None:
-        before, self._shown = self._links, robots
+        self._shown = robots
+        # The next tick places all copies again.
+        self._copies.clear()
         bodies = [body for name in sorted(robots) for body in robots[name].bodies]
         self._links = [(frame, self._copies.group(visuals)) for frame, visuals in bodies]
-        for link in before:
-            if link not in self._links:
-                frame, copies = link
-                copies.drop(frame)
 
     def _is_placed(self, robot: Description) -> bool:
         """Return whether TF connects a link of the robot with a frame outside the robot."""

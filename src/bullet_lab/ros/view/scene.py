@@ -156,7 +156,7 @@ class Copies:
 
     def clear(self) -> None:
         """Remove all copies."""
-        self._changed = self._changed or bool(self._rows)
+        self._changed = True
         self._rows.clear()
 
     def flush(self) -> None:
@@ -211,6 +211,11 @@ class CopyGroups:
         """Remove a copy, if there is one with this key."""
         for copies in self._groups.values():
             copies.drop(key)
+
+    def clear(self) -> None:
+        """Remove all copies."""
+        for copies in self._groups.values():
+            copies.clear()
 
     def flush(self) -> None:
         """Send what has changed."""
