@@ -83,15 +83,15 @@ class Target(NamedTuple):
     main: str
     parameter: str
 
-    def declaration(self) -> Declaration | None:
-        """Return the node's declaration; None if the node cannot be imported or has none."""
+    def declarations(self) -> list[Declaration]:
+        """Return the node's declaration; nothing if the node cannot be imported or has none."""
         try:
             kinds = parameter_kinds(self.main)
         except ImportError:
             # The node reports that itself, with the library that is missing.
-            return None
+            return []
         known = (declarations(kind).get(self.parameter) for kind in kinds)
-        return next((declaration for declaration in known if declaration), None)
+        return [declaration for declaration in known if declaration][:1]
 
 
 class Argument(NamedTuple):
@@ -116,8 +116,7 @@ class Argument(NamedTuple):
         """Return all declarations that a value must satisfy; imports the nodes, if any."""
         if self.own is not None:
             return [self.own]
-        found = (target.declaration() for target in self.targets)
-        return [entry for entry in found if entry is not None]
+        return [entry for target in self.targets for entry in target.declarations()]
 
     def check(self, value: str) -> None:
         """Raise ParameterError if a value is not allowed."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from pathlib import Path
 from typing import Any, NamedTuple, Sequence, Tuple
@@ -73,15 +72,12 @@ class Station(NamedTuple):
 class DockReport(DriveReport):
     """The true path, in truth.tum, pictures of the camera, and the outcome.
 
-    Files of an earlier docking are removed. `sent` is set when the goal was sent, from which on
-    pictures are kept; `result` is that of the action, None before its end.
+    `sent` is set when the goal was sent, from which on pictures are kept; `result` is that of the
+    action, None before its end.
     """
 
     def __init__(self, folder: Path, station: Station):
         super().__init__(folder)
-        for name in ("path.png", "camera.png", "summary.json"):
-            with contextlib.suppress(FileNotFoundError):
-                (folder / name).unlink()
         self._station = station
         self.topics = {
             **self.topics,

@@ -117,13 +117,6 @@ def test_pictures_are_those_of_the_docking_each_with_its_state(report):
     assert titles == ["0.6 s, at rest", "0.7 s, staging"]
 
 
-def test_what_an_earlier_docking_has_left_goes(tmp_path):
-    for name in ("camera.png", "summary.json", "notes.txt"):
-        (tmp_path / name).write_text("old")
-    DockReport(tmp_path, STATION)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "truth.tum"]
-
-
 @pytest.mark.parametrize("seen", [0, 8, 9, 33, 500])
 def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
     sampler = EvenSample(8)

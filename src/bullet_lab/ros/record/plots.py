@@ -93,8 +93,8 @@ class PathTopics:
                     stamped_pose(rospy.Time.from_sec(stamp), frames[topic], pose)
                     for stamp, pose in zip(stamps.tolist(), poses.tolist())
                 ]
-                header = path[-1].header if path else Header(frame_id=frames[topic])
-                publisher.publish(PathMessage(header, path))
+                if path:
+                    publisher.publish(PathMessage(path[-1].header, path))
 
 
 class FleetMarkers:
@@ -112,15 +112,13 @@ class FleetMarkers:
             robot, _, which = topic.rpartition("/")
             _, poses = report.robots[robot].series[which].table()
             points = [(x, y, 0.0) for x, y, _ in poses.tolist()]
+            if not points:
+                continue
             # Without a stamp, RViz uses the newest transform.
-            header = Header(frame_id=frame)
-            if points:
-                size, place = (LINE_WIDTH, 0.0, 0.0), (0.0, 0.0, HEIGHTS[which])
-                colour = COLOURS[which]
-                markers.append(
-                    marker(header, topic, Marker.LINE_STRIP, colour, size, place, points)
-                )
-            if points and which == "odom":
+            header, colour = Header(frame_id=frame), COLOURS[which]
+            size, place = (LINE_WIDTH, 0.0, 0.0), (0.0, 0.0, HEIGHTS[which])
+            markers.append(marker(header, topic, Marker.LINE_STRIP, colour, size, place, points))
+            if which == "odom":
                 # The name of the robot is at the end of its perfect path.
                 size, place = (0.0, 0.0, LABEL_SIZE), (*points[-1][:2], LABEL_HEIGHT)
                 kind, name = Marker.TEXT_VIEW_FACING, f"{topic}/label"
