@@ -23,18 +23,14 @@ from std_msgs.msg import Time
 from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import mapping, number, text
 from bullet_lab.core.se2 import pose_from_above
-from bullet_lab.docking.types import DockingState
 from bullet_lab.errors import LabError
 from bullet_lab.msg import DockActionFeedback, ImagePoints, MarkerDetectionArray, TouchedModels
 from bullet_lab.reports import Figures, Reading, Report, Summary, save_results
-from bullet_lab.reports.goal import GoalAnswer
 from bullet_lab.ros.messages.gazebo_types import msg
-from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.node.lock_step import END_OF_TIME, grant, join_when, subscriber, time_held_at
 from bullet_lab.ros.node.node import NodeError, Refusals, holds_within, wait_until
 from bullet_lab.ros.node.odometry import FrameGuard
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
-from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.nodes.show_sensors import last_states
 
@@ -63,10 +59,7 @@ class RecordParameters:
     out: str = text("results", "folder for the files")
     # The text of a launch file; if it is empty, the entry is the node's default.
     about: Mapping[str, Any] = mapping(
-        "further entries of summary.json",
-        NoisyOdomParameters,
-        DriveSquaresParameters,
-        DriveToGoalParameters,
+        "further entries of summary.json", NoisyOdomParameters, DriveSquaresParameters
     )
     # Without annotations, as these are parameters of the subclasses only.
     plot_period = math.inf
@@ -300,7 +293,22 @@ def _contacts(message: msg.ContactsState) -> tuple:
     return (points, *sums), [state.collision2_name.split("::")[0] for state in message.states]
 
 
+# What is read by these three needs OpenCV, which few recordings do.
+def _picture(message: Image) -> tuple:
+    from bullet_lab.ros.messages.images import pixels_of
+
+    return (), pixels_of(message, "bgr8")
+
+
+def _docking_state(message: DockActionFeedback) -> tuple:
+    from bullet_lab.docking.types import DockingState
+
+    return (), DockingState(message.feedback.state).name.lower()
+
+
 def _goal_status(message: GoalStatus) -> tuple:
+    from bullet_lab.reports.goal import GoalAnswer
+
     rejected = message.status in (GoalStatus.REJECTED, GoalStatus.RECALLED)
     reached, over = message.status == GoalStatus.SUCCEEDED, message.status not in UNDER_WAY
     return (), GoalAnswer(message.goal_id.id, message.text, rejected, reached, over)
@@ -327,12 +335,9 @@ READERS: dict[str, tuple[type, Callable[[Any], tuple]]] = {
     # Detail: the number of touches of each model.
     "bullet_lab/TouchedModels": (TouchedModels, lambda m: ((), dict(zip(m.models, m.touches)))),
     # Detail: the picture, (h, w, 3) uint8, BGR.
-    "sensor_msgs/Image": (Image, lambda m: ((), pixels_of(m, "bgr8"))),
+    "sensor_msgs/Image": (Image, _picture),
     # Detail: the state of the docking.
-    "bullet_lab/DockActionFeedback": (
-        DockActionFeedback,
-        lambda m: ((), DockingState(m.feedback.state).name.lower()),
-    ),
+    "bullet_lab/DockActionFeedback": (DockActionFeedback, _docking_state),
     # Detail: x and y of each pose (m), and of each point (px).
     "nav_msgs/Path": (Path, lambda m: _places(stamped.pose.position for stamped in m.poses)),
     "bullet_lab/ImagePoints": (ImagePoints, lambda m: _places(m.points)),
