@@ -148,14 +148,9 @@ _Commands = Generator[Command, Optional[PlanarPose], None]
 
 
 class SquareDriver:
-    """Computes the commands at `rate` Hz, until the square is driven.
-
-    Args:
-        square: the one to drive.
-        mode: one of `MODES`.
+    """Computes the commands at `rate` Hz, until the square is driven in one of `MODES`.
 
     Attributes:
-        rate: commands per second.
         needs_pose: whether `command` needs the pose of the robot.
         sides_done: number of sides that have been driven, with the turn after each.
 

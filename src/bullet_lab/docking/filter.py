@@ -336,13 +336,8 @@ def applied(matrices: ndarray, vectors: ndarray) -> ndarray:
 def iterated_update(start, p, sizes, measured: Measurement, rounds: int, hidden=None):
     """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
-    Args:
-        start: (n, 20) states.
-        p: (n, 20, 20) their covariances.
-        sizes: (n,) m.
-        measured: the corners.
-        rounds: most linearisations.
-        hidden: index of a corner that does not count.
+    The states `start` are (n, 20), their covariances `p` (n, 20, 20), the `sizes` (n,) m. There are
+    at most `rounds` linearisations. The corner of the index `hidden` does not count.
 
     Returns:
         States (n, 20), covariances (n, 20, 20), squared Mahalanobis distances of the corners (n,)

@@ -105,9 +105,7 @@ class Stress:
     def allowed(self, tolerance: DockTolerance, docked_distance: float) -> DockTolerance:
         """Return a dock's tolerance plus these costs."""
         along, across, _ = self.costs(docked_distance)
-        return DockTolerance(
-            tolerance.distance + along, tolerance.lateral + across, tolerance.yaw
-        )
+        return DockTolerance(tolerance.distance + along, tolerance.lateral + across, tolerance.yaw)
 
 
 Draw = Callable[[np.random.Generator], Dict[str, Any]]

@@ -51,6 +51,7 @@ from bullet_lab.studies.workers import Run, TaskLostError, WorkerSettings, worke
 
 MOST_DOCKINGS = 1_000_000
 
+
 @dataclass(frozen=True)
 class DockCampaignSettings(DrawSettings):
     """Dockings of the indices from 0 on."""
