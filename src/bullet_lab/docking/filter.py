@@ -197,8 +197,7 @@ def carried(x: ndarray, p: ndarray, motion: MotionStep) -> tuple[ndarray, ndarra
     by_error = np.zeros((len(x), _OF_POSE, _OF_ODOMETRY))
     by_error[:, :2, 0] = steps[:, :2]
     ahead = motion.step[0]
-    by_error[:, 2, 1], by_error[:, 2, 2] = motion.step[2], max(ahead, 0.0)
-    by_error[:, 2, 3] = max(-ahead, 0.0)
+    by_error[:, 2, 1:] = motion.step[2], max(ahead, 0.0), max(-ahead, 0.0)
     by_state[:, :_OF_POSE, -_OF_ODOMETRY:] = by_step @ by_error
     p = by_state @ p @ by_state.transpose(0, 2, 1)
     p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
