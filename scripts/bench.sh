@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Measures how fast the lab is:
-#   scripts/bench.sh [bridge|noise|laser|camera|aruco|detectors|world|dock|robots|models|relay|view|processors] [option …]
+#   scripts/bench.sh [bridge|noise|laser|camera|aruco|detectors|world|dock|robots|models|view|processors] [option …]
 #   bridge (default)  the bridge, against the bare engine: --rounds N, --seconds S
 #   noise             thousands of noisy paths, against the per-message loop: --rounds N, --paths N
 #   camera            frames, against bare rendering; 30 Hz with aruco.py: --frames N, --seconds S
@@ -11,7 +11,6 @@
 #   dock              a campaign of dockings on all cores: --dockings N
 #   robots            speed against the number of robots: --rounds N, --seconds S (simulated)
 #   models            speed against the number of models: same options
-#   relay             squares in lock step with and without a relay in between: --rounds N, --sides N
 #   processors        which results have other bits on an older processor
 #   view              cost of the view in a browser: --robots N, --seconds S, --rounds N
 # Prints a table and writes results/bench/bridge.json, noise.json and so on. Not part of the tests.
@@ -35,7 +34,7 @@ esac
 program=$LAB_ROOT/test/bench/bench_$program.py
 if [[ ! -f $program ]]; then
   echo "bench.sh: there is no bench '$bench'; benches: bridge, noise, laser, camera, aruco," \
-    "detectors, world, dock, robots, models, relay, view, processors" >&2
+    "detectors, world, dock, robots, models, view, processors" >&2
   exit 2
 fi
 "$LAB_ROOT/scripts/setup.sh" --with test

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.nodes.features."""
+"""Run the node; see bullet_lab.ros.nodes.image_node."""
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.features:canny_edges"
+MAIN = "bullet_lab.ros.nodes.image_node:canny_edges"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.nodes.features."""
+"""Run the node; see bullet_lab.ros.nodes.image_node."""
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.features:harris_corners"
+MAIN = "bullet_lab.ros.nodes.image_node:harris_corners"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Run the node; see bullet_lab.ros.nodes.populate."""
+"""Run the node; see bullet_lab.ros.nodes.spawn."""
 
 from bullet_lab.entry import run
 
-MAIN = "bullet_lab.ros.nodes.populate:populate"
+MAIN = "bullet_lab.ros.nodes.spawn:populate"
 
 if __name__ == "__main__":
     run(MAIN)

@@ -73,9 +73,8 @@ class SquareSize:
 class Square(SquareSize):
     """A square and how it is driven.
 
-    Example:
-        >>> Square(side=1.0).side_commands
-        50
+    >>> Square(side=1.0).side_commands
+    50
     """
 
     speed: float = number(0.2, "on the sides, m/s", above=0.0)
@@ -111,14 +110,13 @@ def clip(value: float, limit: float) -> float:
 
 
 def approach(left: float, fastest: float, slowest: float, gain: float = SLOWING_GAIN) -> float:
-    """Return the speed for the remaining distance or angle, in m or rad, > 0.
+    """Return the speed for the remaining distance or angle `left` (m or rad, > 0).
 
-    It is `slowest` close to the target, unless `fastest` is slower still, and has a gain (1/s) in
-    between.
+    It is `fastest` far from the target and `slowest` close to it, unless `fastest` is slower still,
+    and in between `gain` (1/s) for each remaining unit.
 
-    Example:
-        >>> approach(1.0, 0.2, 0.02), approach(0.05, 0.2, 0.02), approach(0.001, 0.2, 0.02)
-        (0.2, 0.1, 0.02)
+    >>> approach(1.0, 0.2, 0.02), approach(0.05, 0.2, 0.02), approach(0.001, 0.2, 0.02)
+    (0.2, 0.1, 0.02)
     """
     return min(fastest, max(slowest, gain * left))
 
@@ -148,19 +146,18 @@ _Commands = Generator[Command, Optional[PlanarPose], None]
 
 
 class SquareDriver:
-    """Computes the commands at `rate` Hz, until the square is driven in one of `MODES`.
+    """Computes the commands at `rate` Hz, until the square is driven.
 
     Attributes:
         needs_pose: whether `command` needs the pose of the robot.
         sides_done: number of sides that have been driven, with the turn after each.
 
     Raises:
-        LabError: an unknown mode.
+        LabError: the mode is not one of `MODES`.
 
-    Example:
-        >>> driver = SquareDriver(Square(sides=1, side=0.04, turn_commands=1))
-        >>> driver.command(), driver.command(), driver.command(), driver.command()
-        ((0.2, 0.0), (0.2, 0.0), (0.0, -0.5236), None)
+    >>> driver = SquareDriver(Square(sides=1, side=0.04, turn_commands=1))
+    >>> driver.command(), driver.command(), driver.command(), driver.command()
+    ((0.2, 0.0), (0.2, 0.0), (0.0, -0.5236), None)
     """
 
     def __init__(self, square: Square, mode: str = OPEN_LOOP):
@@ -259,12 +256,11 @@ class GoalDriver:
     Raises:
         LabError: the goal is not finite.
 
-    Example:
-        >>> driver = GoalDriver((1.0, 0.0, 0.0))
-        >>> driver.command((0.0, 0.0, 0.0), seconds=0.5)
-        (0.2, 0.0)
-        >>> driver.distance((0.0, 0.0, 0.0))
-        1.0
+    >>> driver = GoalDriver((1.0, 0.0, 0.0))
+    >>> driver.command((0.0, 0.0, 0.0), seconds=0.5)
+    (0.2, 0.0)
+    >>> driver.distance((0.0, 0.0, 0.0))
+    1.0
     """
 
     def __init__(
@@ -288,9 +284,9 @@ class GoalDriver:
         return wrap(self.goal[2] - pose[2])
 
     def command(self, pose: PlanarPose, seconds: float) -> Command:
-        """Return the velocity (m/s, rad/s) for the present pose; zeros once arrived.
+        """Return the velocity (m/s, rad/s) for the present pose (m, m, rad); zeros once arrived.
 
-        `seconds` since the previous command limit the accelerations.
+        `seconds` is the time since the previous command, for the accelerations.
         """
         v_goal, w_goal = self._control(pose)
         limits, (v, w) = self._limits, self.moving

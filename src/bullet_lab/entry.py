@@ -31,8 +31,8 @@ JOB = "BULLET_LAB_JOB"
 """Set in the environment of a job's nodes."""
 
 
-def run(target: str) -> None:
-    """Import "module" or "module:function", and call its `main` or the function.
+def run(target: str, *arguments: object) -> None:
+    """Import "module" or "module:function", and call its `main` or the function with arguments.
 
     If a library is missing, print one line and exit.
     """
@@ -57,7 +57,7 @@ def run(target: str) -> None:
         _end(f"{name}: {error} (for {sys.executable}): {hint}")
     if signal.getsignal(signal.SIGINT) is _end_at_once:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    main()
+    main(*arguments)
 
 
 @contextlib.contextmanager

@@ -32,7 +32,7 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.camera import Camera
-from bullet_lab.simulation.rendering.graphics import driver_name
+from bullet_lab.simulation.rendering import driver_name
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere, Visual
 

@@ -31,7 +31,7 @@ from detectors.rates import rate_of
 from tqdm import tqdm
 
 from bullet_lab.core.figures import new_figure, save
-from bullet_lab.studies.workers import workers
+from bullet_lab.studies.study import workers
 
 
 def tuned(seed: int) -> Dict[str, Dict[str, Any]]:

@@ -26,9 +26,9 @@ def main() -> None:
     # Here, since each worker imports this module: as with the command, it is to import little.
     from common import options, write
 
-    from bullet_lab.simulation.rendering.graphics import driver_name
+    from bullet_lab.simulation.rendering import driver_name
     from bullet_lab.studies.dock_campaign.study import DockCampaignSettings, describe, run_campaign
-    from bullet_lab.studies.workers import workers
+    from bullet_lab.studies.study import workers
 
     wanted = options(__doc__, dockings=24, seed=1)
     settings = DockCampaignSettings(seed=wanted.seed, dockings=wanted.dockings)

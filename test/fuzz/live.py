@@ -41,8 +41,8 @@ from view_looker import wait_for_url
 from ways import WAYS
 
 from bullet_lab.ros.launcher.supervision import prepare_master
+from bullet_lab.ros.view.node import KINDS
 from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
-from bullet_lab.ros.view.show import KINDS
 
 # `page` has added its folder to the path.
 from lab_nodes import PACKAGE, Lab, commands, end_all, parser_of  # isort: skip

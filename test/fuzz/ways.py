@@ -30,7 +30,7 @@ from bullet_lab.navigation.occupancy import read_map
 from bullet_lab.simulation.rendering.drawables import read_pixels
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Model, Texture
-from bullet_lab.simulation.world.ogre_script import parse_script
+from bullet_lab.simulation.world.materials import parse_script
 from bullet_lab.simulation.world.sdf import read_spawned
 from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.shapes import Mesh, load_triangles

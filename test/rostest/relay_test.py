@@ -1,8 +1,5 @@
 #!/usr/bin/env python3
-"""A relay or a multiplexer between a driver in lock step and the bridge changes nothing.
-
-What it costs in time is measured by `scripts/bench.sh relay`.
-"""
+"""A relay or a multiplexer between a driver in lock step and the bridge changes nothing."""
 
 import math
 import os

@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """The sensors job leaves what each sensor measured, true to the world."""
 
-import csv
 import json
 import tempfile
 import unittest
@@ -26,16 +25,14 @@ class SensorsJobTest(unittest.TestCase):
         cls.summary = json.loads((cls.out / "summary.json").read_text())
 
     def rows(self, name):
-        with (self.out / f"{name}.csv").open() as file:
-            reader = csv.reader(file)
-            header = next(reader)
-            values = np.array([[float(cell) for cell in row] for row in reader])
-        self.assertEqual("stamp", header[0])
-        return values
+        table = self.out / f"{name}.csv"
+        self.assertTrue(table.read_text().startswith("stamp,"))
+        return np.loadtxt(table, delimiter=",", skiprows=1)
 
     def test_every_message_of_every_sensor(self):
         self.assertTrue(self.summary["finished"])
         self.assertEqual(0, self.summary["refused_messages"])
+        self.assertTrue((self.out / "sensors.png").is_file())
         for name, period in {"odom": 51, "scan": 100, "range": 50, "imu": 20, "bumper": 50}.items():
             stamps = np.round(1000.0 * self.rows(name)[:, 0])
             self.assertEqual({period}, set(np.diff(stamps)), name)
@@ -47,9 +44,6 @@ class SensorsJobTest(unittest.TestCase):
         )
         bumper = self.rows("bumper")
         self.assertEqual(0.0, np.abs(bumper[bumper[:, 0] < 15.0, 1:]).max())
-
-    def test_the_picture(self):
-        self.assertTrue((self.out / "sensors.png").is_file())
 
     def test_both_bags_have_every_message_at_its_stamp(self):
         with rosbag.Bag(str(self.out / "record.bag")) as bag:

@@ -26,20 +26,9 @@ from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Empty as EmptyMessage
 from std_srvs.srv import Empty
 
-HEAD = """<camera name="{}"><pose>0 {} 0 0 0 0</pose><horizontal_fov>{}</horizontal_fov>
-  <image><width>80</width><height>60</height><format>{}</format></image></camera>"""
-PAIR = f"{HEAD.format('left', 0.05, 1.2, 'L16')}{HEAD.format('right', -0.05, 1.2, 'BAYER_GRBG8')}"
+from bullet_lab.ros.messages.images import pixels_of
 
-
-def sensor(kind, name, inner, library, tags, rate=10):
-    """A sensor with its plugin."""
-    plugin = f'<plugin name="{name}" filename="libgazebo_ros_{library}.so">{tags}</plugin>'
-    rate = f"<update_rate>{rate}</update_rate>"
-    return f'<sensor type="{kind}" name="{name}">{rate}{inner}{plugin}</sensor>'
-
-
-CAMERA = "<cameraName>{}</cameraName>"
-CRATE = f"""<robot name="crate">
+CRATE = """<robot name="crate">
   <link name="base"><inertial><mass value="2"/>
     <inertia ixx="0.0133" iyy="0.0133" izz="0.0133"/></inertial>
     <collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
@@ -50,10 +39,18 @@ CRATE = f"""<robot name="crate">
     </plugin>
   </gazebo>
   <gazebo reference="base">
-    {sensor("multicamera", "pair", PAIR, "multicamera",
-            f"{CAMERA.format('eyes')}<hackBaseline>0.1</hackBaseline>")}
-    {sensor("camera", "eye", HEAD.format("c", 0, 1.2, "R8G8B8"), "triggered_camera",
-            CAMERA.format("eye"))}
+    <sensor type="multicamera" name="pair"><update_rate>10</update_rate>
+      <camera name="left"><pose>0 0.05 0 0 0 0</pose><horizontal_fov>1.2</horizontal_fov>
+        <image><width>80</width><height>60</height><format>L16</format></image></camera>
+      <camera name="right"><pose>0 -0.05 0 0 0 0</pose><horizontal_fov>1.2</horizontal_fov>
+        <image><width>80</width><height>60</height><format>BAYER_GRBG8</format></image></camera>
+      <plugin name="pair" filename="libgazebo_ros_multicamera.so">
+        <cameraName>eyes</cameraName><hackBaseline>0.1</hackBaseline></plugin></sensor>
+    <sensor type="camera" name="eye"><update_rate>10</update_rate>
+      <camera name="c"><horizontal_fov>1.2</horizontal_fov>
+        <image><width>80</width><height>60</height><format>R8G8B8</format></image></camera>
+      <plugin name="eye" filename="libgazebo_ros_triggered_camera.so">
+        <cameraName>eye</cameraName></plugin></sensor>
   </gazebo>
 </robot>"""
 FOCAL = 40 / math.tan(0.6)
@@ -142,11 +139,6 @@ def milliseconds(topic):
     return [stamp // MILLISECOND for stamp in topic.stamps()]
 
 
-def pixels(message):
-    channels = message.step // message.width
-    return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, channels)
-
-
 class CameraTest(BridgeCase):
     """What the camera says, and what it leaves."""
 
@@ -189,7 +181,7 @@ class CameraTest(BridgeCase):
         raw, png = image.wait(6)[-1], compressed.wait(6)[-1]
         self.assertEqual("rgb8; png compressed bgr8", png.format)
         decoded = cv2.imdecode(np.frombuffer(png.data, np.uint8), cv2.IMREAD_COLOR)
-        np.testing.assert_array_equal(decoded[..., ::-1], pixels(raw))
+        np.testing.assert_array_equal(decoded[..., ::-1], pixels_of(raw, "rgb8"))
 
     def test_the_rate_can_be_changed(self):
         info = self.infos()

@@ -11,21 +11,20 @@ import numpy as np
 import rostest
 from lab_testing import run_job
 
+from bullet_lab.core.pose import Pose
+
 FOLDER = tempfile.TemporaryDirectory()
 PICTURES = {"view_camera", "canny_edges", "good_features", "harris_corners", "aruco"}
 # Where the robot's camera is, in its base, and the marker in the world; m.
-CAMERA = (0.16, 0.44)
+CAMERA = (0.16, 0.0, 0.44)
 MARKER = (4.0, 0.0, 0.5)
 
 
 def marker_from(x, y, yaw_deg):
     """The marker in the optical frame of a robot at a pose, m."""
-    yaw = math.radians(yaw_deg)
-    dx = MARKER[0] - x - CAMERA[0] * math.cos(yaw)
-    dy = MARKER[1] - y - CAMERA[0] * math.sin(yaw)
-    ahead = dx * math.cos(yaw) + dy * math.sin(yaw)
-    left = dy * math.cos(yaw) - dx * math.sin(yaw)
-    return np.array([-left, CAMERA[1] - MARKER[2], ahead])
+    camera = Pose.on_floor(x, y, math.radians(yaw_deg)) * Pose(CAMERA)
+    ahead, left, up = (camera.inverse() * Pose(MARKER)).position
+    return [-left, -up, ahead]
 
 
 class VisionJobTest(unittest.TestCase):

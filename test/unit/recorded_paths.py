@@ -1,4 +1,4 @@
-"""Poses of noisy paths, files of pairs of paths, and noise rules by name."""
+"""Files of pairs of paths, and noise rules by name."""
 
 import numpy as np
 
@@ -9,12 +9,6 @@ from bullet_lab.noise.odometry_noise import named_alphas, rule_of
 def make_rule(model, std, alphas=()):
     """Return the noise rule of a model from its parameters in order."""
     return rule_of(model, {"std": std, **named_alphas(model, alphas)})
-
-
-def poses_of(block, perfect):
-    """Return x (m), y (m) and yaw (rad, not wrapped) of a `NoisyBlock`, shape (b, n+1, 3)."""
-    x, y = perfect[0, 0] + block.position.real, perfect[0, 1] + block.position.imag
-    return np.stack([x, y, perfect[:, 2] + block.heading_error], axis=-1)
 
 
 def read_paths_csv(path):

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+import yaml
 from beside_direct import DirectStage
 from beside_gazebo import DEVIATE, known, main, names, play, rows_of
 from beside_scenarios import DRIVES, ROLLS, STOP, Drive, Leg, Played, Stage, motions, play_drive
@@ -11,7 +12,6 @@ from beside_table import (
     OK,
     TOLD,
     TRIALS,
-    UNKNOWN,
     Allowed,
     allowed_by_name,
     allowed_in_drive,
@@ -69,29 +69,31 @@ def test_legs_are_told_by_the_heading_before_them(heading):
     assert motions(LEGS) == [(0, 2), (2, 3), (3, 4)]
 
 
-@pytest.mark.parametrize(
-    ("limit", "gazebo", "here", "found"),
-    [
-        (Allowed(share=0.02), 1.0, 1.019, OK),
-        (Allowed(share=0.02), 1.0, 1.021, FAILED),
-        (Allowed(share=0.02), -1.0, -0.979, FAILED),
-        (Allowed(within=3.0), 0.0, -2.9, OK),
-        (Allowed(within=3.0), 0.0, math.nan, FAILED),
-        (Allowed(within=3.0), 0.0, None, FAILED),
-        (None, 0.0, 9.0, TOLD),
-        (None, None, 9.0, UNKNOWN),
-        (Allowed(), "odom", "odom", OK),
-        (Allowed(), "odom", "map", FAILED),
-        (Allowed(), "odom", 1.0, FAILED),
-        # Of Gazebo's array, the first numbers are known.
-        (Allowed(within=0.1), [0.0, 1.0], [0.0, 1.05, 7.0], OK),
-        (Allowed(within=0.1), [0.0, 1.0], [0.0, 1.2], FAILED),
-        (Allowed(within=0.1), [0.0, 1.0], [0.0], FAILED),
-    ],
-)
+# What is allowed, Gazebo's figure, ours, and the verdict.
+VERDICTS = """
+- [{share: 0.02}, 1.0, 1.019, ok]
+- [{share: 0.02}, 1.0, 1.021, FAIL]
+- [{share: 0.02}, -1.0, -0.979, FAIL]
+- [{within: 3.0}, 0.0, -2.9, ok]
+- [{within: 3.0}, 0.0, .nan, FAIL]
+- [{within: 3.0}, 0.0, null, FAIL]
+- [null, 0.0, 9.0, told]
+- [null, null, 9.0, not known]
+- [{}, odom, odom, ok]
+- [{}, odom, map, FAIL]
+- [{}, odom, 1.0, FAIL]
+# Of Gazebo's array, the first numbers are known.
+- [{within: 0.1}, [0.0, 1.0], [0.0, 1.05, 7.0], ok]
+- [{within: 0.1}, [0.0, 1.0], [0.0, 1.2], FAIL]
+- [{within: 0.1}, [0.0, 1.0], [0.0], FAIL]
+"""
+
+
+@pytest.mark.parametrize(("limit", "gazebo", "here", "found"), yaml.safe_load(VERDICTS))
 def test_a_verdict(limit, gazebo, here, found):
     there = {} if gazebo is None else {"a": gazebo}
-    (row,) = compare("one", there, {"a": here}, {"a": limit}.get)
+    allowed = {} if limit is None else {"a": Allowed(**limit)}
+    (row,) = compare("one", there, {"a": here}, allowed.get)
     assert row.verdict == found
 
 

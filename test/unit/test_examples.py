@@ -8,7 +8,7 @@ from shared import PACKAGE
 
 ROOT = PACKAGE / "src"
 EXAMPLES = [
-    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).replace(".__init__", "")
     for path in sorted((ROOT / "bullet_lab").rglob("*.py"))
     if ">>>" in path.read_text()
 ]

@@ -7,8 +7,10 @@ import json
 import math
 import os
 import tempfile
+from functools import partial
+from itertools import starmap
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -70,10 +72,9 @@ def replace_file(path: Path, write: Callable[[Path], Any]) -> None:
             part.unlink(missing_ok=True)
 
 
-def move_file(path: Path, folder: Path) -> None:
-    """Move a file to a folder, replacing a file of its name there; raises FileError."""
-    with file_errors(f"cannot move {path} to {folder}"):
-        path.replace(folder / path.name)
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all; raises FileError."""
+    replace_file(path, lambda part: part.write_text(text))
 
 
 def write_json(path: Path, values: Summary) -> None:
@@ -86,34 +87,31 @@ def write_json(path: Path, values: Summary) -> None:
         text = json.dumps(values, indent=2, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise FileError(f"cannot write {path}: {error}") from error
-    replace_file(path, lambda part: part.write_text(text))
+    write_text(path, text)
 
 
 class Series:
     """A CSV file of rows, each a stamp in s and numbers, written as they are added.
 
-    Args:
-        path: of the file; its folder is made if it does not exist.
-        columns: names of the numbers.
-        in_order: whether stamps that do not increase are refused. Otherwise rows are sorted at the
-            end, and a row replaces an earlier one with the same stamp.
+    The folder of the file is made. Either stamps that do not increase are refused, or, not
+    `in_order`, rows are sorted at the end, and a row replaces one with the same stamp. All methods
+    raise FileError if the file cannot be written.
 
-    Raises:
-        FileError: the file cannot be written; its methods raise it, too.
+    Attributes:
+        columns: names of the numbers.
+        last: the last stamp in ns; None before the first row.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], in_order: bool = True):
         make_folder(path.parent)
         self.columns = tuple(columns)
         self.last: Optional[int] = None
-        """The last stamp in ns; None before the first row."""
-        self._path = path
-        self._in_order = in_order
+        self._path, self._in_order = path, in_order
         self._rows: Dict[int, Tuple[float, ...]] = {}
-        self._failure = f"cannot write {path}"
-        with file_errors(self._failure):
+        self._errors = partial(file_errors, f"cannot write {path}")
+        with self._errors():
             self._file = path.open("w", buffering=1)
-            self._file.writelines(f"{line}\n" for line in self._header())
+            self._file.write(self._header())
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -128,54 +126,44 @@ class Series:
         if len(row) != len(self.columns):
             raise LabError(f"{len(row)} numbers; {len(self.columns)} are needed")
         self._check(row)
-        last = stamp if self.last is None else max(self.last, stamp)
-        if self._in_order and self.last is not None and stamp <= self.last:
-            raise LabError(
-                f"time goes back from {self.last / NANOSECONDS:.9f} s "
-                f"to {stamp / NANOSECONDS:.9f} s"
-            )
+        last = stamp if self.last is None else self.last
+        if self._in_order and self._rows and stamp <= last:
+            times = f"{last / NANOSECONDS:.9f} s to {stamp / NANOSECONDS:.9f} s"
+            raise LabError(f"time goes back from {times}")
         self._rows[stamp] = row
-        self.last = last
-        with file_errors(self._failure):
-            self._file.write(f"{self._line(stamp, row)}\n")
+        self.last = max(last, stamp)
+        with self._errors():
+            self._file.write(self._line(stamp, row))
 
     def table(self) -> Tuple[np.ndarray, np.ndarray]:
         """Return the stamps in s, shape (n,), and the numbers, shape (n, columns)."""
-        rows = self._sorted()
+        rows = sorted(self._rows.items())
         stamps = np.array([stamp for stamp, _ in rows], dtype=float) / NANOSECONDS
         numbers = np.array([row for _, row in rows], dtype=float)
         return stamps, numbers.reshape(len(rows), len(self.columns))
 
     def path(self, first: int = 0) -> Optional[Trajectory]:
-        """Return three columns, x (m), y (m) and yaw (rad), as a trajectory; None without rows.
-
-        Args:
-            first: index of the column of x.
-        """
+        """Return x (m), y (m) and yaw (rad), from the column `first` on; None without rows."""
         stamps, rows = self.table()
         return Trajectory(stamps, rows[:, first : first + 3]) if len(stamps) else None
 
     def finish(self, until: Optional[int] = None) -> None:
         """Sort and close the file; rows after the stamp `until` in ns, if given, are left out."""
-        self._rows = {s: row for s, row in self._sorted() if until is None or s <= until}
-        lines = [self._line(stamp, row) for stamp, row in self._rows.items()]
-        text = "".join(f"{line}\n" for line in (*self._header(), *lines))
-        with file_errors(self._failure):
+        rows = sorted(self._rows.items())
+        self._rows = {stamp: row for stamp, row in rows if until is None or stamp <= until}
+        with self._errors():
             self._file.close()
-        replace_file(self._path, lambda part: part.write_text(text))
+        write_text(self._path, self._header() + "".join(starmap(self._line, self._rows.items())))
 
-    def _header(self) -> Iterable[str]:
-        return [",".join(("stamp", *self.columns))]
+    def _header(self) -> str:
+        return ",".join(("stamp", *self.columns)) + "\n"
 
     def _line(self, stamp: int, row: Sequence[float]) -> str:
-        return ",".join([f"{stamp / NANOSECONDS:.9f}", *map(repr, row)])
+        return ",".join([f"{stamp / NANOSECONDS:.9f}", *map(repr, row)]) + "\n"
 
     def _check(self, row: Sequence[float]) -> None:
         if any(map(math.isnan, row)):
             raise LabError("a number is NaN; it must be finite or infinite")
-
-    def _sorted(self) -> List[Tuple[int, Tuple[float, ...]]]:
-        return sorted(self._rows.items())
 
 
 class PathSeries(Series):
@@ -184,11 +172,11 @@ class PathSeries(Series):
     def __init__(self, path: Path):
         super().__init__(path, ("x", "y", "yaw"))
 
-    def _header(self) -> Iterable[str]:
-        return ()
+    def _header(self) -> str:
+        return ""
 
     def _line(self, stamp: int, row: Sequence[float]) -> str:
-        return tum_row(stamp / NANOSECONDS, *row)
+        return tum_row(stamp / NANOSECONDS, *row) + "\n"
 
     def _check(self, row: Sequence[float]) -> None:
         if not all(map(math.isfinite, row)):

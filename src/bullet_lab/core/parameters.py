@@ -27,7 +27,6 @@ from typing import (
     Any,
     Callable,
     Dict,
-    Iterable,
     Mapping,
     NoReturn,
     Optional,
@@ -114,6 +113,28 @@ def declared(name: str, entry: Field) -> Declaration:
     return Declaration(name, default, **entry.metadata)
 
 
+def checked(
+    default: Any,
+    doc: str,
+    allowed: str,
+    accept: Callable[[Any], Any],
+    holds: Callable[[Any], bool] = lambda value: True,
+) -> Any:
+    """Declare a value that is allowed if `accept` converts it and `holds` is true for the result.
+
+    Both may raise ValueError, TypeError, LookupError or OverflowError.
+    """
+
+    def accept_all(value: Any) -> Any:
+        value = accept(value)
+        if not holds(value):
+            raise ValueError
+        return value
+
+    metadata = {"doc": doc, "allowed": allowed, "accept": accept_all}
+    return field(default=default, metadata=metadata)
+
+
 def number(
     default: float,
     doc: str,
@@ -122,73 +143,71 @@ def number(
     maximum: float = math.inf,
 ) -> Any:
     """Declare a finite number within [minimum, maximum] and greater than `above`."""
-    accept = _within(_float, minimum, maximum, above)
-    return _declare(default, doc, f"a number{_limits(minimum, above, maximum)}", accept)
+    allowed = f"a number{_limits(minimum, above, maximum)}"
+    return checked(default, doc, allowed, _float, lambda v: minimum <= v <= maximum and v > above)
 
 
 def integer(default: int, doc: str, minimum: int = -(2**31), maximum: int = 2**31 - 1) -> Any:
     """Declare a whole number within [minimum, maximum]."""
-    accept = _within(_integer, minimum, maximum)
-    return _declare(default, doc, f"a whole number from {minimum} to {maximum}", accept)
+    allowed = f"a whole number from {minimum} to {maximum}"
+    return checked(default, doc, allowed, _integer, lambda v: minimum <= v <= maximum)
 
 
 def odd(default: int, doc: str, minimum: int, maximum: int) -> Any:
     """Declare an odd whole number within [minimum, maximum]."""
-
-    def accept(value: Any) -> int:
-        value = _integer(value)
-        return _require(minimum <= value <= maximum and value % 2 == 1, value)
-
-    return _declare(default, doc, f"an odd number from {minimum} to {maximum}", accept)
+    allowed = f"an odd number from {minimum} to {maximum}"
+    return checked(
+        default, doc, allowed, _integer, lambda v: minimum <= v <= maximum and v % 2 == 1
+    )
 
 
 def boolean(default: bool, doc: str) -> Any:
     """Declare true or false."""
 
     def accept(value: Any) -> bool:
-        return value if isinstance(value, bool) else _TRUTH[_text(value).strip().lower()]
+        return value if isinstance(value, bool) else _TRUTH[str.strip(value).lower()]
 
-    return _declare(default, doc, "true or false", accept)
+    return checked(default, doc, "true or false", accept)
 
 
 def choice(default: str, doc: str, options: Sequence[str]) -> Any:
     """Declare one word of several."""
     allowed = "one of " + ", ".join(options)
-    return _declare(default, doc, allowed, lambda value: _require(value in options, value))
+    return checked(default, doc, allowed, lambda value: value, lambda value: value in options)
 
 
 def choices(default: Sequence[str], doc: str, options: Sequence[str]) -> Any:
     """Declare one or more different words of several."""
-    accept = _different(lambda word: _require(word in options, word))
-    return _declare(tuple(default), doc, "different words of " + ", ".join(options), accept)
+    allowed = "different words of " + ", ".join(options)
+    return _different(default, doc, allowed, _words, lambda word: word in options)
 
 
 def text(default: str, doc: str) -> Any:
     """Declare any text."""
 
     def accept(value: Any) -> str:
-        return str(_require(not isinstance(value, (dict, list)), value))
+        if isinstance(value, (dict, list)):
+            raise TypeError
+        return str(value)
 
-    return _declare(default, doc, "text", accept)
+    return checked(default, doc, "text", accept)
 
 
 def name_list(doc: str) -> Any:
     """Declare names with spaces between them; none by default."""
 
     def accept(value: Any) -> Tuple[str, ...]:
-        return value if isinstance(value, tuple) else tuple(_text(value).split())
+        return value if isinstance(value, tuple) else tuple(str.split(value))
 
-    return _declare((), doc, "names with spaces between them", accept)
+    return checked((), doc, "names with spaces between them", accept)
 
 
 def number_list(default: Sequence[float], doc: str) -> Any:
     """Declare exactly as many finite numbers as the default has, with spaces between them."""
-
-    def accept(value: Any) -> Tuple[float, ...]:
-        values = tuple(_float(part) for part in _words(value))
-        return _require(len(values) == len(default), values)
-
-    return _declare(tuple(default), doc, f"{len(default)} finite numbers", accept)
+    count = len(default)
+    return checked(
+        tuple(default), doc, f"{count} finite numbers", _floats, lambda v: len(v) == count
+    )
 
 
 def numbers(
@@ -200,8 +219,9 @@ def numbers(
 ) -> Any:
     """Declare one or more different finite numbers within limits as of `number`."""
     allowed = f"different numbers{_limits(minimum, above, maximum)}"
-    accept = _different(_within(_float, minimum, maximum, above))
-    return _declare(tuple(default), doc, allowed, accept)
+    return _different(
+        default, doc, allowed, _floats, lambda v: minimum <= v <= maximum and v > above
+    )
 
 
 def mapping(doc: str, *kinds: type) -> Any:
@@ -214,8 +234,10 @@ def mapping(doc: str, *kinds: type) -> Any:
     """
 
     def accept(value: Any) -> Mapping[str, Any]:
+        if not isinstance(value, dict):
+            raise TypeError
         known = {name: entry for kind in kinds[::-1] for name, entry in declarations(kind).items()}
-        entries = dict(_require(isinstance(value, dict), value))
+        entries = dict(value)
         for name in known.keys() & entries.keys():
             # An entry that is not allowed is that of another node, with the same name.
             with contextlib.suppress(ParameterError):
@@ -225,11 +247,6 @@ def mapping(doc: str, *kinds: type) -> Any:
 
     metadata = {"doc": doc, "allowed": "a dictionary", "accept": accept}
     return field(default_factory=dict, metadata=metadata)
-
-
-def checked(default: Any, doc: str, allowed: str, accept: Callable[[Any], Any]) -> Any:
-    """Declare a value with a special check; `accept` raises ValueError or TypeError."""
-    return _declare(default, doc, allowed, accept)
 
 
 def read_parameters(
@@ -319,10 +336,6 @@ class ArgumentParser(argparse.ArgumentParser):
         raise ArgumentsError(message)
 
 
-def _declare(default: Any, doc: str, allowed: str, accept: Callable) -> Any:
-    return field(default=default, metadata={"doc": doc, "allowed": allowed, "accept": accept})
-
-
 def _as_text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
@@ -333,56 +346,42 @@ def _as_text(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _require(holds: bool, value: T) -> T:
-    if not holds:
-        raise ValueError
-    return value
-
-
-def _text(value: Any) -> str:
-    return _require(isinstance(value, str), value)
-
-
 def _float(value: Any) -> float:
     """Return a finite number; a text may have digits, a sign, a point and an exponent only."""
-    if isinstance(value, str):
-        _require(_NUMBER.fullmatch(value) is not None, value)
-    else:
-        _require(isinstance(value, (int, float)) and not isinstance(value, bool), value)
-    found = float(value)
-    return _require(math.isfinite(found), found)
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    found = float(value if is_number or _NUMBER.fullmatch(value) else "nan")
+    if not math.isfinite(found):
+        raise ValueError
+    return found
 
 
 def _integer(value: Any) -> int:
     if isinstance(value, str) and _WHOLE.fullmatch(value):
         return int(value)
-    return _require(isinstance(value, int) and not isinstance(value, bool), value)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise TypeError
+    return value
 
 
-def _words(value: Any) -> Iterable[Any]:
-    return value.split() if isinstance(value, str) else list(value)
+def _words(value: Any) -> Tuple[Any, ...]:
+    return tuple(value.split() if isinstance(value, str) else value)
 
 
-def _different(accept: Callable[[Any], Any]) -> Callable[[Any], Tuple[Any, ...]]:
-    """Return a function that accepts one or more different values."""
-
-    def accept_all(value: Any) -> Tuple[Any, ...]:
-        values = tuple(map(accept, _words(value)))
-        return _require(bool(values) and len(set(values)) == len(values), values)
-
-    return accept_all
+def _floats(value: Any) -> Tuple[float, ...]:
+    return tuple(map(_float, _words(value)))
 
 
-def _within(
-    convert: Callable[[Any], Any], minimum: float, maximum: float, above: float = -math.inf
-) -> Callable[[Any], Any]:
-    """Return a function that accepts a number within limits."""
-
-    def accept(value: Any) -> Any:
-        value = convert(value)
-        return _require(minimum <= value <= maximum and value > above, value)
-
-    return accept
+def _different(
+    default: Sequence[Any], doc: str, allowed: str, accept: Callable, holds: Callable[[Any], bool]
+) -> Any:
+    """Declare one or more different values, for each of which `holds` is true."""
+    return checked(
+        tuple(default),
+        doc,
+        allowed,
+        accept,
+        lambda values: 0 < len(set(values)) == len(values) and all(map(holds, values)),
+    )
 
 
 def _limits(minimum: float, above: float, maximum: float) -> str:

@@ -36,6 +36,8 @@ PROGRAM = "bullet_lab"
 SUMMARY = "summary.json"
 STATUS_FAILED = 1
 STATUS_BAD_VALUE = 2
+# As of a program that SIGPIPE ends.
+STATUS_UNREAD = 141
 _HELP = ("-h", "--help")
 
 
@@ -49,7 +51,13 @@ def main() -> None:
 def status_of(program: str, dispatch: Callable[[list[str]], int], words: list[str]) -> int:
     """Return the exit status of a command line; an error of the user is printed as one line."""
     try:
-        return dispatch(words)
+        status = dispatch(words)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # Nobody reads on, as in `| head`. Python would report it again when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return STATUS_UNREAD
     except LabError as error:
         print(f"{program}: {error}", file=sys.stderr)
         wrong = isinstance(error, (UsageError, ParameterError))
@@ -64,14 +72,8 @@ def read_command(
 ) -> tuple[Job, dict[str, str]] | None:
     """Return the job and its checked arguments, or print the list of jobs or the help of a job.
 
-    Args:
-        program: its name for the user.
-        jobs: all that it runs, by name.
-        words: of the command line.
-        defaults: returns the resolved defaults of a job's arguments.
-
-    Raises:
-        LabError: the command line is wrong.
+    `defaults` returns the resolved defaults of a job's arguments. Raises LabError for a wrong
+    command line.
     """
     if not words or words[0] in _HELP:
         print(list_of_jobs(jobs, program))
@@ -89,31 +91,28 @@ def read_command(
 class OutputFolder:
     """A folder for the results of one run, locked against a second run.
 
-    The lock is on the folder itself and ends with the process, however that ends.
+    The lock is on the folder itself and ends with the process, however that ends. Logs of the run
+    are in the folder `log`.
     """
 
     def __init__(self, path: Path):
-        self.path = path
-        self._descriptor = -1
+        self.path, self.log = path, path / "log"
+        self._lock = contextlib.ExitStack()
         self._before: dict[Path, int] = {}
-
-    @property
-    def log(self) -> Path:
-        """The folder for the logs of the run."""
-        return self.path / "log"
 
     def __enter__(self) -> OutputFolder:
         """Create and lock the folder, delete the summary of an earlier run; raise UsageError."""
         try:
             make_folder(self.path)
             self.log.mkdir(exist_ok=True)
-            self._descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+            self._lock.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             (self.path / SUMMARY).unlink(missing_ok=True)
         except FileError as error:
             raise UsageError(str(error)) from error
         except OSError as error:
-            self._close()
+            self._lock.close()
             message = f"cannot write to {self.path}: {error.strerror}"
             if isinstance(error, BlockingIOError):
                 message = f"another run is writing to {self.path}, choose another out:="
@@ -134,12 +133,7 @@ class OutputFolder:
         # There are no logs without ROS.
         with contextlib.suppress(OSError):
             self.log.rmdir()
-        self._close()
-
-    def _close(self) -> None:
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        self._lock.close()
 
     def has_summary(self) -> bool:
         """Return whether this run has written its summary."""

@@ -83,22 +83,21 @@ class Target(NamedTuple):
     main: str
     parameter: str
 
-    def declaration(self) -> Declaration | None:
-        """Return the node's declaration; None if the node cannot be imported or has none."""
+    def declarations(self) -> list[Declaration]:
+        """Return the node's declaration; nothing if the node cannot be imported or has none."""
         try:
             kinds = parameter_kinds(self.main)
         except ImportError:
             # The node reports that itself, with the library that is missing.
-            return None
+            return []
         known = (declarations(kind).get(self.parameter) for kind in kinds)
-        return next((declaration for declaration in known if declaration), None)
+        return [declaration for declaration in known if declaration][:1]
 
 
 class Argument(NamedTuple):
     """An argument of a job.
 
     Attributes:
-        name: its name.
         default: its default in the launch file, not resolved; None if it has none.
         doc: its sentence in the launch file, without the bracket.
         bracket: the text in the bracket.
@@ -117,8 +116,7 @@ class Argument(NamedTuple):
         """Return all declarations that a value must satisfy; imports the nodes, if any."""
         if self.own is not None:
             return [self.own]
-        found = (target.declaration() for target in self.targets)
-        return [entry for entry in found if entry is not None]
+        return [entry for target in self.targets for entry in target.declarations()]
 
     def check(self, value: str) -> None:
         """Raise ParameterError if a value is not allowed."""
@@ -151,13 +149,9 @@ class Job(NamedTuple):
     """A launch file.
 
     Attributes:
-        name: of the job.
-        path: of the launch file.
         summary: its first sentence.
-        arguments: by their names.
         smallest: the arguments of the smallest useful run.
-        program: the program that runs the job without ROS, "module" or "module:function"; empty
-            if the job needs ROS.
+        program: runs the job without ROS, "module" or "module:function"; empty if it needs ROS.
         command: the arguments of that program, not resolved.
     """
 
@@ -181,9 +175,7 @@ class Job(NamedTuple):
     def resolve(self, text: str, values: Mapping[str, str]) -> str:
         """Return a text of the launch file as roslaunch resolves it, but for `$(eval …)`.
 
-        Args:
-            text: of the launch file.
-            values: of arguments by name; the others have their defaults.
+        Arguments without a value have their defaults.
         """
 
         def replacement(found: re.Match) -> str:
@@ -332,9 +324,7 @@ def choose_job(jobs: dict[str, Job], name: str) -> Job:
 def read_assignments(job: Job, words: list[str]) -> dict[str, str]:
     """Return the checked values from words such as ``std:=0.1``; the last of a name counts.
 
-    Raises:
-        UsageError: a word is no assignment, or the job has no argument of that name.
-        LabError: a value is not allowed.
+    Raises LabError; UsageError for a word that is no assignment, or an unknown argument.
     """
     known = job.arguments
     values = {}

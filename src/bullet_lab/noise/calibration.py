@@ -1,18 +1,9 @@
-r"""Maximum likelihood estimates and intervals of noise parameters and systematic errors.
+"""Maximum likelihood estimates and intervals of noise parameters and systematic errors.
 
-The likelihood is that of `Problem`. Its maximum is found by Fisher's scoring with Levenberg's
-damping: for residuals r of variance exp(v),
-
-    gradient      sum of -r r' exp(-v) + v' (r² exp(-v) - 1) / 2
-    information   sum of  r' r' exp(-v) + v' v' / 2,
-
-with derivatives by finite differences, so that a model needs to define its variances only.
-
+The maximum of the likelihood of `Problem` is found by Fisher's scoring with Levenberg's damping.
 An interval holds the values of a parameter for which the others can be chosen so that twice the
-logarithm of the likelihood is at most 3.84 below its maximum, chi-square's 95 % with one degree
-of freedom: the profile likelihood. Unlike an interval from estimate and standard error, it does
-not depend on the parameterisation, and it does not extend below 0. Its ends are found by false
-position on the root of the fall, which is nearly straight.
+logarithm of the likelihood is at most 3.84 below its maximum (docs/jobs/calibrate.md). Its ends
+are found by false position on the root of the fall, which is nearly straight.
 
 All functions work on many odometries at once.
 """
@@ -28,11 +19,10 @@ from numpy import ndarray
 from scipy.stats import chi2
 
 from bullet_lab.noise.likelihood import Problem
+from bullet_lab.noise.odometry_noise import NoiseRule, rule_of
 
-INTERVAL = 0.95
-ROOT = math.sqrt(chi2.ppf(INTERVAL, 1))
-"""Root of twice the fall of the logarithm of the likelihood at the ends of an interval."""
-
+# Root of twice the fall of the logarithm of the likelihood at the ends of an interval.
+_ROOT = math.sqrt(chi2.ppf(0.95, 1))
 _MAX_STEPS = 100
 # Of a search that mostly finds the maximum that is already known.
 _MIRRORED_STEPS = 25
@@ -45,71 +35,61 @@ _CLOSE = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class Fit:
     """A maximum of the likelihood for each of b odometries, by k coordinates.
 
     Attributes:
+        problem: that was fitted.
         coordinates: shape (b, k).
         log_likelihood: natural logarithm, shape (b,).
         information: Fisher's, in the coordinates, shape (b, k, k).
     """
 
+    problem: Problem
     coordinates: ndarray
     log_likelihood: ndarray
     information: ndarray
 
-    def some(self, rows: ndarray) -> Optimum:
-        """Return those of some of the odometries."""
-        return Optimum(self.coordinates[rows], self.log_likelihood[rows], self.information[rows])
+    @property
+    def estimates(self) -> ndarray:
+        """The parameters, those of the noise model first, shape (b, k)."""
+        is_zero = self.problem.logarithmic & (self.coordinates <= self.problem.low)
+        return np.where(is_zero, 0.0, self.problem.values(self.coordinates))
 
+    def values(self) -> Dict[str, float]:
+        """Return the estimates of the first odometry by name."""
+        return dict(zip(self.problem.names, self.estimates[0].tolist()))
 
-@dataclass(frozen=True, eq=False)
-class Fit(Optimum):
-    """The maximum, with its parameters.
+    def rule(self) -> NoiseRule:
+        """Return the noise rule of the first odometry."""
+        return rule_of(self.problem.model, self.values())
 
-    Attributes:
-        model: name of the noise model.
-        names: of the parameters, those of the model first.
-        estimates: of the parameters, shape (b, k).
-    """
-
-    model: str
-    names: Tuple[str, ...]
-    estimates: ndarray
-
-    def values(self, row: int = 0) -> Dict[str, float]:
-        """Return the estimates of one of the odometries by name."""
-        return dict(zip(self.names, self.estimates[row].tolist()))
+    def some(self, rows: ndarray) -> Fit:
+        """Return the maxima of some of the odometries."""
+        arrays = (self.coordinates, self.log_likelihood, self.information)
+        return Fit(self.problem.some(rows), *(array[rows] for array in arrays))
 
 
 def fit(problem: Problem) -> Fit:
     """Return the fit with the largest likelihood."""
-    best = _maximise(problem, np.arange(len(problem)), problem.start)
+    best = _maximise(problem, problem.start)
     if not problem.known:
-        for _, other in _mirrored(problem, best):
+        for _, other in _mirrored(best):
             better = other.log_likelihood > best.log_likelihood
-            best.coordinates[better] = other.coordinates[better]
-            best.log_likelihood[better] = other.log_likelihood[better]
-            best.information[better] = other.information[better]
-    is_zero = problem.logarithmic & (best.coordinates <= problem.low)
-    return Fit(
-        best.coordinates,
-        best.log_likelihood,
-        best.information,
-        problem.model,
-        problem.names,
-        np.where(is_zero, 0.0, problem.values(best.coordinates)),
-    )
+            for name in ("coordinates", "log_likelihood", "information"):
+                getattr(best, name)[better] = getattr(other, name)[better]
+    return best
 
 
-def on_limit(problem: Problem, found: Fit) -> List[str]:
+def on_limit(found: Fit) -> List[str]:
     """Return the parameters of one odometry whose estimate is the largest or least possible one."""
-    reached = np.abs(found.coordinates[0]) >= np.abs(problem.high) - 1e-9
-    beyond = reached & (~problem.logarithmic | (found.coordinates[0] > 0.0))
-    return [name for name, is_there in zip(found.names, beyond) if is_there]
+    problem, coordinates = found.problem, found.coordinates[0]
+    reached = np.abs(coordinates) >= np.abs(problem.high) - 1e-9
+    beyond = reached & (~problem.logarithmic | (coordinates > 0.0))
+    return [name for name, is_there in zip(problem.names, beyond) if is_there]
 
 
-def intervals(problem: Problem, found: Fit) -> ndarray:
+def intervals(found: Fit) -> ndarray:
     """Return the 95 % intervals of a fit, shape (b, k, 2): lower and upper ends.
 
     An end is 0 or infinite if the likelihood does not limit the interval there. If the steps do not
@@ -117,101 +97,99 @@ def intervals(problem: Problem, found: Fit) -> ndarray:
     likelihood has a second maximum that cannot be excluded, with an error of the other sign, the
     interval goes from the lowest to the highest value of both.
     """
-    result = _ends(problem, np.arange(len(problem)), found, found.log_likelihood)
-    for j, other in _mirrored(problem, found):
+    result = _ends(found, found.log_likelihood)
+    for j, other in _mirrored(found):
         elsewhere = other.coordinates[:, j] * found.coordinates[:, j] < 0.0
         possible = _beyond_end(found.log_likelihood, other.log_likelihood) < 0.0
         rows = np.flatnonzero(elsewhere & possible)
-        more = _ends(problem, rows, other.some(rows), found.log_likelihood[rows])
+        more = _ends(other.some(rows), found.log_likelihood[rows])
         result[rows, :, 0] = np.minimum(result[rows, :, 0], more[..., 0])
         result[rows, :, 1] = np.maximum(result[rows, :, 1], more[..., 1])
     return result
 
 
-def profile(problem: Problem, found: Fit, name: str, values: Sequence[float]) -> ndarray:
+def profile(found: Fit, name: str, values: Sequence[float]) -> ndarray:
     """Return by how much twice the logarithm of the likelihood falls if a parameter is held fixed.
 
     Args:
-        problem: one odometry, b = 1.
-        found: its fit.
+        found: fit of one odometry, b = 1.
         name: of the parameter.
         values: at which it is held fixed, in order.
 
     Returns:
         The falls, >= 0, in the order of the values; the interval ends at 3.84.
     """
-    j = found.names.index(name)
+    problem = found.problem
+    j = problem.names.index(name)
     falls = []
-    start = found.coordinates.copy()
+    start = found.coordinates
     for value in values:
-        held = np.full_like(found.coordinates, value)
+        held = np.full_like(start, value)
+        start = start.copy()
         start[:, j] = np.maximum(problem.coordinates(held)[:, j], problem.low[j])
-        reached = _maximise(problem, np.arange(1), start, held=j)
-        start = reached.coordinates.copy()
+        reached = _maximise(problem, start, held=j)
+        start = reached.coordinates
         falls.append(2.0 * (found.log_likelihood[0] - reached.log_likelihood[0]))
     return np.maximum(falls, 0.0)
 
 
-def _maximise(
-    problem: Problem, rows: ndarray, start: ndarray, held: int = -1, most: int = _MAX_STEPS
-) -> Optimum:
-    """Find the maximum for some of the odometries; coordinate `held`, if >= 0, is fixed."""
+def _maximise(problem: Problem, start: ndarray, held: int = -1, most: int = _MAX_STEPS) -> Fit:
+    """Find the maximum of each odometry; coordinate `held`, if >= 0, is fixed."""
     x = np.clip(start, problem.low, problem.high)
     count, k = x.shape
-    best = problem.logarithm(x, rows)
+    best = problem.logarithm(x)
     information = np.zeros((count, k, k))
     damping = np.full(count, 1e-4)
     running = np.arange(count)
     for _ in range(most):
         if not running.size:
             break
-        here = x[running]
-        gradient, information[running] = problem.slopes(here, rows[running])
+        here, part = x[running], problem.some(running)
+        gradient, information[running] = part.slopes(here)
         step, gain = _step(problem, here, gradient, information[running], damping[running], held)
         there = np.clip(here + step, problem.low, problem.high)
-        reached = problem.logarithm(there, rows[running])
+        reached = part.logarithm(there)
         better = reached > best[running]
         moved = running[better]
         x[moved], best[moved] = there[better], reached[better]
         damping[running] *= np.where(better, 0.1, 10.0)
         running = running[(gain > _ENOUGH) & (damping[running] < 1e6)]
-    return Optimum(x, best, information)
+    return Fit(problem, x, best, information)
 
 
-def _mirrored(problem: Problem, best: Optimum) -> Iterator[Tuple[int, Optimum]]:
+def _mirrored(best: Fit) -> Iterator[Tuple[int, Fit]]:
     """Yield the index of each systematic error, and the maxima found from its other sign.
 
     If the noise is in proportion to a part that only an error causes, the noise vanishes as the
     error goes through 0, and there is a maximum on either side.
     """
-    for j in np.flatnonzero(~problem.logarithmic):
+    for j in np.flatnonzero(~best.problem.logarithmic):
         start = best.coordinates.copy()
         start[:, j] *= -1.0
-        yield int(j), _maximise(problem, np.arange(len(start)), start, most=_MIRRORED_STEPS)
+        yield int(j), _maximise(best.problem, start, most=_MIRRORED_STEPS)
 
 
-def _ends(problem: Problem, rows: ndarray, optimum: Optimum, best: ndarray) -> ndarray:
-    """Return the ends of the intervals around a maximum of some of the odometries, (rows, k, 2).
+def _ends(optimum: Fit, best: ndarray) -> ndarray:
+    """Return the ends of the intervals around a maximum, (b, k, 2).
 
-    `best` is the logarithm of the largest likelihood, (rows,).
+    `best` is the logarithm of the largest likelihood, (b,).
     """
     every = range(optimum.coordinates.shape[1])
-    found = [[_end(problem, rows, optimum, best, j, s) for s in (-1.0, 1.0)] for j in every]
+    found = [[_end(optimum, best, j, side) for side in (-1.0, 1.0)] for j in every]
     return np.moveaxis(np.array(found), -1, 0)
 
 
-def _end(
-    problem: Problem, rows: ndarray, optimum: Optimum, best: ndarray, j: int, side: float
-) -> ndarray:
+def _end(optimum: Fit, best: ndarray, j: int, side: float) -> ndarray:
     """Return the lower (side -1) or upper (1) end of the interval of parameter j."""
+    problem = optimum.problem
     limit = (problem.low if side < 0.0 else problem.high)[j]
-    tangent, reach = _ahead(problem, optimum, j)
+    tangent, reach = _ahead(optimum, j)
     warm = optimum.coordinates.copy()
     # The farthest point within the end and the nearest one beyond it, with how far they are
     # beyond the end: a negative distance for the inner one.
-    inner, outer = warm[:, j].copy(), np.full(len(rows), side * np.inf)
-    below, above = _beyond_end(best, optimum.log_likelihood), np.full(len(rows), np.nan)
-    running = np.arange(len(rows))
+    inner, outer = warm[:, j].copy(), np.full(len(best), side * np.inf)
+    below, above = _beyond_end(best, optimum.log_likelihood), np.full(len(best), np.nan)
+    running = np.arange(len(best))
     for _ in range(_MAX_STEPS):
         running = running[side * (limit - inner[running]) > 0.0]
         if not running.size:
@@ -225,7 +203,7 @@ def _end(
         start = warm[running]
         start += tangent[running] * (tried - start[:, j])[:, np.newaxis]
         start[:, j] = tried
-        reached = _maximise(problem, rows[running], start, j, _PROFILE_STEPS)
+        reached = _maximise(problem.some(running), start, j, _PROFILE_STEPS)
         warm[running] = reached.coordinates
         beyond = _beyond_end(best[running], reached.log_likelihood)
         out = beyond >= 0.0
@@ -241,19 +219,20 @@ def _end(
     return np.where(at_limit, nothing, problem.values(x)[:, j])
 
 
-def _ahead(problem: Problem, optimum: Optimum, j: int) -> Tuple[ndarray, ndarray]:
+def _ahead(optimum: Fit, j: int) -> Tuple[ndarray, ndarray]:
     """Return the way to the ends of the interval of parameter j, by the information.
 
     Returns:
         By how much all coordinates change with that of the parameter, (b, k), and about the
         half width of the interval, (b,).
     """
+    problem = optimum.problem
     inverse, scale = covariance(optimum.information)
     variance = inverse[:, j, j]
     along = inverse[:, :, j] / variance[:, np.newaxis]
     slopes = along * scale[:, j, np.newaxis] / scale
     error = np.sqrt(np.maximum(variance, 1.0)) / scale[:, j]
-    half = 1.02 * ROOT * np.minimum(error, 0.5 * problem.longest[j])
+    half = 1.02 * _ROOT * np.minimum(error, 0.5 * problem.longest[j])
     return np.where(optimum.coordinates > problem.low, slopes, 0.0), half
 
 
@@ -287,7 +266,7 @@ def covariance(information: ndarray) -> Tuple[ndarray, ndarray]:
 
 def _beyond_end(best: ndarray, logarithm: ndarray) -> ndarray:
     """Return how far beyond the end of an interval a likelihood is, in standard deviations."""
-    return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - ROOT
+    return np.sqrt(np.maximum(2.0 * (best - logarithm), 0.0)) - _ROOT
 
 
 def _between(inner, below, outer, above) -> ndarray:
@@ -297,5 +276,5 @@ def _between(inner, below, outer, above) -> ndarray:
     """
     with np.errstate(invalid="ignore"):
         share = np.clip(-below / (above - below), 0.05, 0.95)
-        share = np.where(above > 4.0 * ROOT, 0.5, share)
+        share = np.where(above > 4.0 * _ROOT, 0.5, share)
         return inner + share * (outer - inner)

@@ -37,11 +37,9 @@ heading at pose m moves pose n by i (P_n - P_m) per radian.
 
 Moments in exponential coordinates
 ----------------------------------
-The end poses of noisy paths form a cloud that is bent like a banana. In the coordinates of
-`se2.logarithm`, of the noisy pose as seen from the perfect one, it is nearly Gaussian (A. W. Long,
-K. C. Wolfe, M. J. Mashner, G. S. Chirikjian: The banana distribution is Gaussian, Robotics: Science
-and Systems, 2012). To first order their covariance is that of (x, y, heading): both axes and levers
-are the same. Far from the start that is not accurate enough, so mean and covariance are exact here.
+The cloud of end poses of noisy paths, bent like a banana, is nearly Gaussian in the coordinates of
+`se2.logarithm`, of the noisy pose as seen from the perfect one (A. W. Long, K. C. Wolfe, M. J.
+Mashner, G. S. Chirikjian: The banana distribution is Gaussian, Robotics: Science and Systems 2012).
 
 With p the error of the position, H that of the heading, h the same within half a turn and
 f(h) = (h/2) (cot(h/2) - i), the coordinates are v = f(h) p and h. As functions of H alone, f, |f|²,
@@ -74,7 +72,6 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.se2 import straightening
-from bullet_lab.noise.noisy_paths import NoisySteps
 
 _NO_VARIANCE = 1e-300
 # Standard deviations of the heading; 1e-12 of all headings are beyond.
@@ -85,6 +82,33 @@ _HARMONICS = 16
 _NODES = 128
 # rad²; below it, first order is right to rounding.
 _LEAST_VARIANCE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class NoisySteps:
+    """The steps of a perfect path of n + 1 poses, with their variances under a rule.
+
+    Attributes:
+        position: x + iy (m) of each pose, relative to the first one but not rotated, shape (n+1,).
+        direction: exp(i psi), psi the direction of travel of each step in the odometry frame,
+            the opposite of it if the robot drives backwards, shape (n,).
+        angle: psi (rad), shape (n,).
+        trans: m, signed, shape (n,).
+        variance1: rad², of the rotation before each translation, shape (n,).
+        variance_trans: m², of each translation, shape (n,).
+        variance2: rad², of the rotation after each translation, shape (n,).
+    """
+
+    position: ndarray
+    direction: ndarray
+    angle: ndarray
+    trans: ndarray
+    variance1: ndarray
+    variance_trans: ndarray
+    variance2: ndarray
+
+    def __len__(self) -> int:
+        return len(self.trans)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +226,8 @@ def quadratic_shares(quadratic, covariance) -> ndarray:
     It is the largest of u' Q u / u' C u over all directions u of (x, y, heading): 0 for a Gaussian
     error, and about 1 for one that is bent like a banana.
 
-    Args:
-        quadratic: Q, `quadratic_covariances` at some poses, shape (..., 3, 3).
-        covariance: C, the exact ones there, of the same shape.
-
-    Returns:
-        Shape (...); 0 if there is no noise.
+    Q are `quadratic_covariances` at some poses, and C the exact ones there, both (..., 3, 3); 0 if
+    there is no noise.
 
     >>> from bullet_lab.noise.noisy_paths import noisy_steps
     >>> from bullet_lab.noise.odometry_noise import RateInvariantRule
@@ -227,16 +247,74 @@ def quadratic_shares(quadratic, covariance) -> ndarray:
     return np.linalg.eigvals((quadratic / size) @ inverse).real.max(axis=-1)
 
 
+class RunningMoments:
+    """Accumulates the exact second moments of a noisy path's error, pose by pose.
+
+    They are the sums of `exact_moments`.
+
+    >>> moments = RunningMoments()
+    >>> moments.add(0.0, 1.0, (0.0, 0.25, 0.5))
+    >>> moments.second_moments().diagonal()
+    array([0.25, 0.  , 0.5 ])
+    """
+
+    def __init__(self) -> None:
+        # Variance of the heading, and its value at the latest translation.
+        self._turned = 0.0
+        self._acted = 0.0
+        self._mean = 0j
+        self._spread = 0.0
+        self._pseudo = 0j
+        self._with_heading = 0j
+        # Correlation of the translations so far with the next one, and with its conjugate.
+        self._shared = 0j
+        self._mirrored = 0j
+
+    def add(self, direction: float, trans: float, variances: tuple[float, float, float]) -> None:
+        """Add the next step of the perfect path.
+
+        Args:
+            direction: rad, of travel, in the frame of the path.
+            trans: m, signed.
+            variances: of the rotation before it (rad²), of trans (m²) and of that after it (rad²).
+        """
+        variance1, variance_trans, variance2 = variances
+        v = self._turned + variance1
+        unit = complex(math.cos(direction), math.sin(direction))
+        step, square = trans * unit, trans * trans
+        faded, lost = math.exp(-0.5 * v), math.expm1(-v)
+
+        self._shared *= math.exp(-0.5 * (v - self._acted))
+        self._spread += variance_trans - square * lost + 2.0 * (step * self._shared).real
+        own = variance_trans * faded**4 + square * faded**2 * lost
+        self._pseudo += unit * unit * own + 2.0 * step * faded * self._mirrored
+        self._with_heading += 1j * v * faded * step
+        self._mean += step * math.expm1(-0.5 * v)
+        self._shared -= step.conjugate() * lost
+        self._mirrored += step * faded * lost
+        self._acted, self._turned = v, v + variance2
+
+    def second_moments(self) -> ndarray:
+        """Return E(e e') of the error e = noisy - perfect, (x, y, yaw), shape (3, 3), read-only.
+
+        It is about the perfect pose, not about the mean of the noisy ones: covariance plus the
+        square of the bias. Units are m and rad, the frame is that of the directions.
+        """
+        size = self._spread + abs(self._mean) ** 2
+        pseudo = self._pseudo + self._mean * self._mean
+        # Several times as fast as `_covariance`, for numbers.
+        xx, yy, xy = 0.5 * (size + pseudo.real), 0.5 * (size - pseudo.real), 0.5 * pseudo.imag
+        xt, yt = self._with_heading.real, self._with_heading.imag
+        matrix = np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, self._turned)))
+        matrix.setflags(write=False)
+        return matrix
+
+
 def exponential_moments(steps: NoisySteps, at) -> Moments:
     """Return mean and covariance of the error in exponential coordinates, at some poses.
 
-    Args:
-        steps: of the perfect path.
-        at: indices of the poses, in increasing order, shape (k,).
-
-    Returns:
-        Of the `logarithm` of (x, y, heading), noisy minus perfect, in m and rad, along the axes of
-        the odometry frame: mean (k, 3), covariance (k, 3, 3).
+    They are those of the `logarithm` of (x, y, heading), noisy minus perfect, in m and rad, along
+    the axes of the odometry frame, at the poses of the indices `at`, in increasing order, (k,).
 
     >>> from bullet_lab.noise.noisy_paths import noisy_steps
     >>> from bullet_lab.noise.odometry_noise import RateInvariantRule

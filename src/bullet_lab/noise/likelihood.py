@@ -1,30 +1,23 @@
 """Likelihood of the steps of an odometry under a noise model, given the true steps.
 
 For a step of direction psi, signed length d and turn phi, `NoisyPath` reports direction psi + e1,
-length d + et and turn phi + e1 + e2, with independent Gaussian e1, et and e2 whose variances a, s²
-and b are the rule's. So both steps give the noise, and its density is known exactly. The truth is
-measured, too: for each step its position has variance p and its heading variance q. With the true
-step's length D
+length d + et and turn phi + e1 + e2, with independent Gaussian e1, et and e2 of the variances a, s²
+and b. The truth's position has the variance p and its heading q in a step of the true length D:
 
     l = D e1 ~ N(0, D² a + p),    et ~ N(0, s² + p),    w = e1 + e2 ~ N(0, a + b + q),
-    Cov(l, w) = D a,
+    Cov(l, w) = D a.
 
-and w is made independent of l: w - k l with k = D a / (D² a + p) has the variance
-b + q + a p / (D² a + p). A step shorter than `MIN_TRANSLATION` has no direction: D is 0. The result
-is three independent Gaussians for each step. p and q also cover the rounding of a file; without
-them a robot that drives exactly straight, by a rule that gives no noise to turns of 0, would have a
-likelihood of 0 or infinity.
+w - k l with k = D a / (D² a + p) is independent of l and has the variance b + q + a p / (D² a + p).
+A step shorter than `MIN_TRANSLATION` has no direction: D is 0. p and q also cover the rounding of a
+file; without them a robot that drives exactly straight, by a rule that gives no noise to turns of
+0, would have a likelihood of 0 or infinity. docs/jobs/calibrate.md derives the rest.
 
-`Problem` is the logarithm of this likelihood for many odometries at once, as a function of the
-parameters that are to be calibrated. Those that cannot be negative are represented by their
-logarithm.
-
-The Jacobian of the odometry's (x, y) in polar coordinates depends on no parameter, and D is the
-truth's, so likelihoods of all models and systematic errors are comparable.
+Parameters that cannot be negative are represented by their logarithm.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import astuple, dataclass, replace
 from typing import Optional, Sequence, Tuple, Union
@@ -80,9 +73,11 @@ class StepPairs:
     truth_std_rad: float = RESOLUTION
     within: Optional[ndarray] = None
 
-    def some(self, rows) -> StepPairs:
-        """Return some of the odometries, by their indices."""
-        return replace(self, odometry=self.odometry[rows])
+    @property
+    def floor(self) -> ndarray:
+        """Variances of x (m²), y (m²) and yaw (rad²) of a step from the truth's errors, (3,)."""
+        stds = np.array((self.truth_std_m, self.truth_std_m, self.truth_std_rad))
+        return 2.0 * stds * stds
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +85,17 @@ class PartErrors:
     """The noise that was added to each part of each step.
 
     Attributes:
+        error: of rot1, as m at the end of the true step, of trans (m), and of rot1 and rot2
+            together (rad, in [-pi, pi)), shape (b, n, 3).
         lever: m, length of the true steps, 0 for those without a direction, shape (n,).
-        sideways: m, error of rot1 at the end of the true step, shape (b, n).
-        along: m, error of trans, shape (b, n).
-        turned: rad, error of rot1 and rot2 together, in [-pi, pi), shape (b, n).
         parts: rot1, trans and rot2 of the steps without noise, shape (3, n) or (3, b, n).
-        floor: variances of a step from the truth's errors: p, p (m²) and q (rad²).
+        floor: as of `StepPairs`: p, p and q.
     """
 
+    error: ndarray
     lever: ndarray
-    sideways: ndarray
-    along: ndarray
-    turned: ndarray
     parts: ndarray
-    floor: Tuple[float, float, float]
+    floor: ndarray
 
     def residuals(self, rule: NoiseRule) -> Tuple[ndarray, ndarray]:
         """Return the noise that was added to each part of each step, and its variance by a rule.
@@ -126,9 +118,8 @@ class PartErrors:
         variance1, variance_trans, variance2 = rule.variances(*self.parts)
         moved = self.lever * variance1
         variance_sideways = self.lever * moved + p
-        errors = np.empty((*self.turned.shape, 3))
-        errors[..., 0], errors[..., 1] = self.sideways, self.along
-        errors[..., 2] = self.turned - moved / variance_sideways * self.sideways
+        errors = self.error.copy()
+        errors[..., 2] -= moved / variance_sideways * errors[..., 0]
         variances = np.empty_like(errors)
         variances[..., 0], variances[..., 1] = variance_sideways, variance_trans + p
         variances[..., 2] = variance2 + q + variance1 * (p / variance_sideways)
@@ -153,15 +144,12 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
     lever = np.hypot(pairs.true[:, 0], pairs.true[:, 1])
     lever = np.where(lever >= MIN_TRANSLATION, lever, 0.0)
     rot1 = np.where(lever > 0.0, direction, 0.0)
-    variance = 2.0 * pairs.truth_std_m**2
-    return PartErrors(
-        lever=lever,
-        sideways=lever * np.arctan2(side * aside, np.abs(ahead)),
-        along=side * np.hypot(ahead, aside) - trans,
-        turned=wrap(turn - expected[..., 2]),
-        parts=np.stack((rot1, trans, wrap(expected[..., 2] - rot1))),
-        floor=(variance, variance, 2.0 * pairs.truth_std_rad**2),
-    )
+    error = np.empty(pairs.odometry.shape)
+    error[..., 0] = lever * np.arctan2(side * aside, np.abs(ahead))
+    error[..., 1] = side * np.hypot(ahead, aside) - trans
+    error[..., 2] = wrap(turn - expected[..., 2])
+    parts = np.stack((rot1, trans, wrap(expected[..., 2] - rot1)))
+    return PartErrors(error, lever, parts, pairs.floor)
 
 
 def walk_shares(within: ndarray) -> ndarray:
@@ -205,8 +193,7 @@ class LongErrors:
     def of(cls, pairs: StepPairs, expected: ndarray, shares: ndarray) -> LongErrors:
         """Compare odometries with steps without noise, (b, n, 3)."""
         error = wrapped(pairs.odometry - expected)[..., [1, 0, 2]]
-        stds = np.array((pairs.truth_std_m, pairs.truth_std_m, pairs.truth_std_rad))
-        return cls(error, shares, 2.0 * stds * stds)
+        return cls(error, shares, pairs.floor)
 
     def covariance(self, rule: NoiseRule) -> ndarray:
         """Return the covariances by a random walk with parameters of shape (b, 1), (b, n, 3, 3)."""
@@ -264,7 +251,6 @@ class Problem:
         self._own = len(own)
         self.logarithmic = np.arange(len(self.names)) < len(own)
         self.longest = np.where(self.logarithmic, 4.0, 30.0)
-        self._true = part_errors(pairs)
         self._shares = None if pairs.within is None else walk_shares(pairs.within)
         largest = [LARGEST_ERRORS.get(name, LARGEST_PARAMETER) for name in self.names]
         self.high = self.coordinates(np.array(largest) // _LIMIT_STEP * _LIMIT_STEP)
@@ -274,6 +260,12 @@ class Problem:
 
     def __len__(self) -> int:
         return len(self.pairs.odometry)
+
+    def some(self, rows: ndarray) -> Problem:
+        """Return the problem of some of the odometries, with the same limits."""
+        part = copy.copy(self)
+        part.pairs = replace(self.pairs, odometry=self.pairs.odometry[rows])
+        return part
 
     def values(self, coordinates: ndarray) -> ndarray:
         """Return the parameters of coordinates, shapes (b, k)."""
@@ -304,44 +296,37 @@ class Problem:
         columns.update((name, column.reshape(shape)) for name, column in names)
         return SystematicErrors(**columns, wheel_base=self.wheel_base)
 
-    def step_errors(self, values: ndarray, rows: ndarray) -> Union[PartErrors, LongErrors]:
-        """Return the errors of the steps of some of the odometries, by parameters (rows, k)."""
-        if self._shares is not None:
-            return LongErrors.of(self.pairs.some(rows), self.expected(values), self._shares)
-        if self.systematic:
-            return part_errors(self.pairs.some(rows), self.expected(values))
-        true = self._true
-        return replace(
-            true,
-            sideways=true.sideways[rows],
-            along=true.along[rows],
-            turned=true.turned[rows],
-        )
+    def step_errors(self, values: ndarray) -> Union[PartErrors, LongErrors]:
+        """Return the errors of the steps by parameters (b, k)."""
+        expected = self.expected(values)
+        if self._shares is None:
+            return part_errors(self.pairs, expected)
+        return LongErrors.of(self.pairs, expected, self._shares)
 
     def _evaluate(self, values: ndarray, errors) -> Tuple[ndarray, ndarray]:
-        """Return residuals and the logarithms of their variances, (rows, 3 n)."""
+        """Return residuals and the logarithms of their variances, (b, 3 n)."""
         found, variances = errors.residuals(self.rule(values))
         shape = (len(values), -1)
         return found.reshape(shape), np.log(variances).reshape(shape)
 
-    def logarithm(self, coordinates: ndarray, rows: ndarray) -> ndarray:
-        """Return the logarithm of the likelihood of some of the odometries, (rows,)."""
+    def logarithm(self, coordinates: ndarray) -> ndarray:
+        """Return the logarithm of the likelihood, (b,)."""
         values = self.values(coordinates)
-        return _logarithm(*self._evaluate(values, self.step_errors(values, rows)))
+        return _logarithm(*self._evaluate(values, self.step_errors(values)))
 
-    def slopes(self, coordinates: ndarray, rows: ndarray) -> Tuple[ndarray, ndarray]:
-        """Return gradient, (rows, k), and Fisher's information, (rows, k, k), of some of them."""
+    def slopes(self, coordinates: ndarray) -> Tuple[ndarray, ndarray]:
+        """Return gradient, (b, k), and Fisher's information, (b, k, k)."""
         values = self.values(coordinates)
-        errors = self.step_errors(values, rows)
+        errors = self.step_errors(values)
         found, logarithms = self._evaluate(values, errors)
-        by_found = np.empty((len(rows), len(self.names), found.shape[1]))
+        by_found = np.empty((len(self), len(self.names), found.shape[1]))
         by_log = np.empty_like(by_found)
         for j in range(len(self.names)):
             moved = coordinates.copy()
             moved[:, j] += _DIFFERENCE
             values = self.values(moved)
             # The noise that was added does not depend on the rule.
-            there = errors if j < self._own else self.step_errors(values, rows)
+            there = errors if j < self._own else self.step_errors(values)
             change, log_there = self._evaluate(values, there)
             change -= found
             by_found[:, j] = np.where(np.abs(change) < _LARGEST_JUMP, change, 0.0)
@@ -358,10 +343,9 @@ class Problem:
     def _start(self) -> ndarray:
         """Return the level of noise that fits best, as coordinates, shape (b, k)."""
         values = np.zeros((len(self), len(self.names)))
-        errors = self.step_errors(values, np.arange(len(self)))
         if self.systematic:
             values[:, self._own :] = self._robust()
-            errors = self.step_errors(values, np.arange(len(self)))
+        errors = self.step_errors(values)
         found, best = np.full(len(self), -np.inf), values.copy()
         for level in _LEVELS.tolist():
             own = astuple(self._kind.at_level(level))
@@ -379,12 +363,13 @@ class Problem:
         """
         values = np.zeros((len(self), len(self.names)))
         for share in np.geomspace(1.0, 1e-4, _ROBUST_STEPS):
-            here = self._raw(values)
+            here = part_errors(self.pairs, self.expected(values)).error
             columns = []
             for j in range(self._own, len(self.names)):
                 moved = values.copy()
                 moved[:, j] += _UNIT * _DIFFERENCE
-                columns.append((self._raw(moved) - here) / (_UNIT * _DIFFERENCE))
+                there = part_errors(self.pairs, self.expected(moved)).error
+                columns.append((there - here) / (_UNIT * _DIFFERENCE))
             slopes = np.stack(columns, axis=1)
             typical = np.median(np.abs(here), axis=1, keepdims=True) + 1e-12
             weighted = slopes / (here**2 + (share * typical) ** 2)[:, np.newaxis]
@@ -397,10 +382,6 @@ class Problem:
             values[:, self._own :] -= np.linalg.solve(matrix, pull)[..., 0]
             values = self.values(np.clip(self.coordinates(values), -self.high, self.high))
         return values[:, self._own :]
-
-    def _raw(self, values: ndarray) -> ndarray:
-        errors = part_errors(self.pairs, self.expected(values))
-        return np.stack((errors.sideways, errors.along, errors.turned), axis=-1)
 
 
 def _logarithm(found: ndarray, logarithms: ndarray) -> ndarray:

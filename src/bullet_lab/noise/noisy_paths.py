@@ -19,45 +19,15 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core import se2
+from bullet_lab.noise.exact_moments import NoisySteps
 from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, decompose_steps, line_of_travel
 
 STEPS_PER_BLOCK = 16384
 """Steps of a block: their arrays, about 1.5 MB, fit into the processor's cache."""
 
 
-@dataclass(frozen=True, eq=False)
-class NoisySteps:
-    """The steps of a perfect path of n + 1 poses, with their variances under a rule.
-
-    Attributes:
-        position: x + iy (m) of each pose, relative to the first one but not rotated, shape (n+1,).
-        direction: exp(i psi), psi the direction of travel of each step in the odometry frame,
-            the opposite of it if the robot drives backwards, shape (n,).
-        angle: psi (rad), shape (n,).
-        trans: m, signed, shape (n,).
-        variance1: rad², of the rotation before each translation, shape (n,).
-        variance_trans: m², of each translation, shape (n,).
-        variance2: rad², of the rotation after each translation, shape (n,).
-    """
-
-    position: ndarray
-    direction: ndarray
-    angle: ndarray
-    trans: ndarray
-    variance1: ndarray
-    variance_trans: ndarray
-    variance2: ndarray
-
-    def __len__(self) -> int:
-        return len(self.trans)
-
-
 def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
-    """Return the steps of a perfect path.
-
-    Args:
-        poses: x (m), y (m) and yaw (rad), finite, shape (n+1, 3), n >= 1.
-        rule: gives the variances of a step.
+    """Return the steps of a perfect path: x (m), y (m), yaw (rad), finite, (n+1, 3), n >= 1.
 
     >>> from bullet_lab.noise.odometry_noise import ReportRule
     >>> steps = noisy_steps([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], ReportRule(0.5))
@@ -94,6 +64,11 @@ class NoisyBlock:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def poses(self, perfect: ndarray) -> ndarray:
+        """Return x (m), y (m) and yaw (rad, not wrapped) for the perfect ones, (b, n+1, 3)."""
+        x, y = perfect[0, 0] + self.position.real, perfect[0, 1] + self.position.imag
+        return np.stack([x, y, perfect[:, 2] + self.heading_error], axis=-1)
 
 
 def noisy_blocks(
@@ -137,16 +112,10 @@ def noisy_blocks(
 
 
 def study_generator(seed: int, model: str, std: float, rate: float) -> np.random.Generator:
-    """Return the random generator of one case of a study.
+    """Return the random generator of one case of a study: a model at a level and a rate (Hz).
 
-    Each case has its own stream, spawned from the seed with a key made of the case. So the stream
-    does not depend on the other cases, on the registered models, or on their order.
-
-    Args:
-        seed: of the study, >= 0.
-        model: one of `MODELS`.
-        std: the level.
-        rate: Hz.
+    Its stream is spawned from the seed (>= 0) with a key made of the case, so that it does not
+    depend on the other cases, on the registered models, or on their order.
 
     >>> stds = (0.0, -0.0, 0.2)
     >>> one, same, other = (study_generator(1, "report", s, 20.0).standard_normal() for s in stds)

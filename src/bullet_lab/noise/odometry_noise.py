@@ -19,6 +19,7 @@ from numpy import ndarray
 from bullet_lab.core.parameters import declarations, number
 from bullet_lab.core.se2 import PlanarPose, atan2, columns, hypot, wrap
 from bullet_lab.errors import LabError
+from bullet_lab.noise.exact_moments import RunningMoments
 
 MIN_TRANSLATION = 1e-4
 """m; a shorter step has no direction (at 20 Hz this is 2 mm/s)."""
@@ -32,19 +33,11 @@ class NoiseError(LabError):
 
 
 def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
-    """Decompose one displacement into (rot1, trans, rot2).
+    """Decompose a displacement (m, m, rad) in the body frame before it into (rot1, trans, rot2).
 
-    Turning by rot1, going trans ahead (back when negative) and turning by rot2 leads to the
-    same pose. A step shorter than `MIN_TRANSLATION` has no meaningful direction: its rot1 is 0 and
-    its rot2 is dyaw.
-
-    Args:
-        dx: m, ahead in the body frame before the step.
-        dy: m, to the left in the same frame.
-        dyaw: rad.
-
-    Returns:
-        rot1 (rad, in [-pi/2, pi/2]), trans (m, signed), rot2 (rad, in [-pi, pi)).
+    Turning by rot1 (rad, in [-pi/2, pi/2]), going trans ahead (m, back when negative) and turning
+    by rot2 (rad, in [-pi, pi)) leads to the same pose. A step shorter than `MIN_TRANSLATION` has no
+    meaningful direction: its rot1 is 0.
 
     >>> decompose(0.5, 0.0, 0.25)
     (0.0, 0.5, 0.25)
@@ -65,11 +58,8 @@ def decompose_steps(steps) -> ndarray:
 def line_of_travel(dx, dy) -> Tuple[ndarray, ndarray]:
     """Return the line of travel (rad, in [-pi/2, pi/2]) and the signed length (m) along it.
 
-    Unlike in `decompose`, even the shortest step has a direction.
-
-    Args:
-        dx: m, ahead, an array.
-        dy: m, to the left, of the same shape.
+    dx (m, ahead) and dy (m, to the left) are arrays of a shape. Unlike in `decompose`, even the
+    shortest step has a direction.
     """
     sign = np.where(dx < 0.0, -1.0, 1.0)
     return np.arctan2(sign * dy, np.abs(dx)), sign * hypot(dx, dy)
@@ -197,10 +187,9 @@ class WalkRule(NoiseRule):
 class RateInvariantRule(WalkRule):
     """Variance in proportion to the distance travelled, as of a random walk.
 
-    Translation gains std² per metre; heading gains std² per metre and per radian, half of it
-    before and half after the translation. The heading variance of a path, and the variance along
-    a straight one, do not depend on the number of messages; across, N steps give
-    1 + 1/(2 N²) times the limit std² L³ / 3. Strafing counts as distance, not as two turns.
+    The heading variance of a path, and the variance along a straight one, do not depend on the
+    number of messages; across, N steps give 1 + 1/(2 N²) times the limit std² L³ / 3. Strafing
+    counts as distance, not as two turns.
 
     Attributes:
         std: m/√m and rad/√m and rad/√rad, >= 0.
@@ -263,6 +252,36 @@ class ProbabilisticRule(NoiseRule):
         )
 
 
+@register
+@dataclass(frozen=True)
+class RandomWalkRule(WalkRule):
+    """Rate-invariant noise whose way and heading are not equally noisy, as those of real robots.
+
+    Attributes:
+        way_std: m/√m, of the translation, >= 0.
+        heading_std: rad/√m, of the heading on a way, >= 0.
+        turn_std: rad/√rad, of the heading in a turn, >= 0.
+
+    >>> RandomWalkRule(0.5, 0.0, 1.0).variances(0.0, 2.0, -1.0)
+    (0.5, 0.5, 0.5)
+    """
+
+    name, title, stream = "random_walk", "Random walk", 3
+
+    way_std: float = strength(0.03, "random_walk: distance, per root of a metre")
+    heading_std: float = strength(0.03, "random_walk: heading, per root of a metre")
+    turn_std: float = strength(0.08, "random_walk: heading, per root of a radian")
+
+    @classmethod
+    def at_level(cls, std: float) -> NoiseRule:
+        """Return the rule whose heading has this level, and whose way a third of it."""
+        return cls(std / 3.0, std, std)
+
+    def walked(self, distance, angle):  # noqa: D102 - inherited
+        on_ways, in_turns = self.heading_std * self.heading_std, self.turn_std * self.turn_std
+        return on_ways * distance + in_turns * angle, self.way_std * self.way_std * distance
+
+
 def model_named(name: str) -> Type[NoiseRule]:
     """Return the noise model of a name; raises NoiseError if it is not in `MODELS`."""
     try:
@@ -282,15 +301,10 @@ def noise_parameters() -> Any:
 
 
 def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:
-    """Return the noise rule of a model.
+    """Return the noise rule of a model; raises NoiseError if it is unknown.
 
-    Args:
-        model: one of `MODELS`.
-        values: of parameters by name, which have been checked. Those of other models are ignored,
-            and missing ones have their defaults.
-
-    Raises:
-        NoiseError: the model is unknown.
+    The values of parameters by name have been checked. Those of other models are ignored, and
+    missing ones have their defaults.
 
     >>> rule_of("report", {"std": 0.2, "alpha1": 0.1})
     ReportRule(std=0.2)
@@ -314,78 +328,12 @@ def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
 def derived_seed(seed: int, index: int) -> int:
     """Return the seed, within 31 bits, of one of several independent sources.
 
-    Unlike seed + index, neighbouring seeds do not share derived seeds.
-
-    Args:
-        seed: of all sources, >= 0.
-        index: of the source, >= 0.
+    Unlike seed + index, neighbouring seeds (>= 0) do not share derived seeds.
 
     >>> derived_seed(1, 0), derived_seed(1, 1)
     (917752063, 594516694)
     """
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0]) >> 1
-
-
-class RunningMoments:
-    """Accumulates the exact second moments of a noisy path's error, pose by pose.
-
-    The noise is Gaussian and independent; `exact_moments` derives the sums for whole paths.
-
-    >>> moments = RunningMoments()
-    >>> moments.add(0.0, 1.0, (0.0, 0.25, 0.5))
-    >>> moments.second_moments().diagonal()
-    array([0.25, 0.  , 0.5 ])
-    """
-
-    def __init__(self) -> None:
-        # Variance of the heading, and its value at the latest translation.
-        self._turned = 0.0
-        self._acted = 0.0
-        self._mean = 0j
-        self._spread = 0.0
-        self._pseudo = 0j
-        self._with_heading = 0j
-        # Correlation of the translations so far with the next one, and with its conjugate.
-        self._shared = 0j
-        self._mirrored = 0j
-
-    def add(self, direction: float, trans: float, variances: tuple[float, float, float]) -> None:
-        """Add the next step of the perfect path.
-
-        Args:
-            direction: rad, of travel, in the frame of the path.
-            trans: m, signed.
-            variances: of the rotation before it (rad²), of trans (m²) and of that after it (rad²).
-        """
-        variance1, variance_trans, variance2 = variances
-        v = self._turned + variance1
-        unit = complex(math.cos(direction), math.sin(direction))
-        step, square = trans * unit, trans * trans
-        faded, lost = math.exp(-0.5 * v), math.expm1(-v)
-
-        self._shared *= math.exp(-0.5 * (v - self._acted))
-        self._spread += variance_trans - square * lost + 2.0 * (step * self._shared).real
-        own = variance_trans * faded**4 + square * faded**2 * lost
-        self._pseudo += unit * unit * own + 2.0 * step * faded * self._mirrored
-        self._with_heading += 1j * v * faded * step
-        self._mean += step * math.expm1(-0.5 * v)
-        self._shared -= step.conjugate() * lost
-        self._mirrored += step * faded * lost
-        self._acted, self._turned = v, v + variance2
-
-    def second_moments(self) -> ndarray:
-        """Return E(e e') of the error e = noisy - perfect, (x, y, yaw), shape (3, 3), read-only.
-
-        It is about the perfect pose, not about the mean of the noisy ones: covariance plus the
-        square of the bias. Units are m and rad, the frame is that of the directions.
-        """
-        size = self._spread + abs(self._mean) ** 2
-        pseudo = self._pseudo + self._mean * self._mean
-        xx, yy, xy = 0.5 * (size + pseudo.real), 0.5 * (size - pseudo.real), 0.5 * pseudo.imag
-        xt, yt = self._with_heading.real, self._with_heading.imag
-        matrix = np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, self._turned)))
-        matrix.setflags(write=False)
-        return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,9 +342,8 @@ class NoisyStep:
 
     Attributes:
         pose: noisy x (m), y (m) and yaw (rad, in [-pi, pi)) in the odometry frame.
-        covariance: 3x3, of (x, y, yaw) in the odometry frame, accumulated since the start: the
-            exact second moments of the error about the perfect pose, so that the mean NEES is 3
-            even if the noise is large. Its axes are the perfect path's.
+        covariance: 3x3, of (x, y, yaw) in the odometry frame: the exact second moments of the error
+            about the perfect pose since the start. Its axes are the perfect path's.
         motion_error: noisy minus true step as (dx m, dy m, dyaw rad), each step in the body
             frame before it.
         motion_covariance: 3x3, likewise, of this step alone, in the body frame before it. Divided
@@ -413,11 +360,9 @@ class NoisyPath:
     """Makes a noisy path from a perfect one, pose by pose.
 
     The first pose is returned unchanged. Each later pose adds the noisy step to the previous noisy
-    pose, so that errors accumulate and a heading error bends the rest of the path. If the rule
-    gives no noise, the noisy path equals the perfect one, to rounding.
-
-    Message k uses the normal draws 3k-3 to 3k-1 of the generator (for trans, rot1 and rot2),
-    whether the robot moves or not. So the draws depend only on the seed and the message's number.
+    pose, so that errors accumulate and a heading error bends the rest of the path. Message k uses
+    the normal draws 3k-3 to 3k-1 of the generator (for trans, rot1 and rot2), whether the robot
+    moves or not.
 
     Args:
         rule: gives the variances of a step.

@@ -126,9 +126,7 @@ class PublishedAlgorithm:
 
 
 def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np) -> np.ndarray:
-    """Return noisy versions of the poses that the algorithm sees.
-
-    `Defects.sampled` has no effect here: it decides which poses these are, see `sampled`.
+    """Return noisy versions of the poses that the algorithm sees, (n, m, 3), yaw in [-pi, pi].
 
     Args:
         poses: perfect x (m), y (m) and yaw (rad), finite, shape (n, m, 3) for m different paths or
@@ -136,12 +134,9 @@ def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np)
         draws: standard normal, for trans, rot1 and rot2 of each step, shape (n - 1, m, 3). Path
             k is that of a `PublishedNoise` whose generator draws `draws[:, k]`.
         std: standard deviation per metre and per radian, for each step, >= 0.
-        defects: the enabled ones.
+        defects: the enabled ones; `sampled` decides which poses these are, see the function.
         functions: module with sin, cos, arctan2 and hypot for arrays. Numpy's are the fastest, and
             their last bit depends on the processor.
-
-    Returns:
-        Noisy poses, shape (n, m, 3), yaw in [-pi, pi].
     """
     algorithm = PublishedAlgorithm(std, defects, functions)
     count = draws.shape[1]
@@ -161,10 +156,6 @@ def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np)
 
 class PublishedNoise:
     """The algorithm with all defects, pose by pose.
-
-    Args:
-        std: standard deviation per metre and per radian, >= 0.
-        seed: of its random generator, >= 0; None for a different one each time.
 
     >>> published = PublishedNoise(0.0, seed=1)
     >>> [published.update(x, 0.0, 0.0) for x in (0.0, 0.5)]
@@ -194,13 +185,9 @@ class PublishedNoise:
 
 
 class Sampler:
-    """Selects the messages that a node would receive that polls at a fixed rate.
+    """Selects the messages that a node would receive that polls at a fixed rate (Hz).
 
-    The node sleeps before its first poll, so tick k = 1, 2, … is at the first stamp + k / rate. The
-    selection depends on the stamps alone, not on the speed of the machine.
-
-    Args:
-        rate: Hz, > 0.
+    The node sleeps before its first poll, so tick k = 1, 2, … is at the first stamp + k / rate.
 
     >>> sampler = Sampler(1.0)
     >>> [sampler.due(stamp) for stamp in (0.0, 0.6, 1.2, 1.8)]
@@ -232,16 +219,13 @@ class Sampler:
 
 
 def sampled(stamps, rate: float, phases) -> np.ndarray:
-    """Return the messages that a node sees which polls at a fixed rate.
+    """Return the index of the first message at or after each poll of a node, (polls, m).
 
     Args:
         stamps: of the messages, s, increasing, shape (n,).
-        rate: Hz, > 0.
-        phases: s, >= 0, from the first stamp to the first poll, one for each path, shape (m,).
-
-    Returns:
-        The index of the first message at or after each poll, shape (number of polls, m): the polls
-        that every path makes before the messages end.
+        rate: of the polls, Hz, > 0.
+        phases: s, >= 0, from the first stamp to the first poll, one for each path, shape (m,). Only
+            polls count that every path makes before the messages end.
     """
     stamps, phases = np.asarray(stamps, dtype=float), np.asarray(phases, dtype=float)
     polls = math.floor((stamps[-1] - stamps[0] - phases.max()) * rate) + 1

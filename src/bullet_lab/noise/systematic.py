@@ -1,31 +1,19 @@
 """Systematic errors of odometry: wheels and gyro differ from their nominal parameters.
 
-A robot with a left and a right wheel moves on arcs. Between two poses the middle of its axle
-travels a distance s and turns by phi, so that with the base B (distance of the wheels' contacts)
-the wheels roll
+Between two poses the middle of the axle travels a distance s and turns by phi, so that with the
+base B (distance of the wheels' contacts) and the nominal base b, the wheels of a side rho times as
+large as nominal,
 
-    s_left = s - phi B / 2,    s_right = s + phi B / 2.
-
-Odometry counts the wheels' turns and multiplies them by nominal diameters. If the wheel of a side
-is rho times as large as nominal, it computes s_side / rho_side; with the nominal base b it reports
-
+    s_left, s_right = s -+ phi B / 2,
     s' = (s_right / rho_right + s_left / rho_left) / 2
     phi' = (s_right / rho_right - s_left / rho_left) / b + gyro_bias_per_metre |s|
 
-Encoders count whole ticks of what each wheel rolls by the nominal diameters, and s' and the wheels'
-part of phi' come from these counts.
-
-In turns a robot may go less far than its wheels roll, as they slip: the wheels roll s + loss |phi|
-in the direction of s. A robot that turns on the spot does not go, so that there is nothing to lose:
-if the middle of the axle goes less than half the loss, the wheels roll s.
+are reported (docs/noisy_odom.md). In turns the wheels slip: they roll s + loss |phi| in the
+direction of s. A robot that turns on the spot has nothing to lose: if the middle of the axle goes
+less than half the loss, the wheels roll s.
 
 The diameters are given by their mean and their ratio, as by Borenstein and Feng, Measurement and
 correction of systematic odometry errors in mobile robots (1996).
-
-The errors may differ from path to path, drawn from independent Gaussians about the given ones. What
-that does to the reported pose is followed by one more path for each error, with the error one
-standard deviation larger: to first order, the covariance is the sum of the squares of their
-distances.
 """
 
 from __future__ import annotations
@@ -77,20 +65,10 @@ def _spread(name: str) -> Any:
 class SystematicErrors:
     """The real robot relative to the odometry's nominal parameters; 0 for no error.
 
-    Attributes:
-        scale_error: mean diameter of the wheels / the nominal one - 1. With larger wheels the
-            odometry reports distances and turns that are too small.
-        base_error: base / the nominal one - 1. With a wider base it reports turns that are too
-            large.
-        diameter_error: right diameter / left diameter - 1; nominally they are equal. A larger right
-            wheel turns the robot to the left while the odometry reports a straight line.
-        gyro_bias_per_metre: rad/m, gain of the reported heading on each metre, forwards or back.
-            Driving forwards, it is hard to distinguish from a diameter_error of
-            -gyro_bias_per_metre · wheel_base.
-        wheel_base: m, the nominal base; used only by diameter_error and ticks_per_metre.
-        way_per_turn: m/rad, way that is lost in turns, left and right, on arcs.
-        ticks_per_metre: of the encoder of each wheel, by the nominal diameter; 0 for encoders
-            without ticks.
+    With larger wheels the odometry reports distances and turns that are too small, with a wider
+    base turns that are too large. A larger right wheel turns the robot to the left while it reports
+    a straight line. Driving forwards, gyro_bias_per_metre is hard to distinguish from a
+    diameter_error of -gyro_bias_per_metre · wheel_base. docs/noisy_odom.md has all units.
 
     >>> SystematicErrors(base_error=0.25).steps([[0.0, 0.0, 0.8], [1.0, 0.0, 0.0]])
     array([[0., 0., 1.],
@@ -157,12 +135,9 @@ class SystematicErrors:
     def steps(self, steps) -> ndarray:
         """Return the reported steps for true steps, by encoders without ticks.
 
-        Args:
-            steps: (dx m, dy m, dyaw rad) in the body frame before each, shape (..., 3). A motion
-                across the wheels, which they do not measure, is scaled like the distance.
-
-        Returns:
-            The reported ones, shape (..., 3), |dyaw| not wrapped.
+        Both are (dx m, dy m, dyaw rad) in the body frame before each, (..., 3), the reported dyaw
+        not wrapped. A motion across the wheels, which they do not measure, is scaled like the
+        distance.
         """
         ahead, across, turn = columns(arcs(steps))
         loss = self.way_per_turn * np.abs(turn)
@@ -174,11 +149,7 @@ class SystematicErrors:
         return chords(np.stack((new_ahead, matrix[0, 0] * across, new_turn), axis=-1))
 
     def path(self, poses) -> ndarray:
-        """Return the reported path for a true path, bit for bit that of `SystematicPath`.
-
-        Args:
-            poses: x (m), y (m) and yaw (rad), shape (n, 3).
-        """
+        """Return the reported poses for true ones (m, m, rad), as `SystematicPath`, both (n, 3)."""
         path = SystematicPath(self)
         return np.array([path.update(*pose).pose for pose in np.asarray(poses, float).tolist()])
 
@@ -186,11 +157,8 @@ class SystematicErrors:
 def arcs(steps) -> ndarray:
     """Return the arcs from pose to pose: distance ahead, distance across (m) and turn (rad).
 
-    Each is the motion at a constant velocity that leads to (dx, dy, dyaw); a robot with two wheels
-    does not move across.
-
-    Args:
-        steps: (dx m, dy m, dyaw rad), shape (..., 3), |dyaw| <= pi.
+    Each is the motion at a constant velocity that leads to (dx m, dy m, dyaw rad), (..., 3), with
+    |dyaw| <= pi; a robot with two wheels does not move across.
 
     >>> arcs([2.0, 2.0, np.pi / 2.0]).round(6)
     array([3.141593, 0.      , 1.570796])
@@ -307,15 +275,7 @@ def _sinc(angle: float) -> float:
 
 @dataclass(frozen=True)
 class SystematicSpread:
-    """Standard deviations of the systematic errors from path to path; 0 if they are known.
-
-    Attributes:
-        scale_error_std: of scale_error, and so on.
-        base_error_std: likewise.
-        diameter_error_std: likewise.
-        gyro_bias_per_metre_std: rad/m.
-        way_per_turn_std: m/rad.
-    """
+    """Standard deviations of the systematic errors from path to path; 0 if they are known."""
 
     scale_error_std: float = _spread("scale_error")
     base_error_std: float = _spread("base_error")
@@ -327,16 +287,14 @@ class SystematicSpread:
 class SpreadPath:
     """Makes reported paths from true ones, each with errors of its own; like `SystematicPath`.
 
+    Beside each path, one more is followed for each error, with the error one standard deviation
+    larger: to first order, the covariance is the sum of the squares of their distances.
+
     >>> path = SpreadPath(SystematicErrors(), SystematicSpread(scale_error_std=0.1), seed=1)
     >>> for x in (0.0, 1.0):
     ...     step = path.update(x, 0.0, 0.0)
     >>> path.covariance.round(4)[0]
     array([0.0083, 0.    , 0.    ])
-
-    Args:
-        errors: their means.
-        spread: their standard deviations.
-        seed: of the draws, >= 0.
     """
 
     def __init__(self, errors: SystematicErrors, spread: SystematicSpread, seed: int):
@@ -395,3 +353,11 @@ def end_of(steps) -> ndarray:
     x = np.sum(np.cos(before) * dx - np.sin(before) * dy, axis=-1)
     y = np.sum(np.sin(before) * dx + np.cos(before) * dy, axis=-1)
     return np.stack((x, y, heading[..., -1]), axis=-1)
+
+
+def path_of(steps: ndarray) -> ndarray:
+    """Return the poses that steps lead to, the start included: (n, 3) to (n + 1, 3)."""
+    heading = np.concatenate(([0.0], np.cumsum(steps[:, 2])))
+    moves = (steps[:, 0] + 1j * steps[:, 1]) * np.exp(1j * heading[:-1])
+    places = np.concatenate(([0j], np.cumsum(moves)))
+    return np.column_stack((places.real, places.imag, wrap(heading)))

@@ -7,8 +7,9 @@ a new job is one class here.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import defaultdict
 from pathlib import Path
-from typing import Any, Callable, Iterable, Mapping, NamedTuple, Sequence
+from typing import Any, Iterable, Mapping, NamedTuple, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,23 +42,18 @@ class Reading(NamedTuple):
 
 
 class Report(ABC):
-    """The files that one job writes into a folder.
+    """The files that one job writes into a folder, which is made if need be.
 
-    By default, each topic has a series, and the recording is complete when all series have reached
-    the end; a subclass may override that. The methods are called by one thread at a time.
-
-    Args:
-        folder: for the files; it is made if need be.
+    By default, the recording is complete when all series have reached the end; a subclass may
+    override that. The methods are called by one thread at a time.
 
     Attributes:
-        folder: as given.
         about: first entries of summary.json.
         topics: type of the messages by topic, such as sensor_msgs/Imu; the types are those that
             `bullet_lab.ros.record.recorder` reads.
         series: files of rows, by topic.
+        readings: of the topics without a series.
         until: end of the recording in ns; None while it is not known.
-        on_reset: called when simulated time was set back, with the folder into which the earlier
-            files were moved.
 
     Raises:
         FileError: a file cannot be written; so do the methods that write.
@@ -68,11 +64,14 @@ class Report(ABC):
         self.about: Summary = {}
         self.topics: dict[str, str] = {}
         self.series: dict[str, Series] = {}
+        self.readings: dict[str, list[Reading]] = defaultdict(list)
         self.until: int | None = None
-        self.on_reset: Callable[[Path], None] = lambda old: None
 
     def take(self, topic: str, reading: Reading) -> bool:
         """Record a message, or raise LabError; return whether a row was recorded."""
+        if topic not in self.series:
+            self.readings[topic].append(reading)
+            return False
         self.series[topic].add(reading.stamp, reading.values)
         return True
 
@@ -99,9 +98,8 @@ class Report(ABC):
     def summary(self, finished: bool, run: Summary) -> Summary:
         """Return the entries of summary.json after those of `about`.
 
-        Args:
-            finished: whether the recording is complete.
-            run: entries with the times and the refused messages of the run.
+        `finished` says whether the recording is complete; `run` has the times and the refused
+        messages.
         """
 
     @abstractmethod
@@ -132,7 +130,8 @@ class DriveReport(Report):
         self.topics = {"odom": "nav_msgs/Odometry"}
 
     def take(self, topic: str, reading: Reading) -> bool:
-        return reading.stamp >= self.BEGINNING and super().take(topic, reading)
+        is_early = topic == "odom" and reading.stamp < self.BEGINNING
+        return not is_early and super().take(topic, reading)
 
 
 def save_results(
@@ -141,18 +140,13 @@ def save_results(
     figures: Figures,
     summary_first: bool = False,
 ) -> None:
-    """Write the figures and summary.json; raises FileError."""
+    """Write the figures and summary.json, at the end or also before; raises FileError."""
+    path, content = report.folder / "summary.json", {**report.about, **summary}
     if summary_first:
-        save_summary(report, summary)
+        write_json(path, content)
     for name, figure in figures.items():
         save(figure, report.folder / name)
-    if not summary_first:
-        save_summary(report, summary)
-
-
-def save_summary(report: Report, summary: Summary) -> None:
-    """Write summary.json; raises FileError."""
-    write_json(report.folder / "summary.json", {**report.about, **summary})
+    write_json(path, content)
 
 
 def save_all(report: Report, finished: bool, run: Summary | None = None) -> Summary:
@@ -172,16 +166,9 @@ def draw_path(
     end: str = "",
     label: str | None = None,
 ) -> None:
-    """Draw a path seen from above, with its start and its end.
+    """Draw a path seen from above, poses (m, m, rad) of shape (n, 3), at least one.
 
-    Args:
-        axes: to draw on.
-        poses: m, m, rad, shape (n, 3), at least one.
-        colour: of the path.
-        width: of the path, in points.
-        start: colour of the start.
-        end: colour of the end; empty for no end.
-        label: of the path, in the legend.
+    `start` and `end` are the colours of its ends, without an end if that is empty.
     """
     x, y, _ = poses.T
     axes.plot(x, y, color=colour, linewidth=width, label=label)

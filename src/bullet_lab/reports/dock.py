@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from pathlib import Path
-from typing import Any, Iterable, NamedTuple, Sequence, Tuple
+from typing import Any, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -33,8 +32,9 @@ from bullet_lab.reports import DriveReport, Figures, Reading, Summary, earliest
 
 # ns that are recorded after the end, while the robot should stand.
 REST = NANOSECONDS // 2
-# px; the camera's pictures are kept in this size.
+# px; the camera's pictures are kept in this width, and so many of them.
 PICTURE_WIDTH = 320
+PICTURES = 8
 UNFINISHED = DockingResult(DockingError.UNKNOWN, "the docking was not finished")
 STATES = {
     "searching": PURPLE,
@@ -72,21 +72,12 @@ class Station(NamedTuple):
 class DockReport(DriveReport):
     """The true path, in truth.tum, pictures of the camera, and the outcome.
 
-    Args:
-        folder: for the files; those of an earlier docking are removed.
-        station: where the robot docks.
-        pictures: how many pictures of the camera are kept.
-
-    Attributes:
-        sent: whether the goal was sent; pictures of the camera are kept from then on.
-        result: of the action; None before its end.
+    `sent` is set when the goal was sent, from which on pictures are kept; `result` is that of the
+    action, None before its end.
     """
 
-    def __init__(self, folder: Path, station: Station, pictures: int):
+    def __init__(self, folder: Path, station: Station):
         super().__init__(folder)
-        for name in ("path.png", "camera.png", "summary.json"):
-            with contextlib.suppress(FileNotFoundError):
-                (folder / name).unlink()
         self._station = station
         self.topics = {
             **self.topics,
@@ -98,14 +89,11 @@ class DockReport(DriveReport):
         }
         self.sent = False
         self.result: DockingResult | None = None
-        self._frames = EvenSample(pictures)
+        self._frames = EvenSample(PICTURES)
         self._states: list[StateChange] = []
-        self._plan: Sequence[tuple[float, float]] = ()
         self._touched: Reading | None = None
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "odom":
-            return super().take(topic, reading)
         if topic == "aruco/image_annotated":
             # An earlier picture may come before or after the goal is sent, by chance.
             is_over = self.until is not None and reading.stamp > self.until - REST
@@ -118,10 +106,10 @@ class DockReport(DriveReport):
         elif topic == "dock/feedback":
             if not self._states or self._states[-1][1] != reading.detail:
                 self._states.append((reading.seconds, reading.detail))
-        elif topic == "dock/plan":
-            self._plan = reading.detail or self._plan
-        else:
+        elif topic == "dock/finished":
             self.until = reading.stamp + REST
+        else:
+            return super().take(topic, reading)
         return False
 
     def newest(self) -> int | None:
@@ -164,16 +152,9 @@ class DockReport(DriveReport):
         )
 
     def figures(self, summary: Summary) -> Figures:
-        station = self._station
-        docks = (station.dock, station.entry.pose)
-        path = docking_figure(
-            self.truth.path(),
-            self._states,
-            self._plan,
-            station.outlines,
-            docks,
-            self.line(summary),
-        )
+        plans = [one.detail for one in self.readings["dock/plan"] if one.detail]
+        drawn = self.truth.path(), self._states, plans[-1] if plans else ()
+        path = docking_figure(*drawn, self._station, self.line(summary))
         frames = [(at, self._state_at(at), picture) for at, picture in self._frames.chosen()]
         strip = {"camera.png": strip_figure(frames)} if frames else {}
         return {"path.png": path, **strip}
@@ -210,7 +191,7 @@ class EvenSample:
     """Keeps `count` of many items, spread evenly, and the last one; `seen` is their number."""
 
     def __init__(self, count: int):
-        self._count = max(2, count)
+        self._count = count
         self._kept: list[Any] = []
         self._last: Any = None
         self._stride = 1
@@ -241,8 +222,7 @@ def docking_figure(
     truth: Trajectory | None,
     states: Sequence[StateChange],
     plan: Sequence[tuple[float, float]],
-    outlines: Iterable[Outline],
-    docks: tuple[Sequence[float], Sequence[float]],
+    station: Station,
     title: str,
 ) -> Figure:
     """Draw the true path over the plan of the station, in the colours of the states.
@@ -251,15 +231,14 @@ def docking_figure(
         truth: the path; None for none.
         states: of docking, by the names in `STATES`.
         plan: points (m) of the last planned path; may be empty.
-        outlines: as in `Station`.
-        docks: x, y (m) and yaw (rad) of the dock, the true ones and those that the robot got.
+        station: with the dock, where it is and where the robot takes it to be.
         title: of the figure.
     """
     figure = figures.new_figure(9.0, 6.6, title)
     axes = figure.add_axes((0.08, 0.09, 0.89, 0.81))
-    shown = [np.asarray(outline, dtype=float) for outline in outlines]
-    figures.draw_plan(axes, shown, docks[0])
-    (x, y, yaw), half = docks[1], 0.5 * figures.MARKER_SIDE
+    shown = [np.asarray(outline, dtype=float) for outline in station.outlines]
+    figures.draw_plan(axes, shown, station.dock)
+    (x, y, yaw), half = station.entry.pose, 0.5 * figures.MARKER_SIDE
     across = np.array([-half, half])
     rough = (x - across * math.sin(yaw), y + across * math.cos(yaw))
     axes.plot(*rough, color=PURPLE, linewidth=2.0, linestyle=":", label="marker in the database")

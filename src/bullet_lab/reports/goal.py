@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Mapping, NamedTuple, Sequence, Tuple
+from typing import Callable, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -93,21 +93,18 @@ class GoalReport(DriveReport):
             "drive_to_goal/finished": "std_msgs/Time",
         }
         # In the order of the goals.
-        self._poses: list[Reading] = []
-        self._ends: list[Reading] = []
+        self._poses = self.readings["drive_to_goal/current_goal"]
+        self._ends = self.readings["drive_to_goal/finished"]
         self._answers: dict[str, GoalAnswer] = {}
         self._refused: list[str] = []
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "odom":
-            return super().take(topic, reading)
-        if topic == "drive_to_goal/current_goal":
-            self._poses.append(reading)
-        elif topic == "drive_to_goal/finished":
-            self._ends.append(reading)
-            if not self._stay:
+        if topic != "drive_to_goal/status":
+            recorded = super().take(topic, reading)
+            if self._ends and not self._stay:
                 self.until = self._ends[0].stamp + REST
-        elif reading.detail.rejected:
+            return recorded
+        if reading.detail.rejected:
             # It may have been accepted before, but the robot never drove to it.
             self._answers.pop(reading.detail.id, None)
             self._refused.append(reading.detail.text)
@@ -121,14 +118,11 @@ class GoalReport(DriveReport):
 
     def is_complete(self) -> bool:
         # The robot stands after the first goal, or does not drive to it.
-        if self._stay:
-            return False
-        return bool(self._refused) or (self._first_is_over() and super().is_complete())
-
-    def _first_is_over(self) -> bool:
-        """Return whether pose and last status of the first goal have come, in any order."""
-        first = next(iter(self._answers.values()), None)
-        return bool(self._poses) and first is not None and first.over
+        if self._stay or self._refused:
+            return not self._stay
+        # Pose and last status of the goal come in any order.
+        is_over = any(answer.over for answer in [*self._answers.values()][:1])
+        return is_over and bool(self._poses) and super().is_complete()
 
     def summary(self, finished: bool, run: Summary) -> Summary:
         truth = self.truth.path()
@@ -137,7 +131,7 @@ class GoalReport(DriveReport):
             "finished": bool(goals) and all(one["seconds"] is not None for one in goals),
             "goals": goals,
             "refused_goals": self._refused,
-            "greatest_speed_mps": None if truth is None else greatest_speed(truth),
+            "greatest_speed_mps": truth and float(np.max(_speeds(truth), initial=0.0)),
             **run,
         }
 
@@ -214,13 +208,9 @@ class GoalReport(DriveReport):
 
 
 class MapDriveReport(GoalReport):
-    """The drive to all goals of `send_goals` on a map, with the contacts by the simulator's truth.
+    """The drive to all goals of `send_goals` on a map, `count` of them.
 
-    Args:
-        folder: for the files.
-        tolerance: m around the goals, for the figure.
-        count: number of goals.
-        costmap: of the robot, with the map.
+    Contacts are those by the simulator's truth.
     """
 
     def __init__(self, folder: Path, tolerance: float, count: int, costmap: RobotCostmap):
@@ -232,19 +222,12 @@ class MapDriveReport(GoalReport):
             "send_goals/boxes": "geometry_msgs/PoseStamped",
             "send_goals/finished": "std_msgs/Time",
         }
-        self._touches: Mapping[str, int] = {}
-        self._boxes: list[Reading] = []
+        self._boxes = self.readings["send_goals/boxes"]
 
     def take(self, topic: str, reading: Reading) -> bool:
-        if topic == "bullet_lab/touched":
-            self._touches = {k: n for k, n in reading.detail.items() if k != GROUND}
-        elif topic == "send_goals/boxes":
-            self._boxes.append(reading)
-        elif topic == "send_goals/finished":
+        if topic == "send_goals/finished":
             self.until = reading.stamp + REST
-        else:
-            return super().take(topic, reading)
-        return False
+        return super().take(topic, reading)
 
     def is_complete(self) -> bool:
         return Report.is_complete(self)
@@ -255,12 +238,13 @@ class MapDriveReport(GoalReport):
             ends = record.begun, math.inf if record.ended is None else record.ended
             entry["box_in_the_way"] = any(ends[0] - 2.0 < b.seconds < ends[1] for b in self._boxes)
             entry["over_shortest"] = self._over_shortest(record, entry["driven_m"])
-        reached = sum(entry["reached"] for entry in found["goals"])
+        touches = self.readings["bullet_lab/touched"][-1:]
+        touched = {k: n for one in touches for k, n in one.detail.items() if k != GROUND}
         return {
-            "reached": reached,
+            "reached": sum(entry["reached"] for entry in found["goals"]),
             "goals_sent": self._count,
-            "contacts": sum(self._touches.values()),
-            "touched": dict(self._touches),
+            "contacts": sum(touched.values()),
+            "touched": touched,
             "boxes": len(self._boxes),
             **found,
         }
@@ -334,12 +318,8 @@ def goal_figures(record: GoalRecord, truth: Trajectory | None) -> Summary:
     return found
 
 
-def greatest_speed(truth: Trajectory) -> float:
-    """Return the greatest speed (m/s) between two poses of a path; 0 for a single pose."""
-    return float(np.max(_speeds(truth), initial=0.0))
-
-
 def _speeds(truth: Trajectory) -> np.ndarray:
+    """Return the speeds (m/s) between the poses of a path."""
     return hypot(*np.diff(truth.poses[:, :2], axis=0).T) / np.diff(truth.stamps)
 
 

@@ -51,9 +51,6 @@ class Robot:
     """The parts and topics of a robot.
 
     Attributes:
-        name: of its model.
-        links: their names.
-        joints: their names.
         plugins: of its model, with the fields of bullet_lab/PluginDescription.
         controllers: that are loaded, with the fields of controller_manager_msgs/ControllerState.
         drive: topic of its velocity commands; empty if it has none.
@@ -78,42 +75,33 @@ class Robot:
         return not kinds.isdisjoint(STEERED)
 
 
+@dataclass
 class Count:
-    """Counts the messages on a topic, and keeps the stamps (ns) of the first and the last.
+    """The messages on a topic: their type, declared rate (Hz, 0 for none), and stamps (ns)."""
 
-    Args:
-        kind: type of the messages.
-        rate: that is declared, in Hz; 0 for none.
-    """
-
-    def __init__(self, kind: str, rate: float):
-        self.kind = kind
-        # An event, as of a bumper, comes when something has changed.
-        self.declared = 0.0 if kind.endswith("Event") else rate
-        self.messages = 0
-        self._first = 0
-        self._last = 0
+    kind: str
+    declared: float
+    messages: int = 0
+    first: int = 0
+    last: int = 0
 
     def note(self, stamp: int) -> None:
         """Count a message."""
-        if not self.messages:
-            self._first = stamp
+        self.first = self.first if self.messages else stamp
         self.messages += 1
-        self._last = stamp
+        self.last = stamp
 
     def rate(self) -> float | None:
         """Return the rate in Hz of simulated time; None if there are too few messages."""
-        span = self._last - self._first
+        span = self.last - self.first
         if self.messages < FEWEST or span <= 0:
             return None
         return (self.messages - 1) * NANOSECONDS / span
 
     def is_off(self) -> bool:
         """Return whether the rate is not the declared one."""
-        seen = self.rate()
-        if seen is None or not self.declared:
-            return False
-        return abs(seen / self.declared - 1.0) > RATE_TOLERANCE
+        seen, declared = self.rate(), self.declared
+        return bool(seen and declared) and abs(seen / declared - 1.0) > RATE_TOLERANCE
 
     def figures(self) -> Summary:
         """Return the topic's entry in summary.json."""
@@ -121,19 +109,9 @@ class Count:
         return {
             "type": self.kind,
             "declared_hz": self.declared or None,
-            "seen_hz": None if seen is None else round(seen, 3),
+            "seen_hz": seen and round(seen, 3),
             "messages": self.messages,
         }
-
-    def cells(self) -> Sequence[str]:
-        """Return the topic's cells in the table."""
-        seen = self.rate()
-        return (
-            self.kind,
-            f"{self.declared:g}" if self.declared else "",
-            "" if seen is None else f"{seen:.2f}",
-            str(self.messages),
-        )
 
 
 def declared_rates(rows: Sequence[Any]) -> dict[str, float]:
@@ -160,14 +138,11 @@ def displacement(poses: Sequence[PlanarPose]) -> dict[str, float] | None:
 
 @dataclass
 class Leg:
-    """A part of the drive: the target, the poses that odometry and truth report, and the time.
+    """A part of the drive, with the poses (m, m, rad) that odometry and truth report.
 
     Attributes:
-        name: of the part, such as "metre".
         quantity: the figure of `displacement` that has the target.
         target: m or degrees.
-        odometry: poses (m, m, rad) by the odometry.
-        truth: true poses.
         seconds: simulated.
         late: whether it was aborted because it took too long.
         touched: model::link of what the robot has touched from the side.
@@ -184,93 +159,76 @@ class Leg:
     touched: Sequence[str] = ()
     causes: Sequence[str] = ()
 
-    def true(self) -> float:
-        """Return the true distance (m) or turn (rad) so far."""
-        return displacement(self.truth)[self.quantity]
-
     def is_done(self, odometry_pauses: bool) -> bool:
         """Return whether the odometry, or the truth while that pauses, has reached the target.
 
         It is also done if the robot goes much too far, or the other way.
         """
-        odometry = None if odometry_pauses else displacement(self.odometry)
-        share = self.true() / self.target
-        reported = odometry[self.quantity] / self.target if odometry else share
-        return reported >= 1.0 or not -BACKWARDS < share < FARTHEST
-
-    def has_failed(self) -> bool:
-        """Return whether the robot missed the target, by the truth, unless its wheels slip.
-
-        A robot that brakes slowly goes too far, and its odometry reports that.
-        """
-        share, error = self.true() / self.target, self.error()
-        is_off = error is not None and error > 100.0 * (1.0 - DONE)
-        misses = share < DONE and not self.slips()
-        return self.late or misses or (is_off and share > 2.0 - DONE)
-
-    def slips(self) -> bool:
-        """Return whether a free robot has turned less than its odometry, which has the target."""
-        odometry, share = displacement(self.odometry), self.true() / self.target
-        is_turn = self.quantity == "turned_deg" and not self.late and not self.touched
-        arrived = odometry is not None and odometry["turned_deg"] >= self.target
-        return is_turn and arrived and SLIPPING <= share < DONE
-
-    def reasons(self) -> list[str]:
-        """Return the known reasons why the robot missed the target."""
-        if self.slips():
-            return ["wheels slip"]
-        if not self.has_failed():
-            return []
-        found = [] if self.has_moved() else list(self.causes)
-        if self.has_moved() and self.true() < 0.0:
-            verb = "turned" if self.quantity == "turned_deg" else "drove"
-            found.append(f"{verb} the other way")
-        if self.touched:
-            found.append(f"touches {', '.join(self.touched[:MOST_NAMES])}")
-        if self.late:
-            found.append(f"out of time after {self.seconds:.0f} s")
-        return found
+        reported = None if odometry_pauses else displacement(self.odometry)
+        share = displacement(self.truth)[self.quantity] / self.target
+        is_there = (reported[self.quantity] / self.target if reported else share) >= 1.0
+        return is_there or not -BACKWARDS < share < FARTHEST
 
     def has_moved(self) -> bool:
         """Return whether the robot has moved, by the truth."""
-        return abs(self.true()) >= LEAST_MOTION * abs(self.target)
-
-    def error(self) -> float | None:
-        """Return the odometry's error in percent of the truth; None without odometry or motion."""
-        odometry, truth = displacement(self.odometry), displacement(self.truth)
-        if odometry is None or not self.has_moved():
-            return None
-        names = ("turned_deg",) if self.quantity == "turned_deg" else ("ahead_m", "aside_m")
-        off = math.hypot(*(odometry[name] - truth[name] for name in names))
-        return 100.0 * off / abs(self.true())
+        return abs(displacement(self.truth)[self.quantity]) >= LEAST_MOTION * self.target
 
     def figures(self) -> Summary:
-        """Return the part's entry in summary.json."""
+        """Return the part's entry in summary.json.
+
+        The robot fails if it misses the target by the truth, unless its wheels slip: in a turn in
+        which it is free, and its odometry has the target. A robot that brakes slowly goes too far,
+        and its odometry reports that.
+        """
+        odometry, truth = displacement(self.odometry), displacement(self.truth)
+        share, error = truth[self.quantity] / self.target, None
+        is_turn = self.quantity == "turned_deg"
+        if odometry and self.has_moved():
+            names = ("turned_deg",) if is_turn else ("ahead_m", "aside_m")
+            off = math.hypot(*(odometry[name] - truth[name] for name in names))
+            error = 100.0 * off / abs(truth[self.quantity])
+        arrives = odometry and odometry[self.quantity] >= self.target
+        is_free_turn = is_turn and not self.late and not self.touched
+        slips = bool(is_free_turn and arrives) and SLIPPING <= share < DONE
+        goes_too_far = share > 2.0 - DONE and (error or 0.0) > 100.0 * (1.0 - DONE)
+        failed = self.late or goes_too_far or (share < DONE and not slips)
+        reasons = ["wheels slip"] if slips else list(self._reasons(share)) if failed else []
         return {
             "asked": self.target,
-            "odometry": displacement(self.odometry),
-            "truth": displacement(self.truth),
+            "odometry": odometry,
+            "truth": truth,
             "moved": self.has_moved(),
-            "failed": self.has_failed(),
-            "reasons": self.reasons(),
-            "odometry_error_percent": self.error(),
+            "failed": failed,
+            "reasons": reasons,
+            "odometry_error_percent": error,
             "seconds": self.seconds,
         }
 
+    def _reasons(self, share: float) -> Iterator[str]:
+        """Yield the known reasons why the robot has only reached a share of the target."""
+        if not self.has_moved():
+            yield from self.causes
+        elif share < 0.0:
+            yield f"{'turned' if self.quantity == 'turned_deg' else 'drove'} the other way"
+        if self.touched:
+            yield f"touches {', '.join(self.touched[:MOST_NAMES])}"
+        if self.late:
+            yield f"out of time after {self.seconds:.0f} s"
+
     def line(self) -> str:
         """Return the outcome in one line."""
-        unit = "m" if self.quantity == "ahead_m" else "°"
-        true, reasons = self.true(), ", ".join(self.reasons())
-        why = f": {reasons}" if reasons else ""
-        if not self.has_moved():
+        found, unit = self.figures(), "m" if self.quantity == "ahead_m" else "°"
+        odometry, turned = found["odometry"], found["truth"]["turned_deg"]
+        true, why = found["truth"][self.quantity], ", ".join(found["reasons"])
+        why = f": {why}" if why else ""
+        if not found["moved"]:
             return f"{self.name}: it does not move ({true:.3f} {unit} of {self.target:g}){why}"
-        odometry, turned = displacement(self.odometry), displacement(self.truth)["turned_deg"]
         reported = "nothing came from its odometry"
-        if odometry is not None:
+        if odometry:
             reported = f"its odometry says {odometry[self.quantity]:.3f} {unit}"
-            reported += f" ({self.error():.2f} % off)"
+            reported += f" ({found['odometry_error_percent']:.2f} % off)"
         on_the_way = "" if unit == "°" else f", turned by {turned:.2f}° on the way"
-        has_missed = self.has_failed() or self.slips()
+        has_missed = found["failed"] or found["reasons"]
         reached = f"{true:.2f} of {self.target:g}" if has_missed else f"{true:.3f}"
         return f"{self.name}: {reached} {unit}{why}{on_the_way}; {reported}"
 
@@ -278,14 +236,10 @@ class Leg:
 class RobotReport(Report):
     """The table robot.md, truth.tum, odom.tum, robot.png and summary.json of one robot.
 
-    Args:
-        folder: of the files.
-        robot: its parts.
-        kinds: types of its topics.
-        others: plugins of other models, which may publish on the same topics.
+    `kinds` are the types of its topics, on which `others`, plugins of other models, may publish,
+    too.
 
     Attributes:
-        robot: as given.
         counts: of messages, by topic.
         legs: parts of the drive.
         picture: of the robot, (h, w, 3) uint8, BGR.
@@ -305,7 +259,11 @@ class RobotReport(Report):
         super().__init__(folder)
         self.robot = robot
         rates = declared_rates((*robot.plugins, *others))
-        self.counts = {topic: Count(kind, rates.get(topic, 0.0)) for topic, kind in kinds.items()}
+        # An event, as of a bumper, comes when something has changed.
+        self.counts = {
+            topic: Count(kind, 0.0 if kind.endswith("Event") else rates.get(topic, 0.0))
+            for topic, kind in kinds.items()
+        }
         self.series = {
             TRUTH: PathSeries(folder / "truth.tum"),
             ODOMETRY: PathSeries(folder / "odom.tum"),
@@ -335,40 +293,29 @@ class RobotReport(Report):
         idle = [f"{row.name} ({row.filename})" for row in self.robot.plugins if not row.acts]
         return idle + self.refused()
 
-    def silent(self) -> list[str]:
-        """Return the topics that have a declared rate and no message."""
-        return [t for t, count in self.counts.items() if count.declared and not count.messages]
-
-    def off_rate(self) -> list[str]:
-        """Return the topics whose rate is not the declared one."""
-        return [topic for topic, count in self.counts.items() if count.is_off()]
-
     def summary(self, finished: bool, run: Summary) -> Summary:
+        robot, counts = self.robot, self.counts.items()
+        parts = {
+            "plugins": [{name: getattr(p, name) for name in p.__slots__} for p in robot.plugins],
+            "controllers": [
+                {"name": one.name, "kind": one.type, "state": one.state}
+                for one in robot.controllers
+            ],
+        }
         return {
             "finished": finished,
-            "robot": self._parts(),
+            "robot": {**vars(robot), **parts},
             "left_out": self.left_out(),
             "not_started": self.not_started,
-            "topics": {topic: count.figures() for topic, count in self.counts.items()},
-            "silent": self.silent(),
-            "off_rate": self.off_rate(),
+            "topics": {topic: count.figures() for topic, count in counts},
+            "silent": [topic for topic, one in counts if one.declared and not one.messages],
+            "off_rate": [topic for topic, count in counts if count.is_off()],
             "drive": {leg.name: leg.figures() for leg in self.legs},
             "odometry_pauses": self.pauses,
             "tilt_deg": self.tilt_deg,
             "sim_time_s": self.seconds(),
             **run,
         }
-
-    def _parts(self) -> Summary:
-        plugins = [
-            {name: getattr(plugin, name) for name in plugin.__slots__}
-            for plugin in self.robot.plugins
-        ]
-        controllers = [
-            {"name": one.name, "kind": one.type, "state": one.state}
-            for one in self.robot.controllers
-        ]
-        return {**vars(self.robot), "plugins": plugins, "controllers": controllers}
 
     def line(self, summary: Summary) -> str:
         if not self.robot.drive:
@@ -378,11 +325,50 @@ class RobotReport(Report):
         return "; ".join(leg.line() for leg in self.legs) or "it was not driven"
 
     def has_failed(self, summary: Summary) -> bool:
-        return any(leg.has_failed() for leg in self.legs)
+        return any(leg["failed"] for leg in summary["drive"].values())
 
     def table(self) -> str:
         """Return robot.md: plugins, controllers, topics, the drive and warnings, in Markdown."""
-        return "\n".join(_lines(self)) + "\n"
+        robot = self.robot
+        plugins = [
+            (
+                row.name,
+                row.filename,
+                "yes" if row.acts else "**no**",
+                " ".join(row.inputs),
+                " ".join(row.outputs),
+                _hz(row.rate),
+                " ".join(row.tags_not_simulated),
+            )
+            for row in robot.plugins
+        ]
+        controllers = [(one.name, one.type, one.state) for one in robot.controllers]
+        controllers += [(*name[:-1].split(" (", 1), "**refused**") for name in self.refused()]
+        topics = [
+            (topic, one.kind, _hz(one.declared), _hz(one.rate(), ".2f"), str(one.messages))
+            for topic, one in self.counts.items()
+        ]
+        header = ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated")
+        choice = f"- drives {robot.name} of {', '.join(robot.choice)}: model:=NAME chooses another"
+        lines = [
+            f"# {robot.name}",
+            "",
+            f"{len(robot.links)} links: {', '.join(robot.links)}",
+            "",
+            f"{len(robot.joints)} joints: {', '.join(robot.joints) or 'none'}",
+            *_table(header, *plugins),
+            *_table(("controller", "type", "state"), *controllers),
+            *_table(("topic", "type", "Hz declared", "Hz seen", "messages"), *topics),
+            "",
+            *([choice] if len(robot.choice) > 1 else ()),
+            f"- velocities: {robot.drive or 'nothing listens to any'}",
+            f"- odometry: {robot.odometry or 'none'}"
+            + (f" (pauses: {self.pauses})" if self.pauses else ""),
+            *(f"- {leg.line()}" for leg in self.legs),
+            *_bullets("Could not start, or died:", self.not_started),
+            *_bullets("What the simulation said of it:", robot.said),
+        ]
+        return "".join(f"{line}\n" for line in lines)
 
     def figures(self, summary: Summary) -> Figures:
         pictures = [] if self.picture is None else [(self.robot.name, self.picture)]
@@ -409,55 +395,19 @@ class RobotReport(Report):
             axes.legend(loc="best")
 
 
-def _lines(report: RobotReport) -> Iterator[str]:
-    robot, pauses = report.robot, report.pauses
-    yield f"# {robot.name}"
-    yield ""
-    yield f"{len(robot.links)} links: {', '.join(robot.links)}"
-    yield ""
-    yield f"{len(robot.joints)} joints: {', '.join(robot.joints) or 'none'}"
-    header = ("plugin", "file", "acts", "listens to", "speaks on", "Hz", "tags not simulated")
-    yield from _rows(header, [_plugin_cells(row) for row in robot.plugins])
-    controllers = [(one.name, one.type, one.state) for one in robot.controllers]
-    controllers += [(*name[:-1].split(" (", 1), "**refused**") for name in report.refused()]
-    yield from _rows(("controller", "type", "state"), controllers)
-    topics = [(topic, *count.cells()) for topic, count in report.counts.items()]
-    yield from _rows(("topic", "type", "Hz declared", "Hz seen", "messages"), topics)
-    yield ""
-    if len(robot.choice) > 1:
-        yield f"- drives {robot.name} of {', '.join(robot.choice)}: model:=NAME chooses another"
-    yield f"- velocities: {robot.drive or 'nothing listens to any'}"
-    yield f"- odometry: {robot.odometry or 'none'}" + f" (pauses: {pauses})" * bool(pauses)
-    yield from (f"- {leg.line()}" for leg in report.legs)
-    yield from _bullets("Could not start, or died:", report.not_started)
-    yield from _bullets("What the simulation said of it:", robot.said)
+def _hz(rate: float | None, form: str = "g") -> str:
+    return format(rate, form) if rate else ""
 
 
-def _plugin_cells(row: Any) -> Sequence[str]:
-    return (
-        row.name,
-        row.filename,
-        "yes" if row.acts else "**no**",
-        " ".join(row.inputs),
-        " ".join(row.outputs),
-        f"{row.rate:g}" if row.rate else "",
-        " ".join(row.tags_not_simulated),
-    )
-
-
-def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield a table with columns of even width; nothing without rows."""
-    if not rows:
-        return
-    table = [header, *rows]
+def _table(*table: Sequence[str]) -> list[str]:
+    """Return a table with columns of even width, its header first; nothing without other rows."""
     widths = [max(map(len, column)) for column in zip(*table)]
-    yield ""
-    for number, row in enumerate(table):
-        yield "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths)) + " |"
-        if not number:
-            yield "|" + "|".join("-" * (width + 2) for width in widths) + "|"
+    header, *rows = (
+        "|".join(f" {cell:{width}} " for cell, width in zip(row, widths)) for row in table
+    )
+    rule = "|".join("-" * (width + 2) for width in widths)
+    return ["", *(f"|{line}|" for line in (header, rule, *rows))] if rows else []
 
 
-def _bullets(title: str, lines: Sequence[str]) -> Iterator[str]:
-    if lines:
-        yield from ("", title, "", *(f"- {line}" for line in lines))
+def _bullets(title: str, lines: Sequence[str]) -> list[str]:
+    return ["", title, "", *(f"- {line}" for line in lines)] if lines else []

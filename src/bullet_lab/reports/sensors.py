@@ -25,6 +25,7 @@ from bullet_lab.core.figures import (
 )
 from bullet_lab.core.files import Join, Series, Values
 from bullet_lab.core.se2 import hypot
+from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
 from bullet_lab.reports import Figures, Reading, Report, Summary, draw_path
 
@@ -197,12 +198,12 @@ class BeaconsReport(Report):
         true = [hypot(x - bx, y - by) for bx, by in self.beacons.values()]
         self._rows.add(stamp, [*pose, *measured, *true])
 
-    def _distances(self) -> list[ndarray]:
-        """Return the measured and the true distances in m, shape (n, beacons)."""
-        return np.hsplit(self._rows.table()[1][:, 3:], 2)
+    def _found(self) -> tuple[Trajectory | None, ndarray, ndarray]:
+        """Return the path, and the measured and the true distances in m, shape (n, beacons)."""
+        return (self._rows.path(), *np.hsplit(self._rows.table()[1][:, 3:], 2))
 
     def summary(self, finished: bool, run: Summary) -> Summary:
-        path, (measured, true) = self._rows.path(), self._distances()
+        path, measured, true = self._found()
         figures = {"closest_m": [], "largest_error_m": []}
         if path is not None:
             figures = {
@@ -231,7 +232,7 @@ class BeaconsReport(Report):
         return {"distances.png": figure}
 
     def _draw_rows(self, plan: Axes, curves: Axes) -> None:
-        path, (measured, true) = self._rows.path(), self._distances()
+        path, measured, true = self._found()
         draw_path(plan, path.poses, BLACK, 1.4, start=GREEN, end="white")
         for column, (name, _, colour) in enumerate(self._coloured()):
             curves.plot(path.stamps, true[:, column], color=colour, linewidth=6.0, alpha=0.3)

@@ -1,11 +1,12 @@
-"""The report of the job `squares`: perfect and noisy path, sides, turns and errors, a figure."""
+"""The reports of the jobs `squares` and `fleet`: perfect and noisy paths, sides, turns, errors."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import textwrap
 from pathlib import Path
-from typing import Any, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,19 +17,21 @@ from bullet_lab.core.figures import (
     BLACK,
     BLUE,
     GREEN,
+    GREY,
     ORANGE,
+    PURPLE,
     VERMILION,
     gridded,
     new_figure,
     plan_axes,
 )
-from bullet_lab.core.files import Join, PathSeries, Series, Values, make_folder, move_file
+from bullet_lab.core.files import Join, PathSeries, Series
 from bullet_lab.core.parameters import declarations
 from bullet_lab.core.se2 import ellipse_points, hypot
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, path_error
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.reports import Figures, Reading, Report, Summary
+from bullet_lab.reports import Figures, Reading, Report, Summary, earliest
 
 # Number of ellipses that are drawn along the noisy path.
 ELLIPSES = 12
@@ -57,6 +60,22 @@ MIN_TURN = math.radians(5.0)
 
 MIN_STRAIGHTNESS = 0.9
 """Distance between the ends of a side over the distance driven; below, the path is a curve."""
+
+# Robots beside each other differ in colour; their numbers tell the others apart.
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, "#56B4E9")
+# Inches of the figure; its height depends on the paths, within limits.
+WIDTH = 9.0
+HEIGHTS = (4.0, 11.0)
+# Inches around the paths for title, labels and legend: left, right, below, above.
+FRAME = (0.7, 0.2, 1.0, 0.75)
+# m around the paths.
+MARGIN = 0.3
+
+Paths = Tuple[Optional[Trajectory], Optional[Trajectory]]
+"""The perfect and the noisy path of a robot; None for none."""
+
+# Figures of each robot that summary.json also has for the whole fleet.
+FLEET_ERRORS = ("final_error_m", "final_heading_error_deg", "ape_rmse_m")
 
 
 class SquarePath(NamedTuple):
@@ -135,65 +154,36 @@ def _is_straight(positions: ndarray) -> bool:
     return bool(hypot(*(positions[-1] - positions[0])) >= MIN_STRAIGHTNESS * driven)
 
 
-def squares_summary(
-    perfect: Trajectory | None, pairs: tuple[Trajectory, Trajectory] | None
-) -> Summary:
-    """Return the figures of a square, from the paths of `SquaresReport`; None for unknown."""
-    summary = {"side_lengths_m": [], "turns_deg": []}
-    summary.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
-    if perfect is not None:
-        summary.update(analyse(perfect)._asdict(), path_length_m=perfect.length())
-    if pairs is not None:
-        error = path_error(*pairs)
-        summary.update({name: getattr(error, name) for name in ERRORS}, pairs=len(pairs[0]))
-    return summary
-
-
 class SquaresReport(Report):
     """The perfect and the noisy path of one robot: odom.tum, noisy_odom.tum and paths.csv.
 
     Poses of the two paths are paired if their stamps agree to the nanosecond. Each row is written
-    at once; `finish` writes the files once more. If simulated time is set back, the earlier files
-    are moved to a folder run_1, run_2 and so on.
-
-    Args:
-        folder: for the files.
-        namespace: of the robot's topics; empty for none.
+    at once; `finish` writes the files once more. The topics are in a namespace, if it is not empty.
     """
 
     PERFECT, NOISY = "odom", "noisy_odom"
-    FILES = ("odom.tum", "noisy_odom.tum", "paths.csv")
 
     def __init__(self, folder: Path, namespace: str = ""):
         super().__init__(folder)
         for name in (self.NOISY, self.PERFECT):
             self.topics[f"{namespace}/{name}".lstrip("/")] = "nav_msgs/Odometry"
-        self._runs = 0
-        # The path that may still get messages of the old run, and the last stamp before them.
-        self._late: str | None = None
-        self._late_after: int | None = None
         # Covariance (m²) of the noisy position by stamp in ns, for the ellipses in the figure.
         self._covariances: dict[int, Any] = {}
-        self._open()
+        paths = (self.PERFECT, self.NOISY)
+        self.series = {name: PathSeries(self.folder / f"{name}.tum") for name in paths}
+        self._pairs = Series(self.folder / "paths.csv", CSV_HEADER.split(",")[1:])
+        self._join = Join(
+            self.series,
+            lambda stamp, both: self._pairs.add(stamp, [*both[self.PERFECT], *both[self.NOISY]]),
+        )
 
     def take(self, topic: str, reading: Reading) -> bool:
-        """Record a pose; return False if it was sent before time was set back."""
         name = topic.rpartition("/")[2]
-        if not self._belongs_to_this_run(name, reading.stamp):
-            return False
-        self.add(name, reading.stamp, reading.values)
+        super().take(name, reading)
+        self._join.add(name, reading.stamp, reading.values)
         if name == self.NOISY and reading.detail is not None:
             self._covariances[reading.stamp] = reading.detail
         return True
-
-    def add(self, name: str, stamp: int, pose: Sequence[float]) -> None:
-        """Record a pose (m, m, rad) of PERFECT or NOISY at a stamp in ns.
-
-        Raises:
-            LabError: the pose is not finite, or its stamp is out of order.
-        """
-        self.series[name].add(stamp, pose)
-        self._join.add(name, stamp, pose)
 
     def perfect(self) -> Trajectory | None:
         """Return the whole perfect path, or None while there is none."""
@@ -207,38 +197,20 @@ class SquaresReport(Report):
         super().finish(until)
         self._pairs.finish(until)
 
-    def _open(self) -> None:
-        perfect, noisy, pairs = (self.folder / name for name in self.FILES)
-        self.series = {self.PERFECT: PathSeries(perfect), self.NOISY: PathSeries(noisy)}
-        self._pairs = Series(pairs, CSV_HEADER.split(",")[1:])
-        self._join = Join(self.series, self._add_pair)
-
-    def _add_pair(self, stamp: int, poses: dict[str, Values]) -> None:
-        self._pairs.add(stamp, (*poses[self.PERFECT], *poses[self.NOISY]))
-
-    def _belongs_to_this_run(self, name: str, stamp: int) -> bool:
-        """Start a new run if time was set back; return False for late messages of the old run."""
-        last = self.series[name].last
-        if self._late == name:
-            if self._late_after is not None and stamp > self._late_after:
-                return False
-            self._late = None
-        elif last is not None and stamp < last:
-            other = self.NOISY if name == self.PERFECT else self.PERFECT
-            # Late messages of the old run have stamps after the last one of the other path.
-            self._late, self._late_after = other, self.series[other].last
-            self.finish()
-            self._runs += 1
-            old = make_folder(self.folder / f"run_{self._runs}")
-            for file in self.FILES:
-                move_file(self.folder / file, old)
-            self._covariances.clear()
-            self._open()
-            self.on_reset(old)
-        return True
-
     def summary(self, finished: bool, run: Summary) -> Summary:
-        return {"finished": finished, **squares_summary(self.perfect(), self.pairs()), **run}
+        return {"finished": finished, **self.measured(), **run}
+
+    def measured(self) -> Summary:
+        """Return the figures of the square; None for unknown."""
+        perfect, pairs = self.perfect(), self.pairs()
+        found = {"side_lengths_m": [], "turns_deg": []}
+        found.update(dict.fromkeys(("closure_error_m", "path_length_m", *ERRORS)), pairs=0)
+        if perfect is not None:
+            found.update(analyse(perfect)._asdict(), path_length_m=perfect.length())
+        if pairs is not None:
+            error = path_error(*pairs)
+            found.update({name: getattr(error, name) for name in ERRORS}, pairs=len(pairs[0]))
+        return found
 
     def figures(self, summary: Summary) -> Figures:
         pairs = self.pairs()
@@ -300,11 +272,8 @@ def noise_figure(
 ) -> Figure:
     """Draw both paths, each coordinate against time, and the error against distance.
 
-    Args:
-        perfect: path, as `SquaresReport` returns it; None for none.
-        pairs: likewise.
-        title: of the figure.
-        ellipses: outlines around noisy poses, (n, 2) arrays in m.
+    Paths are as `SquaresReport` returns them; `ellipses` are outlines around noisy poses, (n, 2)
+    arrays in m.
     """
     figure = new_figure(11.0, 6.6)
     is_long = max(map(len, title.split("\n"))) > _SMALL_FROM
@@ -354,3 +323,116 @@ def _draw_coordinates(rows: list[Axes], drawn: Sequence[tuple[Trajectory, str, s
     for axes in rows[:-1]:
         axes.tick_params(labelbottom=False)
     rows[-1].set_xlabel("simulated time (s)")
+
+
+class FleetReport(Report):
+    """The perfect and the noisy path of each robot, in a folder of its own.
+
+    `seeds` are those of the robots' noise, by their names, which are also their namespaces.
+    """
+
+    def __init__(self, folder: Path, seeds: Mapping[str, int]):
+        super().__init__(folder)
+        self._seeds = seeds
+        self.robots = {name: SquaresReport(folder / name, name) for name in seeds}
+        for paths in self.robots.values():
+            self.topics.update(paths.topics)
+
+    def take(self, topic: str, reading: Reading) -> bool:
+        # Without the covariances, which the figures of a fleet do not show.
+        return self.robots[topic.partition("/")[0]].take(topic, reading._replace(detail=None))
+
+    def newest(self) -> int | None:
+        return earliest(paths.newest() for paths in self.robots.values())
+
+    def finish(self, until: int | None = None) -> None:
+        for paths in self.robots.values():
+            paths.finish(until)
+
+    def seconds(self) -> float:
+        return max(paths.seconds() for paths in self.robots.values())
+
+    def summary(self, finished: bool, run: Summary) -> Summary:
+        robots = [
+            {"name": name, "seed": self._seeds[name], **paths.measured()}
+            for name, paths in self.robots.items()
+        ]
+        return {"finished": finished, **run, **fleet_summary(robots)}
+
+    def figures(self, summary: Summary) -> Figures:
+        drawn = {}
+        for name, paths in self.robots.items():
+            pairs = paths.pairs()
+            drawn[name] = (paths.perfect(), pairs and pairs[1])
+        title = f"{len(drawn)} robots with noisy odometry{settings_line(self.about)}"
+        return {"fleet.png": fleet_figure(drawn, title)}
+
+    def line(self, summary: Summary) -> str:
+        robots = summary["robots"]
+        squares = sum(len(robot["side_lengths_m"]) for robot in robots)
+        parts = [f"{len(robots)} robots, {squares} sides"]
+        if summary["final_error_m_rms"] is not None:
+            parts.append(
+                f"noisy paths end {summary['final_error_m_rms']:.3f} m rms off, "
+                f"{summary['final_error_m_largest']:.3f} m at most"
+            )
+        if summary["real_time_factor"] is not None:
+            parts.append(f"{summary['real_time_factor']:.1f} times real time")
+        return "; ".join(parts)
+
+
+def fleet_summary(robots: Sequence[Summary]) -> Summary:
+    """Return the entries of the robots, and the root mean square and the largest of each error.
+
+    Those are None if a robot has no error.
+    """
+    values = {}
+    for name in FLEET_ERRORS:
+        errors = [robot[name] for robot in robots]
+        complete = bool(errors) and None not in errors
+        values[f"{name}_rms"] = float(np.sqrt(np.mean(np.square(errors)))) if complete else None
+        values[f"{name}_largest"] = float(np.max(np.abs(errors))) if complete else None
+    return {**values, "robots": [dict(robot) for robot in robots]}
+
+
+def fleet_figure(robots: Mapping[str, Paths], title: str) -> Figure:
+    """Draw the perfect and the noisy path of each robot, with its name in the middle."""
+    drawn = [path.poses[:, :2] for paths in robots.values() for path in paths if path is not None]
+    places = np.concatenate(drawn) if drawn else np.zeros((1, 2))
+    low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
+    figure, axes = _figure_for(high - low, title)
+    limits = {"xlim": (low[0], high[0]), "ylim": (low[1], high[1])}
+    labels = {"xlabel": "x Distance (m)", "ylabel": "y Distance (m)"}
+    plan_axes(axes, **labels, adjustable="box", **limits)
+    for (name, paths), colour in zip(robots.items(), itertools.cycle(COLOURS)):
+        _draw(axes, name, paths, colour)
+    # The legend has no robot's colour.
+    axes.plot([], [], color=BLACK, linewidth=0.8, label="Perfect odom")
+    axes.plot([], [], color=GREY, linewidth=1.8, label="Noisy odom, a colour for each robot")
+    axes.plot([], [], "s", color=GREY, markeredgecolor=BLACK, markersize=5, label="its end")
+    figure.legend(loc="lower center", ncol=3, frameon=False)
+    return figure
+
+
+def _figure_for(size: np.ndarray, title: str) -> tuple[Figure, Axes]:
+    """Return a figure, and axes in it for an area (m, m) with one scale in both directions."""
+    left, right, below, above = FRAME
+    across, along = size
+    width = WIDTH - left - right
+    height = float(np.clip(width / across * along + below + above, *HEIGHTS))
+    figure = new_figure(WIDTH, height, title)
+    place = (left, below, width, height - below - above)
+    return figure, figure.add_axes(np.divide(place, (WIDTH, height, WIDTH, height)))
+
+
+def _draw(axes: Axes, name: str, paths: Paths, colour: str) -> None:
+    perfect, noisy = paths
+    if noisy is not None:
+        x, y, _ = noisy.poses.T
+        axes.plot(x, y, color=colour, linewidth=1.8)
+        axes.plot(x[-1], y[-1], "s", color=colour, markeredgecolor=BLACK, markersize=5)
+    if perfect is not None:
+        x, y, _ = perfect.poses.T
+        axes.plot(x, y, color=BLACK, linewidth=0.8)
+        middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
+        axes.text(*middle, name, color=colour, ha="center", va="center")

@@ -11,7 +11,7 @@ import numpy as np
 
 from bullet_lab.core.figures import new_figure
 from bullet_lab.core.files import FileError, replace_file
-from bullet_lab.reports import Figures, Reading, Report, Summary
+from bullet_lab.reports import Figures, Report, Summary
 from bullet_lab.vision.drawing import enlarged
 
 # Topics of the pictures by the name of their detector, in the order of figure 7.
@@ -45,18 +45,13 @@ class VisionReport(Report):
             DETECTIONS: "bullet_lab/MarkerDetectionArray",
         }
         self.found: dict[str, str] = {}
-        self._answers: dict[str, Reading] = {}
         self._pictures: dict[str, np.ndarray] = {}
 
-    def take(self, topic: str, reading: Reading) -> bool:
-        self._answers[topic] = reading
-        return False
-
     def is_complete(self) -> bool:
-        return len(self._answers) == len(self.topics)
+        return len(self.readings) == len(self.topics)
 
     def finish(self, until: int | None = None) -> None:
-        self._pictures = {name: self._answers[topic].detail for name, topic in PICTURES.items()}
+        self._pictures = {name: self.readings[topic][-1].detail for name, topic in PICTURES.items()}
         self.found = self._found()
         if self._markers():
             corners = np.reshape(self._markers()[0].corners, (4, 2))
@@ -90,10 +85,10 @@ class VisionReport(Report):
         return {"side_by_side.png": figure}
 
     def _stamp_s(self) -> float:
-        return self._answers[PICTURES["view_camera"]].seconds
+        return self.readings[PICTURES["view_camera"]][-1].seconds
 
     def _markers(self) -> Sequence[Any]:
-        return self._answers[DETECTIONS].detail
+        return self.readings[DETECTIONS][-1].detail
 
     def _found(self) -> dict[str, str]:
         """Return the result of each detector in one line, by its name."""
@@ -101,7 +96,7 @@ class VisionReport(Report):
         height, width = view.shape[:2]
         grey = cv2.cvtColor(view, cv2.COLOR_BGR2GRAY)
         edges = int(np.count_nonzero(self._pictures["canny_edges"][:, :, 0]))
-        points = {name: self._answers[f"{name}/points"].detail for name in FEATURES}
+        points = {name: self.readings[f"{name}/points"][-1].detail for name in FEATURES}
         return {
             "view_camera": f"{width} x {height} px, mean grey level {grey.mean():.0f}",
             "canny_edges": f"{edges} edge pixels, {100.0 * edges / grey.size:.1f} % of the image",

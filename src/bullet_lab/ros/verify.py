@@ -35,7 +35,7 @@ from PIL import Image
 from bullet_lab.core.files import write_json
 from bullet_lab.core.parameters import boolean, choice, integer, name_list
 from bullet_lab.errors import LabError
-from bullet_lab.jobs.declaration import Job, choose_job, find_jobs, read_assignments
+from bullet_lab.jobs.declaration import Job, choose_job, find_jobs
 from bullet_lab.ros.launcher.output import environment_without_ros, tied
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.studies.study import (
@@ -54,7 +54,7 @@ NAME = "verify"
 TABLE = "verify.csv"
 REFERENCES = "data/verify.json"
 TOLERANCE = 1e-6
-"""Largest `Fingerprint.difference` from a reference that counts as WITHIN."""
+"""Largest `difference` from a reference that counts as WITHIN."""
 
 PICTURE_TOLERANCE = 1.0
 """The same for pictures: grey levels, in mean and standard deviation of each channel."""
@@ -63,7 +63,7 @@ TOLERANCES = {"published_noise": 0.0}
 """Jobs with a tolerance that differs; 0: the bytes must be the same, except in pictures."""
 
 UNREPEATABLE = (NAME, "grade")
-"""Jobs that are not run unless they are named: submissions are not in lock step."""
+"""Jobs that are not run: itself, and submissions, which are not in lock step."""
 
 LEFT_OUT = {"save_world": ("path", "saving_s")}
 """Jobs with JSON keys that are not compared, besides WALL_CLOCK_KEYS: a path, a wall time."""
@@ -107,56 +107,45 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
 
 
 
-@dataclass(frozen=True)
-class Fingerprint:
-    """A summary of a result file.
+Fingerprint = Mapping[str, Any]
+"""A summary of a result file, as in the file of references.
 
-    Attributes:
-        hash: hash of its bytes; for JSON, without the keys that are left out.
-        numbers: numbers by their names, to nine digits. For tables: row count, mean and standard
-            deviation of each column. For JSON: each number, and each list as a column. For
-            pictures: width, height, mean and standard deviation of each channel. For other
-            files: all their numbers as one column.
+It has the "hash" of the bytes (of JSON, without the keys that are left out), and "numbers" by their
+names, to nine digits. For tables: row count, mean and standard deviation of each column. For JSON:
+each number, and each list as a column. For pictures: width, height, mean and standard deviation of
+each channel. For other files: all their numbers as one column.
+"""
+
+
+def fingerprint(path: Path, left_out: Sequence[str] = WALL_CLOCK_KEYS) -> Fingerprint:
+    """Return the fingerprint of a file; LabError: it cannot be read, or does not fit its suffix."""
+    try:
+        content, columns = _content(path, left_out)
+    except (OSError, ValueError, csv.Error) as error:
+        raise LabError(f"cannot read {path}: {error}") from error
+    numbers = _summary(columns).items()
+    rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers}
+    return {"hash": hashlib.sha256(content).hexdigest()[:_HASH_DIGITS], "numbers": rounded}
+
+
+def difference(numbers: Mapping[str, float], reference: Mapping[str, float]) -> tuple[float, str]:
+    """Return the largest difference from the numbers of a reference, and that number's name.
+
+    Differences are relative for numbers beyond 1, absolute below, and infinite for a number that
+    only one of the two has.
+
+    >>> difference({"x": 2.5, "y": 0.1}, {"x": 2.0, "y": 0.0})
+    (0.25, 'x')
+    >>> difference({"x": 2.5, "y": 0.1}, {"x": 2.5})
+    (inf, 'y')
     """
-
-    hash: str
-    numbers: Mapping[str, float]
-
-    @staticmethod
-    def of(path: Path, left_out: Sequence[str] = WALL_CLOCK_KEYS) -> Fingerprint:
-        """Read a file.
-
-        Raises:
-            LabError: the file cannot be read, or its content does not fit its suffix.
-        """
-        try:
-            content, columns = _content(path, left_out)
-        except (OSError, ValueError, csv.Error) as error:
-            raise LabError(f"cannot read {path}: {error}") from error
-        numbers = _summary(columns).items()
-        rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers}
-        return Fingerprint(hashlib.sha256(content).hexdigest()[:_HASH_DIGITS], rounded)
-
-    def difference(self, reference: Fingerprint) -> tuple[float, str]:
-        """Return the largest difference from the numbers of a reference, and that number's name.
-
-        Differences are relative for numbers beyond 1, absolute below, and infinite for a number
-        that only one of the two has.
-
-        >>> a, b = Fingerprint("", {"x": 2.5, "y": 0.1}), Fingerprint("", {"x": 2.0, "y": 0.0})
-        >>> a.difference(b)
-        (0.25, 'x')
-        >>> a.difference(Fingerprint("", {"x": 2.5}))
-        (inf, 'y')
-        """
-        differences = [(0.0, "")]
-        for name in {*self.numbers, *reference.numbers}:
-            difference = math.inf
-            if name in self.numbers and name in reference.numbers:
-                theirs = reference.numbers[name]
-                difference = abs(self.numbers[name] - theirs) / max(1.0, abs(theirs))
-            differences.append((difference, name))
-        return max(differences)
+    differences = [(0.0, "")]
+    for name in {*numbers, *reference}:
+        off = math.inf
+        if name in numbers and name in reference:
+            off = abs(numbers[name] - reference[name]) / max(1.0, abs(reference[name]))
+        differences.append((off, name))
+    return max(differences)
 
 
 def _content(path: Path, left_out: Sequence[str]) -> tuple[bytes, dict[str, Iterable[Any]]]:
@@ -242,17 +231,12 @@ class VerifySettings(Settings):
 def read_references(path: Path) -> tuple[Mapping[str, str], dict[str, Results]]:
     """Return the machine of the references, as `this_machine`, and their results by job.
 
-    Raises:
-        LabError: the file cannot be used.
+    Raises LabError for a file that cannot be used.
     """
     try:
         kept = json.loads(path.read_text())
-        files = {
-            job: {name: Fingerprint(**entry) for name, entry in results.items()}
-            for job, results in kept["files"].items()
-        }
-        return kept["machine"], files
-    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+        return kept["machine"], kept["files"]
+    except (OSError, ValueError, TypeError, LookupError) as error:
         raise LabError(f"cannot use {path}: {error}") from error
 
 
@@ -261,7 +245,6 @@ class FileRow:
     """The comparison of one result file.
 
     Attributes:
-        job: its job.
         file: its name; for a job that failed, its status and the last line of its output.
         twice: whether both runs wrote the same bytes.
         reference: SAME bytes, WITHIN the tolerance, DIFFERS, or NONE: there is no reference.
@@ -306,15 +289,13 @@ def run_job(job: Job, folder: Path, environment: Mapping[str, str]) -> Results |
     log.unlink()
     keys = (*WALL_CLOCK_KEYS, *LEFT_OUT.get(job.name, ()))
     paths = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): Fingerprint.of(path, keys) for path in paths}
+    return {str(path.relative_to(folder)): fingerprint(path, keys) for path in paths}
 
 
 def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
     package = package_share()
     known = find_jobs(package)
     jobs = [choose_job(known, name) for name in settings.jobs or known if name not in UNREPEATABLE]
-    for job in jobs:
-        read_assignments(job, shlex.split(job.smallest))
     machine, references = read_references(package / REFERENCES)
     with whole_results(out) as part:
         todo = [(job, part / "runs" / job.name / w) for job in jobs for w in ("first", "second")]
@@ -324,13 +305,11 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
             found = list(progress(runs, "runs", len(todo), tell))
         rows: list[FileRow] = []
         results: dict[str, Results] = {}
-        for job, first, second in zip(jobs, found[::2], found[1::2]):
-            failures = [one for one in (first, second) if isinstance(one, str)]
-            if failures:
-                rows.append(FileRow(job.name, failures[0], False))
-                continue
-            results[job.name] = first
-            rows += compared(job.name, first, second, references.get(job.name, {}))
+        for job, *both in zip(jobs, found[::2], found[1::2]):
+            failures = [FileRow(job.name, one, False) for one in both if isinstance(one, str)]
+            if not failures:
+                results[job.name] = both[0]
+            rows += failures[:1] or compared(job.name, *both, references.get(job.name, {}))
         _write(part, settings.processor, rows, machine)
     here = this_machine()
     for line in table(rows):
@@ -340,8 +319,7 @@ def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
     if settings.renew:
         # Those of other jobs are kept if they are from a machine like this one.
         files = {**(references if machine == here else {}), **results}
-        kept = {job: {n: asdict(one) for n, one in of.items()} for job, of in sorted(files.items())}
-        write_json(package / REFERENCES, {"machine": here, "files": kept})
+        write_json(package / REFERENCES, {"machine": here, "files": dict(sorted(files.items()))})
         tell(f"new references written to {REFERENCES}")
     bad = [row for row in rows if not row.good and not (settings.renew and row.twice)]
     if bad:
@@ -359,12 +337,12 @@ def compared(job: str, first: Results, second: Results, references: Results) -> 
         if mine is None or theirs is None:
             yield FileRow(job, name, twice, NONE if mine else DIFFERS)
             continue
-        difference, where = mine.difference(theirs)
+        off, where = difference(mine["numbers"], theirs["numbers"])
         is_picture = name.endswith(".png")
         tolerance = PICTURE_TOLERANCE if is_picture else TOLERANCES.get(job, TOLERANCE)
-        near = tolerance > 0.0 and mine.numbers and difference <= tolerance
-        reference = SAME if mine.hash == theirs.hash else WITHIN if near else DIFFERS
-        yield FileRow(job, name, twice, reference, difference, where)
+        near = tolerance > 0.0 and mine["numbers"] and off <= tolerance
+        reference = SAME if mine["hash"] == theirs["hash"] else WITHIN if near else DIFFERS
+        yield FileRow(job, name, twice, reference, off, where)
 
 
 def table(rows: Sequence[FileRow]) -> list[str]:

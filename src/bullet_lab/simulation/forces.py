@@ -107,12 +107,6 @@ class Effort:
         self.instance.body_of_joint(self.joint).exert(self.joint, self.effort)
 
 
-def _check(numbers: tuple[float, ...]) -> None:
-    for number in numbers:
-        if not abs(number) <= STRONGEST:
-            raise ForceError(f"force of {number:g}: not within {STRONGEST:g} N or N m")
-
-
 class Forces:
     """The forces on models. Use it in the simulation's thread only.
 
@@ -129,7 +123,9 @@ class Forces:
         Raises:
             ForceError: a number is not finite or too large, or the model is static.
         """
-        _check(force.numbers)
+        for number in force.numbers:
+            if not abs(number) <= STRONGEST:
+                raise ForceError(f"force of {number:g}: not within {STRONGEST:g} N or N m")
         model = force.target[0].model
         if model.static:
             raise ForceError(f"model '{model.name}' is static; it cannot be moved")

@@ -9,7 +9,7 @@ import contextlib
 import math
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Callable, Iterator, Mapping
+from typing import Any, Callable, Mapping
 
 import numpy as np
 
@@ -242,16 +242,6 @@ def _split(models: Mapping[str, ModelInstance], name: str) -> tuple[str, str]:
     return "", name
 
 
-def find_entity(models: Mapping[str, ModelInstance], name: str) -> Entity:
-    """Return the model or link of a name; raises EntityError."""
-    if name in models:
-        return model_entity(models[name])
-    try:
-        return find_link(models, name)
-    except EntityError as error:
-        raise EntityError(f"entity [{name}] not found: {error}") from error
-
-
 def model_entity(instance: ModelInstance) -> Entity:
     """Return a model's own frame."""
     return Entity(instance, instance.frame())
@@ -276,10 +266,15 @@ def find_joint(models: Mapping[str, ModelInstance], name: str) -> tuple[ModelIns
 
 
 def frame_state(models: Mapping[str, ModelInstance], frame: str) -> FrameState:
-    """Return the state of a reference frame; raises EntityError for an unknown one."""
+    """Return the state of the world's frame, a model or a link; raises EntityError."""
     if frame in WORLD_FRAMES:
         return FrameState(Pose())
-    return find_entity(models, frame).state()
+    if frame in models:
+        return model_entity(models[frame]).state()
+    try:
+        return find_link(models, frame).state()
+    except EntityError as error:
+        raise EntityError(f"entity [{frame}] not found: {error}") from error
 
 
 def relative_to(frame: FrameState, state: FrameState) -> FrameState:
@@ -363,16 +358,13 @@ def bounds(instance: ModelInstance) -> tuple[Vector, Vector]:
 
     A model without shapes is a point.
     """
-    corners = np.array([*_corners(instance), instance.pose().position])
-    near = corners[np.abs(corners).max(axis=1) < FARTHEST_CORNER]
-    corners = near if len(near) else corners
-    return tuple(corners.min(axis=0).tolist()), tuple(corners.max(axis=0).tolist())
-
-
-def _corners(instance: ModelInstance) -> Iterator[Vector]:
+    corners = [instance.pose().position]
     for link in instance.model.links:
         place = instance.frame(link.name).pose()
         for shape in (*link.visuals, *link.collisions):
-            pose = place * shape.pose
-            for corner in product(*shape.geometry.bounds().T.tolist()):
-                yield (pose * Pose(corner)).position
+            box = product(*shape.geometry.bounds().T.tolist())
+            corners += [(place * shape.pose * Pose(corner)).position for corner in box]
+    corners = np.array(corners)
+    near = corners[np.abs(corners).max(axis=1) < FARTHEST_CORNER]
+    corners = near if len(near) else corners
+    return tuple(corners.min(axis=0).tolist()), tuple(corners.max(axis=0).tolist())

@@ -37,9 +37,9 @@ from bullet_lab.simulation.plugins import (
     Plugin,
     kind_of,
     namespace_of,
+    skipped_line,
     warn_of_rivals,
 )
-from bullet_lab.simulation.plugins.missing import skipped_line
 from bullet_lab.simulation.rendering.renderer import (
     Renderer,
     RendererError,
@@ -102,7 +102,7 @@ class Simulation:
         # Wall time (s) of the last warning that a model was reset, by its name.
         self._warned_of_reset: dict[str, float] = {}
         for model in self.world.models:
-            with leaving_out(lambda message: LOG.warning("%s", message)):
+            with leaving_out(LOG.warning):
                 instance = self.add(model, namespace="")
                 if model.name in self.world.states:
                     instance.restore(self.world.states[model.name])
@@ -276,7 +276,10 @@ class Simulation:
         """Report the error of a plugin or timer; raise any other."""
         if self._on_failure is None or not isinstance(source, (Plugin, Timer)):
             raise error
-        self._on_failure(_name_of(source), error)
+        name = "clock and states"
+        if isinstance(source, Plugin):
+            name = f"plugin '{source.mount.plugin.name}' of '{source.mount.model.name}'"
+        self._on_failure(name, error)
 
     def run_for(self, seconds: float) -> None:
         """Advance by a simulated duration, rounded to whole steps."""
@@ -422,13 +425,6 @@ class Simulation:
         if skipped:
             LOG.warning("%s", skipped_line(model.name, skipped, plugins))
         return tuple(plugins)
-
-
-def _name_of(timer: Plugin | Timer) -> str:
-    """Return the name of a timer or plugin for messages."""
-    if isinstance(timer, Timer):
-        return "clock and states"
-    return f"plugin '{timer.mount.plugin.name}' of '{timer.mount.model.name}'"
 
 
 def _in_namespace(tag: PluginTag, namespace: str) -> PluginTag:

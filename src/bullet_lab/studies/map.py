@@ -65,12 +65,8 @@ def find_world(name: str) -> str:
 def map_world(settings: MapSettings, watch: Callable[[list], Any] = list) -> OccupancyMap:
     """Return the map of a world; robots, that is models that take commands, are left out.
 
-    Args:
-        settings: for the map.
-        watch: gets the list of all passes of rays, and returns an iterable of them.
-
-    Raises:
-        LabError: the world cannot be read, or the start or the size is impossible.
+    `watch` gets the list of all passes of rays, and returns an iterable of them. Raises LabError if
+    the world cannot be read, or the start or the size is impossible.
     """
     if settings.high < settings.low:
         raise MapError(f"high is {settings.high:g}: it must not be below low, {settings.low:g}")
@@ -120,14 +116,14 @@ class _Scanner:
             low + self._size / RAYS * (0.5 + np.arange(count * RAYS))
             for low, count in zip(self._low, self._occupied.shape)
         ]
-        lengths = self._size * np.array(self._occupied.shape)
+        spans = (self._size * np.array(self._occupied.shape)).tolist()
         for height in self._heights:
             for axis in (0, 1):
-                starts = np.empty((len(spots[1 - axis]), 3))
-                starts[:, 1 - axis], starts[:, 2] = spots[1 - axis], height
-                for end, length in ((0.0, 1.0), (lengths[axis], -1.0)):
+                starts = np.full((len(spots[1 - axis]), 3), height)
+                starts[:, 1 - axis] = spots[1 - axis]
+                for end, length in ((0.0, spans[axis]), (spans[axis], -spans[axis])):
                     starts[:, axis] = self._low[axis] + end
-                    yield axis, starts.copy(), length * float(lengths[axis])
+                    yield axis, starts.copy(), length
         down = self._heights[0] - self._heights[-1]
         for x in spots[0][RAYS // 2 :: RAYS] if down else ():
             starts = np.full((len(spots[1]) // RAYS, 3), (x, 0.0, self._heights[-1]))

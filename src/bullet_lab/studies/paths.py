@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Sequence, Tuple
+from typing import Iterator, Mapping, Sequence, Tuple
 
 import numpy as np
 from numpy import ndarray
@@ -51,14 +51,10 @@ def read_path(path: Path, topic: str = "/odom", prefix: str = "") -> Trajectory:
 
     The first line of a table names its columns, with stamp, x, y and yaw among them, in s, m and
     rad, or else stamp, v and omega, in m/s and rad/s. An example is paths.csv of the squares.
+    `prefix` begins the names of x, y and yaw. A bag has odometry, stamped poses or transforms on
+    the topic.
 
-    Args:
-        path: the file.
-        topic: of a bag, with odometry, or with stamped poses or transforms.
-        prefix: of the names of a table's columns x, y and yaw.
-
-    Raises:
-        LabError: the file cannot be read, or the path does not move.
+    Raises LabError if the file cannot be read, or the path does not move.
     """
     kind = Path(path).suffix.lower()
     if kind == ".bag":
@@ -84,17 +80,10 @@ def check_path(trajectory: Trajectory, where: str = "") -> None:
 def read_table(
     path: Path, *choices: Sequence[str]
 ) -> tuple[Sequence[str], list[tuple[str, Mapping[str, str]]]]:
-    """Read a CSV file whose first line names its columns.
+    """Read a CSV file whose first line names its columns, with one of some sets among them.
 
-    Args:
-        path: the file.
-        choices: sets of columns; the file has one of them, among other columns.
-
-    Returns:
-        The first of the sets that the file has; and each row by column, with its place in words.
-
-    Raises:
-        LabError: the file cannot be read, or lacks columns.
+    Returns the first of the sets that the file has; and each row by column, with its place in
+    words. Raises LabError if the file cannot be read, or lacks columns.
     """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
@@ -151,11 +140,9 @@ def _read_bag(path: Path, topic: str) -> Trajectory:
         known_paths = f"odometry is on {', '.join(paths)}" if paths else "there is no odometry"
         raise LabError(f"{path}: nothing on the topic {topic}; {known_paths}")
     places = [f"message {number} of {topic}" for number in range(1, len(messages) + 1)]
-    return trajectory_of([_pose_row(message) for message in messages], path, places)
-
-
-def _pose_row(message: Any) -> list[float]:
-    return [message.header.stamp.to_sec(), *pose_from_above(*_POSES[message._type](message))]
+    poses = (pose_from_above(*_POSES[message._type](message)) for message in messages)
+    rows = [(m.header.stamp.to_sec(), *pose) for m, pose in zip(messages, poses)]
+    return trajectory_of(rows, path, places)
 
 
 def tum_text(trajectory: Trajectory) -> str:
@@ -172,17 +159,11 @@ _SAME_STAMP = 1e-6  # s; closer than messages ever are
 
 
 def resample(trajectory: Trajectory, rate: float) -> Trajectory:
-    """Return the poses of messages at a rate: at start + k / rate, and at the end.
+    """Return the poses of messages at a rate (Hz): at start + k / rate, and at the end.
 
-    The last pose of the path is always included, so that all rates end at the same pose. Position
-    and heading are interpolated between two poses, the heading along the shorter turn.
-
-    Args:
-        trajectory: the path, two poses at least.
-        rate: Hz, > 0.
-
-    Raises:
-        LabError: the rate is too high for the path.
+    The last pose of the path, which has two at least, is always included, so that all rates end at
+    the same pose. Position and heading are interpolated between two poses, the heading along the
+    shorter turn. Raises LabError if the rate is too high for the path.
     """
     start, end = trajectory.stamps[[0, -1]]
     count = (end - start) * rate
@@ -210,11 +191,7 @@ def find_corners(trajectory: Trajectory, most: int = 12) -> ndarray:
     """Return the indices of the poses between which a path is nearly straight, without the start.
 
     They are the vertices of Ramer, Douglas and Peucker's simplification with a tolerance of 5 % of
-    the size of the path, the farthest ones first.
-
-    Args:
-        trajectory: the path.
-        most: largest number of vertices, the end included.
+    the size of the path, the farthest ones first, at most `most` with the end.
     """
     x, y, _ = trajectory.poses.T
     position = x + 1j * y
@@ -256,13 +233,7 @@ _SUFFIXES = (".tum", ".txt", ".dat", ".csv")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The true path and its odometry, each in its own frame.
-
-    Attributes:
-        name: of the file.
-        truth: the true path.
-        odometry: the reported path.
-    """
+    """The true path and its odometry, each in its own frame, and the name of the file."""
 
     name: str
     truth: Trajectory
@@ -280,14 +251,11 @@ def read_pair(truth: Path, odometry: Path, topics: Topics) -> Recording:
 
 
 def find_recordings(paths: Sequence[Path], topics: Topics) -> list[Recording]:
-    """Read all recordings in files and folders.
+    """Read all recordings in files and folders; raises LabError, also if there is none.
 
     A recording is a bag with two topics, a table with both paths such as paths.csv of the squares,
     or two files in a folder whose names differ as in `NAMES`. Such pairs are ignored in folders
     with tables. Folders include those below them.
-
-    Raises:
-        LabError: a file cannot be read, or there is no recording.
     """
     found = [recording for path in paths for recording in _recordings(path, topics)]
     if not found:

@@ -9,24 +9,23 @@ from __future__ import annotations
 import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Callable, Iterator, Sequence
+from typing import Sequence
 
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, part_of
+from bullet_lab.core.parameters import boolean, choice, integer
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import quaternion_from_yaw, yaw_from_quaternion
 from bullet_lab.drive import MODES, OPEN_LOOP, Command, PlanarPose, Square, SquareDriver
-from bullet_lab.noise.odometry_noise import MODELS, NoisyPath, noise_parameters, rule_of
-from bullet_lab.noise.presets import preset, with_preset
-from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.noise.systematic import SpreadPath, SystematicErrors, SystematicSpread
+from bullet_lab.noise.noisy_odom import OdometryNoise, preset
+from bullet_lab.noise.odometry_noise import MODELS, noise_parameters
+from bullet_lab.noise.systematic import SystematicErrors, SystematicSpread
 from bullet_lab.reports import Reading, save_all
 from bullet_lab.reports.squares import SquaresReport
 from bullet_lab.simulation.plugins.samples import OdometrySample, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.studies.study import MOST_SEED, Summary, Tell, run_from
+from bullet_lab.studies.study import MOST_SEED, Settings, Summary, Tell, run_from
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -104,7 +103,7 @@ def _planar(pose: Pose) -> PlanarPose:
 
 
 @dataclass(frozen=True)
-class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread):
+class SquaresSettings(noise_parameters(), SystematicErrors, SystematicSpread, Settings):
     """Settings of a run, with the names of the job's arguments."""
 
     seed: int = integer(1, "seed of the noise", 0, MOST_SEED)
@@ -118,59 +117,28 @@ def run_squares(folder: Path, settings: SquaresSettings) -> Summary:
     """Drive the square; write paths.csv, paths.png, TUM files and summary.json.
 
     The same settings give the same files, byte for byte: those of the job with ROS, whose
-    summary.json also has the times of its run. Returns the entries after the settings.
-
-    Raises:
-        LabError: a setting is invalid, or the folder cannot be written to.
+    summary.json also has the times of its run. Returns the entries after the settings. Raises
+    LabError if the folder cannot be written to.
     """
-    check_parameters(settings)
-    return _run_squares(folder, settings)
-
-
-def _run_squares(folder: Path, settings: SquaresSettings) -> Summary:
-    """Run with settings that have been checked."""
-    noisy = _noise(settings)
+    noise = OdometryNoise(settings)
     report = SquaresReport(folder)
     report.about = {"job": "squares", **asdict(settings)}
     drive = drive_square(Square(), settings.mode)
     for step, pose, own in zip(drive.steps.tolist(), drive.poses.tolist(), drive.variances):
         stamp = step * NANOSECONDS_PER_STEP
         report.take(SquaresReport.PERFECT, Reading(stamp, pose))
-        for (x, y, yaw), covariance in noisy(step, pose):
+        noisy = noise.update(step * SECONDS_PER_STEP, pose)
+        if noisy is not None:
             # As read from the quaternion of a message.
+            x, y, yaw = noisy.pose
             noisy_pose = x, y, yaw_from_quaternion(*quaternion_from_yaw(yaw))
-            reading = Reading(stamp, noisy_pose, np.diag(own) + covariance)
+            reading = Reading(stamp, noisy_pose, np.diag(own) + noisy.covariance[:2, :2])
             report.take(SquaresReport.NOISY, reading)
     return save_all(report, True, {"sim_time_s": report.seconds()})
 
 
-def _noise(
-    settings: SquaresSettings,
-) -> Callable[[int, Sequence[float]], Iterator[tuple[PlanarPose, ndarray]]]:
-    """Return a function that yields the noisy poses (0 or 1) for a perfect one, as noisy_odom.
-
-    With each comes the covariance that noise adds to x and y (m²), shape (2, 2).
-    """
-    settings = with_preset(settings)
-    spread = part_of(SystematicSpread, settings)
-    errors = SpreadPath(part_of(SystematicErrors, settings), spread, settings.seed)
-    path = NoisyPath(rule_of(settings.model, asdict(settings)), settings.seed)
-    published, sampler = PublishedNoise(settings.std, settings.seed), Sampler(PUBLISHED_RATE)
-
-    def noisy(step: int, pose: Sequence[float]) -> Iterator[tuple[PlanarPose, ndarray]]:
-        reported = errors.update(*pose).pose
-        if not settings.as_published:
-            moved = path.update(*reported)
-            yield moved.pose, (moved.covariance + errors.covariance)[:2, :2]
-        elif sampler.due(step * SECONDS_PER_STEP):
-            # The report's noise leaves covariances alone.
-            yield published.update(*reported), np.zeros((2, 2))
-
-    return noisy
-
-
 def _run(folder: Path, settings: SquaresSettings, _tell: Tell) -> list[str]:
-    return [SquaresReport.line(_run_squares(folder, settings))]
+    return [SquaresReport.line(run_squares(folder, settings))]
 
 
 main = functools.partial(run_from, "squares", __doc__, (SquaresSettings,), _run)

@@ -1,27 +1,39 @@
-"""The program around a study: command line, exit status, progress, complete results.
+"""The program around a study: command line, exit status, workers, progress, complete results.
 
 A study consists of settings (frozen dataclasses, with parameters declared by `core.parameters`)
-and a function that takes them. `run_from` makes a program of the two. `studies.workers` runs the
-tasks of a study; `write_results` writes its tables, figures and summary.
+and a function that takes them. `run_from` makes a program of the two. `workers` runs the tasks of
+a study on processes of this machine; `write_results` writes its tables, figures and summary.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import logging
+import os
 import re
 import signal
 import sys
 import tempfile
+import threading
+from collections import Counter
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import connection, get_context, parent_process, resource_tracker
 from pathlib import Path
-from typing import Any, Callable, Iterable, Iterator, Mapping, NoReturn, Sequence, TypeVar
+from typing import Any, Callable, Iterable, Iterator, Mapping, NoReturn, Sequence, Tuple, TypeVar
 
 from scipy.special import betaincinv
 from tqdm import tqdm
 
 from bullet_lab.core.files import PART, Summary, file_errors, make_folder, write_json
-from bullet_lab.core.parameters import ArgumentParser, add_options, check_parameters, read_options
+from bullet_lab.core.parameters import (
+    ArgumentParser,
+    add_options,
+    check_parameters,
+    integer,
+    read_options,
+)
 from bullet_lab.entry import STATUS_INTERRUPTED
 from bullet_lab.errors import LabError
 
@@ -39,6 +51,20 @@ T = TypeVar("T")
 Tell = Callable[[str], None]
 """Prints a line for the user."""
 
+# Number of processes that may die on a task; another task may have been the cause.
+LIVES = 3
+MOST_WORKERS = 1024
+
+_SPAWN = get_context("spawn")
+
+Task = Callable[[int], Any]
+Results = Iterator[Tuple[int, Any]]
+Run = Callable[[Task, Sequence[int]], Iterable[Tuple[int, Any]]]
+"""Runs a task for each of some numbers; yields numbers and results in the order of completion.
+
+If every process that ran the task has died, the result is a TaskLostError, which is not raised.
+"""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -54,6 +80,10 @@ class Settings:
 
 class UnfinishedError(LabError):
     """The request is valid, but was not completed."""
+
+
+class TaskLostError(UnfinishedError):
+    """Every process that ran a task has died."""
 
 
 def run_from(
@@ -151,14 +181,140 @@ def progress(
                 tell(", ".join(filter(None, (f"{done} of {total} {things} done", counts()))))
 
 
+@dataclass(frozen=True)
+class WorkerSettings(Settings):
+    """Number of processes on this machine."""
+
+    workers: int = integer(0, "processes; 0: one for each core", 0, MOST_WORKERS)
+
+
+def this_process(task: Task, numbers: Sequence[int]) -> Results:
+    """Run the tasks here, one after the other: the simplest `Run`."""
+    return ((number, task(number)) for number in numbers)
+
+
+def run_tasks(task: Task, count: int, run: Run, tell: Tell, things: str) -> list[Any]:
+    """Run a task for the numbers from 0 on and return the results in this order.
+
+    `things` is the name of the tasks for the user. Raises TaskLostError if every process that ran
+    one of the tasks has died.
+    """
+    results: dict[int, Any] = {}
+    for number, result in progress(run(task, range(count)), things, count, tell):
+        if isinstance(result, TaskLostError):
+            raise TaskLostError(f"number {number} of {things}: {result}")
+        results[number] = result
+    return [results[number] for number in range(count)]
+
+
+def workers(count: int = 0) -> Run:
+    """Return a function that runs tasks on so many processes of this machine; 0: one for each core.
+
+    If a process dies, another one runs its task again. The function raises UnfinishedError if the
+    tasks cannot be run. The processes share nothing, and end with this one, however it ends.
+    """
+    return partial(_on_processes, count)
+
+
+def _on_processes(count: int, task: Task, numbers: Sequence[int]) -> Results:
+    # Each process uses one core: its libraries must not start a thread per core.
+    for library in ("MKL", "OMP", "OPENBLAS"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    most = count or len(os.sched_getaffinity(0))
+    left, deaths = list(reversed(numbers)), Counter()
+    busy: dict[Any, _Worker] = {}
+    try:
+        while left or busy:
+            while left and len(busy) < most:
+                worker = _Worker(task)
+                busy[worker.pipe] = worker
+                worker.give(left.pop())
+            for pipe in connection.wait(list(busy)):
+                number, found = busy[pipe].number, busy[pipe].result()
+                has_died = isinstance(found, TaskLostError)
+                if left and not has_died:
+                    busy[pipe].give(left.pop())
+                else:
+                    busy.pop(pipe).end()
+                deaths[number] += has_died
+                if has_died and deaths[number] < LIVES:
+                    left.append(number)
+                elif isinstance(found, UnfinishedError) and not has_died:
+                    raise found
+                else:
+                    yield number, found
+    finally:
+        for worker in busy.values():
+            worker.end()
+
+
+class _Worker:
+    """A process that runs tasks, one at a time."""
+
+    def __init__(self, task: Task):
+        self.pipe, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(target=_work, args=(task, theirs), daemon=True)
+        # It ignores Ctrl-C from its start on: this process ends it. The resource tracker, which
+        # starts with the first process, would unblock the signal.
+        resource_tracker.ensure_running()
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        self._process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        theirs.close()
+
+    def give(self, number: int) -> None:
+        """Send the number of a task."""
+        self.number = number
+        # If the process has died, `result` tells it.
+        with contextlib.suppress(OSError):
+            self.pipe.send(number)
+
+    def result(self) -> Any:
+        """Return what `_work` sends, or a TaskLostError if the process has died."""
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            return TaskLostError("each worker process that ran the task has died")
+
+    def end(self) -> None:
+        """Kill the process, even while it runs a task."""
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
+
+
+def _work(task: Task, pipe: connection.Connection) -> None:
+    """Run the tasks of the numbers that arrive; send the results, or why one failed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    # Not before: the program itself may need no images.
+    import cv2
+
+    cv2.setNumThreads(1)
+    # Each process would repeat them.
+    logging.disable(logging.WARNING)
+    with contextlib.suppress(EOFError):
+        while True:
+            number = pipe.recv()
+            try:
+                pipe.send(task(number))
+            except Exception as error:  # of the task, or of a result that cannot be pickled
+                known = isinstance(error, LabError)
+                reason = f"a worker process failed: {type(error).__name__}: {error}"
+                pipe.send(UnfinishedError(str(error) if known else reason))
+
+
+def _end_with_parent() -> None:
+    parent: Any = parent_process()
+    parent.join()
+    os._exit(1)
+
+
 @contextlib.contextmanager
 def whole_results(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder; move the files from it into `folder` when all are written.
 
-    If anything fails before that, `folder` keeps its earlier results.
-
-    Raises:
-        FileError: a file cannot be written.
+    If anything fails before that, `folder` keeps its earlier results. Raises FileError.
     """
     make_folder(folder)
     with file_errors(f"cannot write to {folder}"), tempfile.TemporaryDirectory(
@@ -192,7 +348,7 @@ def write_results(
     texts: Mapping[str, str],
     name: str = SUMMARY,
 ) -> Summary:
-    """Write all results of a study, or none of them, and return the summary.
+    """Write all results of a study, or none of them, and return the summary; raises FileError.
 
     Args:
         folder: for the files.
@@ -201,9 +357,6 @@ def write_results(
         figures: of matplotlib, by the names of PNG files.
         texts: content of other files by their names, which may begin with a folder.
         name: of the file with the summary.
-
-    Raises:
-        FileError: a file cannot be written.
     """
     # Each worker process imports this module, and none of them draws.
     from bullet_lab.core.figures import save

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bullet_lab.markers.make_marker import main
+from bullet_lab.markers import main
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.sdf import read_world_file
 

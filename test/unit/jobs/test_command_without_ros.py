@@ -55,6 +55,15 @@ def test_a_wrong_command_line_is_one_line(words, said, monkeypatch, capsys):
     assert not printed.out
 
 
+def test_a_reader_that_has_gone_leaves_no_traceback():
+    code = "from bullet_lab.entry import command; command()"
+    words = [sys.executable, "-c", code, "squares", "--help"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
+        program.stdout.close()
+        assert program.stderr.read() == b""
+    assert program.returncode == command.STATUS_UNREAD
+
+
 def test_squares_leaves_the_files_of_the_library(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     words = ("std:=0.05", "model:=probabilistic", "alpha1:=0.02", "base_error:=-0.01", "seed:=4")

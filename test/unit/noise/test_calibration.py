@@ -31,8 +31,7 @@ def drawn(rule, count, seed=1, steps=None, errors=None):
 
 def test_one_standard_deviation_has_its_closed_form():
     pairs = drawn(ReportRule(0.2), 3, steps=STRAIGHT)
-    problem = Problem(pairs, "report")
-    found = fit(problem)
+    found = fit(Problem(pairs, "report"))
     squares = (np.hypot(*np.moveaxis(pairs.odometry[..., :2], -1, 0)) - 0.1) ** 2 / 0.01
     best = squares.mean(axis=1)
     assert_allclose(found.estimates[:, 0], np.sqrt(best), rtol=1e-3)
@@ -40,7 +39,7 @@ def test_one_standard_deviation_has_its_closed_form():
     def fall(std, variance):
         return 50.0 * (variance / std**2 - 1.0 - np.log(variance / std**2)) - 3.8415
 
-    for ends, variance in zip(intervals(problem, found)[:, 0], best):
+    for ends, variance in zip(intervals(found)[:, 0], best):
         std = np.sqrt(variance)
         brackets = (0.3 * std, std), (std, 3.0 * std)
         expected = [optimize.brentq(fall, *bracket, (variance,)) for bracket in brackets]
@@ -48,11 +47,10 @@ def test_one_standard_deviation_has_its_closed_form():
 
 
 def test_the_profile_ends_the_interval():
-    problem = Problem(drawn(RULES[2], 1), "probabilistic")
-    found = fit(problem)
-    ends = intervals(problem, found)[0]
-    for name, pair in zip(found.names, ends):
-        assert_allclose(profile(problem, found, name, pair), 3.84, atol=0.05)
+    found = fit(Problem(drawn(RULES[2], 1), "probabilistic"))
+    ends = intervals(found)[0]
+    for name, pair in zip(found.problem.names, ends):
+        assert_allclose(profile(found, name, pair), 3.84, atol=0.05)
     # As on the day when 95 of 100 held the truth.
     expected = [
         (0.0129160438, 0.0232275114),
@@ -67,9 +65,8 @@ def test_nothing_is_an_estimate_that_an_interval_begins_at():
     rule = ProbabilisticRule(0.02, 0.01, 0.03, 0.0)
     # On the spot no noise would be seen, and 0 would be certain.
     steps = drive()[np.hypot(*drive()[:, :2].T) > 0.0]
-    problem = Problem(drawn(rule, 20, steps=steps), "probabilistic")
-    found = fit(problem)
-    lowest, highest = intervals(problem, found)[:, 3].T
+    found = fit(Problem(drawn(rule, 20, steps=steps), "probabilistic"))
+    lowest, highest = intervals(found)[:, 3].T
     # About half of the estimates are at the bound.
     assert 3 <= (found.estimates[:, 3] == 0.0).sum() <= 17
     assert (lowest[found.estimates[:, 3] == 0.0] == 0.0).all()
@@ -80,9 +77,8 @@ def test_nothing_is_an_estimate_that_an_interval_begins_at():
 
 def test_what_the_steps_say_nothing_of_has_no_ends():
     pairs = drawn(RULES[2], 1, steps=STRAIGHT)
-    problem = Problem(pairs, "probabilistic", ("base_error",))
-    found = fit(problem)
-    ends = dict(zip(found.names, intervals(problem, found)[0].tolist()))
+    found = fit(Problem(pairs, "probabilistic", ("base_error",)))
+    ends = dict(zip(found.problem.names, intervals(found)[0].tolist()))
     assert ends["alpha1"] == ends["alpha4"] == [0.0, np.inf]
     assert ends["base_error"] == [-np.inf, np.inf]
     assert 0.015 < ends["alpha3"][0] < ends["alpha3"][1] < 0.06
@@ -98,10 +94,9 @@ def held(rule, count, seed, errors=None):
     if errors is not None:
         # On the spot, unequal wheels of either sign would be as good; see docs/jobs/calibrate.md.
         steps[steps[:, 0] == 0.0, 0] = 0.004
-    problem = Problem(drawn(rule, count, seed, steps, errors), rule.name, names)
-    found = fit(problem)
-    low, high = np.moveaxis(intervals(problem, found), -1, 0)
-    known = [getattr(errors if name in names else rule, name) for name in found.names]
+    found = fit(Problem(drawn(rule, count, seed, steps, errors), rule.name, names))
+    low, high = np.moveaxis(intervals(found), -1, 0)
+    known = [getattr(errors if name in names else rule, name) for name in found.problem.names]
     return ((low <= known) & (known <= high)).sum(axis=0)
 
 
@@ -132,7 +127,7 @@ def test_without_noise_to_speak_of_systematic_errors_are_exact():
 
 def test_a_little_noise_leaves_the_intervals_of_systematic_errors_small():
     problem = Problem(drawn(RateInvariantRule(0.02), 1, errors=WRONG), "rate_invariant", SYSTEMATIC)
-    widths = np.diff(intervals(problem, fit(problem))[0])[:, 0]
+    widths = np.diff(intervals(fit(problem))[0])[:, 0]
     expected = [0.002608778, 0.045467654, 0.050278817, 0.004001950, 0.046184279, 0.028579830]
     assert_allclose(widths, expected, atol=1e-8)
 
@@ -142,7 +137,7 @@ def judged(rule, model, errors=None, seed=11):
 
 
 def goodness_of(problem):
-    return goodness(problem, fit(problem), np.ones(len(drive()), dtype=bool), 1)
+    return goodness(fit(problem), np.ones(len(drive()), dtype=bool), 1)
 
 
 @pytest.mark.parametrize(

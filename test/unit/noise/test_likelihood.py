@@ -54,4 +54,4 @@ def test_the_likelihood_is_that_of_the_three_gaussians():
     ) + stats.norm(0.0, np.sqrt(s2 + p)).logpdf(along)
     problem = Problem(pairs, rule.name)
     coordinates = problem.coordinates(np.array([astuple(rule)]))
-    assert problem.logarithm(coordinates, np.arange(1)) == pytest.approx(expected, rel=1e-12)
+    assert problem.logarithm(coordinates) == pytest.approx(expected, rel=1e-12)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from noise_paths import RULES, played, reported, square, wandering
 from numpy.testing import assert_allclose, assert_array_equal
-from recorded_paths import poses_of
 
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
@@ -25,7 +24,7 @@ def square_drive(count=20):
 def drawn(poses, rule, seed, count, **options):
     steps = noisy_steps(poses, rule)
     blocks = noisy_blocks(steps, np.random.default_rng(seed), count, **options)
-    return np.concatenate([poses_of(block, np.asarray(poses)) for block in blocks])
+    return np.concatenate([block.poses(poses) for block in blocks])
 
 
 @pytest.mark.parametrize("rule", RULES)

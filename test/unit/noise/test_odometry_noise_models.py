@@ -22,6 +22,7 @@ from bullet_lab.core.parameters import (
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.goodness import drawn_pairs
 from bullet_lab.noise.likelihood import StepPairs
+from bullet_lab.noise.noisy_odom import NONE, PRESETS, with_preset
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import (
     MODELS,
@@ -31,7 +32,6 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
-from bullet_lab.noise.presets import NONE, PRESETS, with_preset
 from bullet_lab.studies.squares import SquaresSettings
 
 
@@ -71,8 +71,7 @@ def test_its_parameters_are_calibrated(slip):
     steps = np.tile([[0.04, 0.0, 0.0], [0.0, 0.0, 0.1]], (100, 1))
     true = StepPairs(steps, steps[np.newaxis])
     pairs = drawn_pairs(true, SlipRule(0.1, 0.02), np.random.default_rng(1), 1)
-    problem = Problem(pairs, "slip")
-    (std, slipped) = intervals(problem, fit(problem))[0]
+    std, slipped = intervals(fit(Problem(pairs, "slip")))[0]
     assert 0.05 < std[0] < 0.1 < std[1] < 0.15
     assert 0.01 < slipped[0] < 0.02 < slipped[1] < 0.03
 

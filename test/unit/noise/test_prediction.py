@@ -5,21 +5,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bullet_lab.noise.calibration import Problem, fit
-from bullet_lab.noise.goodness import drawn_pairs
+from bullet_lab.noise.goodness import INSIDE, LENGTHS, drawn_pairs, judged, predicted, windows
 from bullet_lab.noise.likelihood import LongErrors, StepPairs, walk_shares
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.odometry_noise import rule_of
-from bullet_lab.noise.prediction import (
-    INSIDE,
-    LENGTHS,
-    judged,
-    parameter_variances,
-    path_of,
-    predicted,
-    windows,
-)
-from bullet_lab.noise.random_walk import RandomWalkRule
-from bullet_lab.noise.systematic import SystematicErrors, end_of
+from bullet_lab.noise.odometry_noise import RandomWalkRule, rule_of
+from bullet_lab.noise.systematic import SystematicErrors, end_of, path_of
 
 RULE = RandomWalkRule(0.02, 0.03, 0.05)
 ERRORS = SystematicErrors(0.02, -0.03, 0.01, way_per_turn=0.03)
@@ -37,19 +27,17 @@ def halves_of(pairs):
     every = np.ones(len(pairs.true), dtype=bool)
     number = np.arange(len(every))
     for own in (number < len(every) // 2, number >= len(every) // 2):
-        problem = Problem(StepPairs(pairs.true[own], pairs.odometry[:, own]), "random_walk", NAMES)
-        found = fit(problem)
+        halved = StepPairs(pairs.true[own], pairs.odometry[:, own])
+        found = fit(Problem(halved, "random_walk", NAMES))
         others = StepPairs(pairs.true[~own], pairs.odometry[:, ~own])
         for length in LENGTHS[:2]:
-            ends = predicted(problem, found, others, every[~own], length)
-            yield ends, parameter_variances(problem, found)
+            yield predicted(found, others, every[~own], length)
 
 
 def test_the_right_model_predicts_the_other_half():
     squares = []
     for seed in range(8):
-        found = list(halves_of(reported(seed)))
-        squares += [np.stack((*one.squares(v), one.apart)) for one, v in found]
+        squares += [np.stack((*one.squares(), one.apart)) for one in halves_of(reported(seed))]
     for first in (0, 1):
         rows = np.concatenate(squares[first::2], axis=1)
         held = np.mean(rows[0, rows[2] > 0] <= INSIDE)

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ RUN = {"sim_time_s": 1.0, "wall_time_s": 0.1, "real_time_factor": 10.0, "refused
 
 @pytest.fixture
 def report(tmp_path):
-    return DockReport(tmp_path, STATION, 8)
+    return DockReport(tmp_path, STATION)
 
 
 def drive(report, count, end=DOCKED):
@@ -116,13 +117,6 @@ def test_pictures_are_those_of_the_docking_each_with_its_state(report):
     assert titles == ["0.6 s, at rest", "0.7 s, staging"]
 
 
-def test_what_an_earlier_docking_has_left_goes(tmp_path):
-    for name in ("camera.png", "summary.json", "notes.txt"):
-        (tmp_path / name).write_text("old")
-    DockReport(tmp_path, STATION, 8)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "truth.tum"]
-
-
 @pytest.mark.parametrize("seen", [0, 8, 9, 33, 500])
 def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
     sampler = EvenSample(8)
@@ -143,5 +137,6 @@ def test_the_figure_is_as_before():
     truth = Trajectory(along, np.column_stack([2.0 * along, 0.2 * along, 0.0 * along]))
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
     walls, plan = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))], [(0.0, 0.0), (3.0, 0.0)]
-    figure = docking_figure(truth, states, plan, walls, (DOCK, DOCK), "title")
+    station = Station(walls, DOCK, 0.16, replace(ENTRY, pose=DOCK))
+    figure = docking_figure(truth, states, plan, station, "title")
     assert_as_before(lines_of_figure(figure), Path(__file__).parent / "dock.txt")

@@ -10,7 +10,6 @@ from bullet_lab.reports.goal import (
     GoalRecord,
     GoalReport,
     goal_figures,
-    greatest_speed,
     title_of,
 )
 
@@ -26,7 +25,6 @@ def test_figures_are_those_of_the_robot_at_rest():
     names = ("distance_m", "yaw_error_deg", "seconds", "driven_m")
     expected = (0.05, math.degrees(0.1), 2.0, 0.4)
     assert [figures[name] for name in names] == pytest.approx(expected)
-    assert greatest_speed(PATH) == pytest.approx(0.2)
     assert "at the goal after 2.0 s and 0.40 m: 5.0 cm" in title_of([figures])
     driving = goal_figures(GoalRecord((5.0, 0.0, 0.0), 1.0), PATH)
     assert (driving["reached"], driving["seconds"]) == (False, None)
@@ -79,6 +77,7 @@ def test_a_goal_is_recorded_until_the_robot_stands(tmp_path, reached, stay):
     summary = report.summary(True, {})
     (found,) = summary["goals"]
     assert (found["reached"], found["seconds"]) == (reached, 1.3)
+    assert summary["greatest_speed_mps"] == pytest.approx(0.1)
     assert report.has_failed(summary) == (not stay and not reached)
     rows = (tmp_path / "truth.tum").read_text().splitlines()
     assert rows[0].startswith("0.500000000 ")

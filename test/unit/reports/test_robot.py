@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from alike import assert_as_before, lines_of, lines_of_figure
 from bullet_lab.msg import PluginDescription
 
@@ -92,34 +93,41 @@ def test_rates_of_plugins_that_share_a_topic_add_up(tmp_path):
     shared = RobotReport(tmp_path, Robot("cart", plugins=(slow,)), KINDS, (fast,))
     for stamp in range(12):
         shared.counts["/joint_states"].note(stamp * 10**9 // 120)
-    assert shared.off_rate() == []
+    assert shared.summary(True, {})["off_rate"] == []
 
 
-WELL = [
-    metre(1.0, 0.9),
-    turn(365.0, 330.0),
-    turn(361.0, 240.0),
-    # It is slow to brake, and knows it.
-    metre(2.5, 2.6),
-    metre(None, 1.3, turned=3.0),
-    # A robot that comes off its line is off, too.
-    metre(1.0, 1.0, aside=0.03),
-]
-BADLY = [
-    metre(0.71, 0.71, late=True, touched=("wall",)),
-    metre(1.0, 0.61, touched=("r1::base",)),
-    metre(0.32, 0.32, late=True),
-    metre(None, -0.5, late=True),
-    # The odometry is wrong by far.
-    metre(0.4, 1.5),
-    metre(1.0, 0.01),
-    metre(None, 0.0, late=True, causes=("none of its joints turn", "it stands on base")),
-    turn(-1636.8, -1636.8, late=True),
-    # A turn may slip where nothing is touched, a metre may not.
-    turn(361.0, 240.0, touched=("wall",)),
-    turn(361.0, 100.0),
-    metre(1.0, 0.6),
-]
+# Parts of a drive: what the odometry reports, what is true, and more of it.
+WELL = """
+- [metre, 1.0, 0.9, {}]
+- [turn, 365.0, 330.0, {}]
+- [turn, 361.0, 240.0, {}]
+# It is slow to brake, and knows it.
+- [metre, 2.5, 2.6, {}]
+- [metre, null, 1.3, {turned: 3.0}]
+# A robot that comes off its line is off, too.
+- [metre, 1.0, 1.0, {aside: 0.03}]
+"""
+BADLY = """
+- [metre, 0.71, 0.71, {late: true, touched: [wall]}]
+- [metre, 1.0, 0.61, {touched: ["r1::base"]}]
+- [metre, 0.32, 0.32, {late: true}]
+- [metre, null, -0.5, {late: true}]
+# The odometry is wrong by far.
+- [metre, 0.4, 1.5, {}]
+- [metre, 1.0, 0.01, {}]
+- [metre, null, 0.0, {late: true, causes: [none of its joints turn, it stands on base]}]
+- [turn, -1636.8, -1636.8, {late: true}]
+# A turn may slip where nothing is touched, a metre may not.
+- [turn, 361.0, 240.0, {touched: [wall]}]
+- [turn, 361.0, 100.0, {}]
+- [metre, 1.0, 0.6, {}]
+"""
+
+
+def legs(text):
+    """Return the parts of a drive."""
+    kinds = {"metre": metre, "turn": turn}
+    return [kinds[kind](*poses, **more) for kind, *poses, more in yaml.safe_load(text)]
 
 
 def reports(folder):
@@ -131,10 +139,11 @@ def reports(folder):
         assert cart.take(name, Reading(step, (0.1 * step, 0.0, 0.0)))
         assert not cart.take(name, Reading(step, (9.0, 0.0, 0.0)))
     cart.picture = np.zeros((6, 8, 3), np.uint8)
-    cart.legs += WELL
+    cart.legs += legs(WELL)
     refused = PluginDescription(acts=True, refused=("arm (effort_controllers/Arm)",))
     arm = RobotReport(folder, Robot("ur5", plugins=(refused,), choice=("ur5", "ur6")), KINDS)
-    arm.not_started, arm.pauses, arm.legs = ["tf/view: there is no ROS package 'tf'"], 2, BADLY
+    arm.not_started, arm.pauses = ["tf/view: there is no ROS package 'tf'"], 2
+    arm.legs = legs(BADLY)
     return cart, arm, RobotReport(folder, Robot("lamp", plugins=(WHEELS, SONAR)), KINDS)
 
 
@@ -146,9 +155,10 @@ def test_all_that_is_told_of_a_robot_is_as_before(tmp_path):
         summary = report.summary(True, {"more": 1})
         figure = report.figures(summary)["robot.png"]
         told += [report.table(), *lines_of(summary, "summary"), *lines_of_figure(figure)]
-        told += [report.line(summary), *lines_of([leg.error() for leg in report.legs], "errors")]
+        errors = [leg.figures()["odometry_error_percent"] for leg in report.legs]
+        told += [report.line(summary), *lines_of(errors, "errors")]
         assert report.has_failed(summary) == fails
-        assert [leg.has_failed() for leg in report.legs] == [fails] * len(report.legs)
+        assert [leg.figures()["failed"] for leg in report.legs] == [fails] * len(report.legs)
     assert_as_before(told, Path(__file__).with_name("robot.txt"))
 
 

@@ -1,8 +1,10 @@
+import itertools
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from alike import assert_as_before, lines_of_figure
 from recorded_paths import read_paths_csv
 
@@ -16,7 +18,6 @@ from bullet_lab.reports.squares import (
     analyse,
     noise_figure,
     settings_line,
-    squares_summary,
 )
 
 TICK = 50_000_000
@@ -35,9 +36,9 @@ def lines(recording, name):
 
 def fill(recording, perfect=20, noisy=15):
     for index in range(perfect):
-        recording.add("odom", (index + 1) * TICK, POSES[index])
+        recording.take("odom", Reading((index + 1) * TICK, POSES[index]))
         if index < noisy:
-            recording.add("noisy_odom", (index + 1) * TICK, POSES[-index - 1])
+            recording.take("noisy_odom", Reading((index + 1) * TICK, POSES[-index - 1]))
 
 
 @pytest.mark.parametrize("finish", [False, True])
@@ -70,16 +71,17 @@ def test_an_empty_recording(recording):
     recording.finish()
     assert lines(recording, "paths.csv") == [CSV_HEADER]
     assert lines(recording, "odom.tum") == []
-    summary = squares_summary(None, None)
+    summary = recording.measured()
     assert (summary["side_lengths_m"], summary["pairs"], summary["ape_rmse_m"]) == ([], 0, None)
 
 
 def test_the_summary_has_the_sides_and_the_errors(recording):
     for number in range(1, 81):
         pose = (0.0125 * number, 0.0, 0.0)
-        recording.add("odom", number * TICK, pose)
-        recording.add("noisy_odom", number * TICK, tuple(np.add(pose, (0.3, 0.4, 0.1))))
-    summary = squares_summary(recording.perfect(), recording.pairs())
+        recording.take("odom", Reading(number * TICK, pose))
+        noisy = Reading(number * TICK, np.add(pose, (0.3, 0.4, 0.1)))
+        recording.take("noisy_odom", noisy)
+    summary = recording.measured()
     assert summary["side_lengths_m"] == pytest.approx([0.9875])
     expected = {
         "path_length_m": 0.9875,
@@ -91,30 +93,12 @@ def test_the_summary_has_the_sides_and_the_errors(recording):
     assert {name: summary[name] for name in expected} == pytest.approx(expected)
 
 
-def test_time_set_back_begins_a_new_run(recording):
-    fill(recording)
-    old = []
-    recording.on_reset = old.append
-    assert recording.take("odom", Reading(3 * TICK, POSES[0]))
-    assert old == [recording.folder / "run_1"]
-    assert len(read_paths_csv(old[0] / "paths.csv")[0]) == 15
-    # A late message of the old run.
-    assert not recording.take("noisy_odom", Reading(16 * TICK, POSES[1]))
-    assert recording.take("noisy_odom", Reading(3 * TICK, POSES[1]))
-    assert recording.pairs()[0].stamps.tolist() == [0.15]
-    assert recording.newest() == 3 * TICK
-
-
-@pytest.mark.parametrize(
-    "about, back, shown", [({}, False, 1), ({"as_published": True}, False, 0), ({}, True, 0)]
-)
-def test_ellipses_are_those_of_the_noise_of_this_run(tmp_path, about, back, shown):
+@pytest.mark.parametrize("about, shown", [({}, 1), ({"as_published": True}, 0)])
+def test_ellipses_are_those_of_the_noise_that_covariances_describe(tmp_path, about, shown):
     report = SquaresReport(tmp_path)
     covariance = ((0.01, 0.0), (0.0, 0.01))
-    readings = [Reading((k + 1) * TICK, POSES[k], covariance) for k in range(5)]
-    for reading in [*readings, Reading(TICK, POSES[0])] if back else readings:
-        for topic in ("odom", "noisy_odom"):
-            assert report.take(topic, reading)
+    for k, topic in itertools.product(range(5), ("odom", "noisy_odom")):
+        assert report.take(topic, Reading((k + 1) * TICK, POSES[k], covariance))
     report.about = {"std": 0.1, **about}
     figure = report.figures({})["paths.png"]
     assert "\nstd = 0.1" in figure._suptitle.get_text()
@@ -122,24 +106,18 @@ def test_ellipses_are_those_of_the_noise_of_this_run(tmp_path, about, back, show
     assert sum("ellipses" in label for label in labels) == shown
 
 
-@pytest.mark.parametrize(
-    "about, line",
-    [
-        ({}, ""),
-        (
-            {"std": 0.1, "alpha1": 0.3, "alpha4": 0.0, "model": "probabilistic"},
-            "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic",
-        ),
-        (
-            {"std": 0.1, "alpha1": 0.3, "model": "probabilistic", "as_published": True},
-            "\nstd = 0.1, model = probabilistic, as published",
-        ),
-        (
-            {"std": 0.1, "scale_error": 0.0, "base_error": -0.02, "wheel_base": 0.38},
-            "\nstd = 0.1, base_error = -0.02",
-        ),
-    ],
-)
+TITLES = r"""
+- [{}, ""]
+- - {std: 0.1, alpha1: 0.3, alpha4: 0.0, model: probabilistic}
+  - "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic"
+- - {std: 0.1, alpha1: 0.3, model: probabilistic, as_published: true}
+  - "\nstd = 0.1, model = probabilistic, as published"
+- - {std: 0.1, scale_error: 0.0, base_error: -0.02, wheel_base: 0.38}
+  - "\nstd = 0.1, base_error = -0.02"
+"""
+
+
+@pytest.mark.parametrize("about, line", yaml.safe_load(TITLES))
 def test_the_title_has_the_settings_that_act(about, line):
     assert settings_line(about) == line
 

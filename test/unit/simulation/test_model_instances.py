@@ -1,4 +1,4 @@
-"""Models and links by their names, and states relative to them."""
+"""Models and links by their names, states relative to them, and changes of links and joints."""
 
 import math
 from functools import partial
@@ -6,13 +6,16 @@ from functools import partial
 import numpy as np
 import pytest
 from alike import assert_alike
+from sensor_worlds import thing
 from shared import BLOCK_ROBOT
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.models import (
     EntityError,
     bounds,
-    find_entity,
+    change_joint,
+    change_link,
     find_joint,
     find_link,
     frame_state,
@@ -34,6 +37,7 @@ from bullet_lab.simulation.world.description import (
     Visual,
 )
 from bullet_lab.simulation.world.tree import lump_fixed_joints
+from bullet_lab.simulation.world.urdf import read_urdf
 
 INERTIA = Inertia(2.0, (0.1, -0.2, 0.3), np.diag([0.1, 0.15, 0.2]))
 alike = partial(assert_alike, within=1e-9)
@@ -76,7 +80,7 @@ def test_models_links_and_merged_links_are_found(space, robot):
         "left::tool": upper * Pose((0.5, 0.0, 0.0)),
     }
     for name, place in expected.items():
-        alike(find_entity(space.models, name).state().pose, TILTED * place)
+        alike(frame_state(space.models, name).pose, TILTED * place)
     assert find_link(space.models, "left::tool").frame.link == "upper"
 
 
@@ -202,3 +206,73 @@ def test_bounds_are_in_the_world_and_a_plane_has_none(world):
     post = world.add(Model("post", (Link("l", visuals=(shape,)),), static=True), pose=turned)
     assert np.array(bounds(post)) == pytest.approx(np.array([(1.8, -0.1, 0), (2.2, 0.1, 1)]))
     assert np.abs(bounds(world.models["ground_plane"])).max() < 1e3
+
+
+# A flywheel about the vertical on a heavy foot.
+FLYWHEEL = """<robot name="flywheel">
+  <link name="foot"><inertial><mass value="500"/>
+    <inertia ixx="99" iyy="99" izz="99"/></inertial></link>
+  <link name="wheel"><inertial><mass value="1"/>
+    <inertia ixx="0.5" iyy="0.5" izz="0.5"/></inertial></link>
+  <joint name="axle" type="continuous"><parent link="foot"/><child link="wheel"/>
+    <axis xyz="0 0 1"/></joint></robot>"""
+
+
+@pytest.fixture
+def flywheel(space):
+    return space.add(read_urdf(FLYWHEEL, "flywheel"))
+
+
+@pytest.fixture
+def wheel(space, flywheel):
+    return find_link(space.models, "wheel")
+
+
+def speed_after(space, flywheel, seconds=0.5):
+    """Turn the wheel for a while and return how fast it has become."""
+    body = flywheel.body_of_joint("axle")
+    for _ in range(round(1000 * seconds)):
+        body.exert("axle", 1.0)
+        space.run_until(space.step + 1)
+    return body.joint_state("axle").velocity
+
+
+def test_a_heavier_wheel_turns_more_slowly(space, flywheel, wheel):
+    assert speed_after(space, flywheel) == pytest.approx(1.0, rel=0.01)
+    space.reset_world()
+    change_link(wheel, Inertia(4.0, (0.0, 0.0, 0.0), 2.0 * np.eye(3)), True)
+    assert speed_after(space, flywheel) == pytest.approx(0.25, rel=0.03)
+    assert flywheel.model.links_by_name()["wheel"].inertia.mass == 4.0
+
+
+def test_stops_and_damping(space, flywheel):
+    change_joint(flywheel, "axle", damping=0.5)
+    assert speed_after(space, flywheel, 5.0) == pytest.approx(2.0, rel=0.02)
+    space.reset_world()
+    change_joint(flywheel, "axle", lower=-0.3, upper=0.2)
+    speed_after(space, flywheel, 2.0)
+    position = flywheel.body_of_joint("axle").joint_state("axle").position
+    assert position == pytest.approx(0.2, abs=0.02)
+    (joint,) = flywheel.model.joints
+    assert (joint.kind, joint.damping) == ("revolute", 0.5)
+    assert dict(joint.limits) == {"lower": -0.3, "upper": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("inertia", "said"),
+    [
+        (Inertia(0.0, (0.0, 0.0, 0.0), np.eye(3)), "must be positive"),
+        (Inertia(1.0, (0.1, 0.0, 0.0), np.eye(3)), "its centre of mass and its principal axes"),
+        (Inertia(1e13, (0.0, 0.0, 0.0), np.eye(3)), "1e\\+13 is not within ±1e\\+12"),
+    ],
+)
+def test_what_a_link_cannot_become(flywheel, wheel, inertia, said):
+    with pytest.raises(LabError, match=said):
+        change_link(wheel, inertia, True)
+    assert flywheel.model.links_by_name()["wheel"].inertia.mass == 1.0
+
+
+def test_what_never_moves_is_not_changed(space):
+    space.add(thing("<sphere><radius>1</radius></sphere>", "9 9 9 0 0 0"))
+    with pytest.raises(LabError, match="never moves"):
+        change_link(find_link(space.models, "l"), INERTIA, True)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.rendering import RendererError
 from bullet_lab.simulation.simulation import Simulation, View, take_picture
 
 # All three beacons side by side, seen from 10 m away at half their height.

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 from map_values import value_at
 from scipy.ndimage import binary_dilation
 from study_runs import run_main, summary_of
@@ -112,14 +113,14 @@ def test_a_mesh_is_mapped_as_its_triangles(mapped, tmp_path):
     assert value_at(found, 0.0, 0.0) == FREE and value_at(found, 0.0, -1.2) == FREE
 
 
-@pytest.mark.parametrize(
-    "settings, line",
-    [
-        ({"x": 2.05}, "the start (2.05, 0) m is occupied"),
-        ({"low": 0.6}, "high is 0.5: it must not be below low, 0.6"),
-        ({"resolution": 0.005, "x": 100.0, "y": 100.0}, "at most 4000000"),
-    ],
-)
+REFUSED = """
+- [{x: 2.05}, "the start (2.05, 0) m is occupied"]
+- [{low: 0.6}, "high is 0.5: it must not be below low, 0.6"]
+- [{resolution: 0.005, x: 100.0, y: 100.0}, at most 4000000]
+"""
+
+
+@pytest.mark.parametrize("settings, line", yaml.safe_load(REFUSED))
 def test_what_cannot_be_mapped_is_refused(mapped, settings, line):
     with pytest.raises(MapError) as error:
         mapped(ROOM, **settings)

@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Tuple
 
 import pytest
+import yaml
 from study_runs import names_in, run_main
 
 from bullet_lab.core.files import FileError
 from bullet_lab.core.parameters import ParameterError, boolean, integer, numbers, text
 from bullet_lab.studies.study import (
     Settings,
+    TaskLostError,
     UnfinishedError,
     interrupt_once,
     progress,
@@ -24,7 +26,6 @@ from bullet_lab.studies.study import (
     whole_results,
     write_table,
 )
-from bullet_lab.studies.workers import TaskLostError
 
 PACKAGE = Path(__file__).parents[3]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -33,39 +34,38 @@ STUDIES = (
     *("noise_study", "published_noise", "umbmark"),
 )
 # What a study refuses besides what all of them do.
-REFUSED = [
-    ("calibrate", "--models nix", "--models is 'nix': it must be different words of"),
-    ("calibrate", "--truth a.tum", "truth and odometry are one recording: both files are needed"),
-    ("calibrate", "--data nix", "nix: there is no such file or folder"),
-    ("calibrate", "--max-gap 1", "--max-gap is '1': it must be a number > 1"),
-    ("detection_range", "--worlds moon", "it must be different words of marker_panel"),
-    ("detection_range", "--lights dark dark", "--lights is 'dark dark'"),
-    ("detection_range", "--distances 0", "it must be different numbers >= 0.1 and <= 50"),
-    ("detection_range", "--bearings 90", "it must be different numbers >= 0 and <= 85"),
-    ("detection_range", "--frames 0", "it must be a whole number from 1 to 100000"),
-    ("detection_range", "--dots -1", "it must be a whole number from 0 to 100000"),
-    ("detection_range", "--workers -1", "--workers is '-1'"),
-    (
-        *("detection_range", "--worlds docking --lights default --distances 1 --bearings 30"),
-        "no cell of the grid has room for the camera",
-    ),
-    ("dock_campaign", "--dockings 0", "it must be a whole number from 1 to 1000000"),
-    ("dock_campaign", "--worlds kitchen", "--worlds is 'kitchen'"),
-    ("dock_campaign", "--lights candle", "--lights is 'candle'"),
-    ("dock_campaign", "--odometry gps", "--odometry is 'gps'"),
-    ("noise_study", "--levels -0.1", "it must be different numbers >= 0 and <= 10"),
-    ("noise_study", "--rates 0", "--rates is '0': it must be different numbers > 0"),
-    ("noise_study", "--models magic", "it must be different words of report"),
-    ("noise_study", "--paths 1", "it must be a whole number from 2 to 10000000"),
-    ("noise_study", "--delta 0", "--delta is '0': it must be a number > 0"),
-    ("noise_study", "--delta 50", "no two poses are 50 m apart"),
-    ("noise_study", "--laps 0", "--laps is '0'"),
-    ("noise_study", "--path nix.tum", "cannot read nix.tum: No such file"),
-    ("published_noise", "--std -0.1", "--std is '-0.1': it must be a number >= 0 and <= 1"),
-    ("published_noise", "--seeds 3", "it must be a whole number from 20 to 20000"),
-    ("published_noise", "--reading -1", "--reading is '-1'"),
-    ("umbmark", "--robots -1", "--robots is '-1': it must be a whole number from 0"),
-]
+REFUSED = """
+- [calibrate, --models nix, "--models is 'nix': it must be different words of"]
+- [calibrate, --truth a.tum, "truth and odometry are one recording: both files are needed"]
+- [calibrate, --data nix, "nix: there is no such file or folder"]
+- [calibrate, --max-gap 1, "--max-gap is '1': it must be a number > 1"]
+- [detection_range, --worlds moon, it must be different words of marker_panel]
+- [detection_range, --lights dark dark, "--lights is 'dark dark'"]
+- [detection_range, --distances 0, it must be different numbers >= 0.1 and <= 50]
+- [detection_range, --bearings 90, it must be different numbers >= 0 and <= 85]
+- [detection_range, --frames 0, it must be a whole number from 1 to 100000]
+- [detection_range, --dots -1, it must be a whole number from 0 to 100000]
+- [detection_range, --workers -1, "--workers is '-1'"]
+- - detection_range
+  - --worlds docking --lights default --distances 1 --bearings 30
+  - no cell of the grid has room for the camera
+- [dock_campaign, --dockings 0, it must be a whole number from 1 to 1000000]
+- [dock_campaign, --worlds kitchen, "--worlds is 'kitchen'"]
+- [dock_campaign, --lights candle, "--lights is 'candle'"]
+- [dock_campaign, --odometry gps, "--odometry is 'gps'"]
+- [noise_study, --levels -0.1, it must be different numbers >= 0 and <= 10]
+- [noise_study, --rates 0, "--rates is '0': it must be different numbers > 0"]
+- [noise_study, --models magic, it must be different words of report]
+- [noise_study, --paths 1, it must be a whole number from 2 to 10000000]
+- [noise_study, --delta 0, "--delta is '0': it must be a number > 0"]
+- [noise_study, --delta 50, no two poses are 50 m apart]
+- [noise_study, --laps 0, "--laps is '0'"]
+- [noise_study, --path nix.tum, "cannot read nix.tum: No such file"]
+- [published_noise, --std -0.1, "--std is '-0.1': it must be a number >= 0 and <= 1"]
+- [published_noise, --seeds 3, it must be a whole number from 20 to 20000]
+- [published_noise, --reading -1, "--reading is '-1'"]
+- [umbmark, --robots -1, "--robots is '-1': it must be a whole number from 0"]
+"""
 ENDING = """
 import os, signal
 from bullet_lab.errors import LabError
@@ -171,18 +171,18 @@ def test_help_names_every_setting():
     assert all(word in said for word in ("Studies.", "--levels", "--all-of-it", "of noise", "0.1"))
 
 
-@pytest.mark.parametrize(
-    ("words", "status", "said"),
-    [
-        ([], 2, "the following arguments are required: out"),
-        (["out", "--paths", "0"], 2, "--paths is '0': it must be a whole number from 1"),
-        (["out", "--nix"], 2, "unrecognized arguments: --nix"),
-        (["/proc/nowhere"], 2, "cannot make the folder"),
-    ],
-)
-def test_bad_words(words, status, said):
-    found, _, printed = ended(words)
-    assert found == status
+BAD = """
+- [[], "the following arguments are required: out"]
+- [[out, --paths, "0"], "--paths is '0': it must be a whole number from 1"]
+- [[out, --nix], "unrecognized arguments: --nix"]
+- [[/proc/nowhere], cannot make the folder]
+"""
+
+
+@pytest.mark.parametrize(("words", "said"), yaml.safe_load(BAD))
+def test_bad_words(words, said):
+    status, _, printed = ended(words)
+    assert status == 2
     assert_one_line("a_study", said, printed)
 
 
@@ -215,7 +215,7 @@ def test_each_study_is_a_program(name, monkeypatch, capsys):
     assert_one_line(name, said, capsys.readouterr())
 
 
-@pytest.mark.parametrize(("name", "words", "said"), REFUSED)
+@pytest.mark.parametrize(("name", "words", "said"), yaml.safe_load(REFUSED))
 def test_bad_words_end_a_study_with_one_line_and_nothing_written(name, words, said):
     study = importlib.import_module(f"bullet_lab.studies.{name}.study")
     status, *printed = run_main(study.main, "out", *words.split())

@@ -15,8 +15,7 @@ import psutil
 import pytest
 
 from bullet_lab.errors import LabError
-from bullet_lab.studies.study import UnfinishedError
-from bullet_lab.studies.workers import LIVES, TaskLostError, run_tasks, workers
+from bullet_lab.studies.study import LIVES, TaskLostError, UnfinishedError, run_tasks, workers
 
 PATIENCE = 300.0
 """Longest that anything here takes, s, on whatever machine."""

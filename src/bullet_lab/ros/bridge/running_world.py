@@ -25,8 +25,8 @@ from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.bridge.topics import DeviceTopics, TopicError
 from bullet_lab.ros.messages.conversions import deleted_markers, world_markers
 from bullet_lab.ros.messages.poses import pose_message, set_time
+from bullet_lab.ros.node.lock_step import BatchPublisher, Publisher
 from bullet_lab.ros.node.node import TF_PREFIX, search_parameter
-from bullet_lab.ros.node.publishers import BatchPublisher, Publisher
 from bullet_lab.simulation.plugins import NAMESPACE
 from bullet_lab.simulation.plugins.samples import OdometrySample
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
@@ -232,7 +232,7 @@ class OdometryFrames:
     def _changed(self, _name: str) -> None:
         """Publish the frames if they have changed with a model."""
         frames = [
-            (name, device.frame, getattr(device, "origin", Pose()))
+            (name, device.frames[0], getattr(device, "origin", Pose()))
             for name, instance in self._world.models.items()
             for device in instance.plugins
             if any(output.kind is OdometrySample for output in device.outputs)

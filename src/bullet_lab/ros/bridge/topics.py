@@ -29,8 +29,8 @@ import rospy
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.stepper import Stepper, StepperError
 from bullet_lab.ros.messages.conversions import COMMANDS, Converter
+from bullet_lab.ros.node.lock_step import COMMAND_TIMEOUT, BatchPublisher
 from bullet_lab.ros.node.node import MASTER_ERRORS, Refusals
-from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, BatchPublisher
 from bullet_lab.simulation.plugins import Input, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.controllers.controller import Controller
 from bullet_lab.simulation.plugins.samples import STANDSTILL, PlanarCommand

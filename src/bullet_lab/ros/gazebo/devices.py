@@ -22,6 +22,7 @@ from typing import Any, Callable
 
 import rosgraph
 import rospy
+from actionlib.server_goal_handle import ServerGoalHandle
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Empty
@@ -29,23 +30,22 @@ from std_srvs.srv import Empty
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge.running_world import RunningWorld
 from bullet_lab.ros.bridge.stepper import StepperError
-from bullet_lab.ros.gazebo.actions import ControllerAction
 from bullet_lab.ros.gazebo.physics import Reconfigurable, Values
 from bullet_lab.ros.gazebo.services import offer
 from bullet_lab.ros.messages.actions import ACTIONS
 from bullet_lab.ros.messages.conversions import compressed_message
-from bullet_lab.ros.messages.gazebo_types import control_msg, control_srv
+from bullet_lab.ros.messages.gazebo_types import arm_srv, control_msg, control_srv
 from bullet_lab.ros.messages.poses import InputError, vector_of
+from bullet_lab.ros.node.driving import LastingServer
 from bullet_lab.ros.node.node import MASTER_ERRORS, NodeError, search_parameter
 from bullet_lab.simulation.models import ModelInstance
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.actions import ActionController
+from bullet_lab.simulation.plugins.controllers.actions import ACCEPTED, ActionController, Goal
 from bullet_lab.simulation.plugins.controllers.controller import CONTROLLERS, Controller, Setting
 from bullet_lab.simulation.plugins.hector_sensors import DriftingError, HectorImu
-from bullet_lab.simulation.plugins.mimic_joint import MimicJoint
 from bullet_lab.simulation.plugins.motion_sensors import Imu
-from bullet_lab.simulation.plugins.ros_control import RosControl
+from bullet_lab.simulation.plugins.ros_control import MimicJoint, RosControl
 from bullet_lab.simulation.plugins.samples import ImageSample
 from bullet_lab.srv import SetBias
 
@@ -218,7 +218,7 @@ class ControllerServices:
     def end(self) -> None:
         """Shut down all topics and services; in the thread of the simulation."""
         self._ended.set()
-        self._world.topics.disconnect(tuple(self._plugin.manager.controllers.values()))
+        self._world.topics.disconnect(tuple(self._plugin.controllers.values()))
         self._world.registrar.submit(self._shut_down)
 
     def _shut_down(self) -> None:
@@ -253,17 +253,18 @@ class ControllerServices:
 
     def _offer_services(self) -> None:
         """Offer the services, unless the robot was removed in the meantime."""
-        answers = {
+        answers: dict[str, tuple[Any, Callable[[Any], Any]]] = {
             "list_controllers": (control_srv.ListControllers, self._list),
             "list_controller_types": (control_srv.ListControllerTypes, self._list_types),
             "load_controller": (control_srv.LoadController, self._ok(self._load)),
-            "unload_controller": (control_srv.UnloadController, self._ok(self._unload)),
-            "switch_controller": (control_srv.SwitchController, self._ok(self._switch)),
-            "reload_controller_libraries": (
-                control_srv.ReloadControllerLibraries,
-                self._ok(self._reload),
-            ),
         }
+        changes = {
+            "unload_controller": (control_srv.UnloadController, self._unload),
+            "switch_controller": (control_srv.SwitchController, self._switch),
+            "reload_controller_libraries": (control_srv.ReloadControllerLibraries, self._reload),
+        }
+        for name, (kind, change) in changes.items():
+            answers[name] = (kind, self._ok(partial(self._between_steps, change)))
         space = f"{self._plugin.namespace}controller_manager"
         offers: list[Callable[[], Any]] = [
             partial(rospy.Service, f"{space}/{name}", *answer) for name, answer in answers.items()
@@ -318,36 +319,29 @@ class ControllerServices:
             raise
         return controller
 
+    def _between_steps(self, change: Callable[[Any], None], request: Any) -> None:
+        """Change controllers in the thread of the simulation; shut down those that it removes."""
+        self._world.do(lambda: change(request))
+        for name in self._offered.keys() - self._manager().controllers.keys():
+            _shut_down(self._offered.pop(name))
+
     def _unload(self, request: Any) -> None:
-        self._world.do(lambda: self._remove(request.name))
-        self._shut_down_removed()
+        self._remove(request.name)
 
     def _remove(self, *names: str) -> None:
         self._world.topics.disconnect(tuple(map(self._manager().unload, names)))
 
-    def _shut_down_removed(self) -> None:
-        """Shut down settings and actions of controllers that were removed."""
-        for name in self._offered.keys() - self._manager().controllers.keys():
-            _shut_down(self._offered.pop(name))
-
     def _switch(self, request: Any) -> None:
         strict = request.strictness == control_srv.SwitchControllerRequest.STRICT
-        wanted = (request.start_controllers, request.stop_controllers, strict)
-        self._world.do(lambda: self._manager().switch(*wanted))
+        self._manager().switch(request.start_controllers, request.stop_controllers, strict)
 
     def _reload(self, request: Any) -> None:
-        def remove_all() -> None:
-            manager = self._manager()
-            names = tuple(manager.controllers)
-            if names and not request.force_kill:
-                raise ControlError(
-                    f"{len(names)} controllers are loaded, and force_kill is not set"
-                )
-            manager.switch((), names, strict=False)
-            self._remove(*names)
-
-        self._world.do(remove_all)
-        self._shut_down_removed()
+        manager = self._manager()
+        names = tuple(manager.controllers)
+        if names and not request.force_kill:
+            raise ControlError(f"{len(names)} controllers are loaded, and force_kill is not set")
+        manager.switch((), names, strict=False)
+        self._remove(*names)
 
     def _list(self, _request: Any) -> Any:
         loaded = self._world.do(lambda: [_state(c) for c in self._manager().controllers.values()])
@@ -360,7 +354,62 @@ class ControllerServices:
     def _manager(self) -> Any:
         if self._ended.is_set():
             raise ControlError("the robot was removed from the world")
-        return self._plugin.manager
+        return self._plugin
+
+
+class ControllerAction:
+    """Gives the goals of an action server to a controller, and offers its queries.
+
+    Goals come in threads of rospy that hold actionlib's lock. The controller moves them later, in
+    the thread of the simulation, which takes that lock for a moment.
+    """
+
+    def __init__(self, world: RunningWorld, controller: ActionController):
+        self._world, self._controller = world, controller
+        kind, self._goal_of, self._feedback, self._result = ACTIONS[controller.action]
+        self._goals: dict[str, Goal] = {}
+        calls = (kind, self._receive, self._cancel)
+        self._server = LastingServer(controller.topic(controller.action), *calls, auto_start=False)
+        self._server.start()
+        kind = arm_srv.QueryTrajectoryState
+        self._services = [
+            rospy.Service(controller.topic(name), kind, partial(self._answer, query))
+            for name, query in controller.queries.items()
+        ]
+
+    def shutdown(self) -> None:
+        """Shut down the action and the services."""
+        self._server.stop()
+        _shut_down(self._services)
+
+    def _answer(self, query: Any, request: Any) -> Any:
+        try:
+            names, point = self._world.do(lambda: query(request.time.to_sec()))
+        except LabError as error:
+            raise rospy.ServiceException(str(error)) from error
+        return (names, *point[1:])
+
+    def _receive(self, handle: ServerGoalHandle) -> None:
+        name = handle.get_goal_id().id
+
+        def move(state: str, result: Any, text: str) -> None:
+            if state == ACCEPTED:
+                handle.set_accepted()
+                return
+            del self._goals[name]
+            message = None if result is None else self._result(*result)
+            getattr(handle, f"set_{state}")(message, text)
+
+        def tell(feedback: Any) -> None:
+            handle.publish_feedback(self._feedback(*feedback))
+
+        goal = self._goals[name] = Goal(self._goal_of(handle.get_goal()), move, tell)
+        self._controller.receive(goal)
+
+    def _cancel(self, handle: ServerGoalHandle) -> None:
+        goal = self._goals.get(handle.get_goal_id().id)
+        if goal is not None:
+            self._controller.cancel(goal)
 
 
 def _state(controller: Controller) -> Any:

@@ -1,5 +1,8 @@
 """python -m bullet_lab.ros.launcher <job> [name:=value ...]."""
 
 from bullet_lab.entry import run
+from bullet_lab.ros.launcher.node_server import NodeServer
 
-run("bullet_lab.ros.launcher.command")
+# It imports modules while the launcher does.
+with NodeServer() as server:
+    run("bullet_lab.ros.launcher.command", server)

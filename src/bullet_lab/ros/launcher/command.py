@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import signal
 import subprocess
@@ -51,8 +52,8 @@ class StopSignals:
             self.received = number
 
 
-def main() -> None:
-    """Run the command line, and exit.
+def main(server: NodeServer) -> None:
+    """Run the command line, with a server of nodes, and exit.
 
     The exit status is 0 for success, 2 for a wrong command line, 128 + n after a signal n, and
     otherwise that of the first node that failed, or 1.
@@ -61,14 +62,14 @@ def main() -> None:
     end_at_once_when_interrupted()
     # ROS would read them as its own.
     words, sys.argv[1:] = sys.argv[1:], []
-    status = status_of("run.sh", _dispatch, words)
+    status = status_of("run.sh", functools.partial(_dispatch, server), words)
     # Python removes its handlers before it has ended: a signal after that would kill it.
     for number in StopSignals.NUMBERS:
         signal.signal(number, signal.SIG_IGN)
     sys.exit(status)
 
 
-def _dispatch(words: list[str]) -> int:
+def _dispatch(server: NodeServer, words: list[str]) -> int:
     package = Path(rospkg.RosPack().get_path("bullet_lab"))
     found = read_command("scripts/run.sh", find_jobs(package), words, _defaults)
     if found is None:
@@ -77,7 +78,7 @@ def _dispatch(words: list[str]) -> int:
     for name, value in values.items():
         if job.arguments[name].bracket == FILE and value:
             make_package_known(Path(value))
-    return _run(job, values, package, StopSignals())
+    return _run(job, values, package, StopSignals(), server)
 
 
 def _defaults(job: Job) -> dict[str, str]:
@@ -105,7 +106,9 @@ def _package_name(folder: Path) -> str:
     return (name or folder.name).strip()
 
 
-def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) -> int:
+def _run(
+    job: Job, values: dict[str, str], package: Path, signals: StopSignals, server: NodeServer
+) -> int:
     """Run a job, print its results, and return the exit status."""
     started = time.monotonic()
     with OutputFolder(Path(values["out"])) as out:
@@ -119,7 +122,6 @@ def _run(job: Job, values: dict[str, str], package: Path, signals: StopSignals) 
             os.environ["ROS_LOG_DIR"] = str(out.log)
             # Qt needs it, and it is missing if nobody has logged in.
             os.environ.setdefault("XDG_RUNTIME_DIR", os.environ["ROS_HOME"])
-            server = stack.enter_context(NodeServer())
             screen = None
             if with_rviz and not os.environ.get("DISPLAY"):
                 screen = VirtualScreen(out.log / "xvfb.log", out.path / "rviz.png")
@@ -161,7 +163,7 @@ def _launch(job, values, out: OutputFolder, signals, screen, server):
         print(f"{job.name}: running on {whose} {master.uri}", file=terminal, flush=True)
         # The page in a browser stays after the job has finished.
         stays = values.get("view") == "browser"
-        announced = not stays
+        announced = False
         with Launch(job, values, master, server) as launch:
             while True:
                 verdict = launch.verdict(out.has_summary, signals.received)
@@ -169,7 +171,10 @@ def _launch(job, values, out: OutputFolder, signals, screen, server):
                     break
                 if screen:
                     screen.picture_now_and_then()
-                if not announced and out.is_finished():
+                # The last picture of the screen is of all nodes.
+                if not stays and not screen and out.is_finished():
+                    launch.end_others()
+                if stays and not announced and out.is_finished():
                     announced = True
                     where = f"{job.name}: the results are in {shown(out.path)}"
                     print(f"{where}; the page stays until Ctrl-C", file=terminal, flush=True)

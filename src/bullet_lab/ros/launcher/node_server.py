@@ -31,7 +31,6 @@ SHARED = (
     "bullet_lab.ros.messages.poses",
     "bullet_lab.ros.node.lock_step",
     "bullet_lab.ros.node.odometry",
-    "bullet_lab.ros.node.publishers",
 )
 # Bytes of the server's command line, which the nodes replace by their own.
 ROOM = 4096
@@ -85,6 +84,7 @@ class NodeServer:
 
     def __exit__(self, *_) -> None:
         self._connection.close()
+        self._process.kill()
         self._process.wait()
 
     def start(self, request: Request, output: int) -> NodeProcess:
@@ -177,6 +177,8 @@ def show_command_line(words: list[str]) -> None:
 
 
 if __name__ == "__main__":
+    # As in `entry.run`.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     wanted = serve(Connection(int(sys.argv[1])))
     if wanted is not None:
         become(wanted)

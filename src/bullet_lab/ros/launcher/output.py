@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 import os
 import re
@@ -13,8 +14,6 @@ import tempfile
 import time
 from pathlib import Path
 from typing import BinaryIO, Iterator
-
-from PIL import ImageGrab
 
 from bullet_lab.core.files import FileError
 from bullet_lab.errors import LabError
@@ -53,7 +52,7 @@ def temporary_folder() -> Iterator[str]:
                 sweeper.kill()
 
 
-class PlainText:
+class PlainText(io.TextIOBase):
     """A text file without terminal colours; text is lost while the disk is full."""
 
     def __init__(self, file: BinaryIO):
@@ -65,9 +64,6 @@ class PlainText:
         with contextlib.suppress(OSError):
             self._file.write(plain.encode(errors="replace"))
         return len(text)
-
-    def flush(self) -> None:
-        """Do nothing: each write is immediate."""
 
 
 @contextlib.contextmanager
@@ -87,15 +83,12 @@ def words_to(path: Path):
             yield
 
 
-
 class VirtualScreen:
     """An Xvfb on a free display, which is set as DISPLAY; its output goes to a log file."""
 
     def __init__(self, log: Path, picture: Path):
         self._log, self._picture = log, picture
         self._next = time.monotonic() + _PICTURE_PERIOD
-        self._server: subprocess.Popen | None = None
-        self._display = ""
 
     def __enter__(self) -> VirtualScreen:
         """Start the screen, for all programs that are started later; raise LabError."""
@@ -123,8 +116,6 @@ class VirtualScreen:
 
     def __exit__(self, *_) -> None:
         """Stop the screen."""
-        if self._server is None:
-            return
         self._server.terminate()
         try:
             self._server.wait(_STOP_TIMEOUT)
@@ -139,6 +130,9 @@ class VirtualScreen:
 
     def picture(self) -> None:
         """Save a picture of the screen, cropped to the windows; none while it is empty."""
+        # Imported late: few runs have a virtual screen.
+        from PIL import ImageGrab
+
         self._next = time.monotonic() + _PICTURE_PERIOD
         with contextlib.suppress(OSError):
             image = ImageGrab.grab(xdisplay=self._display).convert("RGB")

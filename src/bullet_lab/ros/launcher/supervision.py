@@ -12,7 +12,7 @@ import xmlrpc.client
 from http.client import HTTPException
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Callable, Collection, NamedTuple
+from typing import Callable, Iterable, Mapping, NamedTuple
 from urllib.parse import urlsplit
 
 # On Debian 12, rosclean, which roslaunch imports, would import all of setuptools for distutils.
@@ -102,13 +102,6 @@ def _answers(uri: str) -> bool:
     return Master(uri=uri).is_running()
 
 
-class Death(NamedTuple):
-    """The end of a node; a negative status is the negated number of the signal that killed it."""
-
-    node: str
-    status: int
-
-
 class Verdict(NamedTuple):
     """The exit status of a run, and the reason if it is not 0."""
 
@@ -117,7 +110,7 @@ class Verdict(NamedTuple):
 
 
 def judge(
-    deaths: Collection[Death],
+    deaths: Mapping[str, int],
     count: int,
     required: set[str],
     has_summary: bool,
@@ -126,22 +119,22 @@ def judge(
     """Return how a run has ended; None while it goes on.
 
     Args:
-        deaths: the ends of nodes, in order.
+        deaths: the exit statuses of nodes that have ended, in order; -n after a signal n.
         count: number of nodes.
         required: names of the nodes whose end is the end of the job.
         has_summary: whether the summary has been written.
         stopped_by: number of the signal that asks to stop, if any.
     """
-    for death in deaths:
-        if death.status < 0:
-            reason = f"{death.node} was killed by signal {-death.status}"
-            return Verdict(128 - death.status, reason)
-        if death.status:
-            return Verdict(death.status, f"{death.node} ended with status {death.status}")
-        if death.node in required:
+    for full_name, status in deaths.items():
+        node = full_name.rsplit("/", 1)[-1]
+        if status < 0:
+            return Verdict(128 - status, f"{node} was killed by signal {-status}")
+        if status:
+            return Verdict(status, f"{node} ended with status {status}")
+        if node in required:
             if has_summary:
                 return Verdict(0)
-            return Verdict(1, f"{death.node} ended before there was a summary")
+            return Verdict(1, f"{node} ended before there was a summary")
     if stopped_by is not None:
         return Verdict(128 + stopped_by, f"stopped by {signal.Signals(stopped_by).name}")
     if len(deaths) >= count:
@@ -164,12 +157,14 @@ class Launch:
     ):
         self._server = server
         self._config = _load(job.path, values)
-        self.required = {node.name for node in self._config.nodes if node.required}
+        self._required = {node.name for node in self._config.nodes if node.required}
+        self._others = _others_than_writers(self._config)
         # At the end of a required node, roslaunch would shut down, and lose track of nodes
         # that it is about to start.
         for node in self._config.nodes:
             node.required = False
-        self._deaths: dict[str, Death] = {}
+        self._deaths: dict[str, int] = {}
+        self._is_ending = False
         self._processes: dict[str, subprocess.Popen | NodeProcess] = {}
         self._parent = roslaunch.parent.ROSLaunchParent(
             master.run_id,
@@ -186,10 +181,11 @@ class Launch:
         # roslib keeps the signal handlers of interactive programs.
         roslib.set_interactive(True)
         try:
-            self._start()
-        except roslaunch.RLException as error:
+            with _as_lab_error():
+                self._start()
+        except LabError:
             self.__exit__()
-            raise LabError(_one_line(error)) from error
+            raise
         return self
 
     def _start_process(self, words: list[str], **options) -> subprocess.Popen | NodeProcess:
@@ -231,7 +227,18 @@ class Launch:
         if self._parent.pm:
             # From now on, roslaunch starts no node again, and reports no end.
             self._parent.pm.shutdown()
-        for name, process in self._processes.items():
+        self._end(self._processes)
+        self._parent.shutdown()
+
+    def end_others(self) -> None:
+        """End the nodes that do not write the results, which are complete, unless it was done."""
+        if not self._is_ending:
+            self._is_ending = True
+            self._end(self._others & self._processes.keys())
+
+    def _end(self, names: Iterable[str]) -> None:
+        for name in names:
+            process = self._processes[name]
             if process.poll() is not None:
                 # roslaunch starts each node in a process group: its children may still run.
                 number = signal.SIGKILL
@@ -239,7 +246,6 @@ class Launch:
                 number = signal.SIGINT if self._is_registered(name) else signal.SIGTERM
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, number)
-        self._parent.shutdown()
 
     def _is_registered(self, name: str) -> bool:
         try:
@@ -253,10 +259,18 @@ class Launch:
         # Before the summary is looked for, which a node writes before it ends.
         for name, process in self._processes.items():
             status = process.poll()
-            if status is not None:
-                self._deaths.setdefault(name, Death(name.rsplit("/", 1)[-1], status))
-        deaths = self._deaths.values()
-        return judge(deaths, len(self._config.nodes), self.required, has_summary(), stopped_by)
+            if status is not None and not (self._is_ending and name in self._others):
+                self._deaths.setdefault(name, status)
+        count = len(self._config.nodes)
+        return judge(self._deaths, count, self._required, has_summary(), stopped_by)
+
+
+def _others_than_writers(config: roslaunch.config.ROSLaunchConfig) -> set[str]:
+    """Return the nodes that end when the results are complete; none if nobody is told to write."""
+    nodes = {rosgraph.names.ns_join(node.namespace, node.name): node for node in config.nodes}
+    told = {name for name in nodes if f"{name}/out" in config.params}
+    writers = {name for name in told if nodes[name].required}
+    return {name for name, node in nodes.items() if writers and not node.respawn} - writers
 
 
 class _Loader(roslaunch.xmlloader.XmlLoader):
@@ -279,7 +293,7 @@ def _load(path: Path, values: dict[str, str]) -> roslaunch.config.ROSLaunchConfi
     # Signals wait: Ctrl-C would end programs that roslaunch runs for values, with tracebacks.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
     try:
-        with _as_supervision_error():
+        with _as_lab_error():
             files = [(str(path), words)]
             return roslaunch.config.load_config_default(files, None, loader=_Loader())
     finally:
@@ -290,18 +304,14 @@ def resolved_defaults(path: Path) -> dict[str, str]:
     """Return the resolved defaults of a launch file's arguments; raise LabError."""
     import roslaunch.arg_dump
 
-    with _as_supervision_error():
+    with _as_lab_error():
         args = roslaunch.arg_dump.get_args([str(path)])
     return {name: str(default) for name, (_, default) in args.items() if default is not None}
 
 
 @contextlib.contextmanager
-def _as_supervision_error():
+def _as_lab_error():
     try:
         yield
     except (roslaunch.RLException, rospkg.ResourceNotFound) as error:
-        raise LabError(_one_line(error)) from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+        raise LabError(" ".join(str(error).split())) from error

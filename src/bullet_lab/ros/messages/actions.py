@@ -60,12 +60,15 @@ ACTIONS: dict[str, tuple] = {}
 if arm_msg is not None:
     ACTIONS = {
         "follow_joint_trajectory": (
-            *(arm_msg.FollowJointTrajectoryAction, _goal_of),
-            *(_feedback, arm_msg.FollowJointTrajectoryResult),
+            arm_msg.FollowJointTrajectoryAction,
+            _goal_of,
+            _feedback,
+            arm_msg.FollowJointTrajectoryResult,
         ),
         "gripper_cmd": (
             arm_msg.GripperCommandAction,
             lambda message: GripperSample(message.command.position, message.command.max_effort),
-            *(arm_msg.GripperCommandFeedback, arm_msg.GripperCommandResult),
+            arm_msg.GripperCommandFeedback,
+            arm_msg.GripperCommandResult,
         ),
     }

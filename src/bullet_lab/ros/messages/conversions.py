@@ -212,9 +212,8 @@ def _camera_info(message: CameraInfo, sample: CameraInfoSample) -> None:
     message.distortion_model, message.D = "plumb_bob", list(camera.distortion)
     message.R = np.eye(3).ravel().tolist()
     message.K = camera.matrix.ravel().tolist()
-    shift = 0.0 - camera.fx * sample.baseline
-    message.P = [camera.fx, 0.0, camera.cx, shift, 0.0, camera.fy, camera.cy, 0.0]
-    message.P += [0.0, 0.0, 1.0, 0.0]
+    shift = (0.0 - camera.fx * sample.baseline, 0.0, 0.0)
+    message.P = np.column_stack((camera.matrix, shift)).ravel().tolist()
     for name, value in sample.calibration.items():
         setattr(message, name, value)
 

@@ -197,13 +197,7 @@ def covariance_message(pose: MarkerPose) -> PoseWithCovariance:
 def detection_message(
     marker: DetectedMarker, pose: MarkerPose | None, dictionary: str
 ) -> MarkerDetection:
-    """Return a marker as a message.
-
-    Args:
-        marker: an `ObservedMarker` if it has a pose.
-        pose: the chosen one of its two poses; None: there is no camera_info.
-        dictionary: its name.
-    """
+    """Return a marker, with the chosen one of its two poses if there is a camera_info."""
     message = MarkerDetection(id=marker.id, dictionary=dictionary, bit_errors=marker.bit_errors)
     message.corners = np.asarray(marker.corners, dtype=float).ravel().tolist()
     message.deviations = marker.deviations.ravel().tolist()

@@ -121,11 +121,9 @@ def twist_message(state: FrameState) -> Twist:
 
 def stamped_pose(stamp: genpy.Time, frame: str, pose: PlanarPose) -> PoseStamped:
     """Return x (m), y (m) and yaw (rad) in a frame as a message."""
-    message = PoseStamped()
-    message.header.stamp, message.header.frame_id = stamp, frame
-    message.pose.position.x, message.pose.position.y = pose[:2]
-    set_quaternion(message.pose.orientation, quaternion_from_yaw(pose[2]))
-    return message
+    x, y, yaw = pose
+    placed = Pose((x, y, 0.0), quaternion_from_yaw(yaw))
+    return PoseStamped(Header(0, stamp, frame), pose_message(placed))
 
 
 def marker(

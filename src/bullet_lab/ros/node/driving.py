@@ -12,9 +12,8 @@ from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import Twist
 
 from bullet_lab.drive import STANDSTILL, Command
-from bullet_lab.ros.node.lock_step import Rate, in_lock_step
+from bullet_lab.ros.node.lock_step import Publisher, Rate, in_lock_step, publisher
 from bullet_lab.ros.node.odometry import FrameFinder, MessageQueue
-from bullet_lab.ros.node.publishers import Publisher, publisher
 
 REPLACED = "replaced by another goal"
 
@@ -87,13 +86,8 @@ class LastingServer(ActionServer):
 class GoalServer(LastingServer):
     """An action server that is polled, in which the newest goal to arrive counts.
 
-    Args:
-        name: of the action.
-        kind: its class, such as MoveBaseAction.
-        on_goal: called with the handle of a new goal, before the loop accepts it.
-        on_cancel: called when the goal that is pursued is cancelled.
-
-    Threads of rospy that hold actionlib's lock call both functions.
+    `on_goal` is called with the handle of a new goal, before the loop accepts it, and `on_cancel`
+    when the goal that is pursued is cancelled; both in threads of rospy that hold actionlib's lock.
 
     Attributes:
         next_goal: handle of the goal that waits to be accepted; None without one.

@@ -1,12 +1,12 @@
-"""Lock step: simulated time waits for nodes while they work, whatever its speed.
+"""Publishers, subscribers and rates, and lock step: simulated time waits for nodes that work.
 
 A node that drives a robot with `rospy.Rate` is late by a millisecond or so of wall time. At a
 hundred times real time that is a tenth of a simulated second, and the corners of a square are
 wrong. A node in lock step holds simulated time back while it works: `Rate.sleep` lets the bridge
 advance to the node's next tick, and returns when it is reached.
 
-A node is in lock step if its private parameter ~lock_step is true. The publishers, subscribers and
-rates of this package do the rest; the code of a node is the same with and without lock step.
+A node is in lock step if its private parameter ~lock_step is true. `publisher`, `subscriber` and
+`Rate` do the rest: they lose no message. The code of a node is the same with and without lock step.
 """
 
 from __future__ import annotations
@@ -14,14 +14,25 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
+import warnings
 import xmlrpc.client
-from typing import Callable, Iterator, Sequence
+from io import BytesIO
+from typing import Any, Callable, Iterator, Sequence
 
+import genpy
 import rospy
 from geometry_msgs.msg import Twist
+from rospy.msg import serialize_message
 
 from bullet_lab.core import parameters
-from bullet_lab.ros.node.node import LOCK_STEP, NodeError, check_running, is_ending, wait_until
+from bullet_lab.ros.node.node import (
+    LOCK_STEP,
+    NodeError,
+    Refusals,
+    check_running,
+    is_ending,
+    wait_until,
+)
 from bullet_lab.srv import Advance, AdvanceRequest, AdvanceResponse
 
 SERVICE = "/bullet_lab/advance"
@@ -32,9 +43,16 @@ ROUTE_CHECK_SECONDS = 0.1
 END_OF_TIME = rospy.Time(2**31 - 1)
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
+# Wall seconds between two checks of a full queue.
+ROOM_CHECK_SECONDS = 0.001
+# Field in the connection header of a publisher of commands: wall seconds after which the bridge
+# stops the robot if no further command arrives.
+COMMAND_TIMEOUT = "command_timeout"
 # Directions of connections in the slave API's getBusInfo.
 INBOUND = "i"
 OUTBOUND = "o"
+# A publisher without a queue size writes at once; rospy takes that for a mistake.
+warnings.filterwarnings("ignore", "The publisher should be created with an explicit", SyntaxWarning)
 
 
 @functools.lru_cache
@@ -142,13 +160,115 @@ def member() -> Member:
     return Member()
 
 
+class Publisher(rospy.Publisher):
+    """A publisher that does nothing, and raises nothing, while the node shuts down.
+
+    Without a `queue_size` it writes to its subscribers at once and drops no message.
+    """
+
+    def has_connections(self) -> bool:
+        """Return whether anybody subscribes."""
+        return self.impl is not None and self.impl.has_connections()
+
+    def publish(self, *args: Any, **kwds: Any) -> None:
+        """Publish a message."""
+        try:
+            super().publish(*args, **kwds)
+        except rospy.ROSException:
+            if not is_ending():
+                raise
+
+
+class BatchPublisher(Publisher):
+    """Collects messages, and sends them to each subscriber in one call.
+
+    At a hundred times real time, waking the subscribers for each message costs more than the
+    physics between two messages. Not thread-safe.
+    """
+
+    def __init__(self, *args: Any, **kwds: Any):
+        super().__init__(*args, **kwds)
+        self._batch = BytesIO()
+
+    def publish(self, message: genpy.Message) -> None:
+        """Add a message to the batch; it may be changed afterwards."""
+        if self.has_connections():
+            self.impl.seq += 1
+            serialize_message(self._batch, self.impl.seq, message)
+
+    def flush(self, lossless: bool = False) -> None:
+        """Send the batch; if `lossless`, wait for full queues instead of dropping messages."""
+        data = self._batch.getvalue()
+        if not data:
+            return
+        self._batch.seek(0)
+        self._batch.truncate()
+        # While the node shuts down, there is no implementation.
+        connections = () if self.impl is None else self.impl.connections
+        for connection in connections:
+            if lossless:
+                await_room(connection, self.impl.queue_size)
+            try:
+                connection.write_data(data)
+            except (OSError, ValueError, rospy.exceptions.ROSInternalException):
+                # The subscriber is gone; rospy removes a closed connection.
+                connection.close()
+
+
+def await_room(connection: Any, size: int | None) -> None:
+    """Wait until the queue of a rospy connection has room for a message."""
+    # The queue is not part of rospy's interface and may be missing.
+    while size and len(getattr(connection, "_queue", ())) >= size:
+        if connection.done or rospy.is_shutdown():
+            return
+        time.sleep(ROOM_CHECK_SECONDS)
+
+
+def publisher(
+    topic: str, kind: type, queue_size: int | None = None, latch: bool = False
+) -> Publisher:
+    """Return a publisher of messages that other nodes compute with.
+
+    In lock step it has no queue: a slow subscriber slows the publisher down instead of losing
+    messages. (Besides, rospy's queues take twenty times as long, since they pass each message to
+    a thread.) Time advances only when the bridge has received the messages that were sent to it.
+
+    For messages that are only displayed, as in RViz, use `Publisher`, which lock step ignores.
+    """
+    size = None if in_lock_step() else queue_size
+    made = Publisher(topic, kind, queue_size=size, latch=latch, tcp_nodelay=True)
+    member().publishers.append(made)
+    return made
+
+
+def subscriber(
+    topic: str,
+    kind: type,
+    receive: Callable[[Any], None],
+    queue_size: int | None = None,
+    buffer_bytes: int = rospy.topics.DEFAULT_BUFF_SIZE,
+) -> rospy.Subscriber:
+    """Return a subscriber that drops no message in lock step.
+
+    `receive` is called in the topic's thread, and may raise LabError to refuse a message.
+    `buffer_bytes` is larger than a large message, or old messages stay in the socket.
+    """
+    refusals = Refusals()
+
+    def take(message: Any) -> None:
+        with refusals.on(topic):
+            receive(message)
+
+    size = None if in_lock_step() else queue_size
+    return rospy.Subscriber(
+        topic, kind, take, queue_size=size, buff_size=buffer_bytes, tcp_nodelay=True
+    )
+
+
 class Rate:
     """Ticks by simulated time, which a node in lock step holds back between the ticks.
 
-    Args:
-        hz: ticks per simulated second.
-        is_ready: in lock step, condition to wait for before time starts.
-        what: what that waits for, for the log.
+    In lock step, it waits for `is_ready` before time starts, and logs `what` that waits for.
 
     Attributes:
         now: ROS time at the last tick; a reset may have set it back.
@@ -186,7 +306,6 @@ class Rate:
             self._member.leave()
         else:
             rospy.rostime.wallsleep(GOODBYE_SECONDS)
-
 
 
 def join_when(is_connected: Callable[[], bool], what: str) -> None:

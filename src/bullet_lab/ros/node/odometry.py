@@ -16,9 +16,8 @@ from bullet_lab.core.pose import Pose
 from bullet_lab.core.se2 import PlanarPose, pose_from_above
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import InputError, pose_of, twist_of
-from bullet_lab.ros.node.lock_step import in_lock_step
+from bullet_lab.ros.node.lock_step import in_lock_step, subscriber
 from bullet_lab.ros.node.node import NodeError, Refusals, check_running, tf_prefix
-from bullet_lab.ros.node.publishers import subscriber
 
 # m; larger than all coordinates on Earth in any grid. Squares of smaller numbers stay finite.
 FARTHEST = 1e8
@@ -120,7 +119,6 @@ class NewestOdometry:
         self._stamp = rospy.Time(0)
         self._period: rospy.Duration | None = None
         self._received = rospy.Time(0)
-        self._refusals = Refusals()
         self._subscriber = subscriber(topic, Odometry, self.take)
 
     def newest(self, now: rospy.Time, patience: float = ODOMETRY_TIMEOUT) -> PlanarPose:
@@ -151,9 +149,9 @@ class NewestOdometry:
         return due >= now if self._late else due > now
 
     def take(self, message: Odometry) -> None:
-        """Store the pose of a message; an invalid message is refused and counted."""
-        with self._refusals.on(self._topic), self._new:
-            pose = planar_pose(message)
+        """Store the pose of a message; raises InputError if it is invalid."""
+        pose = planar_pose(message)
+        with self._new:
             if self._pose is not None and message.header.stamp > self._stamp:
                 self._period = message.header.stamp - self._stamp
             self._pose, self._stamp = pose, message.header.stamp
@@ -166,11 +164,8 @@ class MessageQueue(Generic[T]):
 
     In lock step it is always open, and waits for the messages that are due.
 
-    Args:
-        topic: to subscribe to while open.
-        kind: class of the messages, which have a header.
-        read: converts a message, or raises LabError to refuse it.
-        rate: messages of the bridge per simulated second.
+    `read` converts a message, which has a header, or raises LabError to refuse it; `rate` are the
+    messages of the bridge per simulated second.
 
     Attributes:
         trouble: the error of the last message; empty if it was not refused.

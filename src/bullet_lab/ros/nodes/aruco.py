@@ -41,8 +41,8 @@ from bullet_lab.ros.messages.images import (
     marker_pose_message,
     marker_transform,
 )
+from bullet_lab.ros.node.lock_step import publisher
 from bullet_lab.ros.node.node import node, tf_prefix
-from bullet_lab.ros.node.publishers import publisher
 from bullet_lab.ros.nodes.image_node import (
     CameraImage,
     Diagnostics,
@@ -128,7 +128,6 @@ class Aruco(ImageNode):
         sizes = {**bundled, **(parameters.sizes or {})}
         self._observer = MarkerObserver(parameters, parameters.width, sizes, parameters.pixel_sigma)
         self._memory, self._bundle_memory = (PoseMemory(parameters.upright) for _ in range(2))
-        self._health = Health(DiagnosticStatus.OK, "")
         super().__init__(parameters, always=parameters.publish_tf)
         self._prefix = tf_prefix(rospy.get_name())
         self._tf = publisher("/tf", TFMessage, 10) if parameters.publish_tf else None
@@ -146,7 +145,7 @@ class Aruco(ImageNode):
             bundles = self._bundles(markers, camera, stamp)
         self._publish_markers(image.header, markers, poses, bundles)
         self.annotate(image, lambda canvas: self._draw(canvas, detections, poses, camera))
-        self._health = problem or self._judge(detections, poses)
+        self.health = problem or self._judge(detections, poses)
         return _figures(detections)
 
     def process_unusable(self, image: CameraImage) -> None:
@@ -157,10 +156,6 @@ class Aruco(ImageNode):
         """Forget the earlier poses of markers."""
         self._memory.forget()
         self._bundle_memory.forget()
-
-    def health(self) -> Health:
-        """Return the markers of the last image, or the reason why there are none."""
-        return self._health
 
     def _camera(self, image: CameraImage) -> tuple[PinholeCamera | None, Health | None]:
         """Return the camera, or None and the reason."""

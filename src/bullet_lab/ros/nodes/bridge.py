@@ -65,12 +65,7 @@ from bullet_lab.ros.bridge.stepper import FOR_EVER, Pace, Stepper, StepperError,
 from bullet_lab.ros.bridge.topics import DeviceTopics, Route
 from bullet_lab.ros.gazebo.interface import Warnings, offer_all
 from bullet_lab.ros.gazebo.services import offer
-from bullet_lab.ros.messages.poses import (
-    NANOSECONDS_PER_STEP,
-    first_step_at,
-    set_time,
-    time_of,
-)
+from bullet_lab.ros.messages.poses import first_step_at, set_time, time_of
 from bullet_lab.ros.node.node import (
     MASTER_ERRORS,
     NodeError,
@@ -81,7 +76,6 @@ from bullet_lab.ros.node.node import (
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.video import Video
-from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder, listed_folders
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 from bullet_lab.simulation.world.xml import parse_text, read_text
@@ -190,7 +184,9 @@ class PyBulletBridge:
         self._clock = Clock()
         self._clock_publisher = world.topics.publisher("/clock", Clock)
         simulation.every(parameters.clock_rate, self._publish_clock)
-        simulation.every(LOG_TIME_RATE, _set_log_time)
+        # This node does not subscribe to /clock.
+        set_log_time = rospy.rostime._set_rostime
+        simulation.every(LOG_TIME_RATE, lambda step: set_log_time(time_of(step)))
         for instance in simulation.models.values():
             world.connect(instance)
         frame, hidden = parameters.world_frame, _add_robot(world, parameters)
@@ -296,9 +292,14 @@ class PyBulletBridge:
 
 def _add_robot(world: RunningWorld, parameters: BridgeParameters) -> str:
     """Add the robot of the parameters, if there is one, and return its name."""
-    model = _read_robot(parameters)
-    if model is None:
-        return ""
+    if parameters.robot:
+        model = read_urdf_file(ResourceFinder.anywhere().find(parameters.robot))
+    else:
+        name = parameters.robot_description
+        text = rospy.get_param(name, "") if name else ""
+        if not text:
+            return ""
+        model = read_urdf(str(text), name)
     pose = Pose.from_rpy(parameters.robot_pose[:3], parameters.robot_pose[3:])
     # As in spawn_model; the plugins' topics are not in a namespace of the model's name.
     namespace = parameters.robot_namespace or "/"
@@ -307,19 +308,6 @@ def _add_robot(world: RunningWorld, parameters: BridgeParameters) -> str:
         if isinstance(device, Camera):
             device.set_rate(parameters.camera_rate, 0)
     return robot.name
-
-
-def _read_robot(parameters: BridgeParameters) -> Model | None:
-    if parameters.robot:
-        return read_urdf_file(ResourceFinder.anywhere().find(parameters.robot))
-    name = parameters.robot_description
-    text = rospy.get_param(name, "") if name else ""
-    return read_urdf(str(text), name) if text else None
-
-
-def _set_log_time(step: int) -> None:
-    """Set the time of this node's log messages, as it does not subscribe to /clock."""
-    rospy.rostime._set_rostime(rospy.Time(*divmod(step * NANOSECONDS_PER_STEP, 10**9)))
 
 
 class _Transport(xmlrpc.client.Transport):

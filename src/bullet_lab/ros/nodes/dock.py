@@ -68,6 +68,7 @@ from bullet_lab.msg import (
 from bullet_lab.ros.messages import images
 from bullet_lab.ros.messages.poses import InputError, pose_of, stamped_pose
 from bullet_lab.ros.node.driving import GoalNode, GoalServer
+from bullet_lab.ros.node.lock_step import Publisher, publisher
 from bullet_lab.ros.node.node import node
 from bullet_lab.ros.node.odometry import (
     FrameError,
@@ -76,7 +77,6 @@ from bullet_lab.ros.node.odometry import (
     own_frame,
     planar_pose,
 )
-from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.simulation.world.resources import ResourceFinder
 
 # Indices of vx, vy and wz in the 6x6 covariances of ROS (REP 103).

@@ -30,15 +30,11 @@ from bullet_lab.core import se2
 from bullet_lab.core.parameters import choice, integer, number, text
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import MODES, OPEN_LOOP, Square, SquareDriver, SquareSize
-from bullet_lab.ros.gazebo.client import call
-from bullet_lab.ros.messages.gazebo_types import srv
-from bullet_lab.ros.messages.poses import pose_message
 from bullet_lab.ros.node.driving import StoppableSender
-from bullet_lab.ros.node.lock_step import Rate
+from bullet_lab.ros.node.lock_step import Rate, publisher
 from bullet_lab.ros.node.node import TF_PREFIX, node, wait_until
 from bullet_lab.ros.node.odometry import NewestOdometry
-from bullet_lab.ros.node.publishers import publisher
-from bullet_lab.ros.nodes.populate import description_of
+from bullet_lab.ros.nodes.spawn import description_of, spawn
 
 SPAWN_SERVICE = "/gazebo/spawn_urdf_model"
 MOST_ROBOTS = 100
@@ -72,15 +68,14 @@ class _Robot:
 
     def __init__(self, driver: SquareDriver, cmd_vel: str, odom: str):
         self.driver = driver
-        self.done = False
         # Without a queue, so that the last command is sent before the node ends.
         commands = publisher(cmd_vel, Twist)
         self._sender = StoppableSender(commands)
         self._odometry = NewestOdometry(odom) if driver.needs_pose else None
         wait_until(commands.has_connections, f"a subscriber to {cmd_vel}")
 
-    def tick(self, now: rospy.Time) -> None:
-        """Send the next command; after the last one, stop."""
+    def tick(self, now: rospy.Time) -> bool:
+        """Send the next command, after the last one stop; return whether there is another."""
         pose = None
         if self._odometry is not None:
             if self._odometry.is_stale():
@@ -89,20 +84,14 @@ class _Robot:
             pose = self._odometry.newest(now)
         command = self.driver.command(pose)
         if command is None:
-            self.done = True
             self._sender.stop()
         else:
             self._sender.send(command)
+        return command is not None
 
 
 class DriveSquares:
-    """Drives several robots in squares at the same time.
-
-    Args:
-        square: of each robot.
-        mode: of `MODES`: what ends a side.
-        robots: topics (cmd_vel, odom) of each robot.
-    """
+    """Drives several robots, each with topics (cmd_vel, odom), in squares at the same time."""
 
     def __init__(self, square: Square, mode: str, robots: Sequence[tuple[str, str]]):
         self._square = square
@@ -115,11 +104,9 @@ class DriveSquares:
     def drive(self) -> None:
         """Drive all sides, stop, publish the end, and leave the lock step."""
         self._rest()
-        driving = list(self._robots)
+        driving = self._robots
         while driving:
-            for robot in driving:
-                robot.tick(self._rate.now)
-            driving = [robot for robot in driving if not robot.done]
+            driving = [robot for robot in driving if robot.tick(self._rate.now)]
             self._report()
             if driving:
                 self._rate.sleep()
@@ -152,8 +139,7 @@ def fleet(parameters: FleetParameters) -> None:
         space = rospy.resolve_name(name)
         if not rospy.has_param(f"{space}/{TF_PREFIX}"):
             rospy.set_param(f"{space}/{TF_PREFIX}", name)
-        pose = pose_message(Pose((x, y, 0.0)))
-        call(SPAWN_SERVICE, srv.SpawnModel, name, text, space, pose, "")
+        spawn(name, text, space, Pose((x, y, 0.0)), SPAWN_SERVICE)
     square = Square(parameters.sides, parameters.side)
     topics = [(f"{name}/cmd_vel", f"{name}/odom") for name in names]
     DriveSquares(square, parameters.mode, topics).drive()

@@ -41,9 +41,9 @@ from bullet_lab.drive import STANDSTILL, DrivePhase, GoalDriver, GoalLimits
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import marker, stamped_pose
 from bullet_lab.ros.node.driving import REPLACED, GoalNode, GoalServer
+from bullet_lab.ros.node.lock_step import Publisher, publisher
 from bullet_lab.ros.node.node import Refusals, holds_within, node
 from bullet_lab.ros.node.odometry import FrameError, MessageQueue, OdometryError, framed
-from bullet_lab.ros.node.publishers import Publisher, publisher
 from bullet_lab.ros.nodes.map_floor import Floor, MapParameters, read_place
 
 ACTION = "move_base"

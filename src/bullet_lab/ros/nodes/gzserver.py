@@ -53,18 +53,10 @@ REFUSED = ("-p --play", "--iters", "--initial_sim_time")
 
 
 def parse_server_arguments(words: Sequence[str]) -> Namespace:
-    """Read the arguments of gzserver, without those of ROS.
+    """Return the world, paused, seed and unknown plugins of gzserver's command line.
 
     Options without a meaning here (recording, the choice of a physics engine, …) are ignored.
-
-    Returns:
-        world: name of the world file, as given.
-        paused: whether to start paused.
-        seed: of the random draws.
-        plugins: server plugins that are not simulated, by the names of their files.
-
-    Raises:
-        ArgumentsError: an option that is unknown or refused.
+    Raises ArgumentsError for one that is unknown or refused.
     """
     parser = ArgumentParser(prog="gzserver", add_help=False, allow_abbrev=False)
     parser.add_argument("world", nargs="?", default=EMPTY_WORLD)
@@ -126,8 +118,5 @@ def find_world(name: str) -> str:
 
 def main() -> None:
     """Run the node."""
-
-    def read() -> BridgeParameters:
-        return bridge_parameters(parse_server_arguments(rospy.myargv(sys.argv)[1:]))
-
-    serve("gazebo", read)
+    words = rospy.myargv(sys.argv)[1:]
+    serve("gazebo", lambda: bridge_parameters(parse_server_arguments(words)))

@@ -1,15 +1,18 @@
-"""The base class of nodes that process images, and the smallest of them, view_camera.
+"""Nodes that process images: their base class, and those of figure 7 but for aruco.
 
-A node subscribes to the image and its camera_info only while one of its results has a subscriber.
-It processes each image once, in order.
+They show the image (view_camera), its edges (canny_edges), corners (harris_corners) and good
+features (good_features, by Shi and Tomasi). A node subscribes to the image and its camera_info only
+while one of its results has a subscriber. It processes each image once, in order.
 
-A new detector is a subclass of `ImageNode` with its parameters, and an executable in scripts/;
-`bullet_lab.ros.nodes.features` has short examples.
+A new detector is a subclass of `ImageNode` with its parameters, and an executable in scripts/.
 
 :ROS Parameters: see `ImageParameters` and those of the node
 :ROS Subscribers, while a result has a subscriber: ~image and its camera_info
-:ROS Publishers, beside those of the node:
-    - ~image_annotated (sensor_msgs/Image): the image with the results drawn into it
+:ROS Publishers:
+    - canny_edges: ~edges (sensor_msgs/Image), mono8: 255 on an edge, as in figure 7a
+    - harris_corners, good_features: ~points (bullet_lab/ImagePoints), the strongest first
+    - ~image_annotated (sensor_msgs/Image): the image with the results drawn into it: edges in blue,
+      corners as squares as in figure 7d, good features as discs as in 7c
     - ~camera_info (sensor_msgs/CameraInfo): of each annotated image
     - /diagnostics (diagnostic_msgs/DiagnosticArray), once a second of wall time
 """
@@ -32,13 +35,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from numpy import ndarray
 from sensor_msgs.msg import CameraInfo, Image
 
-from bullet_lab.core.parameters import text
+from bullet_lab.core.parameters import integer, number, odd, text
 from bullet_lab.errors import LabError
-from bullet_lab.ros.messages.images import image_message, pixels_of
-from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.msg import ImagePoints
+from bullet_lab.ros.messages.images import image_message, pixels_of, points_message
+from bullet_lab.ros.node.lock_step import Publisher, join_when, publisher, subscriber
 from bullet_lab.ros.node.node import Refusals, node
-from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
-from bullet_lab.vision.drawing import draw_text
+from bullet_lab.vision import features
+from bullet_lab.vision.drawing import draw_area, draw_points, draw_text
 
 # Larger than an image, so that old images do not collect in the socket.
 _BUFFER_BYTES = 2**24
@@ -51,6 +55,8 @@ _CHECK_SECONDS = 0.05
 # Wall seconds between two messages on /diagnostics, and over which rates are counted.
 _PERIOD = 1.0
 _WINDOW = 2.0
+# More than a node can have in that time.
+_MOST_RESULTS = 10_000
 
 Diagnostics = Mapping[str, Any]
 """Figures of an image by their names on /diagnostics."""
@@ -100,15 +106,14 @@ class Traffic:
     """Rate and latency of a node's results over the last two seconds of wall time."""
 
     def __init__(self):
-        self._lock = threading.Lock()
-        self._done: deque[tuple[float, float]] = deque()
+        # When each result was there, and how long it took.
+        self._done: deque[tuple[float, float]] = deque(maxlen=_MOST_RESULTS)
         self._total = 0
 
     def note(self, seconds: float) -> None:
         """Count a result, `seconds` after its input had arrived."""
-        with self._lock:
-            self._total += 1
-            self._done.append((time.monotonic(), seconds))
+        self._total += 1
+        self._done.append((time.monotonic(), seconds))
 
     def figures(self) -> dict[str, str]:
         """Return the number of results, their rate and latency as text."""
@@ -127,10 +132,7 @@ class Traffic:
 
     def _recent(self) -> list[tuple[float, float]]:
         start = time.monotonic() - _WINDOW
-        with self._lock:
-            while self._done and self._done[0][0] < start:
-                self._done.popleft()
-            return list(self._done)
+        return [one for one in tuple(self._done) if one[0] >= start]
 
 
 class ImageNode(ABC):
@@ -144,6 +146,7 @@ class ImageNode(ABC):
         task: of the node, for the diagnostics.
         outputs: its private topics and their types; the node works while one has a subscriber.
         parameters: as given.
+        health: of the node while images come.
     """
 
     task = ""
@@ -155,7 +158,6 @@ class ImageNode(ABC):
         self.parameters = parameters
         self._lock = threading.Condition()
         self._info: CameraInfo | None = None
-        self._waits_for_info = True
         self._last_stamp: rospy.Time | None = None
         # To camera_info and to the images, while there is demand.
         self._subscribers: list[rospy.Subscriber] = []
@@ -164,6 +166,7 @@ class ImageNode(ABC):
         self._refusals = Refusals()
         self._trouble = ""
         self._figures: Diagnostics = {}
+        self.health = Health(DiagnosticStatus.OK, "images come")
         topics = {"image_annotated": Image, "camera_info": CameraInfo, **self.outputs}
         self._publishers = {
             # Old images are of no use.
@@ -183,10 +186,6 @@ class ImageNode(ABC):
 
     def reset(self) -> None:
         """Forget earlier images, as time was set back or some are missing."""
-
-    def health(self) -> Health:
-        """Return the health of the node while images come."""
-        return Health(DiagnosticStatus.OK, "images come")
 
     def has_listeners(self, topic: str) -> bool:
         """Return whether an output has a subscriber."""
@@ -239,9 +238,7 @@ class ImageNode(ABC):
 
     def _start(self) -> None:
         with self._lock:
-            self._info = None
-            self._waits_for_info = True
-            self._last_stamp = None
+            self._info = self._last_stamp = None
             self.reset()
             info = subscriber(self.parameters.info_topic, CameraInfo, self._receive_info)
             images = subscriber(
@@ -257,7 +254,6 @@ class ImageNode(ABC):
     def _receive_info(self, message: CameraInfo) -> None:
         with self._lock:
             self._info = message
-            self._waits_for_info = True
             self._lock.notify_all()
 
     def _receive_image(self, message: Image) -> None:
@@ -272,7 +268,10 @@ class ImageNode(ABC):
             if stamp < last:
                 rospy.loginfo("%s: time was set back: resetting", self.parameters.image)
                 self.reset()
-        image = CameraImage(message, self._info_now())
+        with self._lock:
+            if last is None:
+                self._lock.wait_for(lambda: self._info is not None, _INFO_PATIENCE)
+            image = CameraImage(message, self._info)
         try:
             self._figures = self.process(image)
             self._trouble = ""
@@ -283,14 +282,6 @@ class ImageNode(ABC):
             image.info.header = message.header
             self.publish("camera_info", image.info)
         self._traffic.note(time.monotonic() - start)
-
-    def _info_now(self) -> CameraInfo | None:
-        """Return the newest camera_info; the first image waits for it."""
-        with self._lock:
-            if self._info is None and self._waits_for_info:
-                self._lock.wait_for(lambda: self._info is not None, _INFO_PATIENCE)
-                self._waits_for_info = self._info is not None
-            return self._info
 
     def _report(self) -> None:
         """Publish the health of the node.
@@ -315,7 +306,7 @@ class ImageNode(ABC):
             return Health(DiagnosticStatus.WARN, f"no image on {topic}: {reason}")
         if self._trouble:
             return Health(DiagnosticStatus.ERROR, self._trouble)
-        return self.health()
+        return self.health
 
 
 class ViewCamera(ImageNode):
@@ -331,7 +322,106 @@ class ViewCamera(ImageNode):
         return {"size": size, "mean grey level": f"{image.grey.mean():.0f}"}
 
 
+@dataclass(frozen=True)
+class CannyParameters(ImageParameters):
+    """Private parameters of canny_edges."""
+
+    low: float = number(100.0, "least gradient of an edge pixel", minimum=0.0)
+    high: float = number(200.0, "least gradient of a strong edge pixel", minimum=0.0)
+    aperture: int = odd(3, "size of the Sobel operator, px", 3, 7)
+
+
+class CannyEdges(ImageNode):
+    """Publishes the edges of each image."""
+
+    task = "edge detection"
+    outputs = {"edges": Image}
+
+    def process(self, image: CameraImage) -> Diagnostics:
+        """Publish the edges."""
+        given = self.parameters
+        edges = cv2.Canny(image.grey, given.low, given.high, apertureSize=given.aperture)
+        self.publish("edges", image_message(image.header, edges, "mono8"))
+        self.annotate(image, lambda canvas: draw_area(canvas, edges > 0))
+        return {"edge pixels": cv2.countNonZero(edges)}
+
+
+@dataclass(frozen=True)
+class HarrisParameters(ImageParameters):
+    """Private parameters of harris_corners."""
+
+    block_size: int = integer(2, "size of the neighbourhood, px", 1, 31)
+    aperture: int = odd(3, "size of the Sobel operator, px", 1, 31)
+    k: float = number(0.04, "Harris' free parameter", above=0.0, maximum=0.25)
+    threshold: float = number(
+        0.01, "least response, as a share of the largest", above=0.0, maximum=1.0
+    )
+
+
+class HarrisCorners(ImageNode):
+    """Publishes the corners of each image."""
+
+    task = "corner detection"
+    outputs = {"points": ImagePoints}
+
+    def process(self, image: CameraImage) -> Diagnostics:
+        """Publish the corners."""
+        given = self.parameters
+        area, points = features.harris_corners(
+            image.grey, given.block_size, given.aperture, given.k, given.threshold
+        )
+        self.publish("points", points_message(image.header, image.grey.shape, points))
+        self.annotate(image, lambda canvas: draw_area(canvas, area))
+        return {"corners": len(points)}
+
+
+@dataclass(frozen=True)
+class GoodFeaturesParameters(ImageParameters):
+    """Private parameters of good_features."""
+
+    max_corners: int = integer(25, "greatest number of features", 1, 100000)
+    quality: float = number(
+        0.01, "least strength, as a share of the strongest", above=0.0, maximum=1.0
+    )
+    min_distance: float = number(10.0, "px between two features", minimum=0.0)
+
+
+class GoodFeatures(ImageNode):
+    """Publishes the good features of each image."""
+
+    task = "feature detection"
+    outputs = {"points": ImagePoints}
+
+    def process(self, image: CameraImage) -> Diagnostics:
+        """Publish the features."""
+        given = self.parameters
+        points = features.good_features(
+            image.grey, given.max_corners, given.quality, given.min_distance
+        )
+        self.publish("points", points_message(image.header, image.grey.shape, points))
+        self.annotate(image, lambda canvas: draw_points(canvas, points))
+        return {"features": len(points)}
+
+
 @node
 def view_camera(parameters: ImageParameters) -> None:
     """Run until ROS shuts down."""
     ViewCamera(parameters).run()
+
+
+@node
+def canny_edges(parameters: CannyParameters) -> None:
+    """Run until ROS shuts down."""
+    CannyEdges(parameters).run()
+
+
+@node
+def harris_corners(parameters: HarrisParameters) -> None:
+    """Run until ROS shuts down."""
+    HarrisCorners(parameters).run()
+
+
+@node
+def good_features(parameters: GoodFeaturesParameters) -> None:
+    """Run until ROS shuts down."""
+    GoodFeatures(parameters).run()

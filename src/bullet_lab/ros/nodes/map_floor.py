@@ -36,6 +36,7 @@ from bullet_lab.navigation.driver import MapDriver
 from bullet_lab.navigation.occupancy import OccupancyMap, RobotCostmap, read_map
 from bullet_lab.navigation.paths import Point, along
 from bullet_lab.ros.messages.poses import InputError, pose_message, pose_of, stamped_pose
+from bullet_lab.ros.node.lock_step import Publisher
 from bullet_lab.ros.node.node import Refusals
 from bullet_lab.ros.node.odometry import (
     FrameError,
@@ -45,7 +46,6 @@ from bullet_lab.ros.node.odometry import (
     framed,
     planar_pose,
 )
-from bullet_lab.ros.node.publishers import Publisher
 
 # Seconds between two costmaps.
 COSTMAP_PERIOD = 1.0

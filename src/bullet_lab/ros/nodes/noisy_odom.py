@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from io import BytesIO
-from typing import Sequence
 
 import numpy as np
 import rospy
@@ -24,12 +23,12 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Int32
 from visualization_msgs.msg import Marker
 
-from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number, part_of
+from bullet_lab.core.parameters import boolean, check_parameters, choice, integer, number
 from bullet_lab.core.se2 import PlanarPose, ellipse_points, quaternion_from_yaw
 from bullet_lab.errors import LabError
+from bullet_lab.noise.noisy_odom import OdometryNoise, preset
 from bullet_lab.noise.odometry_noise import (
     MODELS,
-    NoisyPath,
     NoisyStep,
     ReportRule,
     derived_seed,
@@ -37,19 +36,12 @@ from bullet_lab.noise.odometry_noise import (
     noise_parameters,
     rule_of,
 )
-from bullet_lab.noise.presets import preset, with_preset
-from bullet_lab.noise.published_noise import PUBLISHED_RATE, PublishedNoise, Sampler
-from bullet_lab.noise.systematic import (
-    SpreadPath,
-    SystematicErrors,
-    SystematicSpread,
-    SystematicStep,
-)
+from bullet_lab.noise.published_noise import PUBLISHED_RATE
+from bullet_lab.noise.systematic import SystematicErrors, SystematicSpread
 from bullet_lab.ros.messages.poses import marker
-from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.ros.node.lock_step import Publisher, join_when, publisher, subscriber
 from bullet_lab.ros.node.node import Refusals, node, spin
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, check_twist
-from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.srv import SetNoise, SetNoiseRequest, SetNoiseResponse
 
@@ -87,19 +79,13 @@ class NoisyOdometry:
     """
 
     def __init__(self, parameters: NoisyOdomParameters, namespace: str = ""):
-        parameters = with_preset(parameters)
+        self._noise = OdometryNoise(parameters, parameters.rate)
+        parameters = self._noise.parameters
         self.std = parameters.std
         self.msg: Odometry | None = None
-        self.last_odom: Odometry | None = None
-        self.pose: PlanarPose = (0.0, 0.0, 0.0)
-        self._sampler = Sampler(parameters.rate) if parameters.as_published else None
-        self._published = PublishedNoise(parameters.std, parameters.seed)
         self._model = parameters.model
-        self._noise = asdict(parameters)
-        self._path = NoisyPath(rule_of(self._model, self._noise), parameters.seed)
-        errors = part_of(SystematicErrors, parameters)
-        spread = part_of(SystematicSpread, parameters)
-        self._systematic = SpreadPath(errors, spread, parameters.seed)
+        self._values = asdict(parameters)
+        self._as_published = parameters.as_published
         self._frames = FrameGuard()
         self._refusals = Refusals()
         self.pub = publisher(f"{namespace}noisy_odom", Odometry, QUEUE_SIZE)
@@ -116,41 +102,25 @@ class NoisyOdometry:
         with self._refusals.on(self._topic):
             check_twist(msg)
             pose = self._frames.check(msg)
-            if self.msg is not None:
-                self._check_time(msg)
+            seconds = self._seconds_before(msg)
             self.msg = msg
-            reported = self._systematic.update(*pose)
-            for ticks, count in zip(self._ticks, self._systematic.ticks):
+            step = self._noise.update(msg.header.stamp.to_sec(), pose)
+            for ticks, count in zip(self._ticks, self._noise.ticks):
                 # As a counter of 32 bits.
                 ticks.publish(Int32((count + 2**31) % 2**32 - 2**31))
-            if self._sampler is None or self._sampler.due(msg.header.stamp.to_sec()):
-                self.compute_noise(msg, reported)
-
-    def compute_noise(self, msg: Odometry, reported: SystematicStep) -> None:
-        """Publish a message with noise, from its pose with systematic errors, `reported`."""
-        if self._sampler is not None:
-            self.pose = self._published.update(*reported.pose)
-            noisy = _at(msg, self.pose)
-        else:
-            step = self._path.update(*reported.pose)
-            self.pose = step.pose
-            noisy = _at(msg, self.pose)
-            errors = (reported.motion_error, step.motion_error)
-            last = self.last_odom
-            seconds = None if last is None else (msg.header.stamp - last.header.stamp).to_sec()
-            _add_noise(noisy, step, errors, seconds)
-            _add_covariance(noisy.pose.covariance, self._systematic.covariance, 1.0)
-        self.last_odom = msg
-        self.pub.publish(noisy)
-        if self._sampler is None and self._ellipse.has_connections():
-            covariance = step.covariance + self._systematic.covariance
-            self._ellipse.publish(ellipse_marker(noisy, covariance))
+            if step is None:
+                return
+            noisy = _at(msg, step.pose)
+            _add_noise(noisy, step, seconds)
+            self.pub.publish(noisy)
+            if self._ellipse.has_connections() and not self._as_published:
+                self._ellipse.publish(ellipse_marker(noisy, step.covariance))
 
     def set_noise(self, request: SetNoiseRequest) -> SetNoiseResponse:
         """Change the noise from the next message on."""
-        if self._sampler is not None:
+        if self._as_published:
             return SetNoiseResponse(False, "set_noise: as_published has the report's noise only")
-        model, noise = request.model or self._model, {**self._noise, "std": request.std}
+        model, noise = request.model or self._model, {**self._values, "std": request.std}
         try:
             # Also for a model without it: the next request may name another one.
             check_parameters(ReportRule(request.std))
@@ -160,26 +130,28 @@ class NoisyOdometry:
             check_parameters(rule)
         except LabError as error:
             return SetNoiseResponse(False, str(error))
-        self._path.change_rule(rule)
+        self._noise.path.change_rule(rule)
         self.std = request.std
         self._model = model
-        self._noise = noise
+        self._values = noise
         rospy.loginfo("noise is now %s with std %g", model, request.std)
         return SetNoiseResponse(True, "")
 
-    def _check_time(self, msg: Odometry) -> None:
-        """Start a new path if time was set back; raises OdometryError for a duplicate stamp."""
-        stamp, last = msg.header.stamp, self.msg.header.stamp
-        if stamp == last:
-            raise OdometryError(f"duplicate stamp {stamp.to_sec():.9f} s")
-        if stamp < last:
-            rospy.loginfo("time was set back: starting a new noisy path")
-            self.last_odom = None
-            self._systematic.restart()
-            self._path.restart()
-            self._published.restart()
-            if self._sampler is not None:
-                self._sampler.restart()
+    def _seconds_before(self, msg: Odometry) -> float | None:
+        """Return the time from the message before, None for the first one of a path.
+
+        If time was set back, a new path starts. Raises OdometryError for a duplicate stamp.
+        """
+        if self.msg is None:
+            return None
+        seconds = (msg.header.stamp - self.msg.header.stamp).to_sec()
+        if seconds == 0.0:
+            raise OdometryError(f"duplicate stamp {msg.header.stamp.to_sec():.9f} s")
+        if seconds > 0.0:
+            return seconds
+        rospy.loginfo("time was set back: starting a new noisy path")
+        self._noise.restart()
+        return None
 
 
 def _service_name(namespace: str) -> str:
@@ -217,14 +189,12 @@ def _at(msg: Odometry, pose: PlanarPose) -> Odometry:
     return moved
 
 
-def _add_noise(
-    message: Odometry, step: NoisyStep, errors: Sequence[PlanarPose], seconds: float | None
-) -> None:
+def _add_noise(message: Odometry, step: NoisyStep, seconds: float | None) -> None:
     """Add the errors of a step to the twist, and its covariances to those of the odometry."""
     _add_covariance(message.pose.covariance, step.covariance, 1.0)
     if seconds is None:
         return
-    dx, dy, dyaw = map(sum, zip(*errors))
+    dx, dy, dyaw = step.motion_error
     twist = message.twist.twist
     twist.linear.x += dx / seconds
     twist.linear.y += dy / seconds

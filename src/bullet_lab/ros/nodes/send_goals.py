@@ -32,9 +32,8 @@ from bullet_lab.reports.goal import BOX
 from bullet_lab.ros.gazebo.client import call
 from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.poses import pose_message, stamped_pose
-from bullet_lab.ros.node.lock_step import Rate
+from bullet_lab.ros.node.lock_step import Rate, publisher
 from bullet_lab.ros.node.node import NodeError, holds_within, node, spin
-from bullet_lab.ros.node.publishers import publisher
 
 # Looks per simulated second at whether a goal has ended, and wall seconds for its result to come.
 RATE, ARRIVAL = 1.0, 0.01

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Iterable, Iterator
 
 import numpy as np
-import rospy
 from geometry_msgs.msg import AccelStamped, Vector3, Wrench, WrenchStamped
 from sensor_msgs.msg import Imu
 from std_msgs.msg import ColorRGBA, Header
@@ -27,8 +26,8 @@ from bullet_lab.core.parameters import number, text
 from bullet_lab.core.pose import Vector
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.poses import InputError, marker, vector_of
-from bullet_lab.ros.node.node import Refusals, node, spin
-from bullet_lab.ros.node.publishers import Publisher
+from bullet_lab.ros.node.lock_step import Publisher, subscriber
+from bullet_lab.ros.node.node import node, spin
 
 POINT = ColorRGBA(0.9, 0.1, 0.1, 1.0)
 FORCE = ColorRGBA(0.9, 0.4, 0.0, 1.0)
@@ -52,29 +51,24 @@ class ShowSensors:
     """Converts the messages of a bumper and an IMU."""
 
     def __init__(self, parameters: ShowSensorsParameters):
-        self._parameters = parameters
-        self._refusals = Refusals()
+        self._scale = parameters.scale
         self._contacts = Publisher("~contacts", MarkerArray, queue_size=10)
         self._wrench = Publisher("~wrench", WrenchStamped, queue_size=10)
         self._acceleration = Publisher("~acceleration", AccelStamped, queue_size=10)
-        self._bumper = rospy.Subscriber(
-            parameters.bumper, msg.ContactsState, self._show_contacts, queue_size=10
-        )
-        self._imu = rospy.Subscriber(parameters.imu, Imu, self._show_imu, queue_size=10)
+        subscriber(parameters.bumper, msg.ContactsState, self._show_contacts, 10)
+        subscriber(parameters.imu, Imu, self._show_imu, 10)
 
     def _show_contacts(self, message: msg.ContactsState) -> None:
-        with self._refusals.on(self._parameters.bumper):
-            total = total_wrench(message)
-            markers = list(contact_markers(message, self._parameters.scale))
-            self._contacts.publish(MarkerArray(markers))
-            self._wrench.publish(WrenchStamped(message.header, total))
+        total = total_wrench(message)
+        markers = list(contact_markers(message, self._scale))
+        self._contacts.publish(MarkerArray(markers))
+        self._wrench.publish(WrenchStamped(message.header, total))
 
     def _show_imu(self, message: Imu) -> None:
-        with self._refusals.on(self._parameters.imu):
-            vector_of(message.linear_acceleration, "an acceleration")
-            shown = AccelStamped(header=message.header)
-            shown.accel.linear = message.linear_acceleration
-            self._acceleration.publish(shown)
+        vector_of(message.linear_acceleration, "an acceleration")
+        shown = AccelStamped(header=message.header)
+        shown.accel.linear = message.linear_acceleration
+        self._acceleration.publish(shown)
 
 
 def last_states(message: msg.ContactsState) -> list[msg.ContactState]:
@@ -96,36 +90,28 @@ def total_wrench(message: msg.ContactsState) -> Wrench:
 def contact_markers(message: msg.ContactsState, scale: float) -> Iterator[Marker]:
     """Yield markers for the points of the last step, which replace those of the message before.
 
-    Args:
-        message: of a bumper.
-        scale: length in m of an arrow for each N.
-
-    Raises:
-        InputError: a number is not finite, or a point has no normal or force.
+    An arrow has a length of `scale` m for each N. Raises InputError if a number is not finite, or a
+    point has no normal or force.
     """
-    header = message.header
+    header, points = message.header, []
     yield Marker(header=header, action=Marker.DELETEALL)
-    number = 0
     for state in last_states(message):
-        count = len(state.contact_positions)
-        if count != len(state.contact_normals) or count != len(state.wrenches):
+        columns = (state.contact_positions, state.contact_normals, state.wrenches)
+        if len(set(map(len, columns))) > 1:
             raise InputError("a contact point without a normal or a force")
-        for place, normal, wrench in zip(
-            state.contact_positions, state.contact_normals, state.wrenches
-        ):
-            start = vector_of(place, "a point of contact")
-            normal = vector_of(normal, "a normal")
-            force = vector_of(wrench.force, "a force")
-            drawn = [
-                marker(header, "point", Marker.SPHERE, POINT, (0.03, 0.03, 0.03), start),
-                _arrow(header, "normal", NORMAL, start, normal, NORMAL_LENGTH),
-            ]
-            if math.hypot(*force) > LEAST_FORCE:
-                drawn.append(_arrow(header, "force", FORCE, start, force, scale))
-            for one in drawn:
-                one.id = number
-                yield one
-            number += 1
+        points += zip(*columns)
+    for index, (place, normal, wrench) in enumerate(points):
+        start = vector_of(place, "a point of contact")
+        force = vector_of(wrench.force, "a force")
+        drawn = [
+            marker(header, "point", Marker.SPHERE, POINT, (0.03, 0.03, 0.03), start),
+            _arrow(header, "normal", NORMAL, start, vector_of(normal, "a normal"), NORMAL_LENGTH),
+        ]
+        if math.hypot(*force) > LEAST_FORCE:
+            drawn.append(_arrow(header, "force", FORCE, start, force, scale))
+        for one in drawn:
+            one.id = index
+            yield one
 
 
 def _arrow(

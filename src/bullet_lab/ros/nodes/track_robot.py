@@ -28,10 +28,9 @@ from bullet_lab.core.parameters import boolean, checked, text
 from bullet_lab.core.se2 import hypot
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import marker
-from bullet_lab.ros.node.lock_step import join_when
-from bullet_lab.ros.node.node import Refusals, node, spin
+from bullet_lab.ros.node.lock_step import Publisher, join_when, publisher, subscriber
+from bullet_lab.ros.node.node import node, spin
 from bullet_lab.ros.node.odometry import FrameGuard
-from bullet_lab.ros.node.publishers import Publisher, publisher, subscriber
 
 Number = Union[int, float]
 DEFAULT_BEACONS = (("beacon_0", 1, 1), ("beacon_1", 5, 1), ("beacon_2", -5, 1))
@@ -81,11 +80,6 @@ class TrackRobotParameters:
     prefix: str = text("beacon", "first part of the names of those beacons: beacon_0 …")
 
 
-def report_line(beacon: Beacon, dist: float) -> str:
-    """Return the line that the report publishes for a beacon."""
-    return f"source: {beacon.name}, position: x:{beacon.x} y:{beacon.y}, distance: {dist}"
-
-
 class _BeaconTopics:
     """The two publishers of one beacon."""
 
@@ -95,8 +89,9 @@ class _BeaconTopics:
         self._range = publisher(f"{beacon.name}/range", Range, QUEUE_SIZE)
 
     def publish(self, header: Header, dist: float) -> None:
-        """Publish a distance in m, with a header."""
-        self._line.publish(String(report_line(self.beacon, dist)))
+        """Publish a distance in m, as the line of the report and with a header."""
+        name, x, y = self.beacon.name, self.beacon.x, self.beacon.y
+        self._line.publish(String(f"source: {name}, position: x:{x} y:{y}, distance: {dist}"))
         self._range.publish(Range(header, Range.INFRARED, 0.0, 0.0, math.inf, dist))
 
     def close(self) -> None:
@@ -114,26 +109,22 @@ class TrackRobot:
         self._topics = {beacon.name: _BeaconTopics(beacon) for beacon in parameters.beacons}
         self._markers = Publisher("beacon_markers", MarkerArray, queue_size=1)
         self._frames = FrameGuard()
-        self._refusals = Refusals()
         self._standing = StandingModels()
         if parameters.watch:
             self._world = rospy.Subscriber(WORLD, MarkerArray, self._watch)
         self.sub = subscriber("odom", Odometry, self.callback)
 
     def callback(self, msg: Odometry) -> None:
-        """Publish the distances from the pose of a message."""
-        with self._refusals.on("odom"), self._lock:
+        """Publish the distances from the pose of a message; raises LabError if it has none."""
+        with self._lock:
             x, y, _ = self._frames.check(msg)
-            self._measure(msg, x, y)
-
-    def _measure(self, msg: Odometry, x: float, y: float) -> None:
-        distances = []
-        for topics in self._topics.values():
-            dist = hypot(x - topics.beacon.x, y - topics.beacon.y)
-            topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
-            distances.append((topics.beacon, dist))
-        if self._markers.get_num_connections() > 0:
-            self._markers.publish(self._draw(msg, distances))
+            distances = []
+            for topics in self._topics.values():
+                dist = hypot(x - topics.beacon.x, y - topics.beacon.y)
+                topics.publish(Header(0, msg.header.stamp, msg.child_frame_id), dist)
+                distances.append((topics.beacon, dist))
+            if self._markers.get_num_connections() > 0:
+                self._markers.publish(self._draw(msg, distances))
 
     def _watch(self, message: MarkerArray) -> None:
         """Add, move and remove the beacons of the world; those of ~beacons stay."""

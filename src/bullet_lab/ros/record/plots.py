@@ -23,24 +23,22 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bullet_lab.core.parameters import boolean, integer, name_list, number, number_list, text
+from bullet_lab.core.parameters import boolean, integer, number, number_list, text
 from bullet_lab.docking.database import Dock, drawn_error, find_dock, read_docks
 from bullet_lab.msg import DockAction, DockGoal
 from bullet_lab.navigation.occupancy import RobotCostmap, read_map
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Report, save_all
 from bullet_lab.reports.dock import DockReport, Station
-from bullet_lab.reports.fleet import FleetReport
 from bullet_lab.reports.goal import Beacon, GoalReport, MapDriveReport
 from bullet_lab.reports.sensors import BeaconsReport, SensorsReport
-from bullet_lab.reports.squares import SquaresReport
+from bullet_lab.reports.squares import FleetReport, SquaresReport
 from bullet_lab.reports.vision import VisionReport
 from bullet_lab.ros.gazebo.client import WORLD, StandingModels, numbered
 from bullet_lab.ros.messages.poses import marker, stamped_pose
-from bullet_lab.ros.node.lock_step import join_when
+from bullet_lab.ros.node.lock_step import Publisher, join_when
 from bullet_lab.ros.node.node import NodeError, check_running, holds_within, node
 from bullet_lab.ros.node.odometry import own_frame
-from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.dock import docking_result
 from bullet_lab.ros.nodes.drive_squares import MOST_ROBOTS, robot_names
 from bullet_lab.ros.record.recorder import (
@@ -55,6 +53,9 @@ from bullet_lab.simulation.world.description import footprints
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.sdf import read_world_file
 
+# Simulated seconds before the image of the detectors, and wall seconds to wait for their results.
+SETTLE = 1.0
+TIMEOUT = 90.0
 # Number of images that the fastest detector may be ahead of the slowest.
 MOST_AHEAD = 100
 # Wall seconds for the markers of the world.
@@ -92,8 +93,8 @@ class PathTopics:
                     stamped_pose(rospy.Time.from_sec(stamp), frames[topic], pose)
                     for stamp, pose in zip(stamps.tolist(), poses.tolist())
                 ]
-                header = path[-1].header if path else Header(frame_id=frames[topic])
-                publisher.publish(PathMessage(header, path))
+                if path:
+                    publisher.publish(PathMessage(path[-1].header, path))
 
 
 class FleetMarkers:
@@ -111,15 +112,13 @@ class FleetMarkers:
             robot, _, which = topic.rpartition("/")
             _, poses = report.robots[robot].series[which].table()
             points = [(x, y, 0.0) for x, y, _ in poses.tolist()]
+            if not points:
+                continue
             # Without a stamp, RViz uses the newest transform.
-            header = Header(frame_id=frame)
-            if points:
-                size, place = (LINE_WIDTH, 0.0, 0.0), (0.0, 0.0, HEIGHTS[which])
-                colour = COLOURS[which]
-                markers.append(
-                    marker(header, topic, Marker.LINE_STRIP, colour, size, place, points)
-                )
-            if points and which == "odom":
+            header, colour = Header(frame_id=frame), COLOURS[which]
+            size, place = (LINE_WIDTH, 0.0, 0.0), (0.0, 0.0, HEIGHTS[which])
+            markers.append(marker(header, topic, Marker.LINE_STRIP, colour, size, place, points))
+            if which == "odom":
                 # The name of the robot is at the end of its perfect path.
                 size, place = (0.0, 0.0, LABEL_SIZE), (*points[-1][:2], LABEL_HEIGHT)
                 kind, name = Marker.TEXT_VIEW_FACING, f"{topic}/label"
@@ -224,7 +223,6 @@ class PlotBeaconsParameters(TimedParameters):
     """Private parameters of plot_beacons."""
 
     out: str = text("results/beacons", "folder for the files")
-    beacons: tuple[str, ...] = name_list("models of the world that are beacons")
 
 
 @node
@@ -238,7 +236,7 @@ def plot_beacons(parameters: PlotBeaconsParameters) -> None:
 
     Writes distances.csv, distances.png and summary.json.
     """
-    report = BeaconsReport(Path(parameters.out), true_beacons(parameters.beacons or BEACONS))
+    report = BeaconsReport(Path(parameters.out), true_beacons(BEACONS))
     Recorder(report, parameters).run()
 
 
@@ -317,8 +315,6 @@ class PlotDockingParameters(RecordParameters):
     out: str = text("results/dock", "folder for the files")
     docks: str = text("package://bullet_lab/config/docks.yaml", "dock database, as of dock.py")
     dock_id: str = text("dock", "name of the dock in it")
-    search: bool = boolean(True, "search for the marker if it is not visible at the start")
-    max_retries: int = integer(-1, "-1: as configured in dock.py", minimum=-1)
     world: str = text(
         "package://bullet_lab/worlds/docking.world", "world for the plan: a path or package://"
     )
@@ -333,7 +329,6 @@ class PlotDockingParameters(RecordParameters):
         maximum=1.0,
     )
     seed: int = integer(0, "of that error", minimum=0)
-    pictures: int = integer(8, "of the camera along the way", minimum=2, maximum=40)
 
 
 @node
@@ -357,8 +352,8 @@ def plot_docking(parameters: PlotDockingParameters) -> None:
     error = drawn_error(dock.uncertainty, parameters.database_error, parameters.seed)
     dock = replace(dock, pose=tuple(map(sum, zip(dock.pose, error))))
     station = Station(outlines, parameters.true_dock, parameters.camera_ahead, dock)
-    report = DockReport(Path(parameters.out), station, parameters.pictures)
-    view, request = PathTopics({"odom": "~path"}), _docking_request(parameters, dock, report)
+    report = DockReport(Path(parameters.out), station)
+    view, request = PathTopics({"odom": "~path"}), _docking_request(dock, report)
     drawn = {
         "database_error": parameters.database_error,
         "database_error_x_m": error[0],
@@ -369,9 +364,7 @@ def plot_docking(parameters: PlotDockingParameters) -> None:
     Recorder(report, parameters, view, request).run()
 
 
-def _docking_request(
-    parameters: PlotDockingParameters, dock: Dock, report: DockReport
-) -> GoalRequest:
+def _docking_request(dock: Dock, report: DockReport) -> GoalRequest:
     """Return the call of the action; the result goes to the report."""
     client = ActionClient("dock", DockAction)
     handles: list[ClientGoalHandle] = []
@@ -387,8 +380,8 @@ def _docking_request(
 
     def send() -> None:
         pose = stamped_pose(rospy.Time.now(), own_frame(dock.frame), dock.pose)
-        goal = DockGoal(dock.name, pose, parameters.search, parameters.max_retries)
-        handles.append(client.send_goal(goal, note))
+        # It may search for the marker, and retry as often as dock.py allows.
+        handles.append(client.send_goal(DockGoal(dock.name, pose, True, -1), note))
         report.sent = True
 
     def is_taken() -> bool:
@@ -402,8 +395,6 @@ class PlotVisionParameters(RecordParameters):
     """Private parameters of plot_vision."""
 
     out: str = text("results/vision", "folder for the files")
-    settle: float = number(1.0, "simulated seconds before the image", minimum=0.0)
-    timeout: float = number(90.0, "wall seconds to wait for all results", above=0.0)
 
 
 @node
@@ -420,7 +411,7 @@ def plot_vision(parameters: PlotVisionParameters) -> None:
     """
     report = VisionReport(Path(parameters.out))
     report.about = parameters.about
-    messages = first_image(report.topics, parameters.settle, parameters.timeout)
+    messages = first_image(report.topics, SETTLE, TIMEOUT)
     for topic, message in messages.items():
         _, read = reader_of(report.topics[topic])
         report.take(topic, read(message))

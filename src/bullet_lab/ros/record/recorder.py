@@ -11,7 +11,6 @@ import threading
 import time
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path as FilePath
 from typing import Any, Callable, Iterable, Mapping, NamedTuple
 
 import rospy
@@ -31,10 +30,9 @@ from bullet_lab.reports import Figures, Reading, Report, Summary, save_results
 from bullet_lab.reports.goal import GoalAnswer
 from bullet_lab.ros.messages.gazebo_types import msg
 from bullet_lab.ros.messages.images import pixels_of
-from bullet_lab.ros.node.lock_step import END_OF_TIME, grant, join_when, time_held_at
+from bullet_lab.ros.node.lock_step import END_OF_TIME, grant, join_when, subscriber, time_held_at
 from bullet_lab.ros.node.node import NodeError, Refusals, holds_within, wait_until
 from bullet_lab.ros.node.odometry import FrameGuard
-from bullet_lab.ros.node.publishers import subscriber
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
@@ -108,11 +106,8 @@ class GoalRequest(NamedTuple):
 class Recorder:
     """Records until the report is complete or ROS shuts down, then writes all files.
 
-    Args:
-        report: that is recorded.
-        parameters: of the node.
-        view: shows the paths in RViz, such as `bullet_lab.ros.record.plots.PathTopics`.
-        request: a goal to send first.
+    `view` shows the paths in RViz, such as `bullet_lab.ros.record.plots.PathTopics`; `request` is a
+    goal to send first.
     """
 
     def __init__(
@@ -135,10 +130,9 @@ class Recorder:
         self._failure: FileError | None = None
         self._finished = False
         report.about = parameters.about
-        report.on_reset = self._reset
         self._period = parameters.plot_period
         if parameters.until:
-            self._end = rospy.Subscriber(parameters.until, Time, self._receive_end)
+            rospy.Subscriber(parameters.until, Time, self._receive_end)
         self._subscribers: list[rospy.Subscriber] = []
         for topic, kind in report.topics.items():
             message_type, read = reader_of(kind)
@@ -148,9 +142,7 @@ class Recorder:
     def run(self) -> None:
         """Record, and write all files.
 
-        Raises:
-            FileError: a file cannot be written.
-            NodeError: the goal was not accepted or not reached.
+        Raises FileError, or NodeError if the goal was not accepted or not reached.
         """
         if self._view is not None:
             threading.Thread(target=self._show, daemon=True).start()
@@ -243,10 +235,6 @@ class Recorder:
     def _receive_end(self, message: Time) -> None:
         with self._lock:
             self._report.until = message.data.to_nsec()
-
-    def _reset(self, old: FilePath) -> None:
-        rospy.loginfo("time was set back: the earlier recording is in %s", old)
-        self._first = math.inf
 
     def _show(self) -> None:
         while not rospy.is_shutdown():

@@ -167,10 +167,7 @@ class Launched:
 class Master:
     """The simulator's topics and all services, as the ROS master knows them at a moment.
 
-    Attributes:
-        subscribed: topics that the simulator subscribes to, with their types.
-        published: topics that it publishes, with their types.
-        services: names of all services.
+    It subscribes to `subscribed` and publishes `published`, both topics with their types.
     """
 
     def __init__(self):
@@ -299,13 +296,9 @@ def robot_of(
     warnings: Iterable[str],
     master: Master,
 ) -> Robot:
-    """Return the parts of a robot and the topics that it is driven by.
+    """Return the parts of a robot and the topics that it is driven by, beside all other models.
 
-    Args:
-        model: of the robot.
-        others: all other models.
-        warnings: of the simulation about all models.
-        master: which has the topics.
+    `warnings` are those of the simulation about all models.
     """
     own, foreign = _topics([model]), _topics(others)
     drives = drives_of(master)

@@ -34,10 +34,9 @@ from bullet_lab.ros.messages.gazebo_types import srv
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.messages.poses import pose_of
 from bullet_lab.ros.node.driving import StoppableSender
-from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
+from bullet_lab.ros.node.lock_step import Rate, publisher, publishers_know_this_node, subscriber
 from bullet_lab.ros.node.node import NodeError, node
 from bullet_lab.ros.node.odometry import ODOMETRY_TIMEOUT, NewestOdometry, planar_pose
-from bullet_lab.ros.node.publishers import publisher, subscriber
 from bullet_lab.ros.record.recorder import RecordParameters
 from bullet_lab.ros.record.robot_parts import (
     SETTLED,
@@ -134,7 +133,7 @@ class Trial:
         """Drive and write the report; after Ctrl-C, report what was done until then."""
         report, finished = self._report, False
         try:
-            self._stand(STAND)
+            self._stand()
             self._photograph()
             if self._robot.drive:
                 speed, turn_rate = self._parameters.speed, self._parameters.turn_rate
@@ -145,7 +144,7 @@ class Trial:
                 else:
                     self._drive(Leg("turn", "turned_deg", TURN), (0.0, turn_rate), seconds)
             else:
-                self._stand(STAND)
+                self._stand()
             finished = True
         finally:
             self._unsubscribe()
@@ -233,11 +232,11 @@ class Trial:
         if not leg.has_moved():
             is_connected = self._velocities.has_connections()
             leg.causes = why_it_stands(model, self._robot.drive, is_connected)
-        self._stand(STAND)
+        self._stand()
         self._report.legs.append(leg)
 
-    def _stand(self, seconds: float) -> None:
-        for _ in range(round(seconds * COMMANDS)):
+    def _stand(self) -> None:
+        for _ in range(round(STAND * COMMANDS)):
             self._tick(STANDSTILL)
 
     def _tick(self, velocity: Command) -> None:

@@ -23,16 +23,15 @@ from bullet_lab.core.se2 import ellipse_points
 from bullet_lab.ros.messages.images import pixels_of
 from bullet_lab.ros.messages.poses import normalised_pose
 from bullet_lab.ros.node.node import Refusals
-from bullet_lab.ros.view.frames import DisplayContext
-from bullet_lab.ros.view.scene import PointsNode, Polyline, rgb, segments, segments_node, wxyz
-from bullet_lab.ros.view.subscription import MessageError, Subscription, reader_of
+from bullet_lab.ros.view.context import DisplayContext, MessageError, Subscription, reader_of
+from bullet_lab.ros.view.scene import RGB, Nodes, rgb, segments, wxyz
 
 # The colours of all figures: perfect paths are orange, noisy ones blue, and plans green.
-PERFECT = (0.90, 0.62, 0.0)
-NOISY = (0.0, 0.45, 0.70)
-PLAN = (0.0, 0.62, 0.45)
-LASER = (0.84, 0.37, 0.0)
-SONAR = (0.8, 0.47, 0.65)
+PERFECT = rgb((0.90, 0.62, 0.0))
+NOISY = rgb((0.0, 0.45, 0.70))
+PLAN = rgb((0.0, 0.62, 0.45))
+LASER = rgb((0.84, 0.37, 0.0))
+SONAR = rgb((0.8, 0.47, 0.65))
 # m above the floor, so that lines on top of each other are all visible.
 PERFECT_HEIGHT = 0.02
 NOISY_HEIGHT = 0.025
@@ -42,8 +41,8 @@ TRAIL_STEP = 0.02
 MAX_TRAIL = 20000
 # Sizes in m.
 POINT_SIZE = 0.03
-AXES_LENGTH = 0.25
-AXES_RADIUS = 0.008
+DISC = {"point_shape": "circle", "point_shading": "flat"}
+AXES = {"axes_length": 0.25, "axes_radius": 0.008}
 MAX_RAYS = 1440
 # Markers with the paths of all robots.
 FLEET_PATHS = "/fleet_paths"
@@ -71,23 +70,22 @@ NO_POINTS = np.zeros((0, 3))
 
 
 class Display:
-    """Shows one topic; `read` and `options` are those of `Subscription`."""
+    """Shows one topic; `read`, `every` and `large` are as in `Subscription`.
+
+    Attributes:
+        name: of its nodes in the scene, or of the node above them.
+        nodes: that it shows.
+    """
 
     # Whether it stays on the page after the publisher has exited.
     stays = False
+    every = large = False
+    read: Callable[[bytes], Any]
 
-    def __init__(
-        self,
-        context: DisplayContext,
-        topic: str,
-        read: Callable[[bytes], Any],
-        **options: bool,
-    ):
-        self.context = context
-        self.node = f"/topics{topic}"
-        self._subscription = Subscription(topic, read, **options)
-        # All that it shows.
-        self._parts: list[Any] = []
+    def __init__(self, context: DisplayContext, topic: str):
+        self.context, self.name = context, f"/topics{topic}"
+        self.nodes = Nodes(context.scene)
+        self._subscription = Subscription(topic, self.read, self.every, self.large)
 
     def tick(self) -> None:
         """Show the newest message; raises LabError if it cannot be shown."""
@@ -98,37 +96,15 @@ class Display:
     def show(self, message: Any) -> None:
         """Show a message as `read` returns it."""
 
+    def show_discs(self, points: ndarray, colour: RGB, size: float, part: str = "") -> None:
+        """Show points (n, 3) as discs of a size in m."""
+        look = {"colors": colour, "point_size": size, **DISC}
+        self.nodes.put_points(self.name + part, look, points=points)
+
     def close(self) -> None:
         """Unsubscribe, and show nothing."""
         self._subscription.close()
-        for part in self._parts:
-            part.remove()
-
-
-def is_noisy(topic: str) -> bool:
-    """Return whether a topic, by its name, is about noisy odometry."""
-    return "noisy" in topic
-
-
-class PathDisplay(Display):
-    """A path, or a plan and its waypoints, of which there may be only one."""
-
-    stays = True
-
-    def __init__(self, context: DisplayContext, topic: str):
-        super().__init__(context, topic, read_path)
-        self._is_plan = "plan" in topic
-        colour = PLAN if self._is_plan else colour_of(topic)
-        self._height = PLAN_HEIGHT if self._is_plan else height_of(topic)
-        self._line = Polyline(context.scene, self.node, colour)
-        self._waypoints = _cloud(context, f"{self.node}/points", colour, 2.0 * POINT_SIZE)
-        self._parts = [self._line, self._waypoints]
-
-    def show(self, message: tuple[str, ndarray]) -> None:  # noqa: D102 - inherited
-        frame, positions = message
-        points = placed(self.context.pose_of(frame), positions) + (0.0, 0.0, self._height)
-        self._line.set(points)
-        self._waypoints.set(points if self._is_plan else NO_POINTS)
+        self.nodes.clear()
 
 
 def read_path(data: bytes) -> tuple[str, ndarray]:
@@ -165,18 +141,34 @@ def finite(values: ndarray, name: str) -> ndarray:
     return values
 
 
+class PathDisplay(Display):
+    """A path, or a plan and its waypoints, of which there may be only one."""
+
+    stays = True
+    read = staticmethod(read_path)
+
+    def __init__(self, context: DisplayContext, topic: str):
+        super().__init__(context, topic)
+        self._is_plan = "plan" in topic
+        self._colour, self._height = (PLAN, PLAN_HEIGHT) if self._is_plan else look_of(topic)
+
+    def show(self, message: tuple[str, ndarray]) -> None:  # noqa: D102 - inherited
+        frame, positions = message
+        points = placed(self.context.pose_of(frame), positions) + (0.0, 0.0, self._height)
+        self.nodes.put_line(self.name, points, self._colour)
+        if self._is_plan:
+            self.show_discs(points, self._colour, 2.0 * POINT_SIZE, "/points")
+
+
 class OdometryDisplay(Display):
     """The trail of a robot's odometry, and the ellipse of its position at 95 % probability."""
 
+    read = staticmethod(reader_of(Odometry))
+
     def __init__(self, context: DisplayContext, topic: str):
-        super().__init__(context, topic, reader_of(Odometry))
-        colour = colour_of(topic)
-        self._height = height_of(topic)
-        self._line = Polyline(context.scene, f"{self.node}/trail", colour)
-        self._ellipse = _segments(context, f"{self.node}/ellipse", colour)
-        self._parts = [self._line, self._ellipse]
-        self._trail = np.zeros((MAX_TRAIL, 3), np.float32)
-        self._count = 0
+        super().__init__(context, topic)
+        self._colour, self._height = look_of(topic)
+        self._trail = NO_POINTS.astype(np.float32)
 
     def show(self, message: Odometry) -> None:  # noqa: D102 - inherited
         frame, covariance = message.header.frame_id, message.pose.covariance
@@ -185,17 +177,16 @@ class OdometryDisplay(Display):
         position = (x, y, self._height)
         self._extend_trail(position)
         ellipse = _ellipse(covariance[0], covariance[1], covariance[7])
-        self._ellipse.set(segments(placed(Pose(position, frame_pose.quaternion), ellipse)))
+        ends = segments(placed(Pose(position, frame_pose.quaternion), ellipse))
+        self.nodes.put_segments(f"{self.name}/ellipse", ends, self._colour)
 
     def _extend_trail(self, point: Vector) -> None:
-        if self._count and math.dist(self._trail[self._count - 1].tolist(), point) < TRAIL_STEP:
+        if len(self._trail) and math.dist(self._trail[-1].tolist(), point) < TRAIL_STEP:
             return
-        if self._count == MAX_TRAIL:
-            self._count //= 2
-            self._trail[: self._count] = self._trail[self._count :].copy()
-        self._trail[self._count] = point
-        self._count += 1
-        self._line.set(self._trail[: self._count])
+        if len(self._trail) == MAX_TRAIL:
+            self._trail = self._trail[MAX_TRAIL // 2 :]
+        self._trail = np.vstack((self._trail, np.float32(point)))
+        self.nodes.put_line(f"{self.name}/trail", self._trail, self._colour)
 
 
 def _ellipse(xx: float, xy: float, yy: float) -> ndarray:
@@ -209,10 +200,7 @@ def _ellipse(xx: float, xy: float, yy: float) -> ndarray:
 class ScanDisplay(Display):
     """The points that a laser hits."""
 
-    def __init__(self, context: DisplayContext, topic: str):
-        super().__init__(context, topic, reader_of(LaserScan))
-        self._points = _cloud(context, self.node, LASER, POINT_SIZE)
-        self._parts = [self._points]
+    read = staticmethod(reader_of(LaserScan))
 
     def show(self, message: LaserScan) -> None:  # noqa: D102 - inherited
         start, step = message.angle_min, message.angle_increment
@@ -222,7 +210,8 @@ class ScanDisplay(Display):
         hits = (ranges >= message.range_min) & (ranges < message.range_max)
         rays = _directions(start + every * step * np.arange(len(ranges)))
         points = rays[hits] * ranges[hits, None]
-        self._points.set(placed(self.context.pose_of(message.header.frame_id), points))
+        points = placed(self.context.pose_of(message.header.frame_id), points)
+        self.show_discs(points, LASER, POINT_SIZE)
 
 
 def _directions(angles: ndarray) -> ndarray:
@@ -233,16 +222,13 @@ def _directions(angles: ndarray) -> ndarray:
 class RangeDisplay(Display):
     """The outline of the cone of a sonar or an infrared sensor, up to the measured range."""
 
-    def __init__(self, context: DisplayContext, topic: str):
-        super().__init__(context, topic, reader_of(Range))
-        self._lines = _segments(context, self.node, SONAR)
-        self._parts = [self._lines]
+    read = staticmethod(reader_of(Range))
 
     def show(self, message: Range) -> None:  # noqa: D102 - inherited
         reach = min(message.range, message.max_range)
         # A sensor that measures in all directions has no cone.
         if not (math.isfinite(reach) and reach > 0.0 and message.field_of_view > 0.0):
-            self._lines.remove()
+            self.nodes.clear()
             return
         half = 0.5 * min(message.field_of_view, math.pi)
         level = _directions(np.linspace(-half, half, ARC_POINTS))
@@ -250,56 +236,27 @@ class RangeDisplay(Display):
         tip = np.zeros((1, 3))
         pose = self.context.pose_of(message.header.frame_id)
         outlines = [np.concatenate((tip, arc * reach, tip)) for arc in (level, upright)]
-        self._lines.set(np.concatenate([segments(placed(pose, line)) for line in outlines]))
+        ends = np.concatenate([segments(placed(pose, line)) for line in outlines])
+        self.nodes.put_segments(self.name, ends, SONAR)
 
 
 class PoseDisplay(Display):
     """A pose, as the axes of its frame."""
 
-    def __init__(self, context: DisplayContext, topic: str):
-        super().__init__(context, topic, reader_of(PoseStamped))
-        self._axes = context.scene.add_frame(
-            self.node, axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False
-        )
-        self._parts = [self._axes]
+    read = staticmethod(reader_of(PoseStamped))
 
     def show(self, message: PoseStamped) -> None:  # noqa: D102 - inherited
         turn = message.pose.orientation
         if not any((turn.x, turn.y, turn.z, turn.w)):
             return
         pose = self.context.pose_of(message.header.frame_id) * normalised_pose(message.pose)
-        self._axes.position, self._axes.wxyz = pose.position, wxyz(pose)
-        self._axes.visible = True
+        place = {"position": pose.position, "wxyz": wxyz(pose)}
+        self.nodes.put(self.name, self.context.scene.add_frame, AXES, **place)
 
 
-def _cloud(context: DisplayContext, name: str, colour: Vector, size: float) -> PointsNode:
-    """Return a node of points of a size in m."""
-    return PointsNode(
-        lambda points: context.scene.add_point_cloud(
-            name,
-            points,
-            rgb(colour),
-            point_size=size,
-            point_shape="circle",
-            point_shading="flat",
-            precision="float32",
-        )
-    )
-
-
-def _segments(context: DisplayContext, name: str, colour: Vector) -> PointsNode:
-    """Return a node of segments (n, 2, 3)."""
-    return PointsNode(lambda ends: segments_node(context.scene, name, ends, rgb(colour)))
-
-
-def colour_of(topic: str) -> Vector:
-    """Return the colour of a path or an odometry."""
-    return NOISY if is_noisy(topic) else PERFECT
-
-
-def height_of(topic: str) -> float:
-    """Return how high above the floor (m) a path is drawn."""
-    return NOISY_HEIGHT if is_noisy(topic) else PERFECT_HEIGHT
+def look_of(topic: str) -> tuple[RGB, float]:
+    """Return the colour of a path or an odometry, and how high above the floor (m) it is drawn."""
+    return (NOISY, NOISY_HEIGHT) if "noisy" in topic else (PERFECT, PERFECT_HEIGHT)
 
 
 def placed(pose: Pose, points: ndarray) -> ndarray:
@@ -371,20 +328,14 @@ def _grey_of_depths(message: Image) -> ndarray:
 class PointsDisplay(Display):
     """The points of a cloud, in their colours if it has any."""
 
-    def __init__(self, context: DisplayContext, topic: str):
-        super().__init__(context, topic, reader_of(PointCloud2), large=True)
-        self._cloud = PointsNode(self._make)
-        self._parts = [self._cloud]
+    large = True
+    read = staticmethod(reader_of(PointCloud2))
 
     def show(self, message: PointCloud2) -> None:  # noqa: D102 - inherited
         points, colours = points_of(message)
         points = placed(self.context.pose_of(message.header.frame_id), points)
-        self._cloud.set(points, colors=colours)
-
-    def _make(self, points: ndarray, colors: ndarray) -> Any:
-        return self.context.scene.add_point_cloud(
-            self.node, points, colors, point_size=CLOUD_POINT_SIZE, precision="float32"
-        )
+        look = {"point_size": CLOUD_POINT_SIZE}
+        self.nodes.put_points(self.name, look, points=points, colors=colours)
 
 
 def points_of(message: PointCloud2, most: int = MAX_POINTS) -> tuple[ndarray, ndarray]:

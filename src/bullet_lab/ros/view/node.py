@@ -5,7 +5,7 @@ the port (`ssh -L 8080:127.0.0.1:8080`). While no page is open, it subscribes to
 
 :ROS Parameters: see `ViewParameters`.
 :ROS Subscribers, while a page is open: /tf, /tf_static, /clock, and every topic of a type with a
-    display (see `show.KINDS`)
+    display (see `KINDS`)
 :ROS Publishers, from the first command or goal on:
     - the topic of geometry_msgs/Twist that is chosen on the page; zero when the user lets go
     - move_base_simple/goal (geometry_msgs/PoseStamped) in its namespace, or move_base/goal
@@ -15,21 +15,44 @@ the port (`ssh -L 8080:127.0.0.1:8080`). While no page is open, it subscribes to
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Callable, Collection
 
+import rosgraph
 import rospy
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from bullet_lab.core import parameters
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.node.node import SIGNAL_CHECK_SECONDS, ignore_clock, node
-from bullet_lab.ros.view.pad import DriverSeat
+from bullet_lab.ros.gazebo.client import WORLD
+from bullet_lab.ros.node.node import MASTER_ERRORS, SIGNAL_CHECK_SECONDS, ignore_clock, node
+from bullet_lab.ros.view.context import DisplayContext, Subscription, reader_of
+from bullet_lab.ros.view.displays import (
+    CameraDisplay,
+    Displays,
+    Kind,
+    OdometryDisplay,
+    PathDisplay,
+    PointsDisplay,
+    PoseDisplay,
+    RangeDisplay,
+    ScanDisplay,
+    closest,
+    has_no_path,
+)
+from bullet_lab.ros.view.markers import (
+    ContactsDisplay,
+    MarkerDisplay,
+    MarkersDisplay,
+    WorldDisplay,
+)
 from bullet_lab.ros.view.page import Page
 from bullet_lab.ros.view.panel import Driver, Panel, TabControls
+from bullet_lab.ros.view.robots import FramesDisplay, Robots
 from bullet_lab.ros.view.scene import floor_point
-from bullet_lab.ros.view.show import OFF_AT_FIRST, SWITCHES, Show
 
 # Wall seconds in which a page may be reloaded before the node unsubscribes.
 LINGER_SECONDS = 2.0
@@ -41,6 +64,55 @@ SEARCH_SECONDS = 15.0
 CAMERA_OFFSET = (-2.5, -2.5, 2.5)
 # m.
 GRID_SIZE = 40.0
+ROBOTS = "Robots"
+FRAMES = "Frames"
+NAMES = "Names of frames"
+POINTS = "Clouds of points"
+PATH = "nav_msgs/Path"
+KINDS = (
+    Kind(
+        "World",
+        {"visualization_msgs/MarkerArray": WorldDisplay},
+        lambda topic, topics: topic == WORLD,
+        every=1,
+    ),
+    Kind(
+        "Paths and ellipses",
+        {PATH: PathDisplay, "nav_msgs/Odometry": OdometryDisplay},
+        lambda topic, topics: topics[topic] == PATH or has_no_path(topic, topics),
+        every=6,
+    ),
+    Kind("Laser", {"sensor_msgs/LaserScan": ScanDisplay}),
+    Kind("Range", {"sensor_msgs/Range": RangeDisplay}),
+    Kind(POINTS, {"sensor_msgs/PointCloud2": PointsDisplay}, every=6),
+    Kind(
+        "Contacts",
+        {
+            "gazebo_msgs/ContactsState": ContactsDisplay,
+            "bullet_lab/ContactsState": ContactsDisplay,
+        },
+    ),
+    Kind("Goals and docks", {"geometry_msgs/PoseStamped": PoseDisplay}),
+    Kind(
+        "Markers",
+        {
+            "visualization_msgs/MarkerArray": MarkersDisplay,
+            "visualization_msgs/Marker": MarkerDisplay,
+        },
+        lambda topic, topics: topic != WORLD,
+    ),
+)
+SWITCHES = (ROBOTS, *(kind.name for kind in KINDS), FRAMES, NAMES)
+# Clouds are the largest messages to the page, and a depth camera renders for each subscriber.
+OFF_AT_FIRST = (NAMES, POINTS)
+IMAGE = "sensor_msgs/Image"
+TWIST = "geometry_msgs/Twist"
+# The image that is shown at first: annotated ones come before others.
+BEST_IMAGES = ("aruco/image_annotated", "/image_annotated", "rgb/image_raw", "/image_raw")
+# Wall seconds between two updates of the list of topics.
+UPDATE_SECONDS = 1.0
+# One in so many ticks updates the frames.
+SLOW = 3
 
 
 @dataclass(frozen=True)
@@ -62,16 +134,191 @@ class ViewParameters:
     )
 
 
+@dataclass(frozen=True)
+class Graph:
+    """The ROS graph without the view: message types by published and subscribed topics."""
+
+    published: dict[str, str]
+    heard: dict[str, str]
+    services: list[str]
+
+
+NO_GRAPH = Graph({}, {}, [])
+
+
+def read_graph() -> Graph:
+    """Return the present graph; an empty one if the master does not answer."""
+    own = rospy.get_name()
+    master = rosgraph.Master(own)
+    try:
+        publishers, subscribers, services = master.getSystemState()
+        types = dict(master.getTopicTypes())
+    except MASTER_ERRORS:
+        return NO_GRAPH
+
+    def of_others(listed: list[Any]) -> dict[str, str]:
+        return {t: types[t] for t, nodes in listed if t in types and set(nodes) - {own}}
+
+    return Graph(of_others(publishers), of_others(subscribers), [name for name, _ in services])
+
+
+class Clock:
+    """Simulated time and real-time factor, from /clock."""
+
+    def __init__(self) -> None:
+        self._subscription = Subscription("/clock", reader_of(ClockMessage))
+        # Wall time and simulated time.
+        self._last: tuple[float, float] | None = None
+
+    def read(self) -> tuple[float | None, float]:
+        """Return simulated seconds, and the real-time factor since the last call.
+
+        Without a message so far, they are None and NaN; at first, the factor is NaN.
+        """
+        message, now, before = self._subscription.newest(), time.monotonic(), self._last
+        if message is not None:
+            self._last = (now, message.clock.to_sec())
+        elif before is not None:
+            self._last = (now, before[1])
+        if self._last is None:
+            return None, math.nan
+        seconds = self._last[1]
+        if before is None:
+            return seconds, math.nan
+        return seconds, max(0.0, (seconds - before[1]) / (now - before[0]))
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._subscription.close()
+
+
+class Show:
+    """All that is shown, from the first page that opens to the last one that closes.
+
+    Args:
+        scene: viser's.
+        panel: controls of all tabs.
+        tabs: returns the controls of each open tab.
+        given: the node's parameters.
+
+    Attributes:
+        context: what displays share.
+        graph: the ROS graph.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        panel: Panel,
+        tabs: Callable[[], Collection[TabControls]],
+        given: ViewParameters,
+    ):
+        self._panel, self._tabs, self._given = panel, tabs, given
+        self.context = DisplayContext(scene, fixed=given.frame or "world")
+        self.graph = NO_GRAPH
+        self._clock = Clock()
+        self._frames = FramesDisplay(self.context)
+        self._robots = Robots(self.context)
+        self._displays = [Displays(kind, self.context) for kind in KINDS]
+        self._cameras: dict[TabControls, CameraDisplay] = {}
+        self._ticks = 0
+        self._next_update = -math.inf
+
+    def tick(self) -> None:
+        """Show new messages."""
+        self._frames.read()
+        if time.monotonic() >= self._next_update:
+            self._update()
+            self._next_update = time.monotonic() + UPDATE_SECONDS
+        self._robots.tick()
+        self._ticks += 1
+        for displays in self._displays:
+            if self._ticks % displays.kind.every == 0:
+                displays.tick()
+        if self._ticks % SLOW == 0:
+            self._frames.show(self._panel.is_on(FRAMES), self._panel.is_on(NAMES))
+        for tab, camera in list(self._cameras.items()):
+            camera.follow(tab.image_topic)
+            camera.tick()
+
+    def close(self) -> None:
+        """Unsubscribe from all topics, and show nothing."""
+        for displays in self._displays:
+            displays.follow({})
+        self._robots.clear()
+        for part in (self._frames, self._clock, *self._cameras.values()):
+            part.close()
+
+    def heading_to(self, drive_topic: str, point: tuple[float, float]) -> float:
+        """Return the direction, rad, from a robot to a point of the floor."""
+        x, y, _ = (self.place(drive_topic) or Pose()).position
+        return math.atan2(point[1] - y, point[0] - x)
+
+    def place(self, drive_topic: str) -> Pose | None:
+        """Return the pose of the robot with a command topic; None if it is not shown."""
+        namespace = drive_topic.rpartition("/")[0].strip("/")
+        return self._robots.place_of(namespace)
+
+    def _update(self) -> None:
+        """Read the graph, and follow its changes."""
+        self.graph = read_graph()
+        self._choose_frame()
+        if self._panel.is_on(ROBOTS):
+            self._robots.follow()
+        else:
+            self._robots.clear()
+        for displays in self._displays:
+            on = self._panel.is_on(displays.kind.name)
+            displays.follow(self.graph.published if on else {})
+        for world in self._worlds():
+            world.leave_out(self._robots.models(world.models()))
+        self._follow_tabs()
+        self._panel.offer_noise(self.graph.services)
+        self._panel.show_time(*self._clock.read(), self._notes())
+
+    def _follow_tabs(self) -> None:
+        """Offer each tab the topics, and give it a camera."""
+        images = sorted(t for t, kind in self.graph.published.items() if kind == IMAGE)
+        driven = sorted(t for t, kind in self.graph.heard.items() if kind == TWIST)
+        tabs = self._tabs()
+        for tab in tabs:
+            robot, image = closest(driven, ("/cmd_vel",)), closest(images, BEST_IMAGES)
+            tab.offer(driven, robot, images, image)
+            if tab not in self._cameras:
+                self._cameras[tab] = CameraDisplay(tab.show_image, self._given.image_rate)
+        for closed in set(self._cameras) - set(tabs):
+            self._cameras.pop(closed).close()
+
+    def _notes(self) -> list[str]:
+        assumed = sorted(self.context.assumed)
+        self.context.assumed.clear()
+        fixed = self.context.fixed
+        return [f"{name} is taken for {fixed}: TF does not connect them" for name in assumed]
+
+    def _worlds(self) -> list[WorldDisplay]:
+        """Return the display of the world, if it is shown."""
+        return list(self._displays[0].shown.values())
+
+    def _choose_frame(self) -> None:
+        """Choose the frame of the scene: the parameter, else the world's, else the largest tree's.
+
+        The frame is kept while it exists.
+        """
+        frames = set().union(*(world.frames() for world in self._worlds()))
+        roots = self.context.frames.roots()
+        if not self._given.frame and self.context.fixed not in (*frames, *roots):
+            self.context.fixed = next(iter([*sorted(frames), *roots]), self.context.fixed)
+
+
 class ViewNode:
     """The page, and all that is shown while it is open."""
 
     def __init__(self, given: ViewParameters):
         self._given = given
-        self._driver = Driver()
         # By the id of viser's client, in the order in which they were opened.
         self._tabs: dict[int, TabControls] = {}
-        self._seat = DriverSeat(lambda tab, shares: self._driver.drive(self._controls(tab), shares))
-        self._page = Page(given.port, self._seat)
+        self._driver = Driver(self._controls)
+        self._page = Page(given.port, self._driver)
         server = self._page.server
         self._panel = Panel(server.gui, SWITCHES, OFF_AT_FIRST)
         self._show: Show | None = None
@@ -117,8 +364,8 @@ class ViewNode:
         return list(self._tabs.values())
 
     def _show_until_closed(self) -> None:
-        server, given = self._page.server, self._given
-        self._show = Show(server.scene, self._panel, self._open_tabs, given.frame, given.image_rate)
+        server = self._page.server
+        self._show = Show(server.scene, self._panel, self._open_tabs, self._given)
         due = time.monotonic()
         end = due
         start = due + LOADING_SECONDS
@@ -162,7 +409,7 @@ class ViewNode:
         controls = self._tabs.get(event.client_id)
         if controls is None:
             return
-        if not self._seat.claim(controls.tab):
+        if not self._driver.claim(controls.tab):
             controls.status.show("another page drives: click on the pad to take over")
             return
         topic = controls.drive_topic

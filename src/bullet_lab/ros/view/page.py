@@ -2,6 +2,10 @@
 
 viser has no authentication, so the gate is hooked into its server as it starts. If that version
 of viser does not call the hook, the page is not served.
+
+The server sends each pad its time, ten times a second. A command carries the newest time that its
+pad has received. So the age of a command is known without comparing clocks: it is at least the
+round-trip time of the link. Times are the server's, in s of its monotonic clock.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from typing import Any, Callable, Iterator
 from urllib.parse import urlsplit
 
 from bullet_lab.errors import LabError
-from bullet_lab.ros.view.pad import PERIOD, DriverSeat, Pad
+from bullet_lab.ros.view.panel import HOLD, STILL, Driver, Shares
 
 HOST = "127.0.0.1"
 DRIVE = "drive"
@@ -45,6 +49,11 @@ SCHEMES = ("http", "https")
 MAX_MESSAGE_BYTES = 100_000
 MAX_TEXT_CHARACTERS = 1000
 UPDATE = "GuiUpdateMessage"
+# Wall seconds between two times that the server sends.
+PERIOD = 0.1
+# Longer commands are invalid.
+MAX_COMMAND = 100
+TAKE_OVER = "take over"
 # Name of the tab that the running task serves.
 _TAB: contextvars.ContextVar[str] = contextvars.ContextVar("tab", default="")
 
@@ -58,7 +67,7 @@ class Page:
 
     Args:
         port: to listen on; the next free one if it is taken.
-        wheel: decides which tab drives.
+        driver: decides which tab drives.
 
     Attributes:
         server: viser's, for the scene and the controls.
@@ -67,9 +76,9 @@ class Page:
         ViewError: viser is missing, or its version does not call the gate.
     """
 
-    def __init__(self, port: int, wheel: DriverSeat):
+    def __init__(self, port: int, driver: Driver):
         self._gate = Gate()
-        self._wheel = wheel
+        self._driver = driver
         self._serve_page: Callable | None = None
         viser = _import_viser()
         with self._guarding(viser):
@@ -149,7 +158,7 @@ class Page:
             try:
                 await (self._listen(connection, tab) if rest else viser(_Checked(connection)))
             finally:
-                self._wheel.leave(tab)
+                self._driver.leave(tab)
 
         return handle
 
@@ -157,7 +166,7 @@ class Page:
         """Drive by the commands of a tab's pad, until its socket closes."""
         from websockets.exceptions import ConnectionClosed
 
-        pad = Pad(tab, self._wheel)
+        pad = Pad(tab, self._driver)
         sending = asyncio.ensure_future(_send_state(connection, pad))
         try:
             while True:
@@ -171,6 +180,68 @@ class Page:
             pass
         finally:
             sending.cancel()
+
+
+def read_command(text: Any) -> tuple[float, Shares]:
+    """Return the time that a command carries, and its shares; -inf and STILL if it is invalid.
+
+    >>> read_command("12.5 0.5 -3")
+    (12.5, (0.5, -1.0))
+    >>> read_command("12.5 nan 0")
+    (-inf, (0.0, 0.0))
+    """
+    invalid = (-math.inf, STILL)
+    if not isinstance(text, str) or len(text) > MAX_COMMAND:
+        return invalid
+    try:
+        stamp, forward, left = map(float, text.split())
+    except ValueError:
+        return invalid
+    if not all(map(math.isfinite, (stamp, forward, left))):
+        return invalid
+    return stamp, (max(-1.0, min(1.0, forward)), max(-1.0, min(1.0, left)))
+
+
+class Pad:
+    """The pad of one tab, while its socket is open."""
+
+    def __init__(self, tab: str, driver: Driver):
+        self._tab, self._driver = tab, driver
+        self._ends: float | None = None
+        self._is_late = False
+
+    def take(self, text: Any, now: float) -> None:
+        """Follow a command; stop if it is late or invalid."""
+        if text == TAKE_OVER:
+            self._driver.take_over(self._tab)
+            return
+        stamp, shares = read_command(text)
+        self._is_late = not 0.0 <= now - stamp < HOLD
+        if shares == STILL or self._is_late:
+            self.stop()
+        elif self._driver.claim(self._tab):
+            self._ends = stamp + HOLD
+            self._driver.steer(self._tab, shares)
+
+    def patience(self, now: float) -> float | None:
+        """Return for how many seconds more the last command is valid; None at a standstill."""
+        return None if self._ends is None else max(0.0, self._ends - now)
+
+    def stop(self) -> None:
+        """Stop the robot, if this tab drives it."""
+        self._ends = None
+        self._driver.steer(self._tab, STILL)
+
+    def state(self, now: float) -> dict[str, Any]:
+        """Return the message to the pad: the time, whether another tab drives, or the link is slow.
+
+        The pad sends the time back with its commands.
+        """
+        return {
+            "time": now,
+            "other": self._driver.holder not in (None, self._tab),
+            "late": self._is_late,
+        }
 
 
 async def _send_state(connection: Any, pad: Pad) -> None:

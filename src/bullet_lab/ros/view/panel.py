@@ -10,7 +10,7 @@ from __future__ import annotations
 import html
 import math
 import threading
-from typing import Any, Callable, Collection, Sequence
+from typing import Any, Callable, Collection, Sequence, Tuple
 
 import numpy as np
 import rospy
@@ -20,8 +20,7 @@ from std_srvs.srv import Empty
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.poses import pose_message
-from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, Publisher
-from bullet_lab.ros.view.pad import HOLD, STILL, Shares
+from bullet_lab.ros.node.lock_step import COMMAND_TIMEOUT, Publisher
 from bullet_lab.srv import SetNoise, SetRtf, Step
 
 GO_ON = "/gazebo/unpause_physics"
@@ -43,10 +42,17 @@ LARGEST_NOISE = 1.0
 FASTEST = 2.0
 FASTEST_TURN = 3.0
 DARK = np.full((120, 160, 3), 40, np.uint8)
+# Wall seconds for which a command is valid, from the time that it carries. The robot stops when
+# the pad is silent for longer, or the round trip takes longer.
+HOLD = 0.4
 # The bridge stops the robot unless the next command of the view comes within this time.
 COMMAND_HEADERS = {COMMAND_TIMEOUT: str(HOLD)}
 SIMPLE_GOAL = "move_base_simple/goal"
 ACTION_GOAL = "move_base/goal"
+
+# Shares of the full speed, within [-1, 1]: forward, and turning left.
+Shares = Tuple[float, float]
+STILL: Shares = (0.0, 0.0)
 
 
 class Status:
@@ -95,15 +101,12 @@ class TabControls:
         """Topic of the image; empty for none."""
         return _chosen(self._source, NOTHING)
 
-    @property
-    def full_speed(self) -> float:
-        """Full speed forward, m/s."""
-        return _within(self._full)
-
-    @property
-    def full_turn_rate(self) -> float:
-        """Full turn rate, rad/s."""
-        return _within(self._turn)
+    def twist(self, shares: Shares) -> Twist:
+        """Return the command of shares of the full speeds."""
+        twist = Twist()
+        twist.linear.x = shares[0] * _within(self._full)
+        twist.angular.z = shares[1] * _within(self._turn)
+        return twist
 
     def offer(
         self, driven: list[str], robot: str | None, images: list[str], image: str | None
@@ -234,32 +237,62 @@ def _by_user(handle: Callable[[Any], None]) -> Callable[[Any], None]:
 
 
 class Driver:
-    """Publishes commands and goals, each on the topic chosen on the tab that drives."""
+    """Publishes the commands of one tab, and goals, on the topics that are chosen there.
 
-    def __init__(self) -> None:
+    The first tab that asks drives, until it is closed or another one takes over.
+
+    Args:
+        controls: returns the controls of a tab; None if it is closed.
+
+    Attributes:
+        holder: the tab that drives; None while any tab may.
+    """
+
+    def __init__(self, controls: Callable[[str], TabControls | None]):
+        self.holder: str | None = None
+        self._controls = controls
         self._publishers: dict[tuple[str, type], Publisher] = {}
         self._driven = ""
         self._lock = threading.Lock()
 
-    def drive(self, controls: TabControls | None, shares: Shares) -> None:
-        """Drive with shares of a tab's full speeds, on its topic; from any thread.
+    def claim(self, tab: str) -> bool:
+        """Let a tab drive if no other one does; return whether it drives."""
+        if self.holder is None:
+            self.holder = tab
+        return self.holder == tab
 
-        Without controls, as the tab is closed, the robot that was driven is stopped.
-        """
+    def take_over(self, tab: str) -> None:
+        """Let a tab drive; if another one drives, its robot is stopped."""
+        if self.holder not in (None, tab):
+            self.leave(self.holder)
+        self.holder = tab
+
+    def leave(self, tab: str) -> None:
+        """If this tab drives, stop its robot and let any tab drive."""
+        if tab == self.holder:
+            self.stop()
+            self.holder = None
+
+    def steer(self, tab: str, shares: Shares) -> None:
+        """Drive with shares of a tab's full speeds, if this tab drives; from any thread."""
+        if tab == self.holder:
+            controls = None if shares == STILL else self._controls(tab)
+            if controls is None:
+                self.stop()
+            else:
+                self._drive(controls.drive_topic, controls.twist(shares))
+
+    def stop(self) -> None:
+        """Stop the robot that is driven, if one is."""
+        self._drive("", Twist())
+
+    def _drive(self, topic: str, twist: Twist) -> None:
         with self._lock:
-            topic = "" if controls is None or shares == STILL else controls.drive_topic
             if self._driven and self._driven != topic:
                 self._publish(self._driven, Twist())
             self._driven = topic
             if topic:
-                twist = Twist()
-                twist.linear.x = shares[0] * controls.full_speed
-                twist.angular.z = shares[1] * controls.full_turn_rate
                 self._publish(topic, twist)
-
-    def stop(self) -> None:
-        """Stop the robot that is driven, if one is."""
-        self.drive(None, STILL)
 
     def send_goal(self, drive_topic: str, heard: Collection[str], frame: str, pose: Pose) -> str:
         """Send a goal in the namespace of a command topic; return a line about it for the page.
@@ -286,13 +319,8 @@ class Driver:
     def _publish(self, topic: str, message: Any) -> None:
         key = (topic, type(message))
         if key not in self._publishers:
-            is_goal = not isinstance(message, Twist)
             # Goals are latched, as the subscriber connects a moment later.
-            self._publishers[key] = Publisher(
-                topic,
-                type(message),
-                queue_size=10,
-                latch=is_goal,
-                headers=None if is_goal else COMMAND_HEADERS,
-            )
+            is_command = isinstance(message, Twist)
+            options = {"headers": COMMAND_HEADERS} if is_command else {"latch": True}
+            self._publishers[key] = Publisher(topic, type(message), queue_size=10, **options)
         self._publishers[key].publish(message)

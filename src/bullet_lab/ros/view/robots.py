@@ -1,20 +1,30 @@
-"""Robots: their links as described on the parameter server, at the poses that TF gives."""
+"""What TF places: robots with their links, and the axes and names of all frames.
+
+Robots are described on the parameter server.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from urllib.parse import quote
 
 import rospy
+from geometry_msgs.msg import Pose as PoseMessage
+from tf2_msgs.msg import TFMessage
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.ros.messages.poses import normalised_pose
 from bullet_lab.ros.node.node import MASTER_ERRORS, tf_prefix
-from bullet_lab.ros.view.frames import DisplayContext
-from bullet_lab.ros.view.scene import Copies, VisualCopies
+from bullet_lab.ros.view.context import DisplayContext, Subscription, reader_of
+from bullet_lab.ros.view.scene import Copies, Nodes, VisualCopies
 from bullet_lab.simulation.world.description import Visual
 from bullet_lab.simulation.world.urdf import read_urdf
 from bullet_lab.simulation.world.xml import ReportOnce, leaving_out
 from bullet_lab.srv import DescribeModels
 
+# Sizes in m of the axes of a frame.
+AXES = {"axes_length": 0.2, "axes_radius": 0.006}
 DESCRIPTION = "robot_description"
 MODELS = "/bullet_lab/describe_models"
 # What a request to the parameter server raises if there is no answer.
@@ -121,13 +131,11 @@ class Robots:
         return Description(text, namespace)
 
     def _show(self, robots: dict[str, Description]) -> None:
-        before, self._shown = self._links, robots
+        self._shown = robots
+        # The next tick places all copies again.
+        self._copies.clear()
         bodies = [body for name in sorted(robots) for body in robots[name].bodies]
         self._links = [(frame, self._copies.group(visuals)) for frame, visuals in bodies]
-        for link in before:
-            if link not in self._links:
-                frame, copies = link
-                copies.drop(frame)
 
     def _is_placed(self, robot: Description) -> bool:
         """Return whether TF connects a link of the robot with a frame outside the robot."""
@@ -162,3 +170,54 @@ def _with_links(robot: Description, names: set[str]) -> set[str]:
     links = {frame.rpartition("/")[2] for frame in robot.frames}
     found = {model.name for model in models if set(model.links) == links} & names
     return found if len(found) == 1 else set()
+
+
+def read_transforms(message: TFMessage) -> list[tuple[str, str, Pose]]:
+    """Return frame, parent, and pose of each transform; raises InputError if one is not finite."""
+    found = []
+    for one in message.transforms:
+        pose = normalised_pose(PoseMessage(one.transform.translation, one.transform.rotation))
+        frame, parent = one.child_frame_id, one.header.frame_id
+        found.append((frame.lstrip("/"), parent.lstrip("/"), pose))
+    return found
+
+
+class FramesDisplay:
+    """Reads TF into the context's tree, and shows the axes and names of all frames."""
+
+    def __init__(self, context: DisplayContext):
+        self._context = context
+        read = reader_of(TFMessage, read_transforms)
+        self._subscriptions = [Subscription(t, read, every=True) for t in ("/tf_static", "/tf")]
+        self._axes = Copies(partial(context.scene.add_batched_axes, "/frames/axes", **AXES))
+        self._names = Nodes(context.scene)
+
+    def read(self) -> None:
+        """Read the new transforms."""
+        for subscription in self._subscriptions:
+            for transforms in subscription.take():
+                for frame, parent, pose in transforms:
+                    self._context.frames.put(frame, parent, pose)
+
+    def show(self, axes: bool, names: bool) -> None:
+        """Show or hide the axes and the names of all frames."""
+        if not axes:
+            self._axes.clear()
+        if not names:
+            self._names.clear()
+        for frame in self._context.frames.frames() if axes or names else ():
+            pose = self._context.pose_of(frame)
+            if axes:
+                self._axes.put(frame, pose)
+            if names:
+                # Nodes below a node would move with it.
+                name = f"/frames/names/{quote(frame, safe='')}"
+                self._names.put_label(name, frame, pose.position)
+        self._axes.flush()
+
+    def close(self) -> None:
+        """Unsubscribe, and show nothing."""
+        for subscription in self._subscriptions:
+            subscription.close()
+        self.show(axes=False, names=False)
+        self._context.frames.clear()

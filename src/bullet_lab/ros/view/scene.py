@@ -2,13 +2,14 @@
 
 viser sends each property that changes as a message, and none for an equal value. Things that move
 together are therefore one node with an array for all of them. Poses are in the scene's one frame,
-in m; colours are RGBA or RGB within [0, 1]. Not thread-safe.
+in m; colours of floats are RGBA or RGB within [0, 1]. Not thread-safe.
 """
 
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Hashable, Sequence, Tuple
+from functools import partial
+from typing import Any, Callable, Hashable, Mapping, Sequence, Tuple
 
 import numpy as np
 from numpy import ndarray
@@ -36,11 +37,12 @@ ROUGHNESS = 0.9
 # Exponent from a colour as a screen shows it to glTF's colour factor, which is linear in light.
 GAMMA = 2.2
 
-Row = Tuple[Any, ...]
+# A colour within [0, 255], as viser expects it.
+RGB = Tuple[int, int, int]
 
 
-def rgb(colour: Sequence[float]) -> tuple[int, int, int]:
-    """Return red, green and blue within [0, 255], as viser expects a colour.
+def rgb(colour: Sequence[float]) -> RGB:
+    """Return a colour's red, green and blue.
 
     >>> rgb((1.0, 0.5, 0.0, 1.0))
     (255, 128, 0)
@@ -55,25 +57,94 @@ def wxyz(pose: Pose) -> tuple[float, float, float, float]:
     return w, x, y, z
 
 
+class Nodes:
+    """Nodes of the scene, by their names; each exists only while it has something to show."""
+
+    def __init__(self, scene: Any):
+        self._scene = scene
+        # With their looks.
+        self._nodes: dict[str, tuple[Any, Mapping[str, Any]]] = {}
+
+    def put(
+        self, name: str, make: Callable[..., Any], look: Mapping[str, Any], **varying: Any
+    ) -> None:
+        """Show a node with properties that vary; none if the first of them is empty.
+
+        It is made anew if its look has changed.
+        """
+        node, before = self._nodes.get(name, (None, None))
+        if not len(next(iter(varying.values()))):
+            self.drop(name)
+        elif before == look:
+            for key, value in varying.items():
+                setattr(node, key, value)
+        else:
+            # It replaces the node before it, which has the same name.
+            self._nodes[name] = make(name, **varying, **look), look
+
+    def put_points(self, name: str, look: Mapping[str, Any], **varying: ndarray) -> None:
+        """Show points (n, 3) in m."""
+        look = {"precision": "float32", **look}
+        self.put(name, self._scene.add_point_cloud, look, **varying)
+
+    def put_segments(self, name: str, ends: ndarray, colour: RGB) -> None:
+        """Show segments (n, 2, 3) in m."""
+        look = {"colors": colour, "thickness": LINE_PIXELS, "thickness_units": "screen"}
+        self.put(name, self._scene.add_line_segments, look, points=ends)
+
+    def put_line(self, name: str, points: ndarray, colour: RGB) -> None:
+        """Show a line through points (n, 3) in m; when it grows, only its end is sent."""
+        ends = segments(points)
+        starts = range(0, len(ends), PIECE)
+        for number, start in enumerate(starts):
+            self.put_segments(f"{name}/{number}", ends[start : start + PIECE], colour)
+        self._drop_line(name, len(starts))
+
+    def put_label(self, name: str, text: str, position: Vector) -> None:
+        """Show a text above a place."""
+        look = {"anchor": "bottom-center"}
+        self.put(name, self._scene.add_label, look, text=text, position=position)
+
+    def drop(self, name: str) -> None:
+        """Remove a node or a line, if there is one of this name."""
+        if name in self._nodes:
+            self._nodes.pop(name)[0].remove()
+        self._drop_line(name)
+
+    def clear(self) -> None:
+        """Remove all nodes."""
+        while self._nodes:
+            self.drop(next(iter(self._nodes)))
+
+    def _drop_line(self, name: str, number: int = 0) -> None:
+        """Remove the pieces of a line from a number on."""
+        while f"{name}/{number}" in self._nodes:
+            self._nodes.pop(f"{name}/{number}")[0].remove()
+            number += 1
+
+
+def segments(points: ndarray) -> ndarray:
+    """Return the segments (n - 1, 2, 3) between successive points (n, 3)."""
+    return np.stack((points[:-1], points[1:]), axis=1)
+
+
 class Copies:
     """Copies of one thing, each with a key, in one node of the scene.
 
-    Args:
-        make: makes the node from named arrays with a row for each copy.
-        names: of the arrays.
+    `make` makes the node from named arrays with a row for each copy.
     """
 
-    def __init__(self, make: Callable[[dict[str, ndarray]], Any], names: Sequence[str]):
+    def __init__(self, make: Callable[..., Any]):
         self._make = make
-        self._names = names
-        self._rows: dict[Hashable, Row] = {}
+        # Properties of each copy.
+        self._rows: dict[Hashable, dict[str, Any]] = {}
         self._shown: list[Hashable] = []
         self._changed = False
         self._node: Any = None
 
-    def put(self, key: Hashable, pose: Pose, *others: Any) -> None:
-        """Place a copy; `others` are the properties after position and orientation."""
-        row = (pose.position, wxyz(pose), *others)
+    def put(self, key: Hashable, pose: Pose, **others: Any) -> None:
+        """Place a copy; `others` are properties besides position and orientation."""
+        row = {"batched_positions": pose.position, "batched_wxyzs": wxyz(pose), **others}
         if self._rows.get(key) != row:
             self._rows[key] = row
             self._changed = True
@@ -83,20 +154,24 @@ class Copies:
         if self._rows.pop(key, None) is not None:
             self._changed = True
 
+    def clear(self) -> None:
+        """Remove all copies."""
+        self._changed = True
+        self._rows.clear()
+
     def flush(self) -> None:
         """Send what has changed."""
         if not self._changed:
             return
         self._changed = False
-        keys = list(self._rows)
-        columns = zip(*self._rows.values())
-        arrays = {name: np.array(column) for name, column in zip(self._names, columns)}
-        if keys and keys == self._shown and self._node is not None:
+        keys, rows = list(self._rows), list(self._rows.values())
+        arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {}
+        if rows and keys == self._shown and self._node is not None:
             for name, array in arrays.items():
                 setattr(self._node, name, array)
-        elif keys:
+        elif rows:
             # It replaces the node before it, which has the same name.
-            self._node = self._make(arrays)
+            self._node = self._make(**arrays)
         elif self._node is not None:
             self._node.remove()
             self._node = None
@@ -104,33 +179,43 @@ class Copies:
 
 
 class CopyGroups:
-    """Copies of several things; a key is in one group at most.
+    """Copies of several things, with a node each; a key is in one group at most.
 
     Args:
-        make: makes the copies of a group from its name and its number.
+        scene: viser's.
+        name: of the node above those of the groups.
     """
 
-    def __init__(self, make: Callable[[Any, int], Copies]):
-        self._make = make
+    def __init__(self, scene: Any, name: str):
+        self._scene, self._name = scene, name
         self._groups: dict[Any, Copies] = {}
 
-    def group(self, name: Any) -> Copies:
-        """Return the copies of a group."""
-        if name not in self._groups:
-            self._groups[name] = self._make(name, len(self._groups))
-        return self._groups[name]
+    def group(self, thing: Any) -> Copies:
+        """Return the copies of a thing."""
+        if thing not in self._groups:
+            self._groups[thing] = Copies(self.maker(thing))
+        return self._groups[thing]
 
-    def put(self, name: Any, key: Hashable, pose: Pose, *others: Any) -> None:
-        """Place a copy in a group, and remove it from the others."""
+    def maker(self, thing: Any) -> Callable[..., Any]:
+        """Return a function that makes the node of a thing's copies from arrays."""
+        raise NotImplementedError
+
+    def put(self, thing: Any, key: Hashable, pose: Pose, **others: Any) -> None:
+        """Place a copy of a thing, and remove those of others with this key."""
         for other, copies in self._groups.items():
-            if other != name:
+            if other != thing:
                 copies.drop(key)
-        self.group(name).put(key, pose, *others)
+        self.group(thing).put(key, pose, **others)
 
     def drop(self, key: Hashable) -> None:
         """Remove a copy, if there is one with this key."""
         for copies in self._groups.values():
             copies.drop(key)
+
+    def clear(self) -> None:
+        """Remove all copies."""
+        for copies in self._groups.values():
+            copies.clear()
 
     def flush(self) -> None:
         """Send what has changed."""
@@ -141,143 +226,36 @@ class CopyGroups:
 class Solids(CopyGroups):
     """Boxes, cylinders and spheres of any size and colour."""
 
-    def __init__(self, scene: Any, name: str):
-        super().__init__(self._copies)
-        self._scene = scene
-        self._name = name
-
-    def put_solid(self, key: Hashable, kind: str, pose: Pose, size: Vector, colour: Row) -> None:
+    def put_solid(
+        self, key: Hashable, kind: str, pose: Pose, size: Vector, colour: Sequence[float]
+    ) -> None:
         """Place a solid, named as in UNITS, whose extents along its axes are `size`, in m."""
-        see_through = colour[3] < 1.0
-        opacity = (colour[3],) if see_through else ()
-        self.put((kind, see_through), key, pose, size, rgb(colour), *opacity)
+        look = {"batched_scales": size, "batched_colors": rgb(colour)}
+        if colour[3] < 1.0:
+            look["batched_opacities"] = colour[3]
+        self.put((kind, colour[3] < 1.0), key, pose, **look)
 
-    def _copies(self, group: tuple[str, bool], _: int) -> Copies:
-        kind, see_through = group
+    def maker(self, thing: tuple[str, bool]) -> Callable[..., Any]:  # noqa: D102 - inherited
+        kind, see_through = thing
         corners = surfaces_of(UNITS[kind])[0].corners.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
-
-        def make(arrays: dict[str, ndarray]) -> Any:
-            arrays["batched_colors"] = arrays["batched_colors"].astype(np.uint8)
-            return self._scene.add_batched_meshes_simple(name, corners, faces, lod="off", **arrays)
-
-        names = ["batched_positions", "batched_wxyzs", "batched_scales", "batched_colors"]
-        return Copies(make, names + ["batched_opacities"] * see_through)
+        return partial(self._scene.add_batched_meshes_simple, name, corners, faces, lod="off")
 
 
 class VisualCopies(CopyGroups):
     """Copies of what visuals show together; `report` is called as by `glb_of`."""
 
     def __init__(self, scene: Any, name: str, report: Report):
-        super().__init__(self._copies)
-        self._scene, self._name, self._report = scene, name, report
+        super().__init__(scene, name)
+        self._report = report
 
-    def _copies(self, visuals: tuple[Visual, ...], number: int) -> Copies:
-        glb, name = glb_of(visuals, self._report), f"{self._name}/{number}"
-
-        def make(arrays: dict[str, ndarray]) -> Any:
-            return self._scene.add_batched_glb(name, glb, lod="off", **arrays) if glb else None
-
-        return Copies(make, ("batched_positions", "batched_wxyzs"))
-
-
-class Polyline:
-    """A line through points; when it grows, only its end is sent."""
-
-    def __init__(self, scene: Any, name: str, colour: Sequence[float]):
-        self._scene = scene
-        self._name = name
-        self._colour = rgb(colour)
-        self._nodes: list[Any] = []
-
-    def set(self, points: ndarray) -> None:
-        """Draw the line through points, (n, 3) in m."""
-        pieces = segments(np.asarray(points, np.float32))
-        starts = range(0, len(pieces), PIECE)
-        for number, start in enumerate(starts):
-            piece = pieces[start : start + PIECE]
-            if number < len(self._nodes):
-                self._nodes[number].points = piece
-            else:
-                name = f"{self._name}/{number}"
-                self._nodes.append(segments_node(self._scene, name, piece, self._colour))
-        for node in self._nodes[len(starts) :]:
-            node.remove()
-        del self._nodes[len(starts) :]
-
-    def remove(self) -> None:
-        """Remove the line."""
-        self.set(np.zeros((0, 3)))
-
-
-def segments(points: ndarray) -> ndarray:
-    """Return the segments (n - 1, 2, 3) between successive points (n, 3)."""
-    return np.stack((points[:-1], points[1:]), axis=1)
-
-
-def segments_node(scene: Any, name: str, ends: ndarray, colour: Sequence[int]) -> Any:
-    """Make a node of segments (n, 2, 3) in m, of a colour within [0, 255]."""
-    return scene.add_line_segments(
-        name, ends, colour, thickness=LINE_PIXELS, thickness_units="screen"
-    )
-
-
-class PointsNode:
-    """A node with an array of points that exists only while there are points.
-
-    Args:
-        make: makes the node from the points and other properties.
-    """
-
-    def __init__(self, make: Callable[..., Any]):
-        self._make = make
-        self._node: Any = None
-
-    def set(self, points: Sequence, **properties: Any) -> None:
-        """Show points; their number may change, and none removes the node."""
-        points = np.asarray(points, np.float32)
-        if not len(points):
-            self.remove()
-        elif self._node is None:
-            self._node = self._make(points, **properties)
-        else:
-            for name, value in {"points": points, **properties}.items():
-                setattr(self._node, name, value)
-
-    def remove(self) -> None:
-        """Show nothing."""
-        if self._node is not None:
-            self._node.remove()
-            self._node = None
-
-
-class Labels:
-    """Texts in the scene, by keys."""
-
-    def __init__(self, scene: Any, name: str):
-        self._scene = scene
-        self._name = name
-        self._nodes: dict[Hashable, Any] = {}
-
-    def put(self, key: Hashable, text: str, position: Vector) -> None:
-        """Place a text."""
-        if key in self._nodes:
-            self._nodes[key].text, self._nodes[key].position = text, position
-        else:
-            name = f"{self._name}/{len(self._nodes)}_{key}"
-            made = self._scene.add_label(name, text, position=position, anchor="bottom-center")
-            self._nodes[key] = made
-
-    def drop(self, key: Hashable) -> None:
-        """Remove a text, if there is one with this key."""
-        if key in self._nodes:
-            self._nodes.pop(key).remove()
-
-    def keep(self, keys: Sequence[Hashable]) -> None:
-        """Remove all texts but these."""
-        for key in set(self._nodes) - set(keys):
-            self.drop(key)
+    def maker(self, thing: tuple[Visual, ...]) -> Callable[..., Any]:  # noqa: D102 - inherited
+        glb = glb_of(thing, self._report)
+        if not glb:
+            return lambda **_arrays: None
+        name = f"{self._name}/{len(self._groups)}"
+        return partial(self._scene.add_batched_glb, name, glb, lod="off")
 
 
 def floor_point(

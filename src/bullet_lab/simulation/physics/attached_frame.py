@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Iterable, Sequence
+from typing import Iterable
 
 from bullet_lab.core.pose import Pose, Vector, add, cross
 from bullet_lab.simulation.physics import pybullet
@@ -128,20 +128,15 @@ def _times(factor: float, vector: Vector) -> Vector:
     return (factor * vector[0], factor * vector[1], factor * vector[2])
 
 
-def nearest_shape(collisions: Sequence[Collision], point: Vector) -> Collision:
-    """Return the shape of a link whose surface is nearest to a point in the link's frame."""
-
-    def distance(shape: Collision) -> float:
-        return shape.geometry.distance((shape.pose.inverse() * Pose(point)).position)
-
-    return min(collisions, key=distance)
-
-
 def shape_name(body: Body, index: int, place: Vector) -> str:
     """Return the name of the shape at a place (m, world) on a link: model::link::collision."""
     touched = body.link_at(index)
     link, shape = touched.link.name, touched.shapes[0]
     if len(touched.shapes) > 1:
         point = AttachedFrame(body, link).pose().inverse() * Pose(place)
-        shape = nearest_shape(touched.shapes, point.position)
+
+        def distance(shape: Collision) -> float:
+            return shape.geometry.distance((shape.pose.inverse() * point).position)
+
+        shape = min(touched.shapes, key=distance)
     return f"{body.model}::{link}::{shape.name}"

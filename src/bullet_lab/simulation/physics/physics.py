@@ -30,10 +30,11 @@ from bullet_lab.simulation.physics.bodies import (
 from bullet_lab.simulation.physics.rays import RayScene
 from bullet_lab.simulation.physics.surfaces import (
     ContactSurface,
-    Footing,
     axle_of,
     directed_wheels,
     heavy_enough,
+    is_wheel,
+    load_of,
     on_treads,
     skidding_wheels,
 )
@@ -102,15 +103,22 @@ class ShapeMaker:
         self._made: dict[Hashable, list[int]] = {}
 
     def groups(
-        self, link: Link, axle: Vector | None, footing: Footing, static: bool, origin: Vector
+        self, link: Link, joint: Joint | None, load: float, skids: bool, static: bool
     ) -> list[tuple[tuple[Collision, ...], int, ContactSurface]]:
         """Return groups of the link's shapes, each with PyBullet's id and the common surface.
 
-        `origin` is PyBullet's origin of the link in the link's frame, in m.
+        Args:
+            link: with the shapes.
+            joint: that it hangs on; None for a root.
+            load: of the body, see `load_of`.
+            skids: whether it is a wheel that skids as the body turns.
+            static: whether its model never moves.
         """
+        axle, origin = axle_of(joint), joint.anchor if joint else ZERO
+        rolls = is_wheel(link.collisions, axle) and not (skids or static)
         by_surface: dict[ContactSurface, list[Collision]] = {}
         for shape in link.collisions:
-            surface = footing.surface(link, ContactSurface.of(shape, axle))
+            surface = ContactSurface.of(shape, axle, load, rolls)
             by_surface.setdefault(surface, []).append(shape)
         found = []
         for surface, shapes in by_surface.items():
@@ -119,8 +127,7 @@ class ShapeMaker:
             groups = [simple[start : start + MOST_SHAPES] for start in starts]
             groups += [[shape] for shape in shapes if isinstance(shape.geometry, Mesh)]
             for group in groups:
-                treads = on_treads(group, axle, link.name in footing.skidding)
-                placed = [_moved(shape, origin) for shape in treads]
+                placed = [_moved(shape, origin) for shape in on_treads(group, axle, skids)]
                 found += [(tuple(group), made, surface) for made in self._ids(placed, static)]
         return found
 
@@ -246,13 +253,10 @@ class Physics:
         slipping = skidding if self._coulomb or held else directed_wheels(links, joints)
         if slipping:
             links = heavy_enough(links, slipping)
-        footing = Footing()
-        if not model.static:
-            skids = set() if self._coulomb else {wheel.link for wheel in skidding}
-            footing = Footing.of(links, joints, skids)
+        skids = set() if self._coulomb else {wheel.link for wheel in skidding}
         try:
             with hidden_native_output():
-                made = self._bullet_links(links, joints, model.static, footing)
+                made = self._bullet_links(links, joints, model.static, skids)
                 body = self._made(made, model, pose)
         except pybullet.error as error:
             what = f"model '{model.name}': PyBullet cannot make it: {error}"
@@ -282,19 +286,20 @@ class Physics:
         links: Sequence[Link],
         joints: Sequence[Joint],
         static: bool,
-        footing: Footing,
+        skids: set[str],
     ) -> list[BulletLink]:
         """Return PyBullet's links, the root first, each after its parent, and all helpers last.
 
-        The meshes of a static body keep their hollows.
+        The meshes of a static body keep their hollows. `skids` are the names of skidding wheels.
         """
+        load = 0.0 if static else load_of(links)
         above = {joint.child: joint for joint in joints}
         places = {link.name: place for place, link in enumerate(links)}
         found, helpers = [], []
         for place, link in enumerate(links):
             joint = above.get(link.name)
             origin, parent = (joint.anchor, places[joint.parent]) if joint else (ZERO, ROOT)
-            groups = self._shapes.groups(link, axle_of(joint), footing, static, origin)
+            groups = self._shapes.groups(link, joint, load, link.name in skids, static)
             first, *more = groups or [((), NO_SHAPE, ContactSurface())]
             found.append(BulletLink(link, joint, parent, *first, origin))
             helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]

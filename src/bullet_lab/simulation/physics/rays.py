@@ -13,8 +13,7 @@ from numpy import ndarray
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import pybullet
-from bullet_lab.simulation.physics.bodies import ROOT, Body
-from bullet_lab.simulation.world.description import Collision
+from bullet_lab.simulation.physics.bodies import ROOT, Body, BulletLink
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
 
 # PyBullet's limit of rays in one call.
@@ -34,9 +33,10 @@ LEAST = 1e-12
 # By how much the cosine of a ray may be rounded.
 ROUNDING = 1e-9
 # The axes across which a shape is round, of shapes that are not left to Bullet.
+ANGULAR = (0.0, 0.0, 0.0)
 COMPUTED = {
-    Box: (0.0, 0.0, 0.0),
-    Plane: (0.0, 0.0, 0.0),
+    Box: ANGULAR,
+    Plane: ANGULAR,
     Cylinder: (1.0, 1.0, 0.0),
     Sphere: (1.0, 1.0, 1.0),
 }
@@ -50,7 +50,7 @@ TARGET = np.dtype(
         # The corners of the box in the shape's frame; that of a plane is flat and endless.
         ("low", float, 3),
         ("high", float, 3),
-        # 1 for each axis across which it is round, and how far.
+        # 1 for each axis across which it is round, and how far; infinite if it is not round.
         ("across", float, 3),
         ("radius", float),
         ("by_bullet", bool),
@@ -92,8 +92,8 @@ class RayScene:
 
     def __init__(self, client: int):
         self._client = client
-        # For each body, PyBullet's indices of its links with shapes, and these shapes.
-        self._bodies: dict[Body, list[tuple[int, ndarray]]] = {}
+        # For each body, PyBullet's indices of its links with shapes, and rows of TARGET.
+        self._bodies: dict[Body, list[tuple[int, list[tuple]]]] = {}
         self._is_whole = self._is_current = False
         # What was asked for by somebody, and is known.
         self._asked: dict[Any, Fan] = {}
@@ -102,7 +102,7 @@ class RayScene:
     def add(self, body: Body) -> None:
         """Let rays see a body; raises LabError if one of its meshes cannot be read."""
         self._bodies[body] = [
-            (index, _targets(body, link.shapes, link.mass_properties()[2]))
+            (index, _targets(body, link))
             for index, link in enumerate(body.bullet_links, ROOT)
             if link.shapes
         ]
@@ -230,9 +230,8 @@ class RayScene:
         """
         low, high, across = (one[:, None] for one in (self._low, self._high, self._across))
         inside = np.all((low < points) & (points < high), axis=0)
-        is_round = self._radius > 0.0
         apart = np.sum(across * points * points, axis=0)
-        return inside & ~self._by_bullet & (~is_round | (apart < self._radius**2))
+        return inside & ~self._by_bullet & (apart < self._radius**2)
 
     def _crossings(self, start: ndarray, ways: ndarray, shapes: ndarray) -> tuple[ndarray, ndarray]:
         """Return the distances (m) at which rays enter and leave shapes, one shape for each ray.
@@ -251,7 +250,7 @@ class RayScene:
         high = (self._high[:, shapes] - start) / divisors
         enters, leaves = np.minimum(low, high).max(axis=0), np.maximum(low, high).min(axis=0)
         # The cylinder or ball is where |start + t local|² <= radius², across its axis.
-        curved = np.flatnonzero((self._radius[shapes] > 0.0) & (enters <= leaves))
+        curved = np.flatnonzero(np.isfinite(self._radius[shapes]) & (enters <= leaves))
         across, start, local = self._across[:, shapes[curved]], start[:, curved], local[:, curved]
         square = np.maximum(sum(across * local * local), LEAST * LEAST)
         half = sum(across * start * local)
@@ -283,7 +282,7 @@ class RayScene:
         self._links = [(body, index) for body, links in self._bodies.items() for index, _ in links]
         tables = [table for links in self._bodies.values() for _, table in links]
         self._link = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
-        shapes = np.concatenate([np.zeros(0, TARGET), *tables])
+        shapes = np.array([row for table in tables for row in table], TARGET)
         columns = {
             name: np.ascontiguousarray(np.moveaxis(shapes[name], 0, -1)) for name in TARGET.names
         }
@@ -301,22 +300,21 @@ class RayScene:
         self._is_whole = True
 
 
-def _targets(body: Body, shapes: Sequence[Collision], principal: Pose) -> ndarray:
-    """Return the shapes of a link with a principal frame as rays see them."""
-    found = np.zeros(len(shapes), TARGET)
-    found["body"] = body.unique_id
-    for target, shape in zip(found, shapes):
-        geometry, pose = shape.geometry, principal.inverse() * shape.pose
+def _targets(body: Body, link: BulletLink) -> list[tuple]:
+    """Return the shapes of a link as rows of TARGET."""
+    found, inverse = [], link.mass_properties()[2].inverse()
+    for shape in link.shapes:
+        geometry, pose = shape.geometry, inverse * shape.pose
         low, high = geometry.bounds()
+        by_bullet = type(geometry) not in COMPUTED
+        if by_bullet:
+            low, high = low - MARGIN, high + MARGIN
         if isinstance(geometry, Plane):
             pose = pose * _standing(geometry.normal)
             low[2] = high[2] = 0.0
-        elif type(geometry) not in COMPUTED:
-            target["by_bullet"], low, high = True, low - MARGIN, high + MARGIN
-        target["position"], target["rotation"] = pose.position, pose.rotation_matrix()
-        target["low"], target["high"] = low, high
-        target["across"] = COMPUTED.get(type(geometry), (0.0, 0.0, 0.0))
-        target["radius"] = getattr(geometry, "radius", 0.0)
+        place = body.unique_id, pose.position, pose.rotation_matrix()
+        across = COMPUTED.get(type(geometry), ANGULAR)
+        found.append((*place, low, high, across, getattr(geometry, "radius", np.inf), by_bullet))
     return found
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Collection, Sequence, Tuple
+from typing import Any, Sequence, Tuple
 
 import numpy as np
 
@@ -72,12 +72,25 @@ class ContactSurface:
     damping: float | None = None
 
     @classmethod
-    def of(cls, shape: Collision, axle: Vector | None) -> ContactSurface:
-        """Return the surface of a shape of a link; `axle` is what the link turns about, or None.
+    def of(
+        cls, shape: Collision, axle: Vector | None, load: float = 0.0, rolls: bool = False
+    ) -> ContactSurface:
+        """Return the surface of a shape of a link.
 
         A direction that is not the axle's turns with the wheel. It then means that the first
         coefficient acts along the rolling direction, and the second along the axle.
+
+        Args:
+            shape: of the link.
+            axle: what the link turns about, or None.
+            load: of the body on hard shapes, see `load_of`.
+            rolls: whether the shape is a wheel that rolls: ODE gives it two contacts, Bullet one.
         """
+        stiffness, damping = shape.stiffness, shape.damping
+        if load and stiffness is damping is None:
+            stiffness, damping = load / SINKING, load / SINKING_SPEED
+        if rolls:
+            stiffness, damping = (value and 2.0 * value for value in (stiffness, damping))
         first = second = shape.friction
         axis = shape.direction and shape.pose.rotate(shape.direction)
         if axis and shape.cross_friction is not None:
@@ -85,9 +98,9 @@ class ContactSurface:
             if axle and abs(dot(axis, axle)) < ALIGNED:
                 axis, first, second = axle, second, first
         if first == second:
-            return cls(first, stiffness=shape.stiffness, damping=shape.damping)
+            return cls(first, stiffness=stiffness, damping=damping)
         most = max(first, second)
-        return cls(most, axis, first / most, second / most, shape.stiffness, shape.damping)
+        return cls(most, axis, first / most, second / most, stiffness, damping)
 
     def properties(self, frame: Pose, static: bool) -> dict[str, Any]:
         """Return the surface as PyBullet's properties of a link with this principal frame.
@@ -135,44 +148,18 @@ def on_treads(shapes: Sequence[Collision], axle: Vector | None, skids: bool) -> 
     return [*treads, replace(wheel, geometry=rim)]
 
 
-@dataclass(frozen=True)
-class Footing:
-    """How a body stands on what it touches.
+def load_of(links: Sequence[Link]) -> float:
+    """Return the load (N) that a body puts on hard shapes; 0 if their contacts stay hard.
 
     How hard contacts share a load is undetermined if there are more than three; Bullet's solver
     would decide, anew in each step. Springs of equal stiffness share it as ODE does, whose
     contacts are springs: by where they are. So each hard shape is a spring that the body's load
     compresses. A ball does not share its load, and would bounce.
-
-    Attributes:
-        load: of the whole body in N; 0 for hard contacts.
-        rolling: names of links with a wheel that rolls: ODE gives it two contacts, Bullet one.
-        skidding: names of links with a wheel that skids as the body turns.
     """
-
-    load: float = 0.0
-    rolling: Collection[str] = ()
-    skidding: Collection[str] = ()
-
-    @classmethod
-    def of(cls, links: Sequence[Link], joints: Sequence[Joint], skidding: set[str]) -> Footing:
-        """Return that of a body that is not static."""
-        shapes = [shape.geometry for link in links for shape in link.collisions]
-        load = GRAVITY * sum(link.inertia.mass for link in links if link.inertia is not None)
-        if all(isinstance(shape, Sphere) for shape in shapes):
-            load = 0.0
-        axles = {joint.child: axle_of(joint) for joint in joints}
-        wheels = {link.name for link in links if is_wheel(link.collisions, axles.get(link.name))}
-        return cls(load, wheels - skidding, skidding)
-
-    def surface(self, link: Link, surface: ContactSurface) -> ContactSurface:
-        """Return the surface of shapes of a link as it bears on others."""
-        stiffness, damping = surface.stiffness, surface.damping
-        if stiffness is damping is None and self.load:
-            stiffness, damping = self.load / SINKING, self.load / SINKING_SPEED
-        contacts = 2 if link.name in self.rolling else 1
-        stiffness, damping = (value and contacts * value for value in (stiffness, damping))
-        return replace(surface, stiffness=stiffness, damping=damping)
+    shapes = [shape.geometry for link in links for shape in link.collisions]
+    if all(isinstance(shape, Sphere) for shape in shapes):
+        return 0.0
+    return GRAVITY * sum(link.inertia.mass for link in links if link.inertia is not None)
 
 
 def is_wheel(shapes: Sequence[Collision], axle: Vector | None) -> bool:

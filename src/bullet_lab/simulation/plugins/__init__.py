@@ -15,8 +15,9 @@ import logging
 import pkgutil
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import Any, Callable, ClassVar, Iterable, Mapping
+from typing import Any, Callable, Iterable, Mapping, Sequence
 from zlib import crc32
 
 import numpy as np
@@ -58,6 +59,22 @@ NAMESPACE = "robotNamespace"
 TOPIC = re.compile(r"[~/A-Za-z][\w/]*", re.ASCII)
 # Tags that Gazebo's plugins ignore, or that have no use here.
 QUIET_TAGS = frozenset((NAMESPACE, "rosDebugLevel", "alwaysOn", "visualize"))
+
+
+# The physics that plugins need, with a pattern of their files.
+PHYSICS = {
+    "thrust of propellers": "rotors_.*motor|multirotor|quadrotor_(propulsion|simple)|ardupilot",
+    "lift and drag in air": "liftdrag|quadrotor_aerodynamics|fw_dynamics|parachute",
+    "wind": "wind",
+    "buoyancy and drag of water": "buoyancy|underwater_object|hydrodynamic|usv_dynamics",
+    "thrusters and fins": "thruster|fin_plugin",
+    "slip of wheels": "wheel_?slip",
+    "tracks": "track(ed)?_?vehicle",
+    "a harness": "harness",
+    "grasping": "gripper|grasp|vacuum|sticky",
+    "a framework of its own for joints": "fetch_gazebo|ros_controller_manager|baxter_gazebo",
+    "motion of an obstacle (docs/plugins/path.md has one)": "obstacle",
+}
 
 
 class PluginError(LabError):
@@ -118,18 +135,14 @@ class Mount(TagReader):
 
     def topic(self, name: str) -> str:
         """Return a topic's name within the plugin's namespace; raises PluginError if invalid."""
-        absolute = name.startswith("/") or not self.namespace
-        full = name if absolute else f"/{self.namespace}/{name}"
+        is_full = name.startswith("/") or not self.namespace
+        full = name if is_full else f"/{self.namespace}/{name}"
         if not TOPIC.fullmatch(full):
             raise PluginError(f"{self.name()}: '{full}' is not a valid topic name")
         return full
 
     def noise(self, part: str = "") -> StepNoise:
-        """Return the noise of this plugin, or of a part of it.
-
-        It depends on the simulation's seed and the names of model and plugin, so that other
-        robots in the world do not change it.
-        """
+        """Return the noise of this plugin, or of a part of it; other robots do not change it."""
         return StepNoise(self.simulation.seed, f"{self.model.name}/{self.plugin.name}{part}")
 
     def frame(self, name: str) -> str:
@@ -140,10 +153,9 @@ class Mount(TagReader):
 
     def scoped(self, name: str) -> str:
         """Return the full name of a link or joint; a nested model's own names come first."""
-        links = (*self.model.links_by_name(), *self.model.frames)
-        names = {*links, *(joint.name for joint in self.model.joints)}
-        full = self.plugin.scope + name
-        return full if full in names else name
+        model, full = self.model, self.plugin.scope + name
+        joints = (joint.name for joint in model.joints)
+        return full if full in {*model.links_by_name(), *model.frames, *joints} else name
 
     def attached(self, link: str, offset: Pose = ORIGIN) -> AttachedFrame:
         """Return a frame that is fixed to a link; as `AttachedFrame.of`, but with PluginError."""
@@ -162,8 +174,9 @@ class Mount(TagReader):
     def sensor(self, tag: str, kind: str) -> SensorTag:
         """Return the sensor of the model that a tag names; raises PluginError."""
         name, own = self.required(tag), self.plugin
-        for found in (one for one in self.model.plugins if one.scope == own.scope):
-            if found.sensor is not None and found.sensor.get("name") == name:
+        for found in self.model.plugins:
+            is_sensor = found.sensor is not None and found.sensor.get("name") == name
+            if is_sensor and found.scope == own.scope:
                 holder = replace(found, filename=own.filename, name=own.name)
                 return SensorTag(replace(self, plugin=holder), (kind,))
         raise PluginError(f"{self.where(tag)}: the model has no sensor '{name}'")
@@ -175,29 +188,25 @@ class Mount(TagReader):
 
 
 class SensorTag(ElementReader):
-    """The `<sensor>` element around a plugin, which URDF and SDF share.
-
-    Raises:
-        PluginError: the plugin is not in a sensor of one of the `kinds`.
-    """
+    """The `<sensor>` element around a plugin; raises PluginError for one of another kind."""
 
     def __init__(self, mount: Mount, kinds: tuple[str, ...]):
-        plugin, where = mount.plugin, mount.name()
-        if plugin.sensor is None or plugin.sensor.get("type") not in kinds:
-            found = "" if plugin.sensor is None else f', not "{plugin.sensor.get("type")}"'
-            wanted = f'<sensor type="{kinds[0]}">'
-            raise PluginError(f"{where} ({plugin.filename}) needs a {wanted}{found}")
-        super().__init__(plugin.sensor, f"{where}: <sensor>")
+        sensor, where = mount.plugin.sensor, mount.name()
+        if sensor is None or sensor.get("type") not in kinds:
+            found = "" if sensor is None else f', not "{sensor.get("type")}"'
+            wanted = f'<sensor type="{kinds[0]}">{found}'
+            raise PluginError(f"{where} ({mount.plugin.filename}) needs a {wanted}")
+        super().__init__(sensor, f"{where}: <sensor>")
         self._mount = mount
 
     def count(self, path: str, default: int, most: int) -> int:
         """Return the whole number from 1 to `most` in a tag; raises LabError."""
-        value = self.number(path, default)
-        if value == int(value) and 1 <= value <= most:
-            return int(value)
-        problem = f"{value:g} is not a whole number in 1 … {most}"
-        self.doubt(PluginError(f"{self.where(path)}: {problem}"))
-        return default
+
+        def is_wrong(values: tuple[float, ...]) -> bool:
+            return not (values[0].is_integer() and 1 <= values[0] <= most)
+
+        reason = f"{{:g}} is not a whole number in 1 … {most}"
+        return int(self.numbers(path, 1, repr(default), is_wrong, reason)[0])
 
     def doubt(self, error: LabError) -> None:  # noqa: D102
         self._mount.doubt(error)
@@ -256,11 +265,49 @@ class Output:
             listener(sample)
 
 
+class Device:
+    """What takes commands and sends samples: a plugin, or a controller of one.
+
+    Attributes:
+        inputs: topics with commands for it.
+        outputs: topics with its samples.
+    """
+
+    inputs: tuple[Input, ...] = ()
+    outputs: tuple[Output, ...] = ()
+
+    def topic(self, name: str) -> str:
+        """Return the full name of a topic of the device."""
+        raise NotImplementedError
+
+    def input(
+        self, topic: str, kind: type, handle: Callable[[Any], None], alone: bool = False
+    ) -> None:
+        """Take the commands of a topic; see `Input`."""
+        self.inputs += (Input(self.topic(topic), kind, handle, alone),)
+
+    def output(self, topic: str, kind: type, offered: bool = True) -> Output:
+        """Return a new output on a topic.
+
+        It is added to `outputs` if it is offered; otherwise, it never has a listener.
+        """
+        made = Output(self.topic(topic), kind)
+        if offered:
+            self.outputs += (made,)
+        return made
+
+    def placed(self) -> None:
+        """Handle that the model was placed somewhere else."""
+
+    def reset(self, step: int) -> None:
+        """Start anew after a reset of the model; simulated time is now `step`."""
+
+
 # The classes of plugins by the names of files.
 _KINDS: dict[str, type[Plugin]] = {}
 
 
-class Plugin:
+class Plugin(Device):
     """Base of all plugins.
 
     Attributes:
@@ -268,15 +315,13 @@ class Plugin:
         named_by_model: whether the namespace is the model's name if the plugin has no
             robotNamespace, and if it has an empty one: Gazebo's plugins differ.
         acts: whether `before_step` does anything; the loop skips it otherwise.
-        inputs: topics with commands for it.
-        outputs: topics with its samples.
         schedule: when `produce` is due; None for a plugin without samples.
         refused: names and types of controllers that could not be loaded.
     """
 
-    filenames: ClassVar[tuple[str, ...]] = ()
-    named_by_model: ClassVar[tuple[bool, bool]] = (False, False)
-    acts: ClassVar[bool] = False
+    filenames = ()
+    named_by_model = (False, False)
+    acts = False
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
@@ -284,8 +329,6 @@ class Plugin:
 
     def __init__(self, mount: Mount):
         self.mount = mount
-        self.inputs: tuple[Input, ...] = ()
-        self.outputs: tuple[Output, ...] = ()
         self.schedule: Schedule | None = None
         self.refused: dict[str, str] = {}
 
@@ -299,15 +342,8 @@ class Plugin:
         """Return the tags that stand for one: several if its sensor has several cameras."""
         return (tag,)
 
-    def output(self, topic: str, kind: type, offered: bool = True) -> Output:
-        """Return a new output on a topic in the plugin's namespace.
-
-        It is added to `outputs` if it is offered; otherwise, it never has a listener.
-        """
-        made = Output(self.mount.topic(topic), kind)
-        if offered:
-            self.outputs += (made,)
-        return made
+    def topic(self, name: str) -> str:
+        return self.mount.topic(name)
 
     def before_step(self, step: int) -> None:
         """Act on the model before the physics advances from `step` to `step + 1`."""
@@ -317,12 +353,6 @@ class Plugin:
 
     def produce(self, step: int) -> None:
         """Measure and send, at the simulated time `step`."""
-
-    def placed(self) -> None:
-        """Handle that the model was placed somewhere else."""
-
-    def reset(self, step: int) -> None:
-        """Start anew after a reset of the model; simulated time is now `step`."""
 
 
 class Sensor(Plugin, ABC):
@@ -368,11 +398,34 @@ def namespace_of(tag: PluginTag, model: str) -> str:
 def warn_of_rivals(plugin: Plugin, others: Iterable[Plugin]) -> None:
     """Warn of joints that both a plugin and another one of its model drive."""
     for other in others:
-        joints = sorted(set(plugin.driven) & set(other.driven))
+        joints = ", ".join(sorted(set(plugin.driven) & set(other.driven)))
         if joints and other is not plugin:
             both = f"{other.mount.name()} and plugin '{plugin.mount.plugin.name}'"
-            names = ", ".join(joints)
-            LOG.warning("%s both drive %s: each undoes what the other does", both, names)
+            LOG.warning("%s both drive %s: each undoes what the other does", both, joints)
+
+
+def missing_physics(files: Iterable[str]) -> list[str]:
+    """Return the physics that the plugins of some files need and that is not simulated.
+
+    >>> missing_physics(["libLiftDragPlugin.so", "librotors_gazebo_motor_model.so"])
+    ['thrust of propellers', 'lift and drag in air']
+    """
+    names = " ".join(files).lower()
+    return [need for need, pattern in PHYSICS.items() if re.search(pattern, names)]
+
+
+def skipped_line(model: str, tags: Sequence[PluginTag], others: Iterable[Plugin]) -> str:
+    """Return the warning about skipped plugins of a model that has others."""
+    files = Counter(tag.filename for tag in tags)
+    what = f"plugin '{tags[0].name}' ({tags[0].filename}) is not simulated and skipped"
+    if len(tags) > 1:
+        counted = (f"{count} {name}" if count > 1 else name for name, count in files.items())
+        what = f"{len(tags)} plugins are not simulated and skipped ({', '.join(counted)})"
+    needs = missing_physics(files)
+    drives = any(plugin.acts and not isinstance(plugin, Sensor) for plugin in others)
+    missing = f"; missing: {', '.join(needs)}" if needs else ""
+    idle = "" if drives else "; no other plugin moves the model"
+    return f"model '{model}': {what}{missing}{idle}"
 
 
 for _module in pkgutil.iter_modules(__path__, f"{__name__}."):

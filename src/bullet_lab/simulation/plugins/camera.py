@@ -1,14 +1,18 @@
 """Cameras: pictures of the simulation with the errors of lens and sensor, and depth.
 
-libgazebo_ros_camera.so, libgazebo_ros_openni_kinect.so and libgazebo_ros_depth_camera.so.
+libgazebo_ros_camera.so, libgazebo_ros_openni_kinect.so, libgazebo_ros_depth_camera.so, and those of
+pairs of cameras and pictures on demand: libgazebo_ros_multicamera.so,
+libgazebo_ros_triggered_camera.so and libgazebo_ros_triggered_multicamera.so.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from dataclasses import astuple, dataclass, replace
-from typing import Any, ClassVar, Mapping
+from typing import Any, Mapping
+from xml.etree.ElementTree import Element
 
 import cv2
 import numpy as np
@@ -17,27 +21,43 @@ from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import Schedule, ScheduleError
 from bullet_lab.simulation.plugins import Mount, Output, Plugin, PluginError, SensorTag
-from bullet_lab.simulation.plugins.lenses import Lens, WideLens
-from bullet_lab.simulation.plugins.samples import CameraInfoSample, ImageSample, PointsSample
-from bullet_lab.simulation.rendering.graphics import SAMPLES, RendererError
+from bullet_lab.simulation.plugins.lenses import WHITE, Lens, SensorNoise, WideLens, blurred
+from bullet_lab.simulation.plugins.samples import (
+    CameraInfoSample,
+    ImageSample,
+    PointsSample,
+    Trigger,
+)
+from bullet_lab.simulation.rendering import SAMPLES, RendererError
 from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
+from bullet_lab.simulation.world.description import PluginTag
 
 LOG = logging.getLogger(__name__)
 
 # The encodings of the formats of 8 bits, and of those that depth cameras do not have.
-PLAIN = {"R8G8B8": "rgb8", "B8G8R8": "bgr8", "L8": "mono8"}
-PLAIN.update({"RGB_INT8": "rgb8", "BGR_INT8": "bgr8", "L_INT8": "mono8"})
-ENCODINGS = {**PLAIN, "L16": "mono16", "L_INT16": "mono16"}
-ENCODINGS.update({"R16G16B16": "rgb16", "RGB_INT16": "rgb16"})
+PLAIN = {
+    "R8G8B8": "rgb8",
+    "B8G8R8": "bgr8",
+    "L8": "mono8",
+    "RGB_INT8": "rgb8",
+    "BGR_INT8": "bgr8",
+    "L_INT8": "mono8",
+}
 BAYER = "bayer_"
-ENCODINGS.update({f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR", "GBRG", "GRBG")})
+ENCODINGS = {
+    **PLAIN,
+    "L16": "mono16",
+    "L_INT16": "mono16",
+    "R16G16B16": "rgb16",
+    "RGB_INT16": "rgb16",
+    **{f"BAYER_{p}8": f"{BAYER}{p.lower()}8" for p in ("RGGB", "BGGR", "GBRG", "GRBG")},
+}
 # From 8 to 16 bits.
 TO_16 = 257
 WIDE = "wideanglecamera"
 LARGEST_SIDE = 8192
 # px; OpenCV fails with much more.
 MOST_BLUR = 1000.0
-WHITE = 255.0
 # Hz.
 DEFAULT_RATE = 30.0
 DISTORTION_TAGS = {"K1": "k1", "K2": "k2", "T1": "p1", "T2": "p2", "K3": "k3"}
@@ -56,20 +76,16 @@ FARTHER = 1.01
 BRIGHTEST = 4.0
 # The greatest number of millimetres that a 16UC1 image holds.
 MOST_MILLIMETRES = 65535
-# How many numbers the table of noise has beyond those of one picture: the number of its offsets.
-SPARE_NOISE = 1 << 20
+# Triggers that wait for their picture; more are dropped.
+MOST_REQUESTS = 100
 
 
 @dataclass(frozen=True)
 class CameraSettings:
     """Settings of a camera that may change between pictures.
 
-    Attributes:
-        samples: samples of each pixel, 1, 2 or 4.
-        exposure: factor of the brightness.
-        blur: standard deviation of the blur in pixels.
-        noise_mean: mean of the noise of each pixel and colour, as a share of white.
-        noise_stddev: its standard deviation, likewise.
+    A pixel has 1, 2 or 4 samples. `exposure` is a factor of the brightness, `blur` a standard
+    deviation in pixels. Noise of each pixel and colour is a share of white.
     """
 
     samples: int = 1
@@ -90,40 +106,6 @@ class CameraSettings:
             raise RendererError("noise is a share of white; at most 1 is allowed")
 
 
-class SensorNoise:
-    """Normal noise, drawn once and read from a random offset for each picture.
-
-    Drawing new numbers for each frame would take as long as rendering it. The numbers in a picture
-    are independent. Two pictures share numbers, at different pixels unless their offsets are the
-    same (one in a million). Mean and deviation are shares of white.
-    """
-
-    def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
-        noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
-        noise = np.rint(WHITE * (mean + stddev * noise))
-        # Two arrays, since adding and subtracting bytes is fast and saturates.
-        self._more = np.clip(noise, 0, 255).astype(np.uint8)
-        self._less = np.clip(-noise, 0, 255).astype(np.uint8)
-
-    def add_to(self, picture: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Return the picture with noise; `random` draws the offset."""
-        first = int(random.integers(SPARE_NOISE))
-        part = slice(first, first + picture.size)
-        more, less = (a[part].reshape(picture.shape) for a in (self._more, self._less))
-        return cv2.subtract(cv2.add(picture, more), less)
-
-
-def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
-    """Return the picture with a Gaussian blur of `sigma` pixels, as uint8.
-
-    A float32 picture is clipped to white afterwards.
-    """
-    if sigma <= 0.0:
-        return picture
-    picture = cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-    return picture if picture.dtype == np.uint8 else cv2.convertScaleAbs(picture)
-
-
 class Camera(Plugin):
     """Takes pictures along the x axis of its link, with the link's z axis upwards.
 
@@ -138,17 +120,17 @@ class Camera(Plugin):
 
     filenames = ("libgazebo_ros_camera.so",)
     named_by_model = (False, True)
-    sensors: ClassVar[tuple[str, ...]] = ("camera", WIDE)
-    encodings: ClassVar[Mapping[str, str]] = ENCODINGS
+    sensors = ("camera", WIDE)
+    encodings = ENCODINGS
     # Prefix of the picture's default topics.
-    prefix: ClassVar[str] = ""
+    prefix = ""
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
         tag = SensorTag(mount, self.sensors)
         offset = tag.numbers("camera/pose", 6, "0 0 0 0 0 0")
         self._place = tag.place(Pose.from_rpy(offset[:3], offset[3:]))
-        self.lens: Lens | WideLens = _lens(mount, tag)
+        self.lens = _lens(mount, tag)
         if self.lens.black:
             where, share = tag.where("camera/distortion"), 100.0 * self.lens.black
             LOG.warning("%s: %.0f %% of the picture is black: outside of the lens", where, share)
@@ -160,17 +142,16 @@ class Camera(Plugin):
         self._baseline = mount.number("hackBaseline")
         self.frame = mount.frame(mount.text("frameName", mount.plugin.link))
         self._noise = mount.noise()
-        self._table: tuple[tuple, SensorNoise] | None = None
+        self._table: SensorNoise | None = None
         self.name = mount.text("cameraName")
         self.calibration: Mapping[str, Any] = {}
         self.image = self._output("imageTopicName", f"{self.prefix}image_raw", ImageSample)
         info = f"{self.prefix}camera_info"
         self.info = self._output("cameraInfoTopicName", info, CameraInfoSample)
         rates = (tag.number("update_rate"), mount.number("updateRate"))
-        given = [rate for rate in rates if rate != 0.0]
         try:
             # The slower of the two; 0 stands for the other one.
-            self.schedule = Schedule(min(given, default=DEFAULT_RATE))
+            self.schedule = Schedule(min(filter(None, rates), default=DEFAULT_RATE))
         except ScheduleError as error:
             raise PluginError(f"{mount.where('updateRate')}: {error}") from error
 
@@ -188,11 +169,11 @@ class Camera(Plugin):
         return self._place.pose()
 
     def _output(self, tag: str, default: str, kind: type) -> Output:
-        """Return an output on the topic in a tag, in the camera's namespace."""
-        return self.output(self.topic(self.mount.text(tag, default)), kind)
+        """Return an output on the topic in a tag."""
+        return self.output(self.mount.text(tag, default), kind)
 
     def topic(self, name: str) -> str:
-        """Return the full name of a topic in the camera's namespace."""
+        """Return the full name of a topic, which is in the camera's namespace."""
         below = self.name and not name.startswith("/")
         return self.mount.topic(f"{self.name}/{name}" if below else name)
 
@@ -215,7 +196,7 @@ class Camera(Plugin):
         Noise depends on the step. Raises LabError if something cannot be drawn.
         """
         picture = self._with_noise(step, self._coloured(self.lens.picture(self._picture)))
-        return np.multiply(picture, TO_16, dtype=np.uint16) if "16" in self.encoding else picture
+        return picture * np.uint16(TO_16) if "16" in self.encoding else picture
 
     def _coloured(self, picture: np.ndarray) -> np.ndarray:
         """Return a picture in the colours of the encoding, with 8 bits each."""
@@ -236,10 +217,9 @@ class Camera(Plugin):
         key = (self.settings.noise_mean, self.settings.noise_stddev)
         if not any(key):
             return picture
-        if self._table is None or self._table[0] != key:
-            table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
-            self._table = (key, table)
-        return self._table[1].add_to(picture, self._noise.at(step))
+        if self._table is None or self._table.key != key:
+            self._table = SensorNoise(*key, picture.size, self._noise.at(TABLE_STEP))
+        return self._table.add_to(picture, self._noise.at(step))
 
     def _picture(self, turn: Pose) -> np.ndarray:
         """Return a picture before the lens; if that blurs, with values brighter than white.
@@ -272,7 +252,7 @@ def _span(line: np.ndarray) -> slice:
     return slice(places[0], places[-1] + 1)
 
 
-def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
+def _lens(mount: Mount, tag: SensorTag) -> Lens:
     width = tag.count("camera/image/width", 320, LARGEST_SIDE)
     height = tag.count("camera/image/height", 240, LARGEST_SIDE)
     fov = tag.number("camera/horizontal_fov", 1.047)
@@ -283,23 +263,16 @@ def _lens(mount: Mount, tag: SensorTag) -> Lens | WideLens:
     for name in GEOMETRY_TAGS:
         if mount.number(name) != 0.0:
             LOG.warning("%s is ignored; the value is taken from the image", mount.where(name))
-    distortion = _distortion(mount, tag)
-    if is_wide:
-        return WideLens(tag, width, height, fov)
-    return Lens(replace(centred_camera(width, height, fov), distortion=distortion))
-
-
-def _distortion(mount: Mount, tag: SensorTag) -> tuple[float, ...]:
-    """Return k1, k2, p1, p2, k3, of the plugin's tags or the sensor's.
-
-    Gazebo draws with the sensor's and publishes the plugin's.
-    """
-    plugin = tuple(mount.number(f"distortion{key}") for key in DISTORTION_TAGS)
-    sensor = tuple(tag.number(f"camera/distortion/{key}") for key in DISTORTION_TAGS.values())
-    if any(plugin) and any(sensor) and plugin != sensor:
+    # Gazebo draws with the sensor's distortion and publishes the plugin's.
+    own = tuple(mount.number(f"distortion{key}") for key in DISTORTION_TAGS)
+    other = tuple(tag.number(f"camera/distortion/{key}") for key in DISTORTION_TAGS.values())
+    if any(own) and any(other) and own != other:
         where = mount.where("distortionK1")
         raise PluginError(f"{where}: the coefficients differ from those of the sensor")
-    return plugin if any(plugin) else sensor
+    if is_wide:
+        return WideLens(tag, width, height, fov)
+    camera = centred_camera(width, height, fov)
+    return Lens(replace(camera, distortion=own if any(own) else other))
 
 
 def _settings(mount: Mount, tag: SensorTag) -> CameraSettings:
@@ -329,14 +302,21 @@ class DepthCamera(Camera):
     """
 
     filenames = ("libgazebo_ros_openni_kinect.so", "libgazebo_ros_depth_camera.so")
-    sensors: ClassVar[tuple[str, ...]] = ("depth",)
-    encodings: ClassVar[Mapping[str, str]] = PLAIN
+    sensors = ("depth",)
+    encodings = PLAIN
     prefix = "ir/"
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._is_kinect = mount.plugin.filename.startswith(KINECT)
-        self._closest, self._farthest = self._measured_range()
+        # The least and the greatest depth that is measured, in m.
+        self._closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
+        default = KINECTS_CUTOFF if self._is_kinect else self.far
+        self._farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
+        if self._closest >= self._farthest:
+            limits = f"{self._closest:g} m, is not below the greatest, {self._farthest:g} m"
+            where = mount.where("pointCloudCutoff")
+            raise PluginError(f"{where}: the least depth, {limits}")
         self._in_millimetres = mount.boolean("useDepth16UC1Format", False)
         for tag in NOT_SIMULATED:
             mount.text(tag)
@@ -344,7 +324,6 @@ class DepthCamera(Camera):
         tag, info = "depthImageCameraInfoTopicName", "depth/camera_info"
         self.depth_info = self._output(tag, info, CameraInfoSample)
         self.points = self._output("pointCloudTopicName", "points", PointsSample)
-        self._slopes: np.ndarray | None = None
 
     def produce(self, step: int) -> None:
         image, depth, points = (o.wanted for o in (self.image, self.depth, self.points))
@@ -374,27 +353,82 @@ class DepthCamera(Camera):
 
     def points_at(self, depths: np.ndarray) -> np.ndarray:
         """Return the points of the optical frame (m) at each pixel's depth, (h, w, 3) float32."""
-        if self._slopes is None:
-            self._slopes = self.lens.slopes()
-        x, y = self._slopes
+        x, y = self.lens.slopes
         return np.dstack((x * depths, y * depths, depths))
 
     def _depth_image(self, step: int, depths: np.ndarray) -> ImageSample:
         if not self._in_millimetres:
             return ImageSample(step, self.frame, "32FC1", depths)
         # In this format, 0 means no depth. Millimetres are rounded down, as in Gazebo.
-        whole = np.nan_to_num(np.floor(1e3 * depths.astype(float)), nan=0.0)
-        pixels = np.where(whole > MOST_MILLIMETRES, 0, whole).astype(np.uint16)
+        whole = np.floor(1e3 * depths.astype(float))
+        pixels = np.where(whole <= MOST_MILLIMETRES, whole, 0).astype(np.uint16)
         return ImageSample(step, self.frame, "16UC1", pixels)
 
-    def _measured_range(self) -> tuple[float, float]:
-        """Return the least and the greatest depth that is measured, in m."""
-        mount = self.mount
-        closest = max(self.near, mount.number("pointCloudCutoff", 0.4))
-        default = KINECTS_CUTOFF if self._is_kinect else self.far
-        farthest = min(self.far, mount.number("pointCloudCutoffMax", default))
-        if not closest < farthest:
-            where = mount.where("pointCloudCutoff")
-            problem = f"the least depth, {closest:g} m, is not below the greatest, {farthest:g} m"
-            raise PluginError(f"{where}: {problem}")
-        return closest, farthest
+
+class MultiCamera(Camera):
+    """One camera of a `<sensor type="multicamera">`.
+
+    As in Gazebo, it has the namespace left or right below cameraName, by its own name.
+    """
+
+    filenames = ("libgazebo_ros_multicamera.so",)
+
+    @classmethod
+    def split(cls, tag: PluginTag) -> tuple[PluginTag, ...]:
+        if tag.sensor is None or tag.sensor.get("type") != "multicamera":
+            return (tag,)
+        parts = []
+        for camera in tag.sensor.findall("camera"):
+            side = next((s for s in ("left", "right") if s in camera.get("name", "")), "")
+            if not side:
+                what = f"plugin '{tag.name}': camera '{camera.get('name')}' is left out"
+                LOG.warning("%s: its name has neither left nor right", what)
+                continue
+            sensor = Element("sensor", type="camera", name=f"{tag.sensor.get('name', '')}_{side}")
+            sensor.extend([one for one in tag.sensor if one.tag in ("update_rate", "pose")])
+            sensor.append(camera)
+            space = tag.tags.get("cameraName", "")
+            tags = {**tag.tags, "cameraName": f"{space}/{side}" if space else side}
+            if side == "left":
+                # As in Gazebo, the baseline is that of the right camera.
+                tags["hackBaseline"] = "0"
+            names = {"name": f"{tag.name}_{side}", "tags": tags}
+            parts.append(replace(tag, sensor=sensor, element=None, **names))
+        return tuple(parts)
+
+
+class OnDemand(Schedule):
+    """Each step, to look for requests: as a rate of messages, none."""
+
+    period = math.inf
+
+
+class TriggeredCamera(Camera):
+    """Takes a picture for each message on its topic of triggers, one in a step."""
+
+    filenames = ("libgazebo_ros_triggered_camera.so",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self.schedule = OnDemand(0.0)
+        topic = mount.text("triggerTopicName", "image_trigger")
+        # Filled by other threads.
+        self._requests: deque[Trigger] = deque(maxlen=MOST_REQUESTS)
+        self.input(topic, Trigger, self._requests.append)
+
+    def reset(self, step: int) -> None:
+        self._requests.clear()
+
+    def set_rate(self, rate: float, step: int) -> None:
+        """Do nothing: it has no rate."""
+
+    def produce(self, step: int) -> None:
+        if self._requests:
+            self._requests.popleft()
+            super().produce(step)
+
+
+class TriggeredMultiCamera(MultiCamera, TriggeredCamera):
+    """One camera of a `<sensor type="multicamera">`, with a trigger of its own."""
+
+    filenames = ("libgazebo_ros_triggered_multicamera.so",)

@@ -12,9 +12,9 @@ import numpy as np
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Mount, Plugin, SensorTag
+from bullet_lab.simulation.plugins import Mount, Plugin
 from bullet_lab.simulation.plugins.motion_sensors import InertialUnit, mounting_offset
-from bullet_lab.simulation.plugins.ray_sensors import RAY_SENSORS, RayScan, RaySensor
+from bullet_lab.simulation.plugins.ray_sensors import RaySensor
 from bullet_lab.simulation.plugins.samples import FixSample, ImuSample, RangeSample, VectorSample
 
 # WGS 84: radius at the equator in m, and the square of the first eccentricity.
@@ -55,7 +55,7 @@ class DriftingError:
         """Start with a drift, or with one that is drawn."""
         drawn = self._random.at(FIRST_STEP).standard_normal(len(self.offset))
         self.drift = self.deviation * drawn if drift is None else np.array(drift)
-        self._noise, self._step = 0.0 * self.drift, step
+        self._noise, self._step = 0.0, step
 
     def advance(self, step: int) -> float:
         """Draw drift and noise at a step; return the time since the last one in s."""
@@ -90,6 +90,7 @@ class HectorImu(InertialUnit):
             mount.text(f"heading{key}")
         self.accel, self.rate = DriftingError(mount, "accel"), DriftingError(mount, "rate")
         self._yaw = DriftingError(mount, "yaw", 1)
+        self._errors = (self.accel, self.rate, self._yaw)
         if self._deviation:
             self.accel.noise[:] = self.rate.noise[:] = self._deviation
             self._deviation = 0.0
@@ -101,11 +102,11 @@ class HectorImu(InertialUnit):
 
     def reset(self, step: int) -> None:
         super().reset(step)
-        for error in (self.accel, self.rate, self._yaw):
+        for error in self._errors:
             error.reset(step)
 
     def produce(self, step: int) -> None:
-        for error in (self.accel, self.rate, self._yaw):
+        for error in self._errors:
             error.advance(step)
         if self._bias.wanted:
             biases = (tuple(error.bias.tolist()) for error in (self.rate, self.accel))
@@ -200,9 +201,8 @@ class Sonar(RaySensor):
     filenames = ("libhector_gazebo_ros_sonar.so",)
 
     def __init__(self, mount: Mount):
-        super().__init__(mount, mount.text("topicName", "sonar"), RangeSample)
+        super().__init__(mount, "sonar", RangeSample)
         self._frame = mount.text("frameId", "/sonar_link")
-        self._scanner = RayScan(mount, SensorTag(mount, RAY_SENSORS))
         self._error = DriftingError(mount, axes=1)
         self.schedule = mount.schedule("updateRate", 10.0)
 
@@ -214,11 +214,10 @@ class Sonar(RaySensor):
         super().produce(step)
 
     def measure(self, step: int) -> RangeSample:
-        scanner = self._scanner
-        reading = max(float(np.min(scanner.distances())), scanner.least)
-        if reading < scanner.greatest:
+        scan = self._scanner
+        reading = scan.nearest()
+        if reading < scan.greatest:
             (reading,) = self._error.read((reading,))
-        reading = min(max(reading, scanner.least), scanner.greatest)
-        spans = (abs(most - least) for least, most, _ in (scanner.angles, scanner.heights))
-        seen = (min(spans), scanner.least, scanner.greatest)
-        return RangeSample(step, self._frame, False, *seen, reading)
+        span = min(abs(most - least) for least, most, _ in (scan.angles, scan.heights))
+        seen = (span, scan.least, scan.greatest, scan.limited(reading))
+        return RangeSample(step, self._frame, False, *seen)

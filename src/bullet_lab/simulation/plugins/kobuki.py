@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Input, Mount, Output, SensorTag
+from bullet_lab.simulation.plugins import Mount, Output, SensorTag
 from bullet_lab.simulation.plugins.mobile_base import MobileBase
 from bullet_lab.simulation.plugins.motion_sensors import InertialUnit
 from bullet_lab.simulation.plugins.ray_sensors import RayScan, watched_shapes
@@ -85,10 +85,9 @@ class Kobuki(MobileBase):
     def __init__(self, mount: Mount):
         mount.require_moving()
         super().__init__(mount)
-        (self._separation,) = mount.sizes("wheel_separation", 1)
-        (diameter,) = mount.sizes("wheel_diameter", 1)
+        sizes = (mount.sizes(tag, 1)[0] for tag in ("wheel_separation", "wheel_diameter", "torque"))
+        self._separation, diameter, torque = sizes
         self._radius = 0.5 * diameter
-        (torque,) = mount.sizes("torque", 1)
         (timeout,) = mount.numbers("velocity_command_timeout", 1)
         self._timeout = round(timeout * STEPS_PER_SECOND)
         tags = ("left_wheel_joint_name", "right_wheel_joint_name")
@@ -97,10 +96,8 @@ class Kobuki(MobileBase):
         self.transform = self.output("/tf", TransformSample, mount.boolean("publish_tf", False))
         self._joint_states = self.output("joint_states", JointSample)
         self._core = self.output(f"{PREFIX}/sensors/core", SwitchesSample)
-        self.inputs += (
-            Input(mount.topic(f"{PREFIX}/commands/motor_power"), MotorPower, self._switch_motors),
-            Input(mount.topic(f"{PREFIX}/commands/reset_odometry"), Trigger, self._zero),
-        )
+        self.input(f"{PREFIX}/commands/motor_power", MotorPower, self._switch_motors)
+        self.input(f"{PREFIX}/commands/reset_odometry", Trigger, self._zero)
         self._find_sensors()
         self.outputs += self._gyroscope.outputs
         self.schedule = mount.schedule("update_rate", 0.0)
@@ -125,14 +122,10 @@ class Kobuki(MobileBase):
         self._tread_links = {
             index: n for n, link in enumerate(treads) for index in self._body.link_indices(link)
         }
-        self._bumpers, self._cliffs, self._drops = (
-            Switches(self.output(f"{PREFIX}/events/{name}", kind), count)
-            for name, kind, count in (
-                ("bumper", BumperEvent, len(SIDES)),
-                ("cliff", CliffEvent, len(SIDES)),
-                ("wheel_drop", WheelDropEvent, len(treads)),
-            )
-        )
+        events = f"{PREFIX}/events"
+        self._bumpers = Switches(self.output(f"{events}/bumper", BumperEvent), len(SIDES))
+        self._cliffs = Switches(self.output(f"{events}/cliff", CliffEvent), len(SIDES))
+        self._drops = Switches(self.output(f"{events}/wheel_drop", WheelDropEvent), len(treads))
 
     def command(self, command: PlanarCommand) -> None:
         super().command(command)
@@ -151,41 +144,38 @@ class Kobuki(MobileBase):
         self._sensing.restart(step)
         self._turn_rate = 0.0
         self._gyroscope.reset(step)
-        self._pressed: set[int] = set()
-        self._standing: set[int] = set()
+        self._pressed, self._standing = set(), set()
         super().reset(step)
 
     def placed(self) -> None:
-        self._angles = self._wheel_angles()
+        self._angles = [wheel.angle for wheel in self._wheels]
         self._gyroscope.placed()
-        self._followed: PlanarCommand | None = None
         for wheel in self._wheels:
             wheel.stop()
-
-    def _wheel_angles(self) -> list[float]:
-        return [wheel.state().position for wheel in self._wheels]
 
     def before_step(self, step: int) -> None:
         self._now = step
         if step - self._commanded_at > self._timeout or not self._has_power:
             self._command = STANDSTILL
-        if self._command is not self._followed or self._command == STANDSTILL:
-            # At rest, a wheel must check whether to hold its joint.
-            self._followed = self._command
-            side = 0.5 * self._command.wz * self._separation
-            for wheel, sign in zip(self._wheels, (-1.0, 1.0)):
-                wheel.follow((self._command.vx + sign * side) / self._radius)
-        self._note_contacts()
+        for wheel, speed in zip(self._wheels, self._command.rims(self._separation)):
+            wheel.keep(speed / self._radius)
+        # What touched something in the step before: wheels and bumpers.
+        for _, body, _, link, _, place, _, normal, *_ in self._body.touching_points():
+            if link in self._tread_links:
+                self._standing.add(self._tread_links[link])
+            # What lies below or above presses no bumper.
+            elif link in self._bumper_links and abs(normal[2]) < STEEPEST:
+                shape = self.mount.simulation.shape_name(body, link, place)
+                self._press(shape, place, normal)
 
     def produce(self, step: int) -> None:
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
         frame = self.mount.frame("base_link")
         if self._joint_states.wanted:
-            states = [wheel.state() for wheel in self._wheels]
-            turns = zip(*((state.position, state.velocity, 0.0) for state in states))
-            names = tuple(wheel.joint for wheel in self._wheels)
-            self._joint_states.send(JointSample(step, names, *turns, frame))
+            states = ((wheel.joint, wheel.state()) for wheel in self._wheels)
+            rows = ((joint, state.position, state.velocity, 0.0) for joint, state in states)
+            self._joint_states.send(JointSample(step, *zip(*rows), frame))
         if self._sensing.next_step <= step:
             self._sense(step)
         self._report(step, seconds)
@@ -211,16 +201,6 @@ class Kobuki(MobileBase):
         self._pressed.clear()
         self._standing.clear()
 
-    def _note_contacts(self) -> None:
-        """Note which bumpers and which wheels touched something in the step before."""
-        for _, body, _, link, _, place, _, normal, *_ in self._body.touching_points():
-            if link in self._tread_links:
-                self._standing.add(self._tread_links[link])
-            # What lies below or above presses no bumper.
-            elif link in self._bumper_links and abs(normal[2]) < STEEPEST:
-                shape = self.mount.simulation.shape_name(body, link, place)
-                self._press(shape, place, normal)
-
     def _press(self, shape: str, place: Vector, normal: Vector) -> None:
         """Press the bumper at a contact (m, world) of a shape; the normal points to the robot."""
         pose = self._pose()
@@ -232,13 +212,13 @@ class Kobuki(MobileBase):
 
     def _report(self, step: int, seconds: float) -> None:
         """Send the odometry, `seconds` after the last time."""
-        angles = self._wheel_angles()
+        angles = [wheel.angle for wheel in self._wheels]
         driven = 0.5 * self._radius * sum(new - old for new, old in zip(angles, self._angles))
         self._angles = angles
         self._x += driven * math.cos(self._yaw)
         self._y += driven * math.sin(self._yaw)
         self._yaw = math.remainder(self._yaw + self._turn_rate * seconds, math.tau)
-        pose = Pose.from_rpy((self._x, self._y, 0.0), (0.0, 0.0, self._yaw))
+        pose = Pose.on_floor(self._x, self._y, self._yaw)
         speed = driven / seconds if seconds > 0.0 else 0.0
         velocity = PlanarCommand(vx=speed, wz=self._turn_rate)
-        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
+        self.send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)

@@ -1,8 +1,12 @@
-"""Lenses of cameras: distortion of one picture, and wide angles, which join several pictures."""
+"""What happens to pictures in cameras: lenses, blur and noise.
+
+A lens distorts one picture or, for wide angles, joins several pictures.
+"""
 
 from __future__ import annotations
 
 import math
+from functools import cached_property, reduce
 from typing import Callable
 
 import cv2
@@ -11,7 +15,7 @@ import numpy as np
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins import PluginError, SensorTag
-from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.rendering import RendererError
 
 # The ideal picture is at most this many times larger than the distorted one.
 WIDEST = 3.0
@@ -28,10 +32,17 @@ LENSES = {
     "equisolid_angle": (2.0, 2.0, "sin"),
     "orthographic": (1.0, 1.0, "sin"),
 }
-# Pitch and yaw of the faces of a cube, in quarters of a turn.
-FACES = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (-1, 0))
+# The faces of a cube, by pitch and yaw in quarters of a turn.
+FACES = [
+    Pose.from_rpy((0.0, 0.0, 0.0), (0.0, pitch * 0.5 * math.pi, yaw * 0.5 * math.pi))
+    for pitch, yaw in ((0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (-1, 0))
+]
 # Pixels of a face beyond its edge, for the interpolation.
 MARGIN = 3
+# How many numbers the table of noise has beyond those of one picture: the number of its offsets.
+SPARE_NOISE = 1 << 20
+# The value of white.
+WHITE = 255.0
 
 
 class Lens:
@@ -48,69 +59,64 @@ class Lens:
         RendererError: all pixels are black.
     """
 
+    black = 0.0
+
     def __init__(self, camera: PinholeCamera):
         self.camera = self.ideal = camera
-        self.black = 0.0
-        # Where each pixel is in the ideal picture, (2, height, width).
-        self._places: np.ndarray | None = None
-        if any(camera.distortion):
-            self._set_ideal()
-
-    def _set_ideal(self) -> None:
-        camera = self.camera
+        # The pose of each ideal picture in the camera, and where each pixel is in it, (2, h, w).
+        self._faces: list[tuple[Pose, np.ndarray]] = []
+        if not any(camera.distortion):
+            return
         pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T.astype(float)
         centre, size = np.array((camera.cx, camera.cy)), np.array((camera.width, camera.height))
         offsets = camera.slopes(pixels) * (camera.fx, camera.fy)
         shown = (np.abs(offsets) < 0.5 * WIDEST * size).all(axis=1)
         if not shown.any():
-            problem = "leaves nothing of the picture"
-            raise RendererError(f"a distortion of {camera.distortion} {problem}")
+            what = f"a distortion of {camera.distortion}"
+            raise RendererError(f"{what} leaves nothing of the picture")
         places = offsets + centre
         # One pixel more on each side, for the interpolation.
         first = np.floor(places[shown].min(axis=0)) - 1
         width, height = (np.ceil(places[shown].max(axis=0)) + 2 - first).astype(int).tolist()
         self.ideal = PinholeCamera(width, height, camera.fx, camera.fy, *(centre - first).tolist())
         places = np.where(shown[:, None], places - first, NOWHERE).astype(np.float32)
-        self._places = places.T.reshape(2, camera.height, camera.width)
+        self._faces = [(Pose(), places.T.reshape(2, camera.height, camera.width))]
         self.black = 1.0 - float(np.mean(shown))
 
     def picture(self, draw: Callable[[Pose], np.ndarray]) -> np.ndarray:
         """Return the picture of `camera`; `draw` draws with `ideal` at a pose in the camera."""
-        return self.bend(draw(Pose()))
-
-    def bend(self, picture: np.ndarray) -> np.ndarray:
-        """Return the picture of `camera` from that of `ideal`."""
-        if self._places is None:
-            return picture
-        return cv2.remap(picture, *self._places, cv2.INTER_LINEAR)
+        if not self._faces:
+            return draw(Pose())
+        faces = (cv2.remap(draw(turn), *places, cv2.INTER_LINEAR) for turn, places in self._faces)
+        # Each pixel is of one face, and black in the others.
+        return reduce(np.add, faces)
 
     def pick(self, values: np.ndarray) -> np.ndarray:
         """Return the values of `camera`'s pixels from the nearest pixels of `ideal`.
 
         Interpolation would mix the depths of two objects.
         """
-        if self._places is None:
-            return values
-        return cv2.remap(values, *self._places, cv2.INTER_NEAREST, borderValue=math.nan)
+        for _, places in self._faces:
+            values = cv2.remap(values, *places, cv2.INTER_NEAREST, borderValue=math.nan)
+        return values
 
+    @cached_property
     def slopes(self) -> np.ndarray:
-        """Return x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
-        camera, places = self.ideal, self._places
-        if places is None:
-            places = np.indices((camera.height, camera.width))[::-1]
+        """The slopes x/z and y/z of each pixel's ray in the optical frame, (2, height, width)."""
+        camera = self.ideal
+        places = np.indices((camera.height, camera.width))[::-1]
+        if self._faces:
+            ((_, places),) = self._faces
         slopes = (places[0] - camera.cx) / camera.fx, (places[1] - camera.cy) / camera.fy
         return np.array(slopes, dtype=np.float32)
 
 
-class WideLens:
+class WideLens(Lens):
     """The lens of a `<sensor type="wideanglecamera">`: joins the faces of a cube around the camera.
 
-    Pixels beyond its cutoff angle are black. `camera` is the geometry near the middle, `ideal` the
-    camera that draws a face. Raises PluginError if it does not reach the field of view.
+    Pixels beyond its cutoff angle are black, without a warning. `camera` is the geometry near the
+    middle, `ideal` draws a face. Raises PluginError if it does not reach the field of view.
     """
-
-    # That some pixels are dark needs no warning.
-    black = 0.0
 
     def __init__(self, tag: SensorTag, width: int, height: int, fov: float):
         radius_of, angle_of = _function(tag, 0.5 * width, fov)
@@ -133,24 +139,16 @@ class WideLens:
         side = 2 * (focal + MARGIN)
         centre = 0.5 * (side - 1)
         self.ideal = PinholeCamera(side, side, focal, focal, centre, centre)
-        turns = [Pose.from_rpy((0.0,) * 3, (0.0, *np.multiply(0.5 * math.pi, f))) for f in FACES]
-        axes = [turn.rotation_matrix() for turn in turns]
+        axes = [face.rotation_matrix() for face in FACES]
         nearest = np.argmax([rays @ own[:, 0] for own in axes], axis=0)
-        # The pose of each face in the camera, and where each pixel is in it.
-        self._faces: list[tuple[Pose, np.ndarray]] = []
-        for number, turn in enumerate(turns):
+        self._faces = []
+        for number, face in enumerate(FACES):
             own = shown & (nearest == number)
             if own.any():
                 ahead, *sideways = (rays[own] @ axes[number]).T
                 places = np.full((2, height, width), NOWHERE, np.float32)
                 places[:, own] = centre - focal * np.array(sideways) / ahead
-                self._faces.append((turn, places))
-
-    def picture(self, draw: Callable[[Pose], np.ndarray]) -> np.ndarray:
-        """Return the picture; `draw` draws with `ideal` at a pose in the camera."""
-        parts = [cv2.remap(draw(turn), *places, cv2.INTER_LINEAR) for turn, places in self._faces]
-        # Each pixel is of one face, and black in the others.
-        return np.sum(parts, axis=0, dtype=parts[0].dtype)
+                self._faces.append((face, places))
 
 
 def _function(tag: SensorTag, half: float, fov: float) -> tuple[Callable, Callable]:
@@ -175,3 +173,38 @@ def _function(tag: SensorTag, half: float, fov: float) -> tuple[Callable, Callab
         lambda angle: scale * function(angle / second + shift),
         lambda radius: second * (inverse(radius / scale) - shift),
     )
+
+
+class SensorNoise:
+    """Normal noise, drawn once and read from a random offset for each picture.
+
+    Drawing new numbers for each frame would take as long as rendering it. The numbers in a picture
+    are independent. Two pictures share numbers, at different pixels unless their offsets are the
+    same (one in a million). Mean and deviation, its `key`, are shares of white.
+    """
+
+    def __init__(self, mean: float, stddev: float, count: int, random: np.random.Generator):
+        self.key = (mean, stddev)
+        noise = random.standard_normal(count + SPARE_NOISE, dtype=np.float32)
+        noise = np.rint(WHITE * (mean + stddev * noise))
+        # Two arrays, since adding and subtracting bytes is fast and saturates.
+        self._more = np.clip(noise, 0, 255).astype(np.uint8)
+        self._less = np.clip(-noise, 0, 255).astype(np.uint8)
+
+    def add_to(self, picture: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        """Return the picture with noise; `random` draws the offset."""
+        first = int(random.integers(SPARE_NOISE))
+        part = slice(first, first + picture.size)
+        more, less = (a[part].reshape(picture.shape) for a in (self._more, self._less))
+        return cv2.subtract(cv2.add(picture, more), less)
+
+
+def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """Return the picture with a Gaussian blur of `sigma` pixels, as uint8.
+
+    A float32 picture is clipped to white afterwards.
+    """
+    if sigma <= 0.0:
+        return picture
+    picture = cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    return picture if picture.dtype == np.uint8 else cv2.convertScaleAbs(picture)

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Iterable
 
-from bullet_lab.core.pose import Pose, Vector, heading_of
+from bullet_lab.core.pose import Pose, Quaternion, Vector, heading_of
 from bullet_lab.core.schedule import STEPS_PER_SECOND, WaitingSchedule
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
-from bullet_lab.simulation.plugins import Input, Mount, Output, Plugin, PluginError
+from bullet_lab.simulation.plugins import Device, Mount, Output, Plugin, PluginError
 from bullet_lab.simulation.plugins.samples import (
     STANDSTILL,
     Diagonal,
@@ -23,6 +23,7 @@ from bullet_lab.simulation.plugins.samples import (
     TransformSample,
     is_sound,
 )
+from bullet_lab.simulation.world.description import Link
 
 # Variance of what the odometry does not know, as in Gazebo.
 UNKNOWN = 1e12
@@ -32,37 +33,54 @@ LOAD_SMOOTHING = 0.05
 STEP_SQUARED = STEP_SECONDS * STEP_SECONDS
 
 
-class MobileBase(Plugin):
+class OdometrySender(Device):
+    """Sends odometry, and its transform if `sends_transforms`; `frames` are the two of both."""
+
+    frames: tuple[str, str]
+    odometry: Output
+    transform: Output
+    sends_transforms = True
+
+    def send_odometry(
+        self, step: int, pose: Pose, velocity: PlanarCommand, *variances: Diagonal, flat: bool
+    ) -> None:
+        """Send a pose as odometry, flat with z = 0, and as transform."""
+        if self.odometry.wanted:
+            x, y, z = pose.position
+            seen = Pose((x, y, 0.0 if flat else z), pose.quaternion)
+            self.odometry.send(OdometrySample(step, *self.frames, seen, velocity, *variances))
+        if self.sends_transforms and self.transform.wanted:
+            self.transform.send(TransformSample(step, *self.frames, pose))
+
+
+class MobileBase(Plugin, OdometrySender):
     """A robot that takes velocity commands, and sends odometry and its transform.
 
     Attributes:
         directions: the components of a command that it uses.
         command_topic: the default of their topic.
         base_frame: the default of the robot's frame.
-        frame: name of the odometry's frame.
     """
 
-    directions: ClassVar[tuple[str, ...]] = ("vx", "wz")
-    command_topic: ClassVar[str] = "cmd_vel"
-    base_frame: ClassVar[str] = "base_footprint"
-    transform: Output
+    directions = ("vx", "wz")
+    command_topic = "cmd_vel"
+    base_frame = "base_footprint"
 
     def __init__(self, mount: Mount):
         super().__init__(mount)
         self._body = mount.body
         root = mount.model.root_links()[0].pose
         self._in_root = None if root == Pose() else root.inverse()
-        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
-        self._base_frame = mount.frame(mount.text("robotBaseFrame", self.base_frame))
+        odom = mount.frame(mount.text("odometryFrame", "odom"))
+        self.frames = (odom, mount.frame(mount.text("robotBaseFrame", self.base_frame)))
         self.odometry = self.output(mount.text("odometryTopic", "odom"), OdometrySample)
-        topic = mount.topic(mount.text("commandTopic", self.command_topic))
-        self.inputs = (Input(topic, PlanarCommand, self.command),)
+        topic = mount.text("commandTopic", self.command_topic)
+        self.input(topic, PlanarCommand, self.command)
 
     def command(self, command: PlanarCommand) -> None:
         """Take over a velocity; it acts from the next update on.
 
-        Raises:
-            PluginError: not finite or beyond `LARGEST_COMMAND`; the last command stays.
+        Raises PluginError if it is not finite or too large; the last command stays.
         """
         if not is_sound(*(getattr(command, name) for name in self.directions)):
             raise PluginError(f"the velocity {command} is not finite, or too large")
@@ -77,18 +95,6 @@ class MobileBase(Plugin):
         """Return the pose of the model's frame in the world; its first link's may differ."""
         pose = self._body.pose()
         return pose if self._in_root is None else pose * self._in_root
-
-    def _send_odometry(
-        self, step: int, pose: Pose, velocity: PlanarCommand, *variances: Diagonal, flat: bool
-    ) -> None:
-        """Send a pose as odometry, flat with z = 0, and as transform."""
-        frames = (self.frame, self._base_frame)
-        if self.odometry.wanted:
-            x, y, z = pose.position
-            seen = Pose((x, y, 0.0 if flat else z), pose.quaternion)
-            self.odometry.send(OdometrySample(step, *frames, seen, velocity, *variances))
-        if self.transform.wanted:
-            self.transform.send(TransformSample(step, *frames, pose))
 
 
 def upright(pose: Pose) -> Pose:
@@ -105,11 +111,9 @@ class SupportPatch:
     about the vertical satisfy (F/μN)² + (M/μNr)² = 1, with N the load and r the effective radius
     of the patch, and oppose the slip.
 
-    Attributes:
-        friction: Coulomb's coefficient μ.
-        radius: the effective radius r in m; a disc of radius R under even pressure has 2R/3.
-        mass: of the robot, in kg.
-        inertia: of the robot about the vertical through its centre of mass, in kg m².
+    `friction` is Coulomb's coefficient μ, `radius` the effective radius r in m; a disc of radius R
+    under even pressure has 2R/3. Mass (kg) and inertia (kg m², about the vertical through the
+    centre of mass) are those of the robot.
     """
 
     friction: float
@@ -163,10 +167,7 @@ class PlanarMove(MobileBase):
         self._patch = _support_patch(mount)
         if self._patch is not None:
             self._body.remove_sliding_friction()
-        # For the inner loop.
         self._set_velocity = self._body.set_velocity
-        self._turned = self._body.turned_inertia
-        self._simulation = mount.simulation
         # gazebo_ros_planar_move.cpp:220
         waiting = partial(WaitingSchedule, beyond=True)
         self.schedule = mount.schedule("odometryRate", 20.0, waiting)
@@ -186,7 +187,7 @@ class PlanarMove(MobileBase):
         vx, vy, wz = command.vx, command.vy, command.wz
         if self._patch is not None:
             vx, vy, wz = self._patch.slow_down(vx, vy, wz, self._load_now(height), STEP_SECONDS)
-        if self._turned:
+        if self._body.turned_inertia:
             quaternion = self._body.pose().quaternion
         self._set_velocity(*_in_world(vx, vy, wz, quaternion))
 
@@ -194,11 +195,14 @@ class PlanarMove(MobileBase):
         """Return the load (N) on the floor, with the centre of mass at a height (m)."""
         # By Newton's law: the body started the last step without vertical velocity, so the floor
         # has carried what did not become a fall.
-        pull = -self._simulation.world.gravity[2] * self._body.weight
-        carried = self._patch.mass * (pull + (height - self._height) / STEP_SQUARED)
+        carried = self._patch.mass * (self._pull() + (height - self._height) / STEP_SQUARED)
         self._height = height
         self._load += LOAD_SMOOTHING * (carried - self._load)
         return self._load
+
+    def _pull(self) -> float:
+        """Return the downward acceleration (m/s²) by gravity."""
+        return -self.mount.simulation.world.gravity[2] * self._body.weight
 
     def _commanded_velocity(self) -> tuple[Vector, Vector]:
         """Return the velocity that the body gets before friction acts, in the world."""
@@ -207,10 +211,17 @@ class PlanarMove(MobileBase):
         return _in_world(command.vx, command.vy, command.wz, quaternion)
 
     def produce(self, step: int) -> None:
-        pose = self._pose()
-        velocity = self._velocity_since(step, pose)
+        pose, before = self._pose(), self._last_pose
+        seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step, self._last_pose = step, pose
-        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
+        velocity = STANDSTILL
+        if seconds > 0.0:
+            # The mean velocity since the last sample, in the robot's present frame.
+            (x, y, yaw), (last_x, last_y, last_yaw) = pose.planar, before.planar
+            ahead, left = along(pose.quaternion, x - last_x, y - last_y)
+            turned = math.remainder(yaw - last_yaw, math.tau)
+            velocity = PlanarCommand(ahead / seconds, left / seconds, turned / seconds)
+        self.send_odometry(step, pose, velocity, POSE_VARIANCES, flat=True)
 
     def reset(self, step: int) -> None:
         self._now, self._expires = step, math.inf
@@ -220,21 +231,7 @@ class PlanarMove(MobileBase):
         self._last_pose = self._pose()
         self._height = self._body.com_pose().position[2]
         if self._patch is not None:
-            pull = -self._simulation.world.gravity[2] * self._body.weight
-            self._load = self._patch.mass * pull
-
-    def _velocity_since(self, step: int, pose: Pose) -> PlanarCommand:
-        """Return the mean velocity since the last sample, in the robot's present frame."""
-        dt = (step - self._last_step) / STEPS_PER_SECOND
-        if dt <= 0.0:
-            return STANDSTILL
-        dx = pose.position[0] - self._last_pose.position[0]
-        dy = pose.position[1] - self._last_pose.position[1]
-        turned = math.remainder(pose.yaw - self._last_pose.yaw, math.tau)
-        cosine, sine = heading_of(pose.quaternion)
-        return PlanarCommand(
-            (cosine * dx + sine * dy) / dt, (cosine * dy - sine * dx) / dt, turned / dt
-        )
+            self._load = self._patch.mass * self._pull()
 
 
 class ForceBasedMove(PlanarMove):
@@ -268,8 +265,7 @@ class ForceBasedMove(PlanarMove):
 
     def _pose(self) -> Pose:
         """Return the pose in the odometry's frame, on its plane."""
-        pose = self.origin.inverse() * super()._pose()
-        return Pose.from_rpy((*pose.position[:2], 0.0), (0.0, 0.0, pose.yaw))
+        return Pose.on_floor(*(self.origin.inverse() * super()._pose()).planar)
 
     def reset(self, step: int) -> None:
         self._last_pose = Pose()
@@ -283,16 +279,25 @@ class ForceBasedMove(PlanarMove):
     def _push(self, linear: Vector, angular: Vector) -> None:
         """Push towards a velocity in the world (m/s, rad/s)."""
         place, (now, spin) = self._body.com_pose(), self._body.velocity()
-        cosine, sine = heading_of(place.quaternion)
-        x, y = linear[0] - now[0], linear[1] - now[1]
-        ahead = self._ahead * (cosine * x + sine * y)
-        left = self._left * (cosine * y - sine * x)
-        pushes = _in_world(ahead, left, self._turn * (angular[2] - spin[2]), place.quaternion)
+        ahead, left = along(place.quaternion, linear[0] - now[0], linear[1] - now[1])
+        push = (self._ahead * ahead, self._left * left, self._turn * (angular[2] - spin[2]))
+        pushes = _in_world(*push, place.quaternion)
         self._body.push(self._body.links[0].name, *pushes, place.position)
 
 
+def mass_of(links: Iterable[Link]) -> float:
+    """Return the mass of links in kg."""
+    return sum(link.inertia.mass for link in links if link.inertia is not None)
+
+
+def along(quaternion: Quaternion, x: float, y: float) -> tuple[float, float]:
+    """Return the parts of a vector in the world ahead and to the left of a robot."""
+    cosine, sine = heading_of(quaternion)
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
 def _in_world(
-    ahead: float, left: float, wz: float, quaternion: tuple[float, ...]
+    ahead: float, left: float, wz: float, quaternion: Quaternion
 ) -> tuple[Vector, Vector]:
     """Return velocities or forces of a robot, linear and angular, turned into the world."""
     cosine, sine = heading_of(quaternion)
@@ -306,7 +311,6 @@ def _support_patch(mount: Mount) -> SupportPatch | None:
         raise PluginError(f"{mount.name()}: its first link cannot move")
     if not mount.text("supportRadius", ""):
         return None
-    masses = [link.inertia.mass for link in mount.model.links if link.inertia is not None]
     friction = min((c.friction for c in root.collisions), default=1.0)
-    radius = mount.coefficient("supportRadius")
-    return SupportPatch(friction, radius, sum(masses), float(root.inertia.matrix[2, 2]))
+    radius, mass = mount.coefficient("supportRadius"), mass_of(mount.model.links)
+    return SupportPatch(friction, radius, mass, float(root.inertia.matrix[2, 2]))

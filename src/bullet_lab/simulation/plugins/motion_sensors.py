@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import ClassVar
 
 import numpy as np
 
@@ -29,36 +28,6 @@ QUANTITIES = ("angular_velocity", "linear_acceleration")
 def mounting_offset(mount: Mount) -> Pose:
     """Return the pose in the tags xyzOffset (m) and rpyOffset (rad) of a plugin."""
     return Pose.from_rpy(mount.vector("xyzOffset"), mount.vector("rpyOffset"))
-
-
-class Accelerometer:
-    """Mean acceleration of a point, from its velocities.
-
-    Bullet's contacts carry a body in small pushes, and each would appear as an acceleration. So
-    this is the mean since the last reading, over 10 ms at least. Readings up to 100 Hz then add
-    up to exactly the change of velocity, as those of a strapdown unit do. Faster ones overlap, as
-    behind a low-pass filter with its first zero at 100 Hz, which real chips also have.
-    """
-
-    def __init__(self) -> None:
-        self._past: deque[tuple[int, Vector]] = deque()
-
-    def restart(self, step: int, velocity: Vector) -> None:
-        """Start with a velocity in m/s."""
-        self._past.clear()
-        self._past.append((step, velocity))
-
-    def advance(self, step: int, velocity: Vector) -> Vector:
-        """Take the present velocity in m/s and return the mean acceleration in m/s²."""
-        past = self._past
-        past.append((step, velocity))
-        while len(past) > 2 and step - past[1][0] >= AVERAGING:
-            past.popleft()
-        since, before = past[0]
-        seconds = (step - since) / STEPS_PER_SECOND
-        if seconds <= 0.0:
-            return (0.0, 0.0, 0.0)
-        return tuple((now - then) / seconds for now, then in zip(velocity, before))
 
 
 def _axis_noise(mount: Mount, tag: SensorTag, quantity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -87,14 +56,19 @@ class InertialUnit(Sensor):
     standard deviation of each component: in rad/s, in m/s², and in rad as a small turn of the
     orientation.
 
+    Bullet's contacts carry a body in small pushes, and each would appear as an acceleration. So
+    the acceleration is the mean since the last reading, over 10 ms at least. Readings up to 100 Hz
+    then add up to exactly the change of velocity, as those of a strapdown unit do. Faster ones
+    overlap, as behind a low-pass filter with its first zero at 100 Hz, which real chips also have.
+
     Attributes:
         place: of the sensor.
         reference: the quaternion that turns the world's axes into those of the orientation.
         axis_noise: constant errors and deviations by the index of a quantity in QUANTITIES.
     """
 
-    feels_gravity: ClassVar[bool] = True
-    before_friction: ClassVar[bool] = False
+    feels_gravity = True
+    before_friction = False
     place: AttachedFrame
     reference: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -103,13 +77,21 @@ class InertialUnit(Sensor):
         self._frame = frame
         self._deviation = mount.coefficient("gaussianNoise")
         self.axis_noise: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        self._accelerometer = Accelerometer()
         self._step = 0
+        # The last steps, each with the velocity then (m/s).
+        self._past: deque[tuple[int, Vector]] = deque()
 
     def produce(self, step: int) -> None:
         self._step = step
         linear, self._angular = self.place.velocity(self.before_friction)
-        self._acceleration = self._accelerometer.advance(step, linear)
+        past = self._past
+        past.append((step, linear))
+        while len(past) > 2 and step - past[1][0] >= AVERAGING:
+            past.popleft()
+        since, before = past[0]
+        # At the step of a reset, both are the same.
+        seconds = max(step - since, 1) / STEPS_PER_SECOND
+        self._acceleration = tuple((now - then) / seconds for now, then in zip(linear, before))
         super().produce(step)
 
     def reset(self, step: int) -> None:
@@ -117,7 +99,8 @@ class InertialUnit(Sensor):
         self.placed()
 
     def placed(self) -> None:
-        self._accelerometer.restart(self._step, self.place.velocity(self.before_friction)[0])
+        self._past.clear()
+        self._past.append((self._step, self.place.velocity(self.before_friction)[0]))
 
     def measure(self, step: int) -> ImuSample:
         pose = self.place.pose()
@@ -126,19 +109,18 @@ class InertialUnit(Sensor):
         if self.feels_gravity:
             acceleration = subtract(acceleration, self.mount.simulation.world.gravity)
         orientation = (Pose(quaternion=self.reference) * pose).quaternion
-        readings = [np.array(into.rotate(vector)) for vector in (self._angular, acceleration)]
+        readings = np.array([into.rotate(self._angular), into.rotate(acceleration)])
         variance = self._deviation * self._deviation
         variances = [variance, variance]
         random = self._noise.at(step)
         if self._deviation:
             orientation = _turned(orientation, random.normal(0.0, self._deviation, 3))
-            for reading in readings:
-                reading += random.normal(0.0, self._deviation, 3)
+            readings += random.normal(0.0, self._deviation, (2, 3))
         for index, (offsets, deviations) in self.axis_noise.items():
             readings[index] += offsets + random.normal(size=3) * deviations
             variances[index] += float(deviations.max()) ** 2
-        rate, force = (tuple(reading.tolist()) for reading in readings)
-        return ImuSample(step, self._frame, orientation, rate, force, variance, *variances)
+        motion = map(tuple, readings.tolist())
+        return ImuSample(step, self._frame, orientation, *motion, variance, *variances)
 
 
 class Imu(InertialUnit):
@@ -218,7 +200,16 @@ class TruePose(Sensor):
         self.schedule = mount.schedule("updateRate", 0.0, WaitingSchedule)
 
     def measure(self, step: int) -> MotionSample:
-        pose, linear, angular = self._motion()
+        pose, (linear, angular) = self._place.pose(), self._place.velocity(before_friction=True)
+        if self._reference is not None:
+            frame = self._reference.pose()
+            base, spin = self._reference.velocity(before_friction=True)
+            # The velocity of the frame at the place of the link: base + spin x arm.
+            carried = add(base, cross(spin, subtract(pose.position, frame.position)))
+            into = frame.inverse()
+            linear = into.rotate(subtract(linear, carried))
+            angular = into.rotate(subtract(angular, spin))
+            pose = into * pose
         shifted = add(pose.position, self._offset.position)
         moved = Pose(shifted, (self._offset * pose).quaternion)
         if self._deviation:
@@ -226,18 +217,6 @@ class TruePose(Sensor):
             linear, angular = add(linear, errors[:3]), add(angular, errors[3:])
         variance = self._deviation * self._deviation
         return MotionSample(step, *self._frames, moved, linear, angular, variance)
-
-    def _motion(self) -> tuple[Pose, Vector, Vector]:
-        """Return pose, linear and angular velocity in the frame of reference."""
-        pose, (linear, angular) = self._place.pose(), self._place.velocity(before_friction=True)
-        if self._reference is None:
-            return pose, linear, angular
-        frame, (base, spin) = self._reference.pose(), self._reference.velocity(before_friction=True)
-        # The velocity of the frame of reference at the place of the link: base + spin x arm.
-        carried = add(base, cross(spin, subtract(pose.position, frame.position)))
-        into = frame.inverse()
-        linear, angular = subtract(linear, carried), subtract(angular, spin)
-        return into * pose, into.rotate(linear), into.rotate(angular)
 
 
 class JointStatePublisher(Sensor):
@@ -251,10 +230,10 @@ class JointStatePublisher(Sensor):
         self._body = mount.body
         known = self._body.joint_names
         listed = [name.strip() for name in mount.text("jointName").split(",")]
-        self._names = tuple(name for name in listed if name) or known
-        missing = [name for name in self._names if name not in known]
-        if missing:
-            raise PluginError(f"{mount.where('jointName')}: no movable joint '{missing[0]}'")
+        self._names = tuple(filter(None, listed)) or known
+        for name in self._names:
+            if name not in known:
+                raise PluginError(f"{mount.where('jointName')}: no movable joint '{name}'")
         self.schedule = mount.schedule("updateRate", 100.0)
 
     def produce(self, step: int) -> None:
@@ -262,7 +241,7 @@ class JointStatePublisher(Sensor):
             super().produce(step)
 
     def measure(self, step: int) -> JointSample:
-        states = [self._body.joint_state(name) for name in self._names]
-        positions, velocities = zip(*((state.position, state.velocity) for state in states))
+        states = map(self._body.joint_state, self._names)
         # Without efforts, as in Gazebo.
-        return JointSample(step, self._names, positions, velocities)
+        turns = zip(*((state.position, state.velocity) for state in states))
+        return JointSample(step, self._names, *turns)

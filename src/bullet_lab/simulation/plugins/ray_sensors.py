@@ -1,7 +1,7 @@
-"""Sensors of surroundings: laser scanners, sonars as fans of rays, and bumpers.
+"""Sensors of surroundings: lasers, sonars as fans of rays, and bumpers.
 
-libgazebo_ros_laser.so, libgazebo_ros_gpu_laser.so, libgazebo_ros_range.so and
-libgazebo_ros_bumper.so.
+libgazebo_ros_laser.so, libgazebo_ros_gpu_laser.so, libgazebo_ros_block_laser.so, those of
+velodyne_simulator, libgazebo_ros_range.so and libgazebo_ros_bumper.so.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from bullet_lab.simulation.physics.attached_frame import ContactPoint
 from bullet_lab.simulation.physics.rays import Fan
 from bullet_lab.simulation.plugins import Mount, PluginError, Sensor, SensorTag
 from bullet_lab.simulation.plugins.samples import (
+    BlockSample,
     ContactsSample,
     LaserSample,
     RangeSample,
+    RingsSample,
     ShapeContact,
 )
 from bullet_lab.simulation.world.urdf import LUMP
@@ -35,6 +37,10 @@ ALL = slice(None)
 LONGEST_MEMORY = 100
 # The parts that Gazebo's conversion of URDF adds to a shape's name.
 ADDED = re.compile(rf"^.*{LUMP}|_collision(_\d+)?$")
+# A point of velodyne's drivers. The rays are of one moment: `time` is 0.
+RING_POINT = np.dtype(
+    [*((name, "<f4") for name in ("x", "y", "z", "intensity")), ("ring", "<u2"), ("time", "<f4")]
+)
 
 
 class RayScan:
@@ -65,10 +71,10 @@ class RayScan:
             raise PluginError(f"{tag.where('max')}: {self.greatest:g} is not beyond <min>")
         self._mean, self._deviation = _noise(tag)
         yaw, pitch = np.meshgrid(_spread(self.angles, columns), _spread(self.heights, rows))
-        level = np.cos(pitch)
-        directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)), axis=-1)
-        self.shape, self.directions = yaw.shape, directions.reshape(-1, 3)
-        self._axes = np.ascontiguousarray(self.directions.T)
+        self.shape, level = yaw.shape, np.cos(pitch)
+        directions = np.stack((level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)))
+        self._axes = directions.reshape(3, -1)
+        self.directions = self._axes.T
         self._place = tag.place()
         self._rays = mount.simulation.rays
 
@@ -112,6 +118,14 @@ class RayScan:
         distances[seen] = np.clip(distances[seen], self.least, self.greatest)
         return distances
 
+    def nearest(self) -> float:
+        """Return the least of the exact distances in m, or the least range if that is greater."""
+        return max(float(np.min(self.distances())), self.least)
+
+    def limited(self, reading: float) -> float:
+        """Return a reading (m) limited to the range."""
+        return min(max(reading, self.least), self.greatest)
+
 
 def _angles(tag: SensorTag, path: str) -> tuple[Vector, int]:
     """Return the first and the last angle and their increment in rad, and their number."""
@@ -143,7 +157,10 @@ def _noise(tag: SensorTag) -> tuple[float, float]:
 class RaySensor(Sensor):
     """A sensor whose rays are cast together with those of others that are due."""
 
-    _scanner: RayScan
+    def __init__(self, mount: Mount, topic: str, kind: type):
+        self._tag = SensorTag(mount, RAY_SENSORS)
+        super().__init__(mount, mount.text("topicName", topic), kind)
+        self._scanner = RayScan(mount, self._tag)
 
     def prepare(self) -> None:
         if self._output.wanted:
@@ -161,17 +178,84 @@ class Laser(RaySensor):
     named_by_model = (False, True)
 
     def __init__(self, mount: Mount):
-        tag = SensorTag(mount, RAY_SENSORS)
+        super().__init__(mount, "/world", LaserSample)
         self._frame = mount.frame(mount.text("frameName", "/world"))
-        super().__init__(mount, mount.text("topicName", "/world"), LaserSample)
-        self._scanner = RayScan(mount, tag)
-        self.schedule = tag.schedule("update_rate", 0.0)
+        self.schedule = self._tag.schedule("update_rate", 0.0)
 
     def measure(self, step: int) -> LaserSample:
         scanner = self._scanner
         ranges = scanner.measure(self._noise.at(step))
         seen = (*scanner.angles, scanner.least, scanner.greatest)
         return LaserSample(step, self._frame, *seen, ranges, np.zeros(len(ranges)))
+
+
+class BlockLaser(RaySensor):
+    """Reports a point for each ray; one without a hit is at the greatest range, without noise.
+
+    As in Gazebo, the sensor's noise has no effect, and the plugin's is added to each coordinate and
+    to the intensity, which is 0 otherwise.
+    """
+
+    filenames = ("libgazebo_ros_block_laser.so",)
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount, "/world", BlockSample)
+        self._frame = mount.frame(mount.text("frameName", "/world"))
+        self._deviation = mount.coefficient("gaussianNoise")
+        for without_effect in ("hokuyoMinIntensity", "updateRate"):
+            mount.text(without_effect)
+        self.schedule = self._tag.schedule("update_rate", 0.0)
+
+    def measure(self, step: int) -> BlockSample:
+        scan = self._scanner
+        distances = np.clip(scan.distances(), scan.least, scan.greatest)
+        noise = self._noise.at(step).normal(0.0, self._deviation, (len(distances), 4))
+        noise[distances == scan.greatest, :3] = 0.0
+        points = distances[:, None] * scan.directions + noise[:, :3]
+        return BlockSample(step, self._frame, points, noise[:, 3])
+
+
+class VelodyneLaser(RaySensor):
+    """Reports the points that are hit, column by column, each from the lowest ring upwards.
+
+    With organize_cloud, rays without a point have NaN, and the cloud has a row for each column of
+    rays. As in velodyne_simulator, a robotNamespace is the prefix of the frame.
+    """
+
+    filenames = ("libgazebo_ros_velodyne_laser.so", "libgazebo_ros_velodyne_gpu_laser.so")
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount, "/points", RingsSample)
+        frame, space = mount.text("frameName", "/world"), mount.namespace
+        is_prefix = space and not frame.startswith("/")
+        self._frame = f"{space}/{frame}" if is_prefix else mount.frame(frame)
+        least, greatest = self._scanner.least, self._scanner.greatest
+        self._least = max(least, mount.coefficient("min_range"))
+        self._greatest = min(greatest, mount.number("max_range", greatest))
+        # Without laser_retro, the intensity of all points is 0.
+        self._is_blind = mount.number("min_intensity", -1.0) > 0.0
+        self._deviation = mount.coefficient("gaussianNoise")
+        self._is_organised = mount.boolean("organize_cloud", False)
+        self.schedule = self._tag.schedule("update_rate", 0.0)
+
+    def measure(self, step: int) -> RingsSample:
+        random, scan = self._noise.at(step), self._scanner
+        distances = scan.measure(random)
+        seen = self._are_seen(distances) & (not self._is_blind)
+        distances += random.normal(0.0, self._deviation, len(distances))
+        seen &= self._are_seen(distances)
+        cloud = np.zeros(scan.shape, RING_POINT)
+        points = np.where(seen, distances, np.nan)[:, None] * scan.directions
+        for axis, name in enumerate("xyz"):
+            cloud[name] = points[:, axis].reshape(scan.shape)
+        cloud["ring"] = np.arange(scan.shape[0])[:, None]
+        seen = seen.reshape(scan.shape)
+        cloud["intensity"][~seen] = np.nan
+        columns = cloud.T if self._is_organised else cloud.T[seen.T][None]
+        return RingsSample(step, self._frame, columns)
+
+    def _are_seen(self, distances: np.ndarray) -> np.ndarray:
+        return (self._least < distances) & (distances < self._greatest)
 
 
 class RangeSensor(RaySensor):
@@ -184,22 +268,18 @@ class RangeSensor(RaySensor):
     filenames = ("libgazebo_ros_range.so",)
 
     def __init__(self, mount: Mount):
-        tag = SensorTag(mount, RAY_SENSORS)
+        super().__init__(mount, "/range", RangeSample)
         frame = mount.frame(mount.text("frameName", "/world"))
-        super().__init__(mount, mount.text("topicName", "/range"), RangeSample)
         infrared = mount.text("radiation", "ultrasound") != "ultrasound"
         self._kind = (frame, infrared, mount.number("fov", 0.05))
         self._deviation = mount.coefficient("gaussianNoise")
-        self._scanner = RayScan(mount, tag)
-        self.schedule = tag.slower("updateRate", 0.0)
+        self.schedule = self._tag.slower("updateRate", 0.0)
 
     def measure(self, step: int) -> RangeSample:
-        least, greatest = self._scanner.least, self._scanner.greatest
-        noise = self._noise.at(step).normal(0.0, self._deviation)
+        scan, noise = self._scanner, self._noise.at(step).normal(0.0, self._deviation)
         # Infinity stays infinite with noise, and is then limited to the greatest range.
-        reading = max(float(np.min(self._scanner.distances())), least) + noise
-        reading = min(max(reading, least), greatest)
-        return RangeSample(step, *self._kind, least, greatest, reading)
+        reading = scan.limited(scan.nearest() + noise)
+        return RangeSample(step, *self._kind, scan.least, scan.greatest, reading)
 
 
 class Bumper(Sensor):
@@ -250,15 +330,12 @@ class Bumper(Sensor):
                 second = name(*point.other, point.place_on_other)
                 pairs.setdefault((first, second), []).append(point)
         centre = self._place.centre_of_mass()
-        contacts = []
-        for names, points in pairs.items():
-            arms = (subtract(point.place, centre) for point in points)
-            torques = tuple(cross(arm, point.force) for arm, point in zip(arms, points))
-            forces, places, normals, depths = zip(
-                *((point.force, point.place, point.normal, point.depth) for point in points)
-            )
-            contacts.append(ShapeContact(step, *names, forces, torques, places, normals, depths))
-        return contacts
+
+        def row(point: ContactPoint) -> tuple:
+            torque = cross(subtract(point.place, centre), point.force)
+            return point.force, torque, point.place, point.normal, point.depth
+
+        return [ShapeContact(step, *n, *zip(*map(row, points))) for n, points in pairs.items()]
 
 
 def watched_shapes(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
@@ -267,14 +344,15 @@ def watched_shapes(mount: Mount, tag: SensorTag, link: str) -> tuple[str, ...]:
     wanted = [(element.text or "").strip() for element in tag.element.findall("contact/collision")]
     chosen: list[str] = []
     for name in wanted:
-        found = [name] if name in known else []
+        if name in known:
+            chosen.append(name)
+            continue
+        # Gazebo's versions differ in what they add to the name of a shape of a URDF.
+        found = [one for one in known if ADDED.sub("", one) == ADDED.sub("", name)]
+        where, shapes = tag.where("collision"), ", ".join(found or known) or "none"
+        what = f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}"
         if not found:
-            # Gazebo's versions differ in what they add to the name of a shape of a URDF.
-            found = [one for one in known if ADDED.sub("", one) == ADDED.sub("", name)]
-            where, shapes = tag.where("collision"), ", ".join(found or known) or "none"
-            what = f"{where}: link '{link}' has no shape '{name}'; its shapes: {shapes}"
-            if not found:
-                raise PluginError(what)
-            LOG.warning("%s; these are watched, Gazebo would report no contact", what)
+            raise PluginError(what)
+        LOG.warning("%s; these are watched, Gazebo would report no contact", what)
         chosen += found
     return tuple(f"{mount.model.name}::{link}::{name}" for name in chosen or known)

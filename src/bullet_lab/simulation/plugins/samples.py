@@ -49,6 +49,11 @@ class PlanarCommand:
     vy: float = 0.0
     wz: float = 0.0
 
+    def rims(self, separation: float) -> tuple[float, float]:
+        """Return the speeds (m/s) of left and right wheels that are `separation` (m) apart."""
+        side = 0.5 * self.wz * separation
+        return self.vx - side, self.vx + side
+
 
 STANDSTILL = PlanarCommand()
 
@@ -116,15 +121,21 @@ class Trigger:
 
 
 @dataclass(frozen=True)
-class OdometrySample(Sample):
+class TransformSample(Sample):
+    """Pose of `child_frame` in `frame`, for TF."""
+
+    child_frame: str
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class OdometrySample(TransformSample):
     """Pose of `child_frame` in `frame`, and its velocity in its own frame.
 
     The covariances are diagonal, in m² and rad²; the twist's per s². Most plugins send a zero
     twist covariance, as Gazebo's do.
     """
 
-    child_frame: str
-    pose: Pose
     velocity: PlanarCommand
     pose_variances: Diagonal
     twist_variances: Diagonal = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -135,14 +146,6 @@ class VelocitySample(Sample):
     """A velocity command after its limits."""
 
     velocity: PlanarCommand
-
-
-@dataclass(frozen=True)
-class TransformSample(Sample):
-    """Pose of `child_frame` in `frame`, for TF."""
-
-    child_frame: str
-    pose: Pose
 
 
 @dataclass(frozen=True)
@@ -323,11 +326,9 @@ class FixSample(Sample):
 
 
 @dataclass(frozen=True)
-class MotionSample(Sample):
+class MotionSample(TransformSample):
     """Pose and velocity (m/s, rad/s) of `child_frame`, with the `variance` of each component."""
 
-    child_frame: str
-    pose: Pose
     linear: Vector
     angular: Vector
     variance: float

@@ -1,16 +1,17 @@
-"""Robots on driven wheels: differential drive, and skid steer with four wheels.
+"""Robots on driven wheels: differential drive, skid steer with four wheels, and tricycles.
 
-libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so.
+libgazebo_ros_diff_drive.so, libgazebo_ros_skid_steer_drive.so and libgazebo_ros_tricycle_drive.so.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from typing import ClassVar, Tuple
+from typing import Sequence, Tuple
 
-from bullet_lab.core.pose import Pose, heading_of
+from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
+from bullet_lab.drive import clip
 from bullet_lab.simulation.physics.bodies import Body, JointState
 from bullet_lab.simulation.physics.physics import STEP_SECONDS
 from bullet_lab.simulation.physics.surfaces import GRAVITY
@@ -19,6 +20,8 @@ from bullet_lab.simulation.plugins.mobile_base import (
     POSE_VARIANCES,
     UNKNOWN,
     MobileBase,
+    along,
+    mass_of,
     upright,
 )
 from bullet_lab.simulation.plugins.samples import (
@@ -27,7 +30,7 @@ from bullet_lab.simulation.plugins.samples import (
     PlanarCommand,
     TransformSample,
 )
-from bullet_lab.simulation.world.description import Joint
+from bullet_lab.simulation.world.description import Joint, Link
 
 LOG = logging.getLogger(__name__)
 
@@ -44,6 +47,8 @@ CREEP_BY_MASS = 0.4
 CREEP_SPEED, CREEP_EXPONENT = 0.1, 0.7
 # Wheels with less than this share of the friction that they can have do not creep.
 CREEP_SHARE = 0.4
+# Effort (N m) that turns the fork of a tricycle to its angle at once.
+STRONGEST = 1e6
 # Of the left and the right wheels.
 Pair = Tuple[float, float]
 WHEEL_JOINTS = ("continuous", "revolute")
@@ -68,6 +73,11 @@ class Wheel:
         """Return angle, speed and torque."""
         return self._body.joint_state(self.joint)
 
+    @property
+    def angle(self) -> float:
+        """The angle in rad."""
+        return self.state().position
+
     def stop(self) -> None:
         """Drive at speed 0, at once."""
         self._speed = 0.0
@@ -76,12 +86,18 @@ class Wheel:
     def follow(self, speed: float) -> None:
         """Drive at a speed in rad/s."""
         self._speed = speed
-        if self._speed != 0.0 or abs(self.state().velocity) > STANDING:
+        if speed != 0.0 or abs(self.state().velocity) > STANDING:
             self._release()
         elif not self._held:
             self._held = True
             self._body.set_sticking(self.joint, True)
-            self._body.hold_joint(self.joint, self.state().position, self._torque)
+            self._body.hold_joint(self.joint, self.angle, self._torque)
+
+    def keep(self, speed: float) -> None:
+        """Drive at a speed in rad/s that nobody else changes; for each step."""
+        # A motor keeps its speed, but at 0 the wheel must check whether to hold its joint.
+        if speed == 0.0 or speed != self._speed:
+            self.follow(speed)
 
     def _release(self) -> None:
         self._held = False
@@ -96,20 +112,26 @@ class WheelDrive(MobileBase):
     command, v ∓ ω·separation/2 at the rim. The wheels roll, slip or stall by torque and friction.
     A command stays until the next one; as in Gazebo, there is no timeout.
 
+    Subclasses define `_report(step, seconds)`, which sends the odometry, and
+    `_rim_speeds(wanted, seconds)`, which returns the speeds (m/s) to set at the left and right
+    rims; `seconds` is the time since the last update.
+
     Attributes:
         size_tags: of the separation and the diameter of the wheels.
+        default_separation: in m.
         separation: of the left and right wheels in m, by the tags.
         radii: of the left and right wheels in m, by the tags.
         wheels: the left ones before as many right ones.
     """
 
-    size_tags: ClassVar[Tuple[str, str]] = ("wheelSeparation", "wheelDiameter")
+    size_tags = ("wheelSeparation", "wheelDiameter")
+    default_separation = 0.34
     wheels: tuple[Wheel, ...]
 
-    def __init__(self, mount: Mount, separation: float):
+    def __init__(self, mount: Mount):
         mount.require_moving()
         super().__init__(mount)
-        self.separation = mount.positive(self.size_tags[0], separation)
+        self.separation = mount.positive(self.size_tags[0], self.default_separation)
         self.radii = 2 * (0.5 * mount.positive(self.size_tags[1], 0.15),)
         self.schedule = mount.schedule("updateRate", 100.0)
 
@@ -121,29 +143,23 @@ class WheelDrive(MobileBase):
         seconds = (step - self._last_step) / STEPS_PER_SECOND
         self._last_step = step
         self._report(step, seconds)
-        side = 0.5 * self._command.wz * self.separation
-        wanted = (self._command.vx - side, self._command.vx + side)
-        speeds = self._rim_speeds(wanted, seconds)
+        self._drive(seconds)
+
+    def _drive(self, seconds: float) -> None:
+        """Set the motors, `seconds` after the last time."""
+        speeds = self._rim_speeds(self._command.rims(self.separation), seconds)
         for number, wheel in enumerate(self.wheels):
-            on_the_right = 2 * number >= len(self.wheels)
-            wheel.follow(speeds[on_the_right] / self.radii[on_the_right])
+            side = 2 * number // len(self.wheels)
+            wheel.follow(speeds[side] / self.radii[side])
 
     def placed(self) -> None:
         for wheel in self.wheels:
             wheel.stop()
 
-    def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
-        """Return the speeds (m/s) to set at the left and right rims, `seconds` after the last."""
-        return wanted
-
     def _velocity(self, pose: Pose) -> PlanarCommand:
         """Return the velocity of the body's origin along the heading of a pose."""
         (vx, vy, _), (_, _, wz) = self._body.origin_velocity()
-        cosine, sine = heading_of(pose.quaternion)
-        return PlanarCommand(cosine * vx + sine * vy, cosine * vy - sine * vx, wz)
-
-    def _report(self, step: int, seconds: float) -> None:
-        """Send the odometry, `seconds` after the last time."""
+        return PlanarCommand(*along(pose.quaternion, vx, vy), wz)
 
 
 def wheel_joint(mount: Mount, tag: str, default: str) -> Joint:
@@ -170,10 +186,8 @@ class DeadReckoning:
     >>> driven, turned, reckoning.pose
     (0.5, 0.0, (0.5, 0.0, 0.0))
 
-    Args:
-        separation: of the wheels' contacts with the floor, in m.
-        radius: of both wheels in m, or of the left one.
-        right_radius: of the right wheel in m, if it differs.
+    Lengths are in m: the `separation` of the wheels' contacts with the floor, and the `radius` of
+    both wheels, or of the left one if there is a `right_radius`.
     """
 
     def __init__(self, separation: float, radius: float, right_radius: float | None = None):
@@ -183,9 +197,7 @@ class DeadReckoning:
 
     def restart(self, left: float, right: float) -> None:
         """Start at the origin, with the wheels at these angles (rad)."""
-        self._x = 0.0
-        self._y = 0.0
-        self._yaw = 0.0
+        self._x = self._y = self._yaw = 0.0
         self.resume(left, right)
 
     def resume(self, left: float, right: float) -> None:
@@ -233,12 +245,11 @@ class DiffDrive(WheelDrive):
 
     filenames = ("libgazebo_ros_diff_drive.so", "libcreate_diff_drive.so")
     named_by_model = (True, True)
-    # Tags of the joints, with their defaults, and the default separation in m.
+    # Tags of the joints, with their defaults.
     joint_tags = (("leftJoint", "left_joint"), ("rightJoint", "right_joint"))
-    default_separation = 0.34
 
     def __init__(self, mount: Mount):
-        super().__init__(mount, self.default_separation)
+        super().__init__(mount)
         if mount.boolean("legacyMode", False):
             reason = "as in ROS Noetic: <leftJoint> is the wheel on the left"
             LOG.warning("%s is ignored, %s", mount.where("legacyMode"), reason)
@@ -292,42 +303,33 @@ class DiffDrive(WheelDrive):
         if self._acceleration == 0.0 or min(map(abs, lacks)) < NEAR:
             return wanted
         most = self._acceleration * seconds
-        left, right = (
-            speed + max(-most, min(most, lack)) for speed, lack in zip(self._set_speeds, lacks)
+        self._set_speeds = tuple(
+            speed + clip(lack, most) for speed, lack in zip(self._set_speeds, lacks)
         )
-        self._set_speeds = (left, right)
         return self._set_speeds
 
     def _angles(self) -> tuple[float, float]:
-        left, right = self.wheels[:2]
-        return left.state().position, right.state().position
+        return tuple(wheel.angle for wheel in self.wheels[:2])
 
     def _report(self, step: int, seconds: float) -> None:
         if self._from_wheels:
-            pose, velocity = self._reckoned(seconds)
+            driven, turned = self._reckoning.advance(*self._angles())
+            pose, velocity = Pose.on_floor(*self._reckoning.pose), STANDSTILL
+            if seconds > 0.0:
+                velocity = PlanarCommand(vx=driven / seconds, wz=turned / seconds)
         else:
             pose = self._pose()
             velocity = self._velocity(pose)
-        self._send_odometry(step, pose, velocity, POSE_VARIANCES, flat=False)
+        self.send_odometry(step, pose, velocity, POSE_VARIANCES, flat=False)
         if self.wheel_transforms.wanted:
             for joint, wheel in zip(self._joints, self.wheels):
                 frames = (self.mount.frame(joint.parent), self.mount.frame(joint.child))
-                place = _hub_pose(joint, wheel.state().position)
+                place = _hub_pose(joint, wheel.angle)
                 self.wheel_transforms.send(TransformSample(step, *frames, place))
         if self.wheel_states.wanted:
             # The right wheel before the left one, as Gazebo sends them.
-            names = tuple(wheel.joint for wheel in self.wheels[::-1])
-            angles = tuple(wheel.state().position for wheel in self.wheels[::-1])
-            self.wheel_states.send(JointSample(step, names, angles))
-
-    def _reckoned(self, seconds: float) -> tuple[Pose, PlanarCommand]:
-        """Return the pose by the wheels' angles, and the mean velocity since the last update."""
-        driven, turned = self._reckoning.advance(*self._angles())
-        x, y, yaw = self._reckoning.pose
-        pose = Pose.from_rpy((x, y, 0.0), (0.0, 0.0, yaw))
-        if seconds <= 0.0:
-            return pose, STANDSTILL
-        return pose, PlanarCommand(vx=driven / seconds, wz=turned / seconds)
+            states = ((wheel.joint, wheel.angle) for wheel in self.wheels[::-1])
+            self.wheel_states.send(JointSample(step, *zip(*states)))
 
 
 def _hub_pose(joint: Joint, angle: float) -> Pose:
@@ -347,46 +349,45 @@ class SkidSteer(WheelDrive):
 
     filenames = ("libgazebo_ros_skid_steer_drive.so",)
 
+    default_separation = 0.4
+
     def __init__(self, mount: Mount):
-        super().__init__(mount, 0.4)
+        super().__init__(mount)
         torque = mount.coefficient("torque", 5.0)
-        names = [
-            wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint").name
+        joints = [
+            wheel_joint(mount, f"{side}{end}Joint", f"{side}_{end.lower()}_joint")
             for side in ("left", "right")
             for end in ("Front", "Rear")
         ]
-        if len(set(names)) < len(names):
+        if len({joint.name for joint in joints}) < len(joints):
             where = mount.where("rightRearJoint")
             raise PluginError(f"{where}: the four joints must be different, but one is named twice")
-        self.wheels = tuple(Wheel(self._body, name, torque) for name in names)
+        self.wheels = tuple(Wheel(self._body, joint.name, torque) for joint in joints)
         self._creep, self._most_friction = 0.0, 0.0
         if not mount.simulation.world.coulomb:
-            self._find_creep()
+            links = mount.model.links_by_name()
+            self._find_creep([links[joint.child] for joint in joints])
         x, y = (mount.coefficient(f"covariance_{axis}", 1e-4) for axis in "xy")
         yaw = mount.coefficient("covariance_yaw", 1e-2)
         self._variances = (x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw)
         self.transform = self.output("/tf", TransformSample, mount.boolean("broadcastTF", False))
 
-    def _find_creep(self) -> None:
+    def _find_creep(self, wheels: Sequence[Link]) -> None:
         """Set the creep (m/s) and the largest friction of a side (N), unless a wheel is soft."""
-        links = {link.joint.name: link.link for link in self._body.bullet_links if link.joint}
-        wheels = [links[wheel.joint] for wheel in self.wheels]
         shapes = [shape for wheel in wheels for shape in wheel.collisions]
         soft = any(s.stiffness is not None or s.damping is not None for s in shapes)
         if soft or not shapes:
             return
-        mass = sum(link.inertia.mass for link in self._body.links if link.inertia is not None)
-        of_wheels = sum(wheel.inertia.mass for wheel in wheels if wheel.inertia is not None)
-        self._creep = (CREEP + CREEP_BY_MASS * (mass / of_wheels - 1.0)) * GRAVITY * STEP_SECONDS
+        mass = mass_of(self._body.links)
+        by_mass = CREEP_BY_MASS * (mass / mass_of(wheels) - 1.0)
+        self._creep = (CREEP + by_mass) * GRAVITY * STEP_SECONDS
         self._most_friction = 0.5 * mass * GRAVITY * min(shape.friction for shape in shapes)
 
     def _rim_speeds(self, wanted: Pair, _seconds: float) -> Pair:
         if not self._most_friction:
             return wanted
-        half = len(self.wheels) // 2
-        sides = (self.wheels[:half], self.wheels[half:])
-        left, right = map(self._rim_speed, wanted, sides, self.radii)
-        return left, right
+        sides = (self.wheels[:2], self.wheels[2:])
+        return tuple(map(self._rim_speed, wanted, sides, self.radii))
 
     def _rim_speed(self, wanted: float, wheels: tuple[Wheel, ...], radius: float) -> float:
         """Return the wanted speed of a side's rim less its creep (m/s)."""
@@ -399,4 +400,55 @@ class SkidSteer(WheelDrive):
     def _report(self, step: int, seconds: float) -> None:
         pose = self._pose()
         variances = (self._variances, self._variances)
-        self._send_odometry(step, pose, self._velocity(pose), *variances, flat=True)
+        self.send_odometry(step, pose, self._velocity(pose), *variances, flat=True)
+
+
+class TricycleDrive(DiffDrive):
+    """Drives and steers the front wheel as commanded; the rear wheels measure the odometry.
+
+    `angular.z` of a command is the angle of the fork in rad. Without a <steeringSpeed>, the fork
+    takes its angle at once. The odometry is as that of `DiffDrive`.
+    """
+
+    filenames = ("libgazebo_ros_tricycle_drive.so",)
+    named_by_model = (False, False)
+    base_frame = "base_link"
+    size_tags = ("encoderWheelSeparation", "encoderWheelDiameter")
+    joint_tags = (
+        ("encoderWheelLeftJoint", "left_wheel_joint"),
+        ("encoderWheelRightJoint", "right_wheel_joint"),
+    )
+    default_separation = 0.5
+
+    def __init__(self, mount: Mount):
+        super().__init__(mount)
+        self._radius = 0.5 * mount.positive("actuatedWheelDiameter", 0.15)
+        self._torque = mount.coefficient("wheelTorque", 5.0)
+        self._deceleration = mount.coefficient("wheelDeceleration", self._acceleration)
+        self._steering_speed = mount.coefficient("steeringSpeed")
+        self._tolerance = mount.coefficient("steeringAngleTolerance", 0.01)
+        # Of no use here: the last step to a speed is as large as the others.
+        mount.text("wheelSpeedTolerance")
+        driven = wheel_joint(mount, "actuatedWheelJoint", "front_wheel_joint")
+        fork = wheel_joint(mount, "steeringJoint", "front_steering_joint")
+        torques = (0.0, 0.0, self._torque, self._torque)
+        self._joints += (driven, fork)
+        self.wheels = tuple(
+            Wheel(self._body, joint.name, torque) for joint, torque in zip(self._joints, torques)
+        )
+
+    def _drive(self, seconds: float) -> None:
+        driven, fork = self.wheels[2:]
+        wanted, speed = self._command.vx / self._radius, driven.state().velocity
+        if self._acceleration > 0.0:
+            slows = abs(wanted) < abs(speed)
+            most = seconds * (self._deceleration if slows else self._acceleration)
+            wanted = speed + clip(wanted - speed, most)
+        driven.follow(wanted)
+        angle = clip(self._command.wz, 0.5 * math.pi)
+        if self._steering_speed == 0.0:
+            self._body.hold_joint(fork.joint, angle, STRONGEST, 1.0)
+            return
+        lack = angle - fork.angle
+        turns = abs(lack) > self._tolerance
+        fork.follow(math.copysign(self._steering_speed, lack) if turns else 0.0)

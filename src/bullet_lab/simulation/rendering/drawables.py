@@ -17,7 +17,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering.graphics import panda3d
+from bullet_lab.simulation.rendering import panda3d
 from bullet_lab.simulation.rendering.lights import BITS, PICTURE
 from bullet_lab.simulation.world.description import (
     WHITE,
@@ -43,15 +43,6 @@ LARGEST_SIDE = 8192
 CYLINDER_SIDES = 48
 # The number of lines of a ball, from pole to pole and around.
 SPHERE_LINES = (18, 16)
-# The directions right and up of a picture on a side of a box, by the side's axis and its sign.
-BOX_SIDES = {
-    (0, 1): ((0, 1, 0), (0, 0, 1)),
-    (0, -1): ((0, -1, 0), (0, 0, 1)),
-    (1, 1): ((-1, 0, 0), (0, 0, 1)),
-    (1, -1): ((1, 0, 0), (0, 0, 1)),
-    (2, 1): ((0, -1, 0), (1, 0, 0)),
-    (2, -1): ((0, -1, 0), (-1, 0, 0)),
-}
 
 
 class TextureError(LabError):
@@ -159,10 +150,11 @@ def _box(box: Box) -> Surface:
     from trimesh import creation
 
     surface = flat(creation.box(box.size).triangles)
-    axes = np.argmax(np.abs(surface.normals[:, 0]), axis=1)
-    signs = np.sign(np.take_along_axis(surface.normals[:, 0], axes[:, None], axis=1))[:, 0]
-    sides = np.array([BOX_SIDES[(a, int(s))] for a, s in zip(axes.tolist(), signs.tolist())])
-    picture = 0.5 + np.einsum("nki,nji->nkj", surface.corners / box.size, sides)
+    normals = surface.normals[:, 0].round()
+    # A picture is upright on the sides; on the upper one, up is along x, on the lower one, back.
+    up = np.where(normals[:, 2:], normals[:, 2:] * (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    axes = np.stack((np.cross(up, normals), up), axis=1)
+    picture = 0.5 + np.einsum("nki,nji->nkj", surface.corners / box.size, axes)
     return replace(surface, picture=picture)
 
 

@@ -28,7 +28,7 @@ from typing import Any, Callable, Iterator, Sequence, Tuple
 import numpy as np
 from numpy import ndarray
 
-from bullet_lab.simulation.rendering.graphics import Canvas, Graphics, panda_matrix, program_text
+from bullet_lab.simulation.rendering import Canvas, Graphics, panda_matrix, program_text
 from bullet_lab.simulation.world.description import BLACK, Light, World
 
 LOG = logging.getLogger(__name__)

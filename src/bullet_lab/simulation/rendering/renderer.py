@@ -15,17 +15,16 @@ from numpy import ndarray
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.physics.attached_frame import AttachedFrame
-from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
-from bullet_lab.simulation.rendering.graphics import (
+from bullet_lab.simulation.rendering import (
     DEPTHS,
     SAMPLES,
     Canvas,
     RendererError,
-    check_samples,
     panda3d,
     set_pose,
     shared_graphics,
 )
+from bullet_lab.simulation.rendering.drawables import Drawable, Drawables
 from bullet_lab.simulation.rendering.lights import (
     BITS,
     MOVING,
@@ -66,7 +65,9 @@ class Shot:
         if not 0.0 < self.near < self.far < math.inf:
             limits = f"near {self.near:g} m, far {self.far:g} m"
             raise RendererError(f"{limits}; 0 < near < far is needed")
-        check_samples(self.samples)
+        if self.samples not in SAMPLES:
+            known = ", ".join(map(str, SAMPLES))
+            raise RendererError(f"{self.samples:g} samples per pixel; allowed are {known}")
         if any(self.camera.distortion):
             raise RendererError("a pinhole camera has no distortion; bend the picture with a Lens")
 
@@ -112,6 +113,16 @@ class _LinkNode:
             path.set_shader(programs[SLANTED if slanted else TEXTURED])
 
 
+@dataclass
+class _ShownModel:
+    """A model, STILL or MOVING, its links with visuals, and how often it had been placed."""
+
+    instance: Any
+    kind: str
+    links: list[_LinkNode]
+    moves: int = -1
+
+
 class Renderer:
     """Draws the models that a world has at each picture, with its lights and background.
 
@@ -133,9 +144,7 @@ class Renderer:
         self._maker = Drawables(world.ambient)
         self._drawables: Any = weakref.WeakValueDictionary()
         self._last: deque[Drawable] = deque(maxlen=KEPT_DRAWABLES)
-        # Each model with its links, by its name, and how often it had been placed.
-        self._shown: dict[str, tuple[Any, list[_LinkNode]]] = {}
-        self._moves: dict[str, int] = {}
+        self._shown: dict[str, _ShownModel] = {}
         # How often the static and the moving models have changed.
         self._versions = {STILL: 0, MOVING: 0}
 
@@ -197,15 +206,15 @@ class Renderer:
 
     def _update(self) -> None:
         """Move all nodes to the poses of the models."""
-        for name in [n for n, (i, _) in self._shown.items() if self._models.get(n) is not i]:
+        for name in [n for n, m in self._shown.items() if self._models.get(n) is not m.instance]:
             self._remove(name)
         for name, instance in self._models.items():
             if name not in self._shown:
-                self._shown[name] = (instance, self._nodes_of(instance))
-            kind = _kind(instance)
-            if kind == MOVING or self._moves.get(name) != instance.moves:
-                self._moves[name] = instance.moves
-                self._versions[kind] += sum(link.follow() for link in self._shown[name][1])
+                self._shown[name] = self._new_model(instance)
+            model = self._shown[name]
+            if model.kind == MOVING or model.moves != instance.moves:
+                model.moves = instance.moves
+                self._versions[model.kind] += sum(link.follow() for link in model.links)
 
     def _shadow_maps(self, pose: Pose, shot: Shot) -> list[Canvas]:
         """Choose the programs for a view; return the shadow maps to draw before it."""
@@ -214,26 +223,26 @@ class Renderer:
         seen = any(in_view(hull, pose, shot) for hull in hulls)
         programs = self._lighting.programs[seen]
         self._root.set_shader(programs[PLAIN])
-        for _, links in self._shown.values():
-            for link in links:
+        for model in self._shown.values():
+            for link in model.links:
                 link.face(pose.position, programs)
         kinds = (STILL, MOVING) if seen else (STILL,)
         return self._lighting.update({kind: self._versions[kind] for kind in kinds}, self._boxes)
 
     def _remove(self, name: str) -> None:
-        instance, links = self._shown.pop(name)
-        self._moves.pop(name, None)
-        self._versions[_kind(instance)] += 1
-        for link in links:
+        model = self._shown.pop(name)
+        self._versions[model.kind] += 1
+        for link in model.links:
             link.path.remove_node()
 
     def _boxes(self, kind: str) -> ndarray:
         """Return the corners of the boxes around shadow casters, (n, 8, 3)."""
-        links = (link for i, links in self._shown.values() if _kind(i) == kind for link in links)
-        return np.concatenate([np.zeros((0, 8, 3)), *(link.boxes for link in links)])
+        models = [model for model in self._shown.values() if model.kind == kind]
+        boxes = [link.boxes for model in models for link in model.links]
+        return np.concatenate([np.zeros((0, 8, 3)), *boxes])
 
-    def _nodes_of(self, instance: Any) -> list[_LinkNode]:
-        nodes, kind = [], _kind(instance)
+    def _new_model(self, instance: Any) -> _ShownModel:
+        nodes, kind = [], STILL if instance.model.static else MOVING
         for body in instance.bodies.values():
             for link in filter(lambda link: link.visuals, body.links):
                 files = [v.geometry for v in link.visuals if isinstance(v.geometry, Mesh)]
@@ -245,11 +254,7 @@ class Renderer:
                     drawable = self._drawables[key] = self._maker.of(link.visuals, kind, where)
                     self._last.append(drawable)
                 nodes.append(_LinkNode(self._root, AttachedFrame(body, link.name), drawable))
-        return nodes
-
-
-def _kind(instance: Any) -> str:
-    return STILL if instance.model.static else MOVING
+        return _ShownModel(instance, kind, nodes)
 
 
 def projection(shot: Shot) -> ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.pose import Pose, Quaternion, Vector
+from bullet_lab.core.se2 import PlanarPose, between, compose
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Mesh, Plane, Sphere
 
 Geometry = Union[Box, Cylinder, Sphere, Plane, Mesh]
@@ -33,7 +34,7 @@ LIMITS = ("lower", "upper", "effort", "velocity")
 NO_LIMIT = 1e16
 BLACK: Colour = (0.0, 0.0, 0.0, 1.0)
 # The corners of a footprint, as shares of its sides.
-FOOTPRINT_CORNERS = ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))
+FOOTPRINT_CORNERS = ((0.5, 0.5, 0.0), (-0.5, 0.5, 0.0), (-0.5, -0.5, 0.0), (0.5, -0.5, 0.0))
 # The footprint of a box that leans more than this (rad) is no rectangle.
 UPRIGHT = 1e-3
 
@@ -337,48 +338,31 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class Footprint:
-    """An upright box of the model `name` from above.
-
-    `centre` is x, y in the world, `size` along its own x and y, m; `yaw` that of its sides, rad.
-    """
+    """An upright box of the model `name` from above; its `size` is along its own x and y, m."""
 
     name: str
-    centre: Point
-    yaw: float
+    pose: PlanarPose
     size: tuple[float, float]
 
     def corners(self) -> tuple[Point, ...]:
         """Return the four corners, counter-clockwise."""
-        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
-        sides = [(sx * self.size[0], sy * self.size[1]) for sx, sy in FOOTPRINT_CORNERS]
-        return tuple(
-            (self.centre[0] + cosine * x - sine * y, self.centre[1] + sine * x + cosine * y)
-            for x, y in sides
-        )
+        corners = compose(self.pose, np.multiply(FOOTPRINT_CORNERS, (*self.size, 0.0)))
+        return tuple(map(tuple, corners[:, :2].tolist()))
 
     def distance(self, point: Point) -> float:
         """Return the distance of a point in m, 0 inside."""
-        dx, dy = point[0] - self.centre[0], point[1] - self.centre[1]
-        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
-        beside = abs(cosine * dx + sine * dy) - 0.5 * self.size[0]
-        before = abs(cosine * dy - sine * dx) - 0.5 * self.size[1]
-        return math.hypot(max(beside, 0.0), max(before, 0.0))
+        place = np.abs(between(self.pose, (*point, 0.0))[:2])
+        return math.hypot(*np.maximum(place - np.multiply(0.5, self.size), 0.0))
 
 
-def footprints(world: World, below: float = math.inf) -> tuple[Footprint, ...]:
-    """Return the upright boxes of static models, which a robot could hit.
-
-    Args:
-        world: the world; shapes other than boxes, and leaning boxes, are left out.
-        below: m; boxes that begin above this height are left out.
-    """
+def footprints(world: World, below: float) -> tuple[Footprint, ...]:
+    """Return the upright boxes of static models that begin below a height in m."""
     found: list[Footprint] = []
     static = [model for model in world.models if model.static]
     shapes = [(m, k, shape) for m in static for k in m.links for shape in k.collisions]
     for model, link, shape in shapes:
         pose, box = model.pose * link.pose * shape.pose, shape.geometry
         is_upright = pose.rotation_matrix()[2, 2] > math.cos(UPRIGHT)
-        x, y, z = pose.position
-        if isinstance(box, Box) and is_upright and z - 0.5 * box.size[2] < below:
-            found.append(Footprint(model.name, (x, y), pose.yaw, box.size[:2]))
+        if isinstance(box, Box) and is_upright and pose.position[2] - 0.5 * box.size[2] < below:
+            found.append(Footprint(model.name, pose.planar, box.size[:2]))
     return tuple(found)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from pathlib import Path
-from typing import Any, Sequence
+from typing import Any, Iterable
 from urllib.parse import unquote
 
 import numpy as np
@@ -90,24 +90,29 @@ def has_own_looks(mesh: Mesh) -> bool:
 
 def _effect_look(effect: Any, path: Path, report: Report) -> Appearance:
     """Return the look of a COLLADA material."""
-    texture, diffuse = None, _rgb(effect.diffuse)
+    texture, opacity = None, 1.0
     sampler = getattr(effect.diffuse, "sampler", None)
     if sampler is not None:
         texture = _texture(sampler.surface.image.path, path, report)
-    opacity = 1.0
     if isinstance(effect.transparent, tuple) and effect.transparency is not None:
         share = effect.transparent[3] if len(effect.transparent) > 3 else 1.0
         opacity = share * float(effect.transparency)
         if str(getattr(effect, "opaque_mode", "")).endswith("RGB_ZERO"):
             opacity = 1.0 - np.mean(effect.transparent[:3]) * float(effect.transparency)
+    return _look((effect.diffuse, effect.ambient, effect.emission), opacity, texture)
+
+
+def _look(colours: Iterable[Any], opacity: float, texture: Texture | None) -> Appearance:
+    """Return the look of a diffuse, an ambient and an emissive colour."""
+    diffuse, ambient, emissive = map(_rgb, colours)
     # An invisible material is a mistake of the exporter.
     opacity = opacity if 0.0 < opacity <= 1.0 else 1.0
-    rest = Material(_rgb(effect.ambient), _rgb(effect.emission) or Material.emissive, texture)
+    rest = Material(ambient, emissive or Material.emissive, texture)
     return (*(diffuse or WHITE)[:3], opacity), rest
 
 
 def _rgb(value: Any) -> Colour | None:
-    """Return a COLLADA colour; None for a missing one or a picture."""
+    """Return a colour within [0, 1]; None for a missing one or a picture."""
     if not isinstance(value, tuple) or len(value) < 3:
         return None
     return (*np.clip(value[:3], 0.0, 1.0).tolist(), 1.0)
@@ -162,23 +167,18 @@ def _statements(text: str) -> dict[str, dict[str, str]]:
 
 def _wavefront_look(statements: dict[str, str], path: Path, report: Report) -> Appearance:
     """Return the look of a material in a .mtl file."""
-    def numbers(key: str, count: int) -> Sequence[float]:
-        """Return numbers within [0, 1]; empty unless there are as many."""
-        found = finite(statements.get(key, "").split())
-        return np.clip(found, 0.0, 1.0).tolist() if len(found) == count else []
 
-    diffuse, ambient, emissive = numbers("Kd", 3), numbers("Ka", 3), numbers("Ke", 3)
+    def numbers(key: str, count: int) -> tuple[float, ...]:
+        """Return the numbers of a statement; empty unless there are as many."""
+        found = finite(statements.get(key, "").split())
+        return found if len(found) == count else ()
+
     (opacity,) = numbers("d", 1) or [1.0 - share for share in numbers("Tr", 1)] or [1.0]
     name, texture = statements.get("map_Kd", ""), None
     if name:
         # Options such as "-s 1 1 1" may stand before the name.
         texture = _texture(name.split()[-1] if name.startswith("-") else name, path, report)
-    rest = Material(
-        (*ambient, 1.0) if ambient else None,
-        (*emissive, 1.0) if emissive else Material.emissive,
-        texture,
-    )
-    return (*(diffuse or WHITE[:3]), opacity if opacity > 0.0 else 1.0), rest
+    return _look((numbers(key, 3) for key in ("Kd", "Ka", "Ke")), opacity, texture)
 
 
 def _texture(name: str, user: Path, report: Report) -> Texture | None:

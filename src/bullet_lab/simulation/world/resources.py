@@ -9,7 +9,6 @@ reaches the network, nor a file outside these folders.
 from __future__ import annotations
 
 import os
-from functools import cached_property
 from pathlib import Path
 from typing import Sequence
 from urllib.parse import quote, unquote, urlsplit
@@ -104,10 +103,6 @@ class ResourceFinder:
     def __init__(self, folder: Path | None = None):
         self._own = () if folder is None else (folder,)
 
-    @cached_property
-    def _models(self) -> tuple[Path, ...]:
-        return gazebo_model_folders()
-
     @classmethod
     def anywhere(cls) -> ResourceFinder:
         """Return a finder for references by the user, who may name any file."""
@@ -139,12 +134,12 @@ class ResourceFinder:
         if parts.scheme == "model":
             path = (parts.netloc + unquote(parts.path)).lstrip("/")
             missing = f"in none of the model folders (GAZEBO_MODEL_PATH); {OF_GAZEBO}"
-            name, _, rest = path.partition("/")
-            is_model = any((folder / name).exists() for folder in self._models)
+            folders, (name, _, rest) = gazebo_model_folders(), path.partition("/")
+            is_model = any((folder / name).exists() for folder in folders)
             package = None if is_model else ros_package_folder(name)
             if package is not None and (package / (rest or "model.config")).exists():
                 return _search((package,), rest, uri)
-            return _search(self._models, path, uri, missing)
+            return _search(folders, path, uri, missing)
         if parts.scheme == "file" and parts.netloc in ("", "localhost"):
             return self._absolute(uri, Path(unquote(parts.path)))
         if parts.scheme == "file":
@@ -169,7 +164,8 @@ class ResourceFinder:
         One of another machine, as in worlds that were saved there, is searched in the package here
         that has the name of a folder in it.
         """
-        if any(is_below(path, root) for root in (*self._models, *self._own, *_package_above(path))):
+        roots = (*gazebo_model_folders(), *self._own, *_package_above(path))
+        if any(is_below(path, root) for root in roots):
             return _existing(path, uri)
         for holder in path.parents:
             package = ros_package_folder(holder.name)

@@ -7,11 +7,10 @@ import math
 import os
 from dataclasses import astuple, fields, replace
 from pathlib import Path
-from typing import Collection, Container, Iterable, Tuple, Union
+from typing import Any, Callable, Collection, Container, Iterable, Tuple, Union
 from xml.etree.ElementTree import Element, SubElement
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.simulation.world.actors import actor_model
 from bullet_lab.simulation.world.description import (
     LIMITS,
     NO_LIMIT,
@@ -31,7 +30,7 @@ from bullet_lab.simulation.world.description import (
     World,
 )
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.sdf_writer import read_states
+from bullet_lab.simulation.world.sdf_writer import SPOT_KEYS, read_states
 from bullet_lab.simulation.world.shapes import Mesh, Shape
 from bullet_lab.simulation.world.tags import (
     MODEL_FRAME,
@@ -39,6 +38,7 @@ from bullet_lab.simulation.world.tags import (
     Document,
     Frames,
     SdfTag,
+    actor_model,
     plugins_in,
     report_unknown,
     version_of,
@@ -122,8 +122,7 @@ def _root_tag(root: Element, source: str, document: Document) -> SdfTag:
 
 
 def _first_model(tag: SdfTag) -> Model:
-    world = tag.element.find("world")
-    children = [*tag.element, *(() if world is None else world)]
+    children = (*tag.element, *tag.element.iterfind("world[1]/*"))
     parts = [_resolved(child, tag) for child in children if child.tag in MODELS_AND_LIGHTS]
     models = [part for part in parts if part.element.tag == "model"]
     if not models:
@@ -134,14 +133,7 @@ def _first_model(tag: SdfTag) -> Model:
 
 
 def _world(tag: SdfTag) -> World:
-    found: list[tuple[ModelOrLight, str]] = []
-    for child in tag.element:
-        with tag.document.leaving_out():
-            if child.tag in MODELS_AND_LIGHTS:
-                inner = _resolved(child, tag)
-                is_light = inner.element.tag == "light"
-                part = _light(inner) if is_light else _merged(_model(inner), inner.source)
-                found.append((part, inner.base()))
+    found = _parts(tag, MODELS_AND_LIGHTS, _model_or_light)
     frames = Frames(tag.source)
     for frame in map(tag.below, tag.element.findall("frame")):
         frames.add(frame.name, frame.pose(), frame.base() or frame.element.get("attached_to", ""))
@@ -162,6 +154,22 @@ def _world(tag: SdfTag) -> World:
         {} if state is None else read_states(state, models, tag.source),
         tag.text("physics/ode/solver/friction_model", "pyramid_model") == "cone_model",
     )
+
+
+def _model_or_light(tag: SdfTag) -> ModelOrLight:
+    return _light(tag) if tag.element.tag == "light" else _merged(_model(tag), tag.source)
+
+
+def _parts(
+    tag: SdfTag, kinds: Container[str], read: Callable[[SdfTag], ModelOrLight]
+) -> list[tuple[Any, str]]:
+    """Return the valid models and lights in an element, and the frames of their poses."""
+
+    def part(child: Element) -> tuple[ModelOrLight, str] | None:
+        inner = _resolved(child, tag)
+        return (read(inner), inner.base()) if inner.element.tag in kinds else None
+
+    return tag.document.each(part, (child for child in tag.element if child.tag in kinds))
 
 
 def _resolved(child: Element, tag: SdfTag) -> SdfTag:
@@ -228,9 +236,7 @@ def _model(tag: SdfTag, in_static: bool = False) -> Model:
     made = [replace(link, pose=frames.pose(link.name)) for link in made]
     names = dict.fromkeys(link.name for link in made)
     found = [joint for model, _ in nested for joint in model.joints]
-    for joint in joints:
-        with tag.document.leaving_out():
-            found.append(_joint(joint, frames, names, tag.name))
+    found += tag.document.each(lambda joint: _joint(joint, frames, names, tag.name), joints)
     where = _places(tag, frames, names, nested)
     plugins = _plugins(tag, {*where, *names})
     plugins += tuple(plugin for model, _ in nested for plugin in model.plugins)
@@ -239,24 +245,16 @@ def _model(tag: SdfTag, in_static: bool = False) -> Model:
 
 def _nested(tag: SdfTag, in_static: bool) -> list[Nested]:
     """Return the models in a model, and the frames that their poses are given in."""
-    found: list[Model] = []
-    bases: dict[int, str] = {}
-    for child in tag.element:
-        with tag.document.leaving_out():
-            if child.tag in ("model", "include"):
-                inner = _resolved(child, tag)
-                if inner.element.tag == "model":
-                    found.append(_scoped(_model(inner, in_static), in_static))
-                    bases[id(found[-1])] = inner.base()
-    return [(model, bases[id(model)]) for model in first_of_each(found, "model", tag.source)]
+    kinds = ("model", "include")
+    found = _parts(tag, kinds, lambda inner: _scoped(_model(inner, in_static), in_static))
+    bases = {id(model): base for model, base in found}
+    models = first_of_each((model for model, _ in found), "model", tag.source)
+    return [(model, bases[id(model)]) for model in models]
 
 
 def _named(tag: SdfTag, kind: str) -> tuple[SdfTag, ...]:
     """Return the links or joints of a model; those without a unique name are left out."""
-    found = []
-    for element in tag.element.findall(kind):
-        with tag.document.leaving_out():
-            found.append(tag.named(element))
+    found = tag.document.each(tag.named, tag.element.findall(kind))
     return first_of_each(found, kind, tag.source)
 
 
@@ -309,18 +307,12 @@ def _light(tag: SdfTag) -> Light:
     kind = tag.element.get("type", "")
     if kind not in ("point", "directional", "spot"):
         raise XmlError(f"{tag.source}: type '{kind}' is not point, directional or spot")
-    attenuation = [
-        tag.coefficient(f"attenuation/{field.name}", field.default)
-        for field in fields(Attenuation)
-    ]
-    cone = Cone(
-        tag.number("spot/inner_angle", Cone.inner),
-        tag.number("spot/outer_angle", Cone.outer),
-        tag.number("spot/falloff", Cone.falloff),
-    )
-    if not 0.0 <= cone.inner <= cone.outer <= 2.0 * math.pi or cone.falloff < 0.0:
-        shown = ", ".join(f"{value:g}" for value in astuple(cone))
-        raise XmlError(f"{tag.source}: <spot> is no cone: {shown}")
+    fades = fields(Attenuation)
+    fading = [tag.coefficient(f"attenuation/{one.name}", one.default) for one in fades]
+    usual = zip(SPOT_KEYS, astuple(Cone()))
+    inner, outer, falloff = (tag.number(f"spot/{key}", default) for key, default in usual)
+    if not 0.0 <= inner <= outer <= 2.0 * math.pi or falloff < 0.0:
+        raise XmlError(f"{tag.source}: <spot> is no cone: {inner:g}, {outer:g}, {falloff:g}")
     return Light(
         tag.element.get("name", "light"),
         kind,
@@ -328,8 +320,8 @@ def _light(tag: SdfTag) -> Light:
         tag.colour("diffuse", WHITE),
         tag.direction("direction", "0 0 -1"),
         tag.boolean("cast_shadows", False),
-        Attenuation(*attenuation),
-        cone,
+        Attenuation(*fading),
+        Cone(inner, outer, falloff),
         tag.colour("specular", Light.specular),
     )
 

@@ -17,7 +17,6 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from bullet_lab.core.pose import Pose, add, cross, dot, subtract
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.simulation.world.description import (
-    LIMITS,
     NO_LIMIT,
     SEPARATOR,
     WORLD_LINK,
@@ -46,7 +45,10 @@ NANOSECONDS = 10**9
 INDENT = "  "
 # Child elements by their tags; None stands for none.
 Content = Dict[str, Any]
-NAMESPACE = "robotNamespace"
+# SDF has no joints without limits.
+UNLIMITED = {"lower": -NO_LIMIT, "upper": NO_LIMIT}
+# The elements of a <spot>, in the order of the fields of a `Cone`.
+SPOT_KEYS = ("inner_angle", "outer_angle", "falloff")
 # The end of the name of a joint to the world, after the name of its link.
 ANCHOR = "_to_world"
 
@@ -245,12 +247,10 @@ def _surface(collision: Collision) -> Content:
 
 
 def _joint(joint: Joint) -> Content:
-    limits = {"lower": -NO_LIMIT, "upper": NO_LIMIT, **joint.limits}
-    if joint.kind == "continuous":
-        limits.update(lower=-NO_LIMIT, upper=NO_LIMIT)
+    limits = {**UNLIMITED, **joint.limits, **(UNLIMITED if joint.kind == "continuous" else {})}
     axis = {
         "xyz": joint.axis,
-        "limit": {key: value for key, value in limits.items() if key in LIMITS},
+        "limit": limits,
         "dynamics": {"damping": joint.damping, "friction": joint.friction},
     }
     place = Pose(joint.anchor) if any(joint.anchor) else None
@@ -258,20 +258,21 @@ def _joint(joint: Joint) -> Content:
 
 
 def plugin_element(plugin: PluginTag) -> Element:
-    """Return a plugin's tag with all its content and its namespace."""
+    """Return a plugin's tag with all its content, and what it was given besides."""
     if plugin.element is None:
         element = Element("plugin", name=plugin.name, filename=plugin.filename)
-        for tag, text in plugin.tags.items():
+    else:
+        element = _copied(plugin.element)
+    written = {child.tag for child in element}
+    for tag, text in plugin.tags.items():
+        if tag not in written:
             _add(element, tag, text)
-        return element
-    element = copy.deepcopy(plugin.element)
+    return element
+
+
+def _copied(element: Element) -> Element:
+    element = copy.deepcopy(element)
     element.tail = None
-    namespace = plugin.tags.get(NAMESPACE, "")
-    found = element.find(NAMESPACE)
-    if namespace and found is None:
-        _add(element, NAMESPACE, namespace)
-    elif namespace:
-        found.text = namespace
     return element
 
 
@@ -284,8 +285,7 @@ def _sensors(link: Link, model: Model) -> Iterator[Element]:
         if sensor is None or base != link.name or id(sensor) in written:
             continue
         written.add(id(sensor))
-        element = copy.deepcopy(sensor)
-        element.tail = None
+        element = _copied(sensor)
         for old in element.findall("plugin"):
             element.remove(old)
         if holder != base:
@@ -316,7 +316,6 @@ def _surroundings(world: World) -> Content:
 
 
 def _light(light: Light) -> Content:
-    spot = dict(zip(("inner_angle", "outer_angle", "falloff"), astuple(light.cone)))
     return {
         "pose": light.pose,
         "cast_shadows": light.casts_shadows,
@@ -324,7 +323,7 @@ def _light(light: Light) -> Content:
         "specular": light.specular,
         "direction": light.direction,
         "attenuation": asdict(light.attenuation),
-        "spot": spot if light.kind == "spot" else None,
+        "spot": dict(zip(SPOT_KEYS, astuple(light.cone))) if light.kind == "spot" else None,
     }
 
 

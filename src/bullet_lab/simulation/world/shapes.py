@@ -1,8 +1,8 @@
 """Describe the shapes of bodies, and read the triangles of mesh files.
 
 Lengths are metres in the shape's frame, whose origin is in the middle of all but planes and meshes.
-A new shape is a class here, in SHAPES, in the table of `tags`, and an entry in the tables of
-`physics.physics`, `rendering.drawables` and `ros.messages.conversions`.
+A new shape is a class here, and an entry in the tables of `tags`, `physics.physics`,
+`rendering.drawables` and `ros.messages.conversions`.
 """
 
 from __future__ import annotations
@@ -157,9 +157,6 @@ class Mesh(Shape):
         return np.array((vertices.min(axis=0), vertices.max(axis=0)))
 
 
-SHAPES = {kind.tag: kind for kind in (Box, Cylinder, Sphere, Plane, Mesh)}
-
-
 def load_triangles(mesh: Mesh) -> MeshPart:
     """Read a mesh, with the transforms of its file and the scale of the description applied.
 
@@ -184,7 +181,7 @@ def _load(mesh: Mesh, _version: tuple[int, int]) -> MeshPart:
     arrays, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=int)], 0
     with readable(path):
         for part in read_parts(path, mesh.submesh):
-            if part.vertices.ndim != 2 or part.vertices.shape[1] != 3:
+            if part.vertices.shape[1:] != (3,):
                 raise MeshError(f"{path}: a corner needs three coordinates")
             arrays.append(part.vertices)
             faces.append(part.faces + count)

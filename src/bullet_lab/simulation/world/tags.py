@@ -1,13 +1,16 @@
-"""Read the elements of SDF and URDF documents, and warn of those that are not simulated."""
+"""Read the elements of SDF and URDF documents, and warn of those that are not simulated.
+
+Actors become models: people and things that walk along a path, with the path's plugin.
+"""
 
 from __future__ import annotations
 
-import contextlib
+import copy
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Iterator, TypeVar
-from xml.etree.ElementTree import Element
+from typing import Any, Callable, Iterable, Iterator, TypeVar
+from xml.etree.ElementTree import Element, SubElement, fromstring
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import STEPS_PER_SECOND
@@ -60,6 +63,18 @@ SDF_DEFAULTS = {
 }
 # Plugins of worlds and of the server that make Gazebo's ROS interface; the bridge provides it.
 SERVER_PLUGINS = ("libgazebo_ros_api_plugin", "libgazebo_ros_paths_plugin", "libgazebo_ros")
+
+PATH_PLUGIN = "libbullet_lab_path.so"
+# An actor's skin is not drawn; m and kg of a grown person instead, just above the floor.
+FIGURE = """<link name="link"><inertial><mass>80</mass></inertial>
+  <collision name="body"><pose>0 0 0.75 0 0 0</pose>
+    <geometry><cylinder><radius>0.2</radius><length>1.46</length></cylinder></geometry></collision>
+  <collision name="head"><pose>0 0 1.6 0 0 0</pose>
+    <geometry><sphere><radius>0.12</radius></sphere></geometry></collision>
+  <visual name="body"><pose>0 0 0.75 0 0 0</pose>
+    <geometry><cylinder><radius>0.2</radius><length>1.46</length></cylinder></geometry></visual>
+  <visual name="head"><pose>0 0 1.6 0 0 0</pose>
+    <geometry><sphere><radius>0.12</radius></sphere></geometry></visual></link>"""
 
 # The frame of the model or of the world that contains the others.
 MODEL_FRAME = "__model__"
@@ -132,17 +147,20 @@ class Document:
     frames: Frames | None = None
     inside: str = ""
 
-    @contextlib.contextmanager
-    def leaving_out(self) -> Iterator[None]:
-        """Report a LabError and continue without the part that caused it.
+    def each(self, read: Callable[[Any], Any], parts: Iterable[Any]) -> list[Any]:
+        """Return what `read` makes of parts, but for None.
 
-        A missing file is reported where it is named first.
+        A part at which it raises a LabError is reported and left out; a missing file is reported
+        where it is named first.
         """
-        try:
-            yield
-        except LabError as error:
-            of_file = error.__cause__ if isinstance(error, ResourceError) else None
-            self.report(f"{error}; it is left out", str(of_file or error))
+        found = []
+        for part in parts:
+            try:
+                found.append(read(part))
+            except LabError as error:
+                of_file = error.__cause__ if isinstance(error, ResourceError) else None
+                self.report(f"{error}; it is left out", str(of_file or error))
+        return [one for one in found if one is not None]
 
 
 class Tag(ElementReader):
@@ -188,16 +206,15 @@ class Tag(ElementReader):
 
     def shapes(self: AnyTag, kind: str, read: Callable[[AnyTag, Shape], Any]) -> tuple[Any, ...]:
         """Return what `read` makes of the valid visuals or collisions of a link."""
-        found = []
-        for element in self.element.findall(kind):
+
+        def whole(element: Element) -> Any:
             holder, where = element.find("geometry"), f"{self.source}: <{kind}>"
-            with self.document.leaving_out():
-                if holder is None or not len(holder):
-                    raise XmlError(f"{where} without a geometry")
-                shape = self.shape(holder[0], where)
-                if shape is not None:
-                    found.append(read(self.other(element), shape))
-        return tuple(found)
+            if holder is None or not len(holder):
+                raise XmlError(f"{where} without a geometry")
+            shape = self.shape(holder[0], where)
+            return None if shape is None else read(self.other(element), shape)
+
+        return tuple(self.document.each(whole, self.element.findall(kind)))
 
     def shape(self, element: Element, where: str) -> Shape | None:
         """Return the shape of a visual or collision, `where` in messages; None if unknown."""
@@ -302,3 +319,36 @@ def _has_effect(element: Element) -> bool:
         values = ((child.text or "").strip() for child in element if child.tag != "threshold")
         return any(value.strip("+-0.") for value in values)
     return (element.text or "").strip() not in SDF_DEFAULTS.get(element.tag, ())
+
+
+def actor_model(actor: Element) -> Element:
+    """Return the <model> that stands for an <actor>.
+
+    An actor without links is a figure that stands on the floor: of its poses, only x, y and yaw
+    count.
+    """
+    model = Element("model", dict(actor.attrib))
+    model.extend(child for child in actor if child.tag in ("pose", "plugin"))
+    links = [copy.deepcopy(link) for link in actor.findall("link")]
+    script = Element("plugin", name="path", filename=PATH_PLUGIN)
+    script.extend(copy.deepcopy(child) for path in actor.findall("script") for child in path)
+    # Without a path, a plugin of its own may move it, or it stands.
+    if script.find("trajectory/waypoint") is not None:
+        model.append(script)
+    elif model.find("plugin") is None:
+        SubElement(model, "static").text = "1"
+    if not links:
+        links = [fromstring(FIGURE)]
+        for pose in (*model.findall("pose"), *script.iter("pose")):
+            pose.text = _upright(pose.text or "")
+    for link in links:
+        if link.find("gravity") is None:
+            SubElement(link, "gravity").text = "0"
+    model.extend(links)
+    return model
+
+
+def _upright(pose: str) -> str:
+    """Return the six numbers of a pose with height, roll and pitch 0; other texts unchanged."""
+    words = pose.split()
+    return " ".join((*words[:2], "0 0 0", words[5])) if len(words) == 6 else pose

@@ -56,19 +56,17 @@ def first_of_each(parts: Iterable[Named], what: str, source: str) -> tuple[Named
 
 def check_tree(links: Sequence[Link], joints: Sequence[Joint], source: str) -> None:
     """Raise XmlError unless the links and joints make one tree with unique names."""
-    names = [link.name for link in links]
-    children = [joint.child for joint in joints]
-    joint_names = [joint.name for joint in joints]
-    for what, found in (("link", names), ("joint", joint_names), ("child link", children)):
-        for name, count in Counter(found).items():
+    kinds = (("link", links, "name"), ("joint", joints, "name"), ("child link", joints, "child"))
+    for what, parts, key in kinds:
+        for name, count in Counter(getattr(part, key) for part in parts).items():
             if count > 1:
                 raise XmlError(f"{source}: {what} '{name}' appears twice")
-    known = set(names)
+    known = {link.name for link in links}
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in known:
                 raise XmlError(f"{source}: joint '{joint.name}' has an unknown link '{end}'")
-    roots = sorted(known - {*children})
+    roots = sorted(known - {joint.child for joint in joints})
     # Each link has one parent at most, so that only a loop is reached from no root.
     unreached = known.difference(*(top_down(root, joints) for root in roots))
     if unreached:
@@ -140,13 +138,12 @@ def _reversed(joint: Joint) -> Joint:
 
 def _anchored(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[Links, Joints]:
     """Return links and joints, with the links anchored that are fixed to the world."""
-    to_world = {joint.child: joint.kind for joint in joints if joint.parent == WORLD_LINK}
-    fixed = {name for name, kind in to_world.items() if kind == "fixed"}
+    fixed = {j.child for j in joints if j.parent == WORLD_LINK and j.kind == "fixed"}
     found = [replace(link, anchored=link.anchored or link.name in fixed) for link in links]
-    if len(fixed) < len(to_world):
+    kept = tuple(j for j in joints if j.parent != WORLD_LINK or j.child not in fixed)
+    if any(joint.parent == WORLD_LINK for joint in kept):
         found.append(Link(WORLD_LINK, anchored=True))
-    kept = (j for j in joints if j.parent != WORLD_LINK or j.child not in fixed)
-    return tuple(found), tuple(kept)
+    return tuple(found), kept
 
 
 def top_down(root: str, joints: Iterable[Joint]) -> list[str]:
@@ -183,22 +180,20 @@ def lump_fixed_joints(model: Model) -> Model:
     for name, (link, pose) in model.frames.items():
         base, offset = places[link]
         frames[name] = (base, offset * pose)
-    frames.update({name: place for name, place in places.items() if name in fixed})
     members: defaultdict[str, list[tuple[Link, Pose]]] = defaultdict(list)
     for link in model.links:
         base, pose = places[link.name]
         members[base].append((link, pose))
-    kept = (link for link in model.links if link.name not in fixed)
+        if link.name in fixed:
+            frames[link.name] = (base, pose)
     joints = []
-    for joint in (joint for joint in model.joints if joint.child not in fixed):
-        parent, pose = places[joint.parent]
-        joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
-    return replace(
-        model,
-        links=tuple(_merge(link, members[link.name]) for link in kept),
-        joints=tuple(joints),
-        frames=frames,
-    )
+    for joint in model.joints:
+        if joint.child not in fixed:
+            parent, pose = places[joint.parent]
+            joints.append(replace(joint, parent=parent, pose=pose * joint.pose))
+    kept = (link for link in model.links if link.name not in fixed)
+    links = tuple(_merge(link, members[link.name]) for link in kept)
+    return replace(model, links=links, joints=tuple(joints), frames=frames)
 
 
 def _merges(joint: Joint, model: Model) -> bool:
@@ -220,16 +215,15 @@ def _place(name: str, fixed: dict[str, Joint]) -> tuple[str, Pose]:
 
 def _merge(base: Link, members: list[tuple[Link, Pose]]) -> Link:
     inertias = [(link.inertia, pose) for link, pose in members if link.inertia is not None]
+    shapes: defaultdict[str, list[Any]] = defaultdict(list)
+    for link, pose in members:
+        for kind in ("visuals", "collisions"):
+            shapes[kind] += [replace(s, pose=pose * s.pose) for s in getattr(link, kind)]
     return replace(
         base,
         inertia=combine(inertias) if inertias else None,
-        visuals=tuple(replace(v, pose=p * v.pose) for link, p in members for v in link.visuals),
-        collisions=tuple(
-            replace(shape, pose=pose * shape.pose)
-            for link, pose in members
-            for shape in link.collisions
-        ),
         self_collide=any(link.self_collide for link, _ in members),
+        **{kind: tuple(found) for kind, found in shapes.items()},
     )
 
 

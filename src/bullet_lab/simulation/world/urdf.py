@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections import defaultdict
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +20,12 @@ from typing import Any, Callable, Collection, Mapping
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.errors import LabError
 from bullet_lab.simulation.world.description import (
     LIMITS,
     WHITE,
     WORLD_LINK,
+    Appearance,
     Collision,
     Colour,
     Joint,
@@ -42,7 +45,6 @@ from bullet_lab.simulation.world.tree import (
 )
 from bullet_lab.simulation.world.xml import (
     MAXIMUM_BYTES,
-    ElementReader,
     XmlError,
     leaving_out,
     parse_text,
@@ -178,11 +180,8 @@ class UrdfTag(Tag):
 def _model(root: UrdfTag) -> Model:
     """Return a robot, with links on fixed joints merged into their parents."""
     element, source = root.element, root.source
-    colours: dict[str, Colour] = {}
-    for material in map(root.other, element.iter("material")):
-        with root.document.leaving_out():
-            if material.element.find("color") is not None:
-                colours[material.name] = material.colour()
+    painted = map(root.other, element.iterfind(".//material[color]"))
+    colours = dict(root.document.each(lambda one: (one.name, one.colour()), painted))
     for child in (*element, *element.iterfind("link/*")):
         # Others have a namespace, as xacro's own.
         if "}" not in child.tag and child.tag not in ROBOT_PARTS + LINK_PARTS:
@@ -280,7 +279,7 @@ def _with_collision_names(link: Link) -> Link:
     return replace(link, collisions=tuple(collisions))
 
 
-class _LinkTag(ElementReader):
+class _LinkTag(Tag):
     """Reads both spellings of a tag's value, as Gazebo does: <mu1>1</mu1>, <mu1 value="1"/>."""
 
     def text(self, key: str, default: str = "") -> str:
@@ -289,9 +288,23 @@ class _LinkTag(ElementReader):
     def where(self, key: str) -> str:
         return self.source
 
+    def doubt(self, error: LabError) -> None:
+        raise error
+
     def truth(self) -> bool:
         """Return whether it says "true"."""
         return self.boolean("value", False)
+
+    def named_look(self) -> Appearance | None:
+        """Return the look of the material that it names."""
+        return self.document.materials.named(self.text("value"), self.source)
+
+    def look(self) -> Appearance | None:
+        """Return what the <material> in it describes; the same as in SDF."""
+        material, document = self.element.find("material"), self.document
+        inner = None if material is None else SdfTag(material, self.source, document)
+        found = document.materials.of_tag(inner, document.finder, WHITE)
+        return found if found[1].covers else None
 
 
 # The tags in `<gazebo reference=…>`, what they describe, and how they are read.
@@ -304,6 +317,8 @@ LINK_TAGS: dict[str, tuple[str, Callable[[_LinkTag], Any]]] = {
     "selfCollide": ("self_collide", _LinkTag.truth),
     "gravity": ("gravity", _LinkTag.truth),
     "turnGravityOff": ("gravity", lambda tag: not tag.truth()),
+    "material": ("look", _LinkTag.named_look),
+    "visual": ("look", _LinkTag.look),
 }
 
 
@@ -317,7 +332,7 @@ class _GazeboTags:
     def __init__(self, root: UrdfTag, names: Collection[str]):
         self._source, self._document = root.source, root.document
         # For each link: fields of its collisions, and its `look`, `gravity` and `self_collide`.
-        self._fields: dict[str, dict[str, Any]] = {}
+        self._fields: defaultdict[str, dict[str, Any]] = defaultdict(dict)
         self.static = False
         report = root.document.report
         for element in root.element.findall("gazebo"):
@@ -326,13 +341,16 @@ class _GazeboTags:
                 report(f"<gazebo reference='{name}'>: unknown link or joint")
             for child in element:
                 part = "robot" if name is None else name
-                tag = _LinkTag(child, f"{root.source}: <{child.tag}> of '{part}'")
+                tag = _LinkTag(child, f"{root.source}: <{child.tag}> of '{part}'", root.document)
                 is_default = child.tag == "static" and (child.text or "").strip() in ("0", "false")
                 with leaving_out(report):
                     if name is None and child.tag == "static":
                         self.static = tag.truth()
-                    elif name is not None and child.tag in (*LINK_TAGS, "material", "visual"):
-                        self._read(tag, self._fields.setdefault(name, {}))
+                    elif name is not None and child.tag in LINK_TAGS:
+                        field, read = LINK_TAGS[child.tag]
+                        found = read(tag)
+                        if found is not None:
+                            self._fields[name][field] = found
                     elif child.tag not in QUIET_TAGS and not is_default:
                         report(f"{root.source}: <gazebo>: <{child.tag}> is not simulated")
 
@@ -369,19 +387,3 @@ class _GazeboTags:
                 self._document.report(f"{self._source}: {what} for both")
             links.append(replace(link, gravity=is_pulled))
         return replace(model, links=tuple(links))
-
-    def _read(self, tag: _LinkTag, fields: dict[str, Any]) -> None:
-        materials, material = self._document.materials, tag.element.find("material")
-        found = None
-        if tag.element.tag in LINK_TAGS:
-            field, read = LINK_TAGS[tag.element.tag]
-            found = read(tag)
-        elif tag.element.tag == "material":
-            field, found = "look", materials.named(tag.text("value"), tag.source)
-        elif material is not None:
-            # The same as in SDF.
-            inner = SdfTag(material, tag.source, self._document)
-            colour, look = materials.of_tag(inner, self._document.finder, WHITE)
-            field, found = "look", (colour, look) if look.covers else None
-        if found is not None:
-            fields[field] = found

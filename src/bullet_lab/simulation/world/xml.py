@@ -82,20 +82,16 @@ def parse_text(text: str, source: str) -> Element:
     if len(text) > MAXIMUM_BYTES:
         raise XmlError(f"{source}: larger than {MAXIMUM_BYTES} bytes")
     try:
+        # As text, not as bytes: the encoding that the document declares does not matter.
         with contextlib.suppress(ParseError):
-            return _parsed(text)
-        return _parsed(_repaired(text))
+            return defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
+        return defusedxml.ElementTree.fromstring(_repaired(text), forbid_dtd=True)
     except ParseError as error:
         raise XmlError(f"{source}: not well-formed XML: {error}") from error
     except DefusedXmlException as error:
         raise XmlError(f"{source}: document types and entities are refused") from error
     except UnicodeError as error:
         raise XmlError(f"{source}: not Unicode text") from error
-
-
-def _parsed(text: str) -> Element:
-    # As text, not as bytes: the encoding that the document declares does not matter.
-    return defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
 
 
 def _repaired(text: str) -> str:

@@ -30,19 +30,20 @@ from bullet_lab.core.figures import (
 from bullet_lab.core.parameters import declarations
 from bullet_lab.errors import LabError
 from bullet_lab.noise.calibration import Fit, Problem, fit, intervals, on_limit, profile
-from bullet_lab.noise.goodness import Goodness, goodness
-from bullet_lab.noise.likelihood import PARTS, StepPairs
-from bullet_lab.noise.odometry_noise import MODELS, WalkRule, rule_of
-from bullet_lab.noise.prediction import (
+from bullet_lab.noise.goodness import (
     LENGTHS,
     OWN,
+    Goodness,
     Prediction,
+    goodness,
     judged,
     parameter_variances,
     predicted,
 )
+from bullet_lab.noise.likelihood import PARTS, StepPairs
+from bullet_lab.noise.odometry_noise import MODELS, WalkRule
 from bullet_lab.noise.systematic import SystematicErrors
-from bullet_lab.studies.calibrate.steps import Steps, long_length, long_pairs, pairs_of, part_of
+from bullet_lab.studies.calibrate.steps import EACH, Steps, long_length, pairs_of, part_of
 from bullet_lab.studies.paths import Recording
 from bullet_lab.studies.study import Record, Summary
 
@@ -57,21 +58,18 @@ _POINTS = 11
 _LIMIT = 3.841
 
 
-
 @dataclass(frozen=True, eq=False)
 class ModelCalibration:
     """A noise model, with systematic errors, that is fitted to steps.
 
     Attributes:
-        problem: the parameters and the steps.
         fit: the most likely values.
         intervals: of the parameters, 95 %, shape (k, 2); as wide as the dispersion makes them.
         goodness: of the fit.
         prediction: how well halves of the steps predict each other.
-        length: m and rad of long steps; 0, 0 for steps as they were taken.
+        length: m and rad of long steps; `EACH` for steps as they were taken.
     """
 
-    problem: Problem
     fit: Fit
     intervals: np.ndarray
     goodness: Goodness
@@ -81,12 +79,12 @@ class ModelCalibration:
     @property
     def model(self) -> str:
         """Name of the noise model."""
-        return self.fit.model
+        return self.fit.problem.model
 
     @property
     def limited(self) -> list[str]:
         """The parameters that lie on a limit: then nothing of the model is a result."""
-        return on_limit(self.problem, self.fit)
+        return on_limit(self.fit)
 
     def rank(self) -> tuple[bool, float]:
         """Return what sorts models, the best one first."""
@@ -94,12 +92,11 @@ class ModelCalibration:
 
     def published(self) -> dict[str, float]:
         """Return noise and systematic errors as they predict, with the spread of the latter."""
-        values = self.fit.values()
         dispersion = self.prediction.dispersion
-        rule = rule_of(self.model, values).scaled(dispersion)
-        variances = OWN * dispersion * parameter_variances(self.problem, self.fit)
-        spreads = zip(self.problem.systematic, np.sqrt(variances).tolist())
-        return {**values, **asdict(rule), **{f"{name}_std": spread for name, spread in spreads}}
+        rule = self.fit.rule().scaled(dispersion)
+        stds = np.sqrt(OWN * dispersion * parameter_variances(self.fit)).tolist()
+        spread = {f"{name}_std": std for name, std in zip(self.fit.problem.systematic, stds)}
+        return {**self.fit.values(), **asdict(rule), **spread}
 
     def parameters(self) -> dict[str, tuple[float, float, float]]:
         """Return estimate, and low and high end of the interval, of each parameter by name."""
@@ -128,42 +125,42 @@ def calibrate(
         LabError: the steps do not determine the parameters.
     """
     make = functools.partial(Problem, model=model, systematic=systematic, wheel_base=wheel_base)
-    length = (0.0, 0.0)
+
+    def fitted(length: tuple[float, float]) -> tuple[Fit, Goodness]:
+        pairs, follows = pairs_of(steps, length)
+        found = fit(make(pairs))
+        return found, goodness(found, follows, seed)
+
+    length = EACH
     try:
-        problem = make(pairs_of(steps))
-        found = fit(problem)
-        quality = goodness(problem, found, steps.follows, seed)
+        found, quality = fitted(length)
         if issubclass(MODELS[model], WalkRule) and not quality.fits:
             length = long_length(steps)
-        if any(length):
-            pairs, follows = long_pairs(steps, length)
-            problem = make(pairs)
-            found = fit(problem)
-            quality = goodness(problem, found, follows, seed)
+        if length != EACH:
+            found, quality = fitted(length)
         prediction = judged(list(predictions(make, steps, length)))
-        ends = intervals(problem, found)[0]
+        ends = intervals(found)[0]
     except np.linalg.LinAlgError:
         raise LabError(
             f"{model}: the steps do not determine its parameters: "
             "do odometry and truth belong together, and does the robot drive and turn?"
         ) from None
+    problem = found.problem
     coordinates = problem.coordinates(ends.T).T
     middle = found.coordinates[0][:, np.newaxis]
     wider = middle + math.sqrt(prediction.dispersion) * (coordinates - middle)
     # An interval that begins at 0 keeps to it.
     wider = np.where(ends == 0.0, 0.0, problem.values(wider.T).T)
-    return ModelCalibration(problem, found, wider, quality, prediction, length)
+    return ModelCalibration(found, wider, quality, prediction, length)
 
 
 def predictions(make: Callable[[StepPairs], Problem], steps: Steps, length: tuple[float, float]):
-    """Yield windows of each half of the steps, and the variances V of a fit of the other."""
+    """Yield windows of each half of the steps, predicted by a fit of the other."""
     for number in (0, 1):
-        own, other = part_of(steps, number), part_of(steps, 1 - number)
-        problem = make(long_pairs(own, length)[0] if any(length) else pairs_of(own))
-        found = fit(problem)
-        variances = parameter_variances(problem, found)
+        found = fit(make(pairs_of(part_of(steps, number), length)[0]))
+        others = pairs_of(part_of(steps, 1 - number))
         for size in LENGTHS:
-            yield predicted(problem, found, pairs_of(other), other.follows, size), variances
+            yield predicted(found, *others, size)
 
 
 def symbol(name: str) -> str:
@@ -244,7 +241,7 @@ def lines(ranked: Sequence[ModelCalibration], true: Mapping[str, Mapping[str, fl
     for one in ranked:
         less = ranked[0].prediction.density - one.prediction.density
         rank = "predicts best" if one is ranked[0] else f"predicts worse by {less:.2f}"
-        steps = "steps of {:g} m or {:g} rad" if any(one.length) else "each step"
+        steps = "steps of {:g} m or {:g} rad" if one.length != EACH else "each step"
         text.append(f"{one.model}: {rank}; {steps.format(*one.length)}; {_verdict(one.goodness)}")
         text += [f"  NO RESULT: {name} lies on its limit" for name in one.limited]
         text.append(f"  {_predicted(one.prediction)}")
@@ -300,8 +297,9 @@ def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
     values = {"model": one.model}
     for name, value in one.published().items():
         values[name] = float(f"{value:.9g}")
-    if one.problem.systematic:
-        values["wheel_base"] = one.problem.wheel_base
+    problem = one.fit.problem
+    if problem.systematic:
+        values["wheel_base"] = problem.wheel_base
     text = "".join(f"# {comment}\n" for comment in comments)
     return text + yaml.safe_dump(values, sort_keys=False)
 
@@ -368,7 +366,7 @@ def _draw_profile(axes: Axes, one: ModelCalibration, name: str, found) -> None:
     ]
     points = [(value, 0.0)]
     for side in sides:
-        points += zip(side, profile(one.problem, one.fit, name, side))
+        points += zip(side, profile(one.fit, name, side))
     x, fall = np.array(sorted(points)).T
     # The signed root of the fall is nearly linear, and is interpolated.
     root = np.sign(x - value) * np.sqrt(fall)
@@ -380,9 +378,9 @@ def paths_figure(recordings: Sequence[Recording], one: ModelCalibration) -> Figu
     """Draw truth and odometry from one start, and the truth with the systematic errors found."""
     shown = recordings[:MOST_PATHS]
     figure, (row,) = panels((1, len(shown)), (max(6.4, 5.4 * len(shown)), 5.8))
-    values = one.fit.values()
-    wrong = {name: values[name] for name in one.problem.systematic}
-    errors = SystematicErrors(wheel_base=one.problem.wheel_base, **wrong)
+    values, problem = one.fit.values(), one.fit.problem
+    wrong = {name: values[name] for name in problem.systematic}
+    errors = SystematicErrors(wheel_base=problem.wheel_base, **wrong)
     for axes, recording in zip(row, shown):
         plan_axes(axes)
         first = int(np.searchsorted(recording.truth.stamps, recording.odometry.stamps[0]))

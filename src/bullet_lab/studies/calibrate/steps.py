@@ -44,6 +44,9 @@ SHORT = (0.02, 0.04)
 LONG = ((0.5, 1.0), (0.25, 0.5), (0.125, 0.25))
 """m and rad of long steps: errors within them are not those that remain after some metres."""
 
+EACH = (0.0, 0.0)
+"""The length of steps that are not joined."""
+
 LEAST_STD = 3e-3
 """m and rad: standard deviation of the ends of long steps, at least.
 
@@ -63,6 +66,8 @@ LARGEST_SCALE = 2.0
 # Of the distance, forwards and backwards, to fit both the gyro's bias and unequal wheels.
 LEAST_SHARE = 0.05
 
+# Fields of `Steps` with a row for each step.
+_ROWS = ("true", "odometry", "follows", "seconds")
 
 
 @dataclass(frozen=True)
@@ -260,10 +265,7 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
 def joined(found: Sequence[Steps]) -> Steps:
     """Return the steps of all recordings; raises LabError if there are too few."""
     steps = Steps(
-        *(
-            np.concatenate([getattr(one, name) for one in found])
-            for name in ("true", "odometry", "follows", "seconds")
-        ),
+        *(np.concatenate([getattr(one, name) for one in found]) for name in _ROWS),
         *(sum(getattr(one, name) for one in found) for name in ("resting", "gaps", "unseen")),
         truth_std_m=max(one.truth_std_m for one in found),
         truth_std_rad=max(one.truth_std_rad for one in found),
@@ -354,11 +356,11 @@ def _over_gap(stamps: ndarray, paths: Sequence[Trajectory], most: float) -> ndar
 
 
 def long_length(short: Steps) -> tuple[float, float]:
-    """Return the longest of `LONG` of which there are enough; 0, 0 if there is none."""
+    """Return the longest of `LONG` of which there are enough; `EACH` if there is none."""
     for length in LONG:
         if len(joined_ends(short.true, short.follows, *length)[0]) >= FEWEST_LONG:
             return length
-    return 0.0, 0.0
+    return EACH
 
 
 def short_steps(steps: Steps) -> Steps:
@@ -374,20 +376,16 @@ def short_steps(steps: Steps) -> Steps:
     )
 
 
-def pairs_of(steps: Steps) -> StepPairs:
-    """Return the steps for a likelihood."""
-    return StepPairs(
-        steps.true, steps.odometry[np.newaxis], steps.truth_std_m, steps.truth_std_rad
-    )
-
-
-def long_pairs(short: Steps, length: tuple[float, float]) -> tuple[StepPairs, ndarray]:
-    """Return long steps that consist of short ones, and whether each follows the one before.
+def pairs_of(short: Steps, length: tuple[float, float] = EACH) -> tuple[StepPairs, ndarray]:
+    """Return steps for a likelihood, and whether each follows the one before.
 
     Args:
         short: as of `short_steps`.
-        length: m and rad after which a long step ends; 0, 0: with each short one.
+        length: m and rad after which a long step ends, which consists of short ones.
     """
+    if length == EACH:
+        stds = short.truth_std_m, short.truth_std_rad
+        return StepPairs(short.true, short.odometry[np.newaxis], *stds), short.follows
     first, last = joined_ends(short.true, short.follows, *length)
     within = _within(short.true, first, last)
     reported = se2.wrapped(end_of(_within(short.odometry, first, last)))
@@ -405,8 +403,7 @@ def part_of(steps: Steps, number: int) -> Steps:
     """Return the first (0) or the second half (1) of steps."""
     middle = len(steps) // 2
     rows = slice(None, middle) if number == 0 else slice(middle, None)
-    names = ("true", "odometry", "follows", "seconds")
-    return replace(steps, **{name: getattr(steps, name)[rows] for name in names})
+    return replace(steps, **{name: getattr(steps, name)[rows] for name in _ROWS})
 
 
 def _within(rows: ndarray, first: ndarray, last: ndarray) -> ndarray:

@@ -8,20 +8,29 @@ Example:
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Sequence
+from typing import Any, Iterator, Sequence
 
-from bullet_lab.core.parameters import choices, integer
-from bullet_lab.errors import LabError
-from bullet_lab.noise.odometry_noise import MODELS
-from bullet_lab.noise.systematic import SYSTEMATIC
-from bullet_lab.studies.calibrate.recordings import (
-    DataSettings,
-    DriveSettings,
-    coverage,
-    made_up,
+import numpy as np
+
+from bullet_lab.core import se2
+from bullet_lab.core.parameters import (
+    choice,
+    choices,
+    integer,
+    name_list,
+    number,
+    part_of,
+    text,
 )
+from bullet_lab.core.trajectory import Trajectory
+from bullet_lab.errors import LabError
+from bullet_lab.noise.calibration import Problem, fit, intervals
+from bullet_lab.noise.likelihood import RESOLUTION, StepPairs
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
+from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, NoisyPath, noise_parameters, rule_of
+from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors, SystematicPath, chords
 from bullet_lab.studies.calibrate.results import (
     ModelCalibration,
     calibrate,
@@ -34,13 +43,14 @@ from bullet_lab.studies.calibrate.results import (
     residuals_figure,
 )
 from bullet_lab.studies.calibrate.steps import StepSettings, joined, short_steps, take_steps
-from bullet_lab.studies.paths import Recording
+from bullet_lab.studies.paths import Recording, find_recordings, read_pair
 from bullet_lab.studies.study import (
     MOST_SEED,
     Record,
     Settings,
     Summary,
     Tell,
+    clopper_pearson,
     progress,
     run_from,
     write_results,
@@ -49,6 +59,24 @@ from bullet_lab.studies.study import (
 NO_ERRORS = "none"
 WHEELS, GYRO = SYSTEMATIC[2:4]
 MOST_COVERAGE_PATHS = 100_000
+_STEPS_AT_A_TIME = 50_000
+_COMMANDS = (
+    (0.2, 0.0, 10.0),
+    (0.0, 0.5236, 3.0),
+    (0.2, -0.3, 5.0),
+    (-0.2, 0.0, 5.0),
+    (0.0, -0.5236, 3.0),
+    (-0.15, 0.25, 6.0),
+    (0.2, 0.3, 7.0),
+)
+"""Commands of a lap: m/s, rad/s and s."""
+
+COVERAGE_COLUMNS = (
+    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
+    *("mean_estimate", "mean_low", "mean_high"),
+)
+
+
 @dataclass(frozen=True)
 class CalibrateSettings(Settings):
     """Models and errors to fit."""
@@ -69,6 +97,134 @@ class CalibrateSettings(Settings):
     def errors(self) -> tuple[str, ...]:
         """The systematic errors to fit."""
         return tuple(name for name in self.systematic if name != NO_ERRORS)
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """Files of the paths."""
+
+    data: tuple[str, ...] = name_list(
+        "bags, tables with both paths, or folders of recordings; none: a made-up drive"
+    )
+    truth: str = text("", "file of the truth, instead of data")
+    odometry: str = text("", "file of the odometry that belongs to it")
+    truth_topic: str = text("/odom", "topic of the truth in bags")
+    odometry_topic: str = text("/noisy_odom", "topic of the odometry in bags")
+    base: str = text("", "folder that relative paths start from")
+
+    def recordings(self) -> list[Recording]:
+        """Read the recordings; none if no file is given. Raises LabError."""
+        base, topics = Path(self.base), (self.truth_topic, self.odometry_topic)
+        if bool(self.truth) != bool(self.odometry):
+            raise LabError("truth and odometry are one recording: both files are needed")
+        found: list[Recording] = []
+        if self.truth:
+            found.append(read_pair(base / self.truth, base / self.odometry, topics))
+        if self.data:
+            found += find_recordings([base / name for name in self.data], topics)
+        return found
+
+
+def _error(name: str, value: float) -> Any:
+    """Declare a parameter of `SystematicErrors` with another default."""
+    return field(default=value, metadata=SystematicErrors.__dataclass_fields__[name].metadata)
+
+
+@dataclass(frozen=True)
+class DriveSettings(noise_parameters(), SystematicErrors):
+    """The made-up drive, and the errors of its odometry."""
+
+    scale_error: float = _error("scale_error", 0.01)
+    base_error: float = _error("base_error", -0.02)
+    diameter_error: float = _error("diameter_error", 0.004)
+    gyro_bias_per_metre: float = _error("gyro_bias_per_metre", 0.01)
+    way_per_turn: float = _error("way_per_turn", 0.01)
+    model: str = choice("probabilistic", "noise model of the made-up drive", MODELS)
+    rate: float = number(5.0, "Hz of its odometry", above=0.0, maximum=1000.0)
+    laps: int = integer(3, "of it, 39 s and 6.3 m each", 1, 1000)
+
+    def rule(self, model: str) -> NoiseRule:
+        """Return the rule of a noise model, with the parameters of the drive."""
+        return rule_of(model, asdict(self))
+
+    def noise(self) -> dict[str, float]:
+        """Return the parameters of the drive's noise model by name."""
+        return asdict(self.rule(self.model))
+
+
+def calibration_drive(settings: DriveSettings) -> Trajectory:
+    """Return the true path of the drive."""
+    period = 1.0 / settings.rate
+    lap = [(v, w) for v, w, s in _COMMANDS for _ in range(max(1, round(s * settings.rate)))]
+    arcs = np.array([(v * period, 0.0, w * period) for v, w in lap * settings.laps])
+    poses = [np.zeros(3)]
+    for step in chords(arcs):
+        poses.append(se2.compose(poses[-1], step))
+    return Trajectory(period * np.arange(len(poses)), np.array(poses))
+
+
+def made_up(settings: DriveSettings, seed: int) -> Recording:
+    """Return the drive with an odometry as `noisy_odom` would make it."""
+    truth = calibration_drive(settings)
+    errors = SystematicPath(part_of(SystematicErrors, settings))
+    noise = NoisyPath(settings.rule(settings.model), seed)
+    poses = [noise.update(*errors.update(*pose).pose).pose for pose in truth.poses.tolist()]
+    return Recording("a drive that was made up", truth, Trajectory(truth.stamps, np.array(poses)))
+
+
+def coverage(
+    settings: DriveSettings,
+    model: str,
+    systematic: Sequence[str],
+    paths: int,
+    seed: int,
+) -> list[Record]:
+    """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
+
+    Returns:
+        For each parameter the number of paths, that of the intervals that hold its true value,
+        their share with its 95 % band (Clopper and Pearson), and the means of the estimates and of
+        the finite ends of the intervals.
+
+    Args:
+        settings: of the drive, with the true values.
+        model: of the noise.
+        systematic: systematic errors that are applied and fitted; the others are 0.
+        paths: number of paths.
+        seed: of the paths, >= 0.
+    """
+    errors = {name: getattr(settings, name) for name in systematic}
+    true = {**asdict(settings.rule(model)), **errors}
+    estimates, ends = [], []
+    for pairs in _paths(settings, model, systematic, paths, seed):
+        found = fit(Problem(pairs, model, systematic, settings.wheel_base))
+        estimates.append(found.estimates)
+        ends.append(intervals(found))
+    values, bounds = np.concatenate(estimates), np.concatenate(ends)
+    result = []
+    for j, name in enumerate(found.problem.names):
+        low, high = bounds[:, j].T
+        held = int(((low <= true[name]) & (true[name] <= high)).sum())
+        means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
+        shares = (held / paths, *clopper_pearson(held, paths, 0.025))
+        row = (model, name, true[name], paths, held, *shares, *means)
+        result.append(dict(zip(COVERAGE_COLUMNS, row)))
+    return result
+
+
+def _paths(
+    settings: DriveSettings, model: str, systematic: Sequence[str], paths: int, seed: int
+) -> Iterator[StepPairs]:
+    """Yield the steps of noisy versions, as noisy_odom would make them, in blocks."""
+    truth = calibration_drive(settings).poses
+    names = (*systematic, "wheel_base", "ticks_per_metre")
+    errors = SystematicErrors(**{name: getattr(settings, name) for name in names})
+    stds = [max(RESOLUTION, std) for std in errors.resolution]
+    reported = errors.path(truth)
+    steps = noisy_steps(reported, settings.rule(model))
+    generator = np.random.default_rng([seed, 1])
+    for block in noisy_blocks(steps, generator, paths, _STEPS_AT_A_TIME):
+        yield StepPairs(se2.steps(truth), se2.steps(block.poses(reported)), *stds)
 
 
 def run_calibration(

@@ -153,24 +153,15 @@ def is_reachable(cell: Cell) -> bool:
     """Return whether there is room for the camera at a cell, on both sides."""
     plan = footprints(lit_world(cell.world, cell.light), below=CAMERA_HEIGHT + CLEARANCE)
     # The camera may come close to the wall that bears the marker.
-    plan = [one for one in plan if one.centre[0] <= MARKER[0] - CLEARANCE]
+    plan = [one for one in plan if one.pose[0] <= MARKER[0] - CLEARANCE]
     return all(one.distance(place[:2]) >= CLEARANCE for one in plan for place in _places(cell))
 
 
 class FreeCamera:
-    """The camera of the robot, noise included, at any pose in a world.
+    """The camera of the robot, with noise from a seed, at any pose in a world in one of `LIGHTS`.
 
-    Args:
-        world: its name.
-        light: its light, one of `LIGHTS`.
-        seed: of the noise.
-
-    Attributes:
-        camera: geometry of the images.
-        printed: the wanted marker of the world, and others with its id.
-
-    Raises:
-        LabError: a file cannot be read.
+    `camera` is the geometry of its images; `printed` has the wanted marker, and others with its id.
+    Raises LabError if a file cannot be read.
     """
 
     def __init__(self, world: str, light: str = DEFAULT_LIGHT, seed: int = 0):
@@ -193,11 +184,9 @@ class FreeCamera:
         return all(body < 0 for body, *_ in hits)
 
     def take(self, pose: Pose, number: int) -> ndarray:
-        """Return the image from a pose, (height, width) of uint8, grey; raises LabError.
+        """Return an image from a pose (x ahead, z up), (h, w) uint8, grey; raises LabError.
 
-        Args:
-            pose: of the camera in the world: x ahead, z up.
-            number: of the image, >= 0; its noise follows from this and the seed.
+        Its noise follows from its number, >= 0, and the seed.
         """
         self._instance.place(pose)
         return grey(self._device.take(number), self._device.encoding)
@@ -210,8 +199,7 @@ class FreeCamera:
 
     def judged(self, shot: CameraShot) -> Frame:
         """Take an image and compare the detections in it with the truth."""
-        wanted, *others = self.printed
-        return judge(self.observed(shot)[1], shot.pose, wanted, others, self.camera)
+        return judge(self.observed(shot)[1], shot.pose, self.printed, self.camera)
 
 
 def in_optical_frame(pose: Pose, points: ndarray) -> ndarray:
@@ -245,24 +233,19 @@ class Frame:
     flipped: bool = False
 
 
-@dataclass(frozen=True)
-class MarkerImage:
-    """An image as PNG, and the (n, 4, 2) corners of the markers found in it, in pixels."""
+class MarkerImage(NamedTuple):
+    """An image, (h, w) uint8 grey, and the (n, 4, 2) corners of the markers found in it, px."""
 
-    png: bytes
+    picture: ndarray
     corners: ndarray
 
 
 def cell_row(
     cell: Cell, visible: bool, frames: Sequence[Frame], pixels_per_cell: float
 ) -> Record:
-    """Return the row of a cell in the table; without finds, the errors are None.
+    """Return the row of a cell in the table from the detections in its images.
 
-    Args:
-        cell: of the grid.
-        visible: whether the marker is not hidden.
-        frames: detections in each image.
-        pixels_per_cell: mean size of a cell of the marker.
+    Without finds, the errors are None.
     """
     found = [frame for frame in frames if frame.found]
     return {
@@ -298,10 +281,8 @@ def try_cell(
 ) -> tuple[Record, MarkerImage | None]:
     """Take images of a cell and compare the detections with the truth; raises LabError.
 
-    If the marker is hidden, only `HIDDEN_SHARE` of the frames are taken.
-
-    Returns:
-        The row of the table, and the first image if it is to be kept.
+    If the marker is hidden, only `HIDDEN_SHARE` of the frames are taken. Returns the row of the
+    table, and the first image if it is to be kept.
     """
     camera = _free_camera(cell.world, cell.light, seed)
     corners = camera.printed[0].corners()
@@ -314,15 +295,13 @@ def try_cell(
     if not keep:
         return row, None
     picture, markers = camera.observed(shots[0])
-    found = np.array([m.corners for m in markers]).reshape(-1, 4, 2)
-    return row, MarkerImage(cv2.imencode(".png", picture)[1].tobytes(), found)
+    return row, MarkerImage(picture, np.array([m.corners for m in markers]).reshape(-1, 4, 2))
 
 
 def count_false(world: str, block: int, frames: int, seed: int) -> tuple[int, int]:
     """Take images all over a world, in its own light, and count false detections.
 
-    Returns:
-        The numbers of false detections, and of images with the marker found.
+    Returns their number, and that of the images with the marker found.
     """
     camera = _free_camera(world, DEFAULT_LIGHT, seed)
     judged = [camera.judged(shot) for shot in strewn_shots(world, frames, seed, block)]
@@ -337,36 +316,28 @@ def _free_camera(world: str, light: str, seed: int) -> FreeCamera:
 def judge(
     markers: list[ObservedMarker],
     pose: Pose,
-    wanted: PrintedMarker,
-    others: Sequence[PrintedMarker],
+    printed: Sequence[PrintedMarker],
     camera: PinholeCamera,
 ) -> Frame:
-    """Compare the detections in an image with the truth.
+    """Compare the detections in an image from a pose in the world with the truth.
 
-    Args:
-        markers: detections.
-        pose: of the camera in the world.
-        wanted: the marker to find.
-        others: other markers with the same id.
-        camera: geometry of the image.
+    The first marker that is printed is the wanted one; the others have the same id.
     """
-    hits = [m for m in markers if _is_seen_at(m, wanted, pose, camera)]
-    rest = [m for m in markers if not _is_seen_at(m, wanted, pose, camera)]
-    known = [m for m in rest if any(_is_seen_at(m, one, pose, camera) for one in others)]
+    wanted, *others = printed
+
+    def is_at(marker: ObservedMarker, one: PrintedMarker) -> bool:
+        corners = camera.project(in_optical_frame(pose, one.corners()))
+        farthest = np.linalg.norm(marker.corners - corners, axis=1).max()
+        is_near = farthest <= 1.0 + LARGEST_OFFSET * mean_side(corners)
+        return marker.id == WANTED_ID and bool(is_near)
+
+    hits = [m for m in markers if is_at(m, wanted)]
+    rest = [m for m in markers if not is_at(m, wanted)]
+    known = [m for m in rest if any(is_at(m, one) for one in others)]
     counts = (len(known), max(0, len(hits) - 1), len(rest) - len(known))
     if not hits:
         return Frame(False, *counts)
     return Frame(True, *counts, **_pose_errors(hits[0], wanted, pose))
-
-
-def _is_seen_at(
-    marker: ObservedMarker, printed: PrintedMarker, pose: Pose, camera: PinholeCamera
-) -> bool:
-    if marker.id != WANTED_ID:
-        return False
-    corners = camera.project(in_optical_frame(pose, printed.corners()))
-    offsets = np.linalg.norm(marker.corners - corners, axis=1)
-    return bool(np.max(offsets) <= 1.0 + LARGEST_OFFSET * mean_side(corners))
 
 
 def _pose_errors(marker: ObservedMarker, printed: PrintedMarker, pose: Pose) -> dict[str, Any]:

@@ -41,13 +41,16 @@ from bullet_lab.studies.dock_campaign.trial import (
 )
 from bullet_lab.studies.study import (
     Record,
+    Run,
     Summary,
+    TaskLostError,
     Tell,
+    WorkerSettings,
     progress,
     run_from,
+    workers,
     write_results,
 )
-from bullet_lab.studies.workers import Run, TaskLostError, WorkerSettings, workers
 
 MOST_DOCKINGS = 1_000_000
 

@@ -34,19 +34,20 @@ from bullet_lab.core.figures import (
 )
 from bullet_lab.core.se2 import LEVEL, ellipse_points
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.noise.exact_moments import Moments
-from bullet_lab.noise.noisy_paths import noisy_steps, study_generator
+from bullet_lab.noise.exact_moments import Moments, exact_moments
+from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS
 from bullet_lab.studies.noise_study.regions import (
+    CLOUD,
     LEVELS,
     MEANT,
     METHODS,
     TOLERANCE,
     Cloud,
     Region,
+    Regions,
     inverse_of,
     level_rule,
-    line_cloud,
     position_density,
     theory,
 )
@@ -95,7 +96,7 @@ def levels_figure(cases: Sequence[Case]) -> Figure:
     first = cases[0]
     title = (
         f"{MODELS[first.model].title} noise at {first.rate:g} Hz: "
-        f"{len(first.kept)} of {first.paths} paths at each level"
+        f"{len(first.kept)} of {first.regions.paths} paths at each level"
     )
     labels = ("x (m)", "y (m)")
     figure, grid = panels((rows, columns), size, title, labels, False, sharex=True, sharey=True)
@@ -227,12 +228,8 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
     size = 4.0 * max(2, len(levels)) + 0.6, 8.4
     figure, grid = panels((2, len(levels)), size, title, ("error of x (m)", "error of y (m)"))
     for column, case in zip(grid.T, levels):
-        rule = level_rule(case.model, case.std)
-        # A rate that no case has selects draws that no case has.
-        generator = study_generator(seed, case.model, case.std, -1.0)
-        length, count = case.trajectory.length(), len(case.trajectory)
-        on_line = line_cloud(length, count, rule, generator)
-        for axes, cloud in zip(column, (case.regions.bent_cloud(), on_line)):
+        on_path = case.regions.cloud(case.regions.most_bent())
+        for axes, cloud in zip(column, (on_path, _cloud_of_line(case, seed))):
             _draw_cloud(axes, cloud)
             axes.set_title(f"std {case.std:g}, after {cloud.travelled:.1f} m", fontsize=10)
     handles = [
@@ -244,6 +241,19 @@ def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
     ]
     legend_below(figure, handles, bottom=0.45 / figure.get_figheight())
     return figure
+
+
+def _cloud_of_line(case: Case, seed: int) -> Cloud:
+    """Return the cloud at the end of a straight line of the length of a case's path."""
+    count = len(case.trajectory)
+    along = np.linspace(0.0, case.trajectory.length(), count)
+    line = Trajectory(np.arange(count), np.column_stack([along, np.zeros((count, 2))]))
+    steps = noisy_steps(line.poses, level_rule(case.model, case.std))
+    regions = Regions(line, steps, theory(steps))
+    # A rate that no case has selects draws that no case has.
+    for block in noisy_blocks(steps, study_generator(seed, case.model, case.std, -1.0), CLOUD):
+        regions.add(block)
+    return regions.cloud(-1)
 
 
 def _model_panels(
@@ -277,7 +287,7 @@ def _add_method_legend(figure: Figure, grid: ndarray) -> None:
 
 
 def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
-    paths = LineCollection(_kept_places(case), colors=BLUE, linewidths=0.5, alpha=0.3)
+    paths = LineCollection(case.kept[..., :2], colors=BLUE, linewidths=0.5, alpha=0.3)
     axes.add_collection(paths)
     outline = [withStroke(linewidth=2.6, foreground="white")]
     perfect = case.trajectory.poses[:, :2].T
@@ -292,12 +302,6 @@ def _draw_sheet(axes: Axes, case: Case, window: Window) -> None:
     (left, bottom), (right, top) = window
     axes.set(aspect="equal", xlim=(left, right), ylim=(bottom, top))
     axes.tick_params(labelsize=8)
-
-
-def _kept_places(case: Case) -> ndarray:
-    """Return x and y (m) of the kept paths, shape (k, n+1, 2)."""
-    places = np.stack([case.kept.real, case.kept.imag], axis=-1)
-    return case.trajectory.poses[0, :2] + places
 
 
 def _ellipse_at(case: Case, moments: Moments, index: int) -> ndarray:
@@ -324,9 +328,8 @@ def _window(cases: Sequence[Case]) -> Window:
     size = (high - low).max()
     curves = []
     for case in cases:
-        places = _kept_places(case)
         for index in find_corners(case.trajectory):
-            curves += [places[:, index], _ellipse_at(case, case.theory.exact, index)]
+            curves += [case.kept[:, index, :2], _ellipse_at(case, case.theory.exact, index)]
     shown = np.concatenate(curves)
     least, most = shown.min(axis=0) - 0.05 * size, shown.max(axis=0) + 0.05 * size
     return (
@@ -364,7 +367,7 @@ def _draw_rates(axes: Axes, cases: Sequence[Case], trajectory: Trajectory) -> No
     paths = [resample(trajectory, rate) for rate in rates]
     for first, colour in zip(shown, _colours(len(shown))):
         rule = level_rule(first.model, first.std)
-        ends = [theory(noisy_steps(p.poses, rule)).exact.rms_distance()[-1] for p in paths]
+        ends = [exact_moments(noisy_steps(p.poses, rule)).rms_distance()[-1] for p in paths]
         axes.plot(rates, ends, "-", color=BLACK, linewidth=1.0)
         of_level = [case for case in cases if case.std == first.std]
         found = [case.rms_distance[-1] for case in of_level]

@@ -27,7 +27,7 @@ from bullet_lab.noise.exact_moments import (
     quadratic_covariances,
     quadratic_shares,
 )
-from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps, noisy_blocks, noisy_steps
+from bullet_lab.noise.noisy_paths import NoisyBlock, NoisySteps
 from bullet_lab.noise.odometry_noise import MODELS, NoiseRule
 from bullet_lab.studies.study import Record, clopper_pearson
 
@@ -55,10 +55,7 @@ class Theory:
     limits were measured: up to `GAUSSIAN_SHARE` the published 95 % regions, of the position and of
     all three coordinates, hold 95 ± 1 %; up to `FIRST_ORDER_SHARE` those of first order do.
 
-    Attributes:
-        exact: the exact moments at each pose.
-        first_order: those to first order.
-        quadratic: covariance of the part that is quadratic in the noise, at each pose, (n+1, 3, 3).
+    `quadratic` is the covariance of the part that is quadratic in the noise, (n+1, 3, 3).
     """
 
     exact: Moments
@@ -153,14 +150,7 @@ def checkpoints(trajectory: Trajectory) -> ndarray:
 
 @dataclass(frozen=True)
 class Region:
-    """Statistics of the regions of one method at one pose.
-
-    Attributes:
-        coverage: share of the paths in the region of each of `LEVELS`.
-        bands: their 95 % intervals.
-        nees: mean, 3 for a correct covariance.
-        nees_band: its 95 % interval.
-    """
+    """Shares of paths in the regions of each of `LEVELS`, and the mean NEES, with 95 % bands."""
 
     coverage: tuple[float, ...]
     bands: tuple[tuple[float, float], ...]
@@ -176,7 +166,7 @@ class Region:
 def right_up_to(
     places: Sequence[float], regions: Sequence[Region | None]
 ) -> float | None:
-    """Return the last of some places before the first wrong region; 0 if the first one is wrong.
+    """Return the last place before the first wrong region, 0 if there is none.
 
     Returns None if there is no region.
     """
@@ -194,7 +184,7 @@ Gaussian = Tuple[ndarray, ndarray]
 
 
 class Cloud(NamedTuple):
-    """Errors of many positions at a pose, and their Gaussians by three methods.
+    """Errors of some positions at a pose, and their Gaussians by three methods.
 
     Attributes:
         points: x + iy (m), shape (b,).
@@ -211,34 +201,8 @@ class Cloud(NamedTuple):
     exponential: Gaussian
 
 
-def line_cloud(length: float, count: int, rule: NoiseRule, generator) -> Cloud:
-    """Return the cloud at the end of a straight line.
-
-    Args:
-        length: m.
-        count: number of poses.
-        rule: of the noise.
-        generator: of the normal draws.
-    """
-    along = np.linspace(0.0, length, count)
-    steps = noisy_steps(np.column_stack([along, np.zeros((count, 2))]), rule)
-    blocks = noisy_blocks(steps, generator, CLOUD)
-    points = np.concatenate([block.position[:, -1] - length for block in blocks])
-    every = (exact_moments(steps), first_order_moments(steps))
-    exponential = exponential_moments(steps, [count - 1])
-    return Cloud(points, length, *(_gaussian_at(moments, -1) for moments in (*every, exponential)))
-
-
-def _gaussian_at(moments: Moments, pose: int) -> Gaussian:
-    return moments.mean[pose], moments.covariance[pose]
-
-
 class Ellipsoids:
-    """Regions around the means of errors by several methods, at several poses.
-
-    Args:
-        means: shape (m, k, d), of m methods at k poses.
-        covariances: shape (m, k, d, d).
+    """Regions around the means of errors, (m, k, d), by m methods at k poses.
 
     Attributes:
         known: whether a region has a volume, shape (m, k).
@@ -270,6 +234,7 @@ class Regions:
         known: moments of its noisy versions.
 
     Attributes:
+        paths: number of paths so far.
         poses: indices of the poses with regions, shape (k,).
         travelled: m, up to these poses, shape (k,).
         gaussian_enough: whether the error at each pose is; see `Theory`.
@@ -290,7 +255,7 @@ class Regions:
             (nothing, known.exact.mean[at], exponential.mean, nothing),
             (first_order, exact, exponential.covariance, published),
         )
-        self._paths = 0
+        self.paths = 0
         self._cloud: list[ndarray] = []
         shape = self._ellipsoids.known.shape
         self._inside = np.zeros((*shape, len(LEVELS)), dtype=int)
@@ -300,11 +265,11 @@ class Regions:
         """Count the paths of a block."""
         off = block.position[:, self.poses] - self._perfect
         heading = wrap(block.heading_error[:, self.poses])
-        if self._paths < CLOUD:
-            self._cloud.append(off[: CLOUD - self._paths])
+        if self.paths < CLOUD:
+            self._cloud.append(off[: CLOUD - self.paths])
         errors = np.stack([off.real, off.imag, heading], axis=-1)
         nees = self._ellipsoids.nees(np.stack([errors, errors, logarithm(errors), errors]))
-        self._paths += len(block)
+        self.paths += len(block)
         self._inside += np.count_nonzero(nees[..., None] <= BOUNDS, axis=1)
         self._sums += nees.sum(axis=1), np.square(nees).sum(axis=1)
 
@@ -319,7 +284,7 @@ class Regions:
     def _region(self, row: int, k: int) -> Region | None:
         if not self._ellipsoids.known[row, k]:
             return None
-        n, inside = self._paths, self._inside[row, k].tolist()
+        n, inside = self.paths, self._inside[row, k].tolist()
         mean, squares = (self._sums[:, row, k] / n).tolist()
         half = float(ndtri(0.5 + 0.5 * BAND)) * math.sqrt(max(0.0, squares - mean * mean) / n)
         return Region(
@@ -329,15 +294,22 @@ class Regions:
             (mean - half, mean + half),
         )
 
-    def bent_cloud(self) -> Cloud:
-        """Return the cloud at the pose where it is bent most, by the moments of the case."""
-        k = int(np.argmax([self._known.quadratic_share(pose) for pose in self.poses]))
+    def most_bent(self) -> int:
+        """Return the number of the pose whose cloud is bent most, by the moments of the case."""
+        return int(np.argmax([self._known.quadratic_share(pose) for pose in self.poses]))
+
+    def cloud(self, k: int) -> Cloud:
+        """Return the cloud at one of the poses."""
+        exact, first_order, exponential = (
+            (moments.mean[pose], moments.covariance[pose])
+            for moments, pose in (
+                (self._known.exact, self.poses[k]),
+                (self._known.first_order, self.poses[k]),
+                (self._exponential, k),
+            )
+        )
         points = np.concatenate(self._cloud)[:, k]
-        gaussians = [
-            _gaussian_at(one, self.poses[k]) for one in (self._known.exact, self._known.first_order)
-        ]
-        exponential = _gaussian_at(self._exponential, k)
-        return Cloud(points, float(self.travelled[k]), *gaussians, exponential)
+        return Cloud(points, float(self.travelled[k]), exact, first_order, exponential)
 
     def right_until(self, method: str) -> float | None:
         """Return the distance (m) up to which the 95 % region is right, None without regions."""

@@ -75,16 +75,10 @@ def find_laps(trajectory: Trajectory) -> tuple[ndarray, ndarray]:
 
 
 def pairs_at_distance(trajectory: Trajectory, delta: float) -> tuple[ndarray, ndarray]:
-    """Pair each pose with the one whose distance along the path is nearest to delta.
+    """Return indices of poses, and of those whose distance along the path is nearest to delta.
 
     Pairs that differ from delta by more than `DELTA_TOLERANCE` are left out. These are the pairs
-    of evo, taken from the reference with `all_pairs`.
-
-    Returns:
-        Indices of the first and second poses, two arrays of the same length.
-
-    Raises:
-        LabError: there is no pair.
+    of evo, taken from the reference with `all_pairs`. Raises LabError if there is none.
     """
     travelled = trajectory.travelled()
     count = len(travelled)
@@ -161,10 +155,6 @@ class PathMetrics:
         laps = np.abs(block.position[:, self._ends] - block.position[:, self._starts])
         return np.column_stack([*columns, laps])
 
-    def perfect_closure(self) -> list[float]:
-        """Return the closure error (m) of the perfect path in each lap."""
-        return np.abs(self._position[self._ends] - self._position[self._starts]).tolist()
-
     def _relative_errors(self, block: NoisyBlock) -> tuple[ndarray, ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).
 
@@ -216,15 +206,12 @@ class Case:
         rate: Hz.
         std: the level.
         theory: moments in closed form.
-        perfect_closure: m, closure error of the perfect path in each lap.
         regions: coverage of the regions of all three coordinates along the path.
-        paths: number of paths.
         metrics: for each metric its mean, 50 % and 95 % quantile.
         coverage: share of the paths whose last position lies in the 95 % ellipse, for each of
             `ELLIPSES`. None for an ellipse without area.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
-        kept: x + iy (m), the first paths, relative to their start, (k, n+1).
-        kept_heading: rad, their heading errors, (k, n+1).
+        kept: poses of the first paths (m, m, rad), (k, n+1, 3).
     """
 
     trajectory: Trajectory
@@ -232,26 +219,16 @@ class Case:
     rate: float
     std: float
     theory: Theory
-    perfect_closure: list[float]
     regions: Regions
-    paths: int
     metrics: dict[str, dict[str, float]]
     coverage: dict[str, float | None]
     rms_distance: ndarray
     kept: ndarray
-    kept_heading: ndarray
 
     @property
     def key(self) -> dict[str, Any]:
         """The case in the tables, by the names of their columns."""
         return {"model": self.model, "rate_hz": self.rate, "std": self.std}
-
-    def kept_path(self, number: int) -> Trajectory:
-        """Return one of the kept noisy paths."""
-        perfect, position = self.trajectory.poses, self.kept[number]
-        x, y = perfect[0, 0] + position.real, perfect[0, 1] + position.imag
-        yaw = perfect[:, 2] + self.kept_heading[number]
-        return Trajectory(self.trajectory.stamps, np.column_stack([x, y, yaw]))
 
 
 def by_model_of(cases: Sequence[Case]) -> dict[str, list[Case]]:
@@ -286,7 +263,7 @@ def study_case(
     delta: float,
     keep: int = 0,
 ) -> Case:
-    """Draw many noisy versions of a path and measure them.
+    """Draw some noisy versions of a path and measure them.
 
     Args:
         trajectory: the perfect path, at the rate of the case.
@@ -306,7 +283,7 @@ def study_case(
     regions, ellipses = Regions(trajectory, steps, known), _last_ellipses(known)
     squares, inside = np.zeros(len(steps) + 1), np.zeros(len(ELLIPSES), dtype=int)
     sums, values = np.zeros(len(metrics.names)), []
-    kept, headings = [], []
+    kept = [np.empty((0, *trajectory.poses.shape))]
     # In memory that does not grow with the number of paths.
     for block in noisy_blocks(steps, generator, paths):
         regions.add(block)
@@ -319,8 +296,8 @@ def study_case(
         found = metrics.values(block)
         sums += found.sum(axis=0)
         values.append(found[: max(0, QUANTILE_PATHS - block.first)])
-        kept.append(block.position[: max(0, keep - block.first)])
-        headings.append(block.heading_error[: max(0, keep - block.first)])
+        if block.first < keep:
+            kept.append(block.poses(trajectory.poses)[: keep - block.first])
     median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
     columns = zip((sums / paths).tolist(), median.tolist(), high.tolist())
     shares = np.where(ellipses.known[:, 0], inside / paths, None)
@@ -330,14 +307,11 @@ def study_case(
         rate,
         std,
         known,
-        metrics.perfect_closure(),
         regions,
-        paths,
         {name: dict(zip(("mean", "p50", "p95"), own)) for name, own in zip(metrics.names, columns)},
         dict(zip(ELLIPSES, shares.tolist())),
         np.sqrt(squares / paths),
         np.concatenate(kept),
-        np.concatenate(headings),
     )
 
 

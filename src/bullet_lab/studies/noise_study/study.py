@@ -30,7 +30,13 @@ from bullet_lab.studies.noise_study.figures import (
     regions_figure,
 )
 from bullet_lab.studies.noise_study.regions import MEANT, METHODS, right_up_to
-from bullet_lab.studies.noise_study.statistics import Case, by_model_of, noisy_levels, study_case
+from bullet_lab.studies.noise_study.statistics import (
+    Case,
+    by_model_of,
+    find_laps,
+    noisy_levels,
+    study_case,
+)
 from bullet_lab.studies.paths import check_path, read_path, resample, tum_text
 from bullet_lab.studies.squares import drive_square
 from bullet_lab.studies.study import (
@@ -50,7 +56,6 @@ MOST_PATHS = 10_000_000
 KEPT_PATHS = 60
 SIDES_PER_LAP = 4
 _DISTANCES_PER_CASE = 100
-
 
 STUDIED = ("report", "rate_invariant", "probabilistic")
 """Models by default."""
@@ -171,7 +176,7 @@ def run_study(
             "poses": len(trajectory),
             "length_m": trajectory.length(),
             "duration_s": float(trajectory.stamps[-1] - trajectory.stamps[0]),
-            "laps": len(cases[0].perfect_closure),
+            "laps": len(find_laps(cases[0].trajectory)[0]),
         },
         "cases": records,
     }
@@ -183,8 +188,12 @@ def run_study(
     }
     fastest = [case for case in cases if case.rate == max(settings.rates)]
     # The first noisy path of each model and level, and the perfect one.
-    texts = {f"tum/{c.model}_std_{c.std:g}.tum": tum_text(c.kept_path(0)) for c in fastest}
-    texts["tum/perfect.tum"] = tum_text(fastest[0].trajectory)
+    perfect = fastest[0].trajectory
+    noisy = {
+        f"tum/{c.model}_std_{c.std:g}.tum": Trajectory(perfect.stamps, c.kept[0]) for c in fastest
+    }
+    paths = {**noisy, "tum/perfect.tum": perfect}
+    texts = {name: tum_text(path) for name, path in paths.items()}
     figures = _figures(cases, fastest, trajectory, settings.seed)
     return write_results(folder, summary, tables, figures, texts)
 
@@ -199,7 +208,7 @@ def case_records(cases: Sequence[Case]) -> list[Record]:
         records.append(
             {
                 **case.key,
-                "paths": case.paths,
+                "paths": case.regions.paths,
                 **{
                     f"{name}_{part}": case.metrics.get(name, {}).get(part)
                     for name, parts in fullest.items()

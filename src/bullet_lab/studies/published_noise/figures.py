@@ -58,13 +58,10 @@ Shown = Callable[[Defects], Tuple[ndarray, PValue]]
 def compare_figure(
     figure_1b: PublishedFigure, corners: ndarray, replays: Sequence[ndarray], seed: int
 ) -> Figure:
-    """Draw figure 1b, the report's algorithm replayed, and the mended one.
+    """Draw figure 1b, the report's algorithm replayed, and the mended one, with a seed.
 
-    Args:
-        figure_1b: digitised.
-        corners: of the simulated perfect path (m), shape (5, 2).
-        replays: points of the two algorithms (m), shape (n, 2).
-        seed: of both.
+    `corners` are those of the simulated perfect path (m), (5, 2), `replays` the points of the two
+    algorithms (m), (n, 2).
     """
     labels = ("x (m)", "y (m)")
     figure, (row,) = panels((1, 3), (11.0, 4.3), "", labels, sharex=True, sharey=True)
@@ -89,12 +86,9 @@ def defects_figure(
 ) -> Figure:
     """Draw a sheet of small paths: figure 1b, all defects, the best one, none, each, all but each.
 
-    Args:
-        figure_1b: digitised.
-        corners: of the simulated perfect path (m), shape (5, 2).
-        shown: returns some noisy paths of a combination, of which the first is drawn in bold.
-        best: the combination with the largest p-value.
-        std: of the noise.
+    `shown` returns some noisy paths of a combination, of which the first is drawn in bold; `best`
+    is the combination with the largest p-value. The corners of the simulated perfect path are in m,
+    (5, 2).
     """
     figure, grid = panels((3, 5), (11.5, 7.9), sharex=True, sharey=True)
     figure.subplots_adjust(left=0.05, right=0.99, top=0.94, bottom=0.05, wspace=0.06, hspace=0.25)
@@ -169,10 +163,8 @@ def corners_figure(
 ) -> Figure:
     """Draw the beginning and the end of the first side, enlarged: figure 1b and some replays.
 
-    Args:
-        figure_1b: digitised.
-        corners: of the simulated perfect path (m), shape (5, 2).
-        shown: noisy paths (m), shape (n, m, 2), by name; the first is in bold.
+    `shown` has noisy paths (m), (n, m, 2), by name, the first in bold; the corners of the simulated
+    perfect path are in m, (5, 2).
     """
     shape, labels = (2, 1 + len(shown)), ("", "y (mm)")
     figure, grid = panels(shape, (11.0, 6.4), "", labels, sharex="row", sharey="row")
@@ -198,11 +190,9 @@ def corners_figure(
 
 
 def lengths_figure(results: Sequence[Result], measured: ndarray) -> Figure:
-    """Draw the lengths read from replays of all combinations, and from figure 1b.
+    """Draw the lengths read from replays of all combinations, and from figure 1b (m, (6,)).
 
-    Args:
-        results: of the combinations, ranked; equal ones share a line.
-        measured: the lengths in figure 1b (m), shape (6,).
+    Equal ones of the ranked results share a line.
     """
     rows = groups_of_same(results)
     figure = new_figure(13.5, 1.45 + 0.26 * len(rows))

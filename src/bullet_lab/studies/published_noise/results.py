@@ -68,14 +68,10 @@ _SAME = 1e-12
 
 
 def drawn(points) -> ndarray:
-    """Return the vertices that matplotlib draws of a path on the axes of figure 1b.
+    """Return the vertices that matplotlib draws of a path (m, (n, 2)) on the axes of figure 1b.
 
-    Args:
-        points: x and y (m), shape (n, 2).
-
-    Returns:
-        m, shape (k, 2), without those that lie on a line with their neighbours, as in the vector
-        graphic of the report; some are duplicates.
+    They are without those that lie on a line with their neighbours, as in the vector graphic of the
+    report; some are duplicates.
 
     >>> drawn([(0, 0), (0.5, 0.0002), (1, 0), (1, 0.5), (1, 1)]).round(3).tolist()
     [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]
@@ -94,14 +90,8 @@ def find_corners(vertices) -> ndarray:
     a zigzag on one side would move the corners of its neighbours.) Of a path of more than 100
     vertices, whose sides are not straight anyway, 100 are candidates.
 
-    Args:
-        vertices: x and y (m) in the order driven, shape (n, 2).
-
-    Returns:
-        Indices of the vertices, shape (5,), from the first to the last.
-
-    Raises:
-        LabError: the path has no four sides.
+    The vertices are x and y (m) in the order driven, (n, 2); the result are their indices, (5,),
+    from the first to the last. Raises LabError if the path has no four sides.
 
     >>> find_corners([(0, 0), (1, 0.1), (2, 0), (2, -2), (1, -2), (0, -2), (0, 0)]).tolist()
     [0, 2, 3, 5, 6]
@@ -145,12 +135,7 @@ def measure(vertices, perfect_corners) -> ndarray:
     - `corners`: the largest distance of the corners 1 to 3 from those of the perfect path in the
       same figure.
 
-    Args:
-        vertices: of the noisy path (m), shape (n, 2).
-        perfect_corners: m, shape (5, 2).
-
-    Raises:
-        LabError: the path has no four sides.
+    The vertices are those of the noisy path (m), (n, 2). Raises LabError if it has no four sides.
     """
     vertices = np.asarray(vertices, dtype=float)
     indices = find_corners(vertices)
@@ -237,11 +222,7 @@ class PValue:
 
 
 def p_value(measured, runs) -> PValue:
-    """Return the p-value of a measurement among runs; see the module.
-
-    Args:
-        measured: k lengths (m), shape (k,).
-        runs: the same of m runs, shape (m, k), m at least 2.
+    """Return the p-value of a measurement (m, (k,)) among runs, (m, k), m >= 2; see the module.
 
     >>> p_value([0.2], [[0.1 * k] for k in range(1, 100)]).value
     0.06
@@ -339,14 +320,7 @@ def published_summary(
     results: Sequence[Result],
     records: Sequence[Record],
 ) -> Summary:
-    """Return the content of summary.json.
-
-    Args:
-        about: the settings.
-        figure: values of the published figure.
-        results: of all combinations, ranked.
-        records: of the same.
-    """
+    """Return the content of summary.json, with values of the published figure."""
     verdicts = {
         evidence: {name: verdict(name, results, evidence) for name in DEFECTS}
         for evidence in EVIDENCE

@@ -98,10 +98,6 @@ def replay_drive() -> SquareDrive:
 class Replay:
     """Noisy paths of the drive. Path k has the draws of a live node with the seed `seed` + k.
 
-    Args:
-        drive: the perfect path.
-        settings: of the study.
-
     Attributes:
         corners: of the perfect path, as drawn (m), shape (5, 2).
     """
@@ -148,15 +144,8 @@ def run_published_noise(
 ) -> Summary:
     """Run the study; write figures, tables and summary.json; return the summary.
 
-    The same settings give the same files.
-
-    Args:
-        folder: for the results.
-        settings: of the study.
-        tell: prints a line about the progress.
-
-    Raises:
-        LabError: the folder cannot be written to, or files of the package are missing.
+    The same settings give the same files. Raises LabError if the folder cannot be written to, or
+    files of the package are missing.
     """
     figure = read_published_figure(package_share() / FIGURE_DATA)
     replay = Replay(replay_drive(), settings)

@@ -1,13 +1,15 @@
-"""Errors of the wheels from squares: by the closed forms of UMBmark, and by a fit of the model.
+"""Squares that a robot drove by odometry, and the errors of its wheels that follow from them.
 
-`Benchmark` has both, and the reasons to distrust them.
+`Benchmark` has the closed forms of UMBmark, a fit of the model, and the reasons to distrust them.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
-from typing import Sequence
+from pathlib import Path
+from typing import Mapping, Sequence
 
 import numpy as np
 from numpy import ndarray
@@ -15,13 +17,25 @@ from scipy import optimize, stats
 
 from bullet_lab.core import se2
 from bullet_lab.core.files import Summary
-from bullet_lab.core.se2 import wrapped
+from bullet_lab.core.se2 import PlanarPose, wrapped
+from bullet_lab.core.trajectory import Trajectory, finite_numbers
 from bullet_lab.errors import LabError
 from bullet_lab.noise.exact_moments import first_order_moments
 from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import RateInvariantRule
 from bullet_lab.noise.systematic import SystematicErrors, arcs, chords, end_of
-from bullet_lab.studies.umbmark.runs import DIRECTIONS, SquareRun, return_errors
+from bullet_lab.studies.paths import Recording, Topics, columns_of, find_recordings, read_table
+
+CLOCKWISE, COUNTER_CLOCKWISE = "cw", "ccw"
+DIRECTIONS = (CLOCKWISE, COUNTER_CLOCKWISE)
+# m; a robot on wheels drives no square farther away, and sums of squares stay finite.
+FARTHEST = 1e6
+
+RETURNS = ("direction", "x", "y", "yaw")
+"""Columns of a table with the true pose at the end of each run, measured with a ruler."""
+
+AT_REST = 0.01
+"""m from the first or last pose, within which the robot counts as at rest."""
 
 CONFIDENCE = 0.95
 PARAMETERS = ("diameter_error", "base_error")
@@ -44,28 +58,172 @@ SURE = 3.0
 SAME = 1e-9
 
 
+@dataclass(frozen=True, eq=False)
+class SquareRun:
+    """One square, until the odometry reports the pose of its start.
+
+    Attributes:
+        name: of the run, for the user.
+        odometry: reported poses: x (m), y (m) and yaw (rad), shape (n, 3).
+        start: true pose at the first of these, in any frame.
+        end: true pose at the last, in the same frame.
+        base: distance of the wheels that the odometry assumed, m.
+
+    Raises:
+        LabError: the odometry does not turn by 360°, or a number is out of range.
+    """
+
+    name: str
+    odometry: ndarray
+    start: PlanarPose
+    end: PlanarPose
+    base: float
+
+    def __post_init__(self) -> None:
+        """Check that it is a square."""
+        if len(self.odometry) < 2 or not np.isfinite(self.odometry).all():
+            raise LabError(f"{self.name}: there is no odometry of a square")
+        largest = max(np.abs(self.odometry).max(), *map(abs, (*self.start, *self.end)))
+        if largest > FARTHEST:
+            raise LabError(
+                f"{self.name}: {largest:g} is out of range: positions are in m, angles in rad, "
+                f"and at most {FARTHEST:g}"
+            )
+        turned = abs(self.turned())
+        if not 0.75 < turned / (2.0 * np.pi) < 1.25:
+            raise LabError(
+                f"{self.name}: the odometry turns by {np.degrees(turned):.0f}°, not once round, "
+                "as on a square with the turn after its last side"
+            )
+
+    def turned(self) -> float:
+        """Return the total change of the reported heading, rad, counter-clockwise > 0."""
+        return float(self.steps()[:, 2].sum())
+
+    @property
+    def direction(self) -> str:
+        """One of `DIRECTIONS`."""
+        return COUNTER_CLOCKWISE if self.turned() > 0.0 else CLOCKWISE
+
+    def steps(self) -> ndarray:
+        """Return the reported steps (dx m, dy m, dyaw rad), shape (n - 1, 3)."""
+        return se2.steps(self.odometry)
+
+    def side(self) -> float:
+        """Return the reported length (m) of a side: a quarter of the path."""
+        return float(np.hypot(*np.diff(self.odometry[:, :2], axis=0).T).sum() / 4.0)
+
+    def moved(self) -> ndarray:
+        """Return the true end in the frame of the true start: (m, m, rad)."""
+        return se2.between(self.start, self.end)
+
+    def return_error(self) -> ndarray:
+        """Return true minus reported end (m, m, rad), x ahead and y to the left at the start."""
+        return wrapped(self.moved() - se2.between(self.odometry[0], self.odometry[-1]))
+
+
+def return_errors(runs: Sequence[SquareRun], direction: str) -> ndarray:
+    """Return the return errors of the runs in a direction, shape (n, 3)."""
+    errors = [run.return_error() for run in runs if run.direction == direction]
+    return np.array(errors).reshape(-1, 3)
+
+
+def read_runs(path: Path, topics: Topics, side: float, base: float) -> list[SquareRun]:
+    """Read a run from each recording that `find_recordings` finds, or from each row of a table.
+
+    Such a table of returns (`RETURNS`: cw or ccw, m, m, rad) has the true pose at the end of each
+    run, in the frame of its start; its odometry reports a perfect square.
+
+    Args:
+        path: the folder, or one file with several runs.
+        topics: of a bag's true poses and odometry.
+        side: of the square, m, for tables of returns.
+        base: that the odometry assumed, m.
+
+    Raises:
+        LabError: a file cannot be read, or there is none.
+    """
+    files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
+    runs = [
+        _measured_run(where, row, side, base)
+        for file in files
+        if set(RETURNS) <= columns_of(file)
+        for where, row in read_table(file, RETURNS)[1]
+    ]
+    return runs or [_run(one, base) for one in find_recordings([path], topics)]
+
+
+def _run(recording: Recording, base: float) -> SquareRun:
+    """Return a run from the first to the last poses of both: the robot rests there."""
+    truth, odometry, name = recording.truth, recording.odometry, Path(recording.name).stem
+    _check_times(name, odometry, truth)
+    first, last = truth.poses[[0, -1]].tolist()
+    turns = [se2.steps(one.poses)[:, 2].sum() for one in (odometry, truth)]
+    if turns[0] * turns[1] < 0.0:
+        raise LabError(
+            f"{name}: odometry and truth turn in opposite directions: "
+            "is the y axis or the yaw of one of them mirrored?"
+        )
+    remarks = "; ".join(filter(None, (odometry.remark, truth.remark)))
+    name = f"{name} ({remarks})" if remarks else name
+    return SquareRun(name, odometry.poses, tuple(first), tuple(last), base)
+
+
+def _check_times(name: str, odometry: Trajectory, truth: Trajectory) -> None:
+    """Raise LabError unless the truth covers the time in which the robot drives."""
+    from_start, from_end = (
+        np.flatnonzero(np.hypot(*(odometry.poses - rest)[:, :2].T) > AT_REST)
+        for rest in odometry.poses[[0, -1]]
+    )
+    if not (from_start.size and from_end.size):
+        return
+    begin, end = odometry.stamps[[from_start[0], from_end[-1]]]
+    if truth.stamps[0] > begin or truth.stamps[-1] < end:
+        raise LabError(
+            f"{name}: the robot drives from {begin:.3f} to {end:.3f} s, but the truth covers "
+            f"{truth.stamps[0]:.3f} to {truth.stamps[-1]:.3f} s: are both of one run and one clock?"
+        )
+
+
+def _measured_run(where: str, row: Mapping[str, str], side: float, base: float) -> SquareRun:
+    direction = (row["direction"] or "").strip().lower()
+    if direction not in DIRECTIONS:
+        raise LabError(f"{where}: the direction has to be one of {', '.join(DIRECTIONS)}")
+    x, y, yaw = finite_numbers([row[name] for name in RETURNS[1:]], where)
+    square = perfect_square(side, direction)
+    return SquareRun(where, square, (0.0, 0.0, 0.0), (x, y, yaw), base)
+
+
+def perfect_square(side: float, direction: str) -> ndarray:
+    """Return the poses of a perfect square, before and after each turn, shape (13, 3).
+
+    >>> perfect_square(2.0, "ccw")[3].round(6)
+    array([2.      , 0.      , 1.570796])
+    """
+    turn = -0.5 * np.pi if direction == CLOCKWISE else 0.5 * np.pi
+    poses = [np.zeros(3)]
+    for _ in range(4):
+        x, y, yaw = poses[-1]
+        x, y = x + side * np.cos(yaw), y + side * np.sin(yaw)
+        # Half a turn at a time, so that the direction of the turn is defined.
+        poses += [np.array((x, y, yaw + share * turn)) for share in (0.0, 0.5, 1.0)]
+    return np.array(poses)
+
+
 def closed_forms(runs: Sequence[SquareRun], side: float) -> Summary:
     """Return Borenstein and Feng's figures by closed forms, which hold for small angles.
 
-    With the start along +x, turns by 90° - alpha and sides that bend by beta, side k of the
-    square to the left has in the mean the heading k (90° - alpha + beta) + beta / 2. So the sum of
-    the four ends at 2 L (beta - alpha) (1, -1), to first order; to the right, by the mirrored
-    square, at -2 L (alpha + beta) (1, 1).
+    docs/jobs/umbmark.md derives them for this square.
 
     Args:
         runs: in both directions.
         side: L, m.
 
     Returns:
-        centre_cw_m: x, y (m) of the centre of gravity of the return errors, clockwise.
-        centre_ccw_m: likewise, counter-clockwise.
-        r_cw_m: m, distance of centre_cw_m from zero.
-        r_ccw_m: likewise.
-        e_max_syst_m: m, the larger of both distances.
-        alpha_deg: degrees, of each turn, error of type A: too little where it is > 0.
-        beta_deg: degrees, of each side, error of type B: to the left where it is > 0.
-        e_d: right diameter / left diameter, relative to the assumed ones.
-        e_b: base / the assumed one.
+        Centres of gravity x, y (m) of the return errors in both directions, their distances from
+        zero and the larger one (m); alpha_deg, of each turn, error of type A: too little where it
+        is > 0; beta_deg, of each side, error of type B: to the left where it is > 0; e_d, right
+        diameter / left diameter, relative to the assumed ones; e_b, base / the assumed one.
     """
     cw, ccw = (return_errors(runs, direction)[:, :2].mean(axis=0) for direction in DIRECTIONS)
     alpha = float(cw[0] + ccw[0]) / (-4.0 * side)
@@ -122,14 +280,7 @@ class Estimate:
 def fit(runs: Sequence[SquareRun]) -> Estimate:
     """Fit diameter_error and base_error to the true pose at the end of each run.
 
-    Each reported step is an arc, whose length and turn give the assumed distance of each wheel.
-    Other wheels make another arc of it; the arcs in a row end at the predicted pose. The squares of
-    its errors (x, y and heading) are weighted as for a random walk of distance and heading
-    (`RateInvariantRule`), for which this is maximum likelihood to first order.
-
-    The intervals do not rest on these weights: they follow from the differences between the runs
-    of each direction, by each run's influence on the estimate, and Student's t. They are exact for
-    any Gaussian noise that is small enough for the model to be linear in it.
+    docs/jobs/umbmark.md has the model, its weights and the intervals.
 
     Args:
         runs: in both directions, of odometry that assumed the same base.
@@ -178,10 +329,8 @@ def _errors(parameters: Sequence[float], base: float) -> SystematicErrors:
 def _end_errors(reported: ndarray, moved: ndarray, errors: SystematicErrors) -> ndarray:
     """Return true ends minus those predicted with errors: (m, m, rad), (runs, 3).
 
-    Args:
-        reported: distance ahead, aside (m) and turn (rad) of each step, (runs, n, 3).
-        moved: true ends in the frames of the true starts (m, m, rad), (runs, 3).
-        errors: of the wheels.
+    `reported` has distance ahead, aside (m) and turn (rad) of each step, (runs, n, 3), and `moved`
+    the true ends in the frames of the true starts (m, m, rad), (runs, 3).
     """
     undo = np.linalg.inv(errors.matrix())
     ahead, aside, turn = se2.columns(reported)
@@ -214,20 +363,14 @@ def centre_ellipse(errors: ndarray) -> ndarray | None:
     """Return a 2x2 matrix (m²) whose 95 % ellipse is that of the centre of return errors.
 
     `core.se2.ellipse_points` draws the ellipse of a known covariance. This one is estimated from
-    the errors, and scaled by Hotelling's T².
-
-    Args:
-        errors: x, y (m) and so on, shape (n, 2) or wider.
-
-    Returns:
-        None for fewer than three errors.
+    the errors (x, y (m) and so on, shape (n, 2) or wider), and scaled by Hotelling's T²; None for
+    fewer than three errors.
     """
     count = len(errors)
     if count < 3:
         return None
-    known = se2.SQUARE_RADIUS
     hotelling = 2.0 * (count - 1) / (count - 2) * stats.f.ppf(CONFIDENCE, 2, count - 2)
-    return np.cov(errors[:, :2].T) / count * hotelling / known
+    return np.cov(errors[:, :2].T) / count * hotelling / se2.SQUARE_RADIUS
 
 
 @dataclass(frozen=True)
@@ -242,11 +385,7 @@ class Benchmark:
     def of(cls, runs: Sequence[SquareRun], side: float | None = None) -> Benchmark:
         """Evaluate runs; raises LabError unless there are runs in both directions.
 
-        The fit counts turns by the base that was assumed, which includes a correction.
-
-        Args:
-            runs: in both directions.
-            side: m; the mean reported one by default.
+        `side` (m) is the mean reported one by default.
         """
         if {run.direction for run in runs} != set(DIRECTIONS):
             raise LabError("squares have to be driven both ways, clockwise and counter-clockwise")

@@ -28,7 +28,7 @@ from bullet_lab.simulation.world.description import Model
 from bullet_lab.simulation.world.resources import ResourceFinder
 from bullet_lab.simulation.world.urdf import read_urdf_file, read_urdf_text
 from bullet_lab.studies.study import MOST_SEED, Settings, UnfinishedError
-from bullet_lab.studies.umbmark.runs import CLOCKWISE, DIRECTIONS, SquareRun
+from bullet_lab.studies.umbmark.estimate import CLOCKWISE, DIRECTIONS, SquareRun
 
 WORLD = "package://bullet_lab/worlds/empty.world"
 SETTLING_SECONDS = 0.5
@@ -51,40 +51,25 @@ MULTIPLIERS = (
 CONTROLLER_TYPE = "diff_drive_controller/DiffDriveController"
 
 
-
-@dataclass(frozen=True)
-class Wheels:
-    """Two wheels: their diameters and the distance between their contacts, in m."""
-
-    left: float
-    right: float
-    base: float
-
-    def times(self, errors: SystematicErrors) -> Wheels:
-        """Return these wheels, scaled by relative errors.
-
-        >>> Wheels(0.5, 0.5, 1.0).times(SystematicErrors(scale_error=0.5, base_error=0.25))
-        Wheels(left=0.75, right=0.75, base=1.25)
-        """
-        left, right = errors.diameters
-        return Wheels(self.left * left, self.right * right, self.base * (1.0 + errors.base_error))
-
-
 class IdealRobot:
     """A robot whose wheels roll without slip and follow commands at once.
 
     Args:
-        wheels: the true ones.
-        assumed: those that its odometry assumes, and that make wheel speeds of commands.
+        base: nominal distance of the wheels, m.
+        errors: of the true wheels, relative to the nominal ones.
+        correction: of those that its odometry assumes, and that make wheel speeds of commands.
 
     Attributes:
+        base: that its odometry assumes, m.
         odometry: the reported poses (m, m, rad), the newest last.
     """
 
-    def __init__(self, wheels: Wheels, assumed: Wheels):
-        self.assumed = assumed
-        self._rolled = DeadReckoning(wheels.base, 0.5 * wheels.left, 0.5 * wheels.right)
-        self._counted = DeadReckoning(assumed.base, 0.5 * assumed.left, 0.5 * assumed.right)
+    def __init__(self, base: float, errors: SystematicErrors, correction: SystematicErrors):
+        self.base = base * (1.0 + correction.base_error)
+        self._assumed = [DIAMETER * factor for factor in correction.diameters]
+        left, right = (0.5 * (DIAMETER * factor) for factor in errors.diameters)
+        self._rolled = DeadReckoning(base * (1.0 + errors.base_error), left, right)
+        self._counted = DeadReckoning(self.base, *(0.5 * diameter for diameter in self._assumed))
         self._angles = (0.0, 0.0)
         self.odometry: list[PlanarPose] = [self._counted.pose]
 
@@ -94,10 +79,10 @@ class IdealRobot:
 
     def drive(self, ahead: float, turning: float, seconds: float) -> None:
         """Follow a command (m/s, rad/s) for a time, then report."""
-        rim = 0.5 * self.assumed.base * turning
+        rim = 0.5 * self.base * turning
         left, right = self._angles
-        left += 2.0 * (ahead - rim) * seconds / self.assumed.left
-        right += 2.0 * (ahead + rim) * seconds / self.assumed.right
+        left += 2.0 * (ahead - rim) * seconds / self._assumed[0]
+        right += 2.0 * (ahead + rim) * seconds / self._assumed[1]
         self._angles = (left, right)
         self._rolled.advance(left, right)
         self._counted.advance(left, right)
@@ -110,21 +95,20 @@ class IdealRobot:
 class FloorRobot:
     """A robot on the floor of an empty world, at rest at the origin, with odometry by its wheels.
 
-    The plugin libgazebo_ros_diff_drive.so, or a diff_drive_controller of ros_control, gets other
-    diameters and another base than the true ones.
-
-    Its pose is that of the midpoint between its wheels, as is that of its odometry.
+    Its plugin or its controller gets other diameters and another base than the true ones. Poses are
+    those of the midpoint between its wheels.
 
     Args:
         robot: URDF or xacro file: a path or package://.
         controller: YAML file with the parameters of its diff_drive_controller; empty for a robot
-            with the plugin.
+            with libgazebo_ros_diff_drive.so.
         errors: diameter_error and base_error of the true wheels, relative to the assumed ones.
         correction: those that a calibration has found; the assumed wheels are corrected.
 
     Attributes:
         odometry: the reported poses (m, m, rad), the newest last.
-        assumed: the wheels that its odometry assumes.
+        base: that its odometry assumes, m.
+        radii: of the left and the right wheel that it assumes, m.
 
     Raises:
         LabError: a file cannot be read, or the robot has no driven wheels.
@@ -148,8 +132,7 @@ class FloorRobot:
         else:
             _assume_others(drive, factors)
             joints = [wheel.joint for wheel in drive.wheels]
-        left, right = (2.0 * radius for radius in drive.radii)
-        self.assumed = Wheels(left, right, drive.separation)
+        self.base, self.radii = drive.separation, drive.radii
         self._axle = _middle(model, joints)
         self.odometry: list[PlanarPose] = []
         drive.odometry.connect(self._add_odometry)
@@ -240,6 +223,10 @@ def _find_controller(file: str) -> tuple[Mapping[str, Any], str]:
     raise LabError(f"{file}: there is no controller of the type {CONTROLLER_TYPE}")
 
 
+def _error(doc: str) -> Any:
+    return number(0.0, doc, -LARGEST_ERROR, maximum=LARGEST_ERROR)
+
+
 @dataclass(frozen=True)
 class BenchmarkSettings(Settings):
     """The robot and its squares."""
@@ -250,18 +237,10 @@ class BenchmarkSettings(Settings):
     controller: str = text(
         "", "YAML file of its diff_drive_controller; else its plugin diff_drive drives it"
     )
-    diameter_error: float = number(
-        0.0,
-        "right / left diameter of the true wheels, relative to the assumed ones, - 1",
-        -LARGEST_ERROR,
-        maximum=LARGEST_ERROR,
+    diameter_error: float = _error(
+        "right / left diameter of the true wheels, relative to the assumed ones, - 1"
     )
-    base_error: float = number(
-        0.0,
-        "base of the true wheels / the one that odometry assumes - 1",
-        -LARGEST_ERROR,
-        maximum=LARGEST_ERROR,
-    )
+    base_error: float = _error("base of the true wheels / the one that odometry assumes - 1")
     side: float = number(4.0, "m, of the square", 0.1, maximum=100.0)
     runs: int = integer(5, "squares in each direction", 1, 1000)
     speed: float = number(0.2, "m/s, on the sides", above=0.0)
@@ -317,11 +296,10 @@ def drive_run(
     if ideal_base is None:
         robot = FloorRobot(settings.robot, settings.controller, settings.errors, correction)
     else:
-        wheels = Wheels(DIAMETER, DIAMETER, ideal_base)
-        robot = IdealRobot(wheels.times(settings.errors), wheels.times(correction))
+        robot = IdealRobot(ideal_base, settings.errors, correction)
     with contextlib.closing(robot):
         name = f"{direction} {number // len(DIRECTIONS) + 1}"
-        noise = settings.noise(number, laps, robot.assumed.base)
+        noise = settings.noise(number, laps, robot.base)
         return drive_square(robot, settings.square(direction), name, noise)
 
 
@@ -357,6 +335,6 @@ def drive_square(
         if command is None:
             robot.drive(0.0, 0.0, REST_SECONDS)
             newest()
-            return SquareRun(name, np.array(reported), start, robot.pose(), robot.assumed.base)
+            return SquareRun(name, np.array(reported), start, robot.pose(), robot.base)
         robot.drive(*command, period)
     raise UnfinishedError(f"{name}: the robot does not complete its square in time")

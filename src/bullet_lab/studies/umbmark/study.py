@@ -33,9 +33,29 @@ from bullet_lab.core.figures import (
 )
 from bullet_lab.core.parameters import boolean, integer, number, text
 from bullet_lab.core.se2 import ellipse_points
-from bullet_lab.noise import systematic
-from bullet_lab.studies.study import Record, Settings, Summary, Tell, run_from, write_results
-from bullet_lab.studies.umbmark.estimate import PARAMETERS, Benchmark, centre_ellipse
+from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.studies.study import (
+    Record,
+    Run,
+    Settings,
+    Summary,
+    Tell,
+    WorkerSettings,
+    run_from,
+    run_tasks,
+    workers,
+    write_results,
+)
+from bullet_lab.studies.umbmark.estimate import (
+    CLOCKWISE,
+    COUNTER_CLOCKWISE,
+    DIRECTIONS,
+    PARAMETERS,
+    Benchmark,
+    centre_ellipse,
+    read_runs,
+    return_errors,
+)
 from bullet_lab.studies.umbmark.robots import (
     NO_ERRORS,
     BenchmarkSettings,
@@ -43,14 +63,6 @@ from bullet_lab.studies.umbmark.robots import (
     drive_run,
     multipliers,
 )
-from bullet_lab.studies.umbmark.runs import (
-    CLOCKWISE,
-    COUNTER_CLOCKWISE,
-    DIRECTIONS,
-    read_runs,
-    return_errors,
-)
-from bullet_lab.studies.workers import Run, WorkerSettings, run_tasks, workers
 
 DIAMETER_ERRORS = (0.001, 0.01)
 BASE_ERRORS = (0.005, 0.03)
@@ -95,7 +107,7 @@ def run_umbmark(
     before: Benchmark,
     after: Benchmark | None,
     about: Summary,
-    floor: systematic.SystematicErrors = NO_ERRORS,
+    floor: SystematicErrors = NO_ERRORS,
 ) -> Summary:
     """Write tables, figure, corrected parameters and summary.json; return the summary.
 
@@ -142,7 +154,7 @@ def run_umbmark(
     )
 
 
-def _by_name(errors: systematic.SystematicErrors) -> dict[str, float]:
+def _by_name(errors: SystematicErrors) -> dict[str, float]:
     return {name: getattr(errors, name) for name in PARAMETERS}
 
 
@@ -197,7 +209,7 @@ def _draw_clusters(axes: Axes, benchmark: Benchmark) -> None:
 
 
 def describe(
-    before: Benchmark, after: Benchmark | None, floor: systematic.SystematicErrors = NO_ERRORS
+    before: Benchmark, after: Benchmark | None, floor: SystematicErrors = NO_ERRORS
 ) -> list[str]:
     """Return the results as lines for the user."""
     lines = [f"NOT TO BE TRUSTED: {warning}" for warning in before.warnings()]
@@ -273,9 +285,7 @@ def calibrate_robot(drive: BenchmarkSettings, floor: bool, index: int) -> Record
     """
     drawn, base = draw_robot(drive, floor, index)
 
-    def benchmark(
-        settings: BenchmarkSettings, correction: systematic.SystematicErrors
-    ) -> Benchmark:
+    def benchmark(settings: BenchmarkSettings, correction: SystematicErrors) -> Benchmark:
         numbers = range(len(DIRECTIONS) * settings.runs)
         ideal_base = None if floor else base
         runs = [drive_run(settings, correction, 0, ideal_base, number) for number in numbers]
@@ -423,7 +433,7 @@ def _run(
 
 def _drive(
     settings: BenchmarkSettings,
-    correction: systematic.SystematicErrors,
+    correction: SystematicErrors,
     laps: int,
     run: Run,
     title: str,
@@ -436,7 +446,7 @@ def _drive(
     return Benchmark.of(runs, settings.side)
 
 
-def _effective(errors: systematic.SystematicErrors) -> str:
+def _effective(errors: SystematicErrors) -> str:
     return (
         "these wheels roll on this floor as if D_right/D_left were "
         f"{1.0 + errors.diameter_error:.6f} and the base {1.0 + errors.base_error:.6f} of the "

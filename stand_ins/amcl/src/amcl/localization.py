@@ -33,9 +33,9 @@ from bullet_lab.core.pose import Vector
 from bullet_lab.core.se2 import PlanarPose, between, compose, inverse, wrap
 from bullet_lab.errors import LabError
 from bullet_lab.ros.messages.poses import pose_of, stamped_pose
+from bullet_lab.ros.node.lock_step import Publisher
 from bullet_lab.ros.node.node import NodeError, Refusals, run_node
 from bullet_lab.ros.node.odometry import planar_pose
-from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.node.tf_buffer import CarefulBuffer
 
 LINK_STATE = "/gazebo/get_link_state"

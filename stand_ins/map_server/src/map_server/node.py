@@ -20,8 +20,8 @@ from std_msgs.msg import Header
 from bullet_lab.core.files import file_errors, make_folder
 from bullet_lab.core.parameters import ArgumentParser
 from bullet_lab.navigation.occupancy import read_map
+from bullet_lab.ros.node.lock_step import Publisher
 from bullet_lab.ros.node.node import NodeError, run_node
-from bullet_lab.ros.node.publishers import Publisher
 from bullet_lab.ros.nodes.map_floor import grid_message, read_grid
 
 

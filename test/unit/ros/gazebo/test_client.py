@@ -5,7 +5,7 @@ from message_fields import message
 from visualization_msgs.msg import MarkerArray
 
 from bullet_lab.ros.gazebo.client import StandingModels
-from bullet_lab.ros.nodes.populate import free_name
+from bullet_lab.ros.nodes.spawn import free_name
 
 
 def cube(name, x, size="x: 1.0, y: 1.0, z: 1.0", z=0.5, turn="w: 1.0"):

@@ -16,9 +16,9 @@ class Last:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGINT)
 
-command._dispatch = lambda words: command.STATUS_FAILED
+command._dispatch = lambda server, words: command.STATUS_FAILED
 last = Last()
-command.main()
+command.main(None)
 """
 
 

@@ -7,8 +7,9 @@ from unittest import mock
 import pytest
 import yaml
 
+from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher import supervision
-from bullet_lab.ros.launcher.supervision import Death, Verdict, judge
+from bullet_lab.ros.launcher.supervision import Verdict, judge
 
 # Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
 # exit status of the run with its reason. The bridge and the plot are required.
@@ -29,7 +30,6 @@ VERDICTS = """
 
 
 def judged(deaths, has_summary=True, stopped_by=None):
-    deaths = [Death(*death) for death in deaths.items()]
     return judge(deaths, 3, {"bridge", "plot"}, has_summary, stopped_by)
 
 
@@ -45,7 +45,7 @@ def test_run_goes_on_until_a_required_node_ends():
 
 
 def test_all_nodes_ended_without_a_required_one():
-    verdict = judge([Death("drive", 0)], 1, set(), True, None)
+    verdict = judge({"/drive": 0}, 1, set(), True, None)
     assert verdict.status == 1
 
 
@@ -62,3 +62,9 @@ def test_the_stock_master_of_another_user_is_not_joined(monkeypatch, user, joins
     monkeypatch.setattr(supervision.os, "getuid", lambda: mine + user)
     monkeypatch.setattr(supervision.os, "environ", {"ROS_MASTER_URI": uri})
     assert supervision.prepare_master().own is not joins
+
+
+def test_a_master_that_does_not_answer_is_named(monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:4")
+    with pytest.raises(LabError, match="^no ROS master answers at ROS_MASTER_URI=http"):
+        supervision.prepare_master()

@@ -1,24 +1,33 @@
-"""Samples and commands as messages, at the other end of a topic."""
+"""Samples, commands and shapes as messages, at the other end of a topic."""
 
 import math
 from pathlib import Path
 
+import cv2
 import genpy
 import numpy as np
 import pytest
 from alike import assert_as_before
 from geometry_msgs.msg import Twist, Vector3
-from message_fields import message, message_of, plain
+from message_fields import check, message, message_of, plain
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.messages.conversions import COMMANDS, Converter
+from bullet_lab.ros.messages.conversions import (
+    COMMANDS,
+    Converter,
+    Look,
+    _marker,
+    compressed_message,
+    look_of,
+    world_markers,
+)
 from bullet_lab.ros.messages.gazebo_types import kobuki_msg
 from bullet_lab.ros.messages.poses import InputError, first_step_at, pose_message, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
-from bullet_lab.simulation.plugins.point_lasers import RING_POINT
+from bullet_lab.simulation.plugins.ray_sensors import RING_POINT
 from bullet_lab.simulation.plugins.samples import (
     BlockSample,
     BumperEvent,
@@ -37,6 +46,7 @@ from bullet_lab.simulation.plugins.samples import (
     MotorPower,
     OdometrySample,
     PlanarCommand,
+    PointsSample,
     RangeSample,
     RingsSample,
     ShapeContact,
@@ -48,6 +58,9 @@ from bullet_lab.simulation.plugins.samples import (
     VelocitySample,
     WheelDropEvent,
 )
+from bullet_lab.simulation.simulation import Simulation
+from bullet_lab.simulation.world.description import Box, Material, Mesh, Plane, Texture, Visual
+from bullet_lab.simulation.world.sdf import read_world_file
 
 
 @pytest.mark.parametrize("step", [0, 999, 2**31])
@@ -73,6 +86,7 @@ RANGES = np.array([1.5, math.inf, -math.inf])
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
 # Its rows are not in one piece.
 PICTURE = np.arange(36, dtype=np.uint8).reshape(2, 6, 3)[:, ::2]
+POINTS = np.arange(18, dtype=np.float32).reshape(2, 3, 3)
 CONTACT = ShapeContact(
     1,
     "a::b::c",
@@ -111,6 +125,9 @@ SAMPLES = [
     ImageSample(1234, "optical", "mono8", PICTURE[..., 0]),
     ImageSample(7, "optical", "32FC1", np.array([[1.5, math.nan], [0.4, 5.0]], np.float32)),
     ImageSample(7, "optical", "16UC1", np.array([[65000, 1]], np.uint16)),
+    # Of the second, a point is unknown.
+    PointsSample(9, "optical", POINTS, PICTURE),
+    PointsSample(9, "optical", np.where(POINTS < 3, math.nan, POINTS), PICTURE),
 ]
 
 
@@ -187,3 +204,93 @@ def test_frames_are_those_of_the_first_message():
         with pytest.raises(OdometryError):
             guard.check(odometry(**bad))
     guard.check(odometry())
+
+
+COLOURED = np.full((8, 12, 3), [200, 100, 50], np.uint8)
+
+
+@pytest.mark.parametrize(
+    "encoding, format, pixels, said, shown",
+    [
+        ("rgb8", "png", COLOURED, "rgb8; png compressed bgr8", COLOURED[..., ::-1]),
+        ("bgr8", "png", COLOURED, "bgr8; png compressed bgr8", COLOURED),
+        ("mono8", "png", COLOURED[..., 0], "mono8; png compressed ", COLOURED[..., 0]),
+        ("rgb8", "jpeg", COLOURED, "rgb8; jpeg compressed bgr8", COLOURED[..., ::-1]),
+    ],
+)
+def test_pictures_are_compressed_as_image_transport_does(encoding, format, pixels, said, shown):
+    settings = {"format": format, "jpeg_quality": 90, "jpeg_progressive": False}
+    settings.update(jpeg_optimize=True, png_level=3)
+    message = compressed_message(ImageSample(1500, "eye", encoding, pixels), settings)
+    check(message, "{header.stamp: 1.5, header.frame_id: eye}")
+    assert message.format == said
+    decoded = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert decoded.shape == shown.shape
+    assert np.abs(decoded.astype(int) - shown).max() <= (3 if format == "jpeg" else 0)
+
+
+WORLD = """<sdf version="1.6"><world name="shapes">
+  <model name="things"><static>true</static><pose>1 2 0 0 0 1.5707963267948966</pose>
+    <link name="l"><pose>0 0 1 0 0 0</pose>
+      <visual name="box"><pose>3 0 0 0 0 0</pose>
+        <geometry><box><size>1 2 3</size></box></geometry>
+        <material><diffuse>0.1 0.2 0.3 0.4</diffuse></material></visual>
+      <visual name="can"><geometry>
+        <cylinder><radius>0.5</radius><length>2</length></cylinder></geometry></visual>
+      <visual name="ball"><geometry><sphere><radius>0.25</radius></sphere></geometry></visual>
+      <visual name="floor"><geometry>
+        <plane><normal>0 0 1</normal><size>500 4</size></plane></geometry></visual>
+      <visual name="beacon"><geometry><mesh>
+        <uri>package://bullet_lab/meshes/beacon.dae</uri><scale>1 2 3</scale>
+        </mesh></geometry></visual>
+      <collision name="unseen"><geometry><box><size>9 9 9</size></box></geometry></collision>
+    </link></model>
+</world></sdf>"""
+
+
+def test_each_visible_shape_is_a_marker_of_its_own(tmp_path):
+    path = tmp_path / "shapes.world"
+    path.write_text(WORLD)
+    with Simulation(read_world_file(path)) as simulation:
+        markers = world_markers(simulation.models["things"], "map")
+    told = [line for marker in markers for line in str(marker).splitlines()]
+    assert_as_before(told, Path(__file__).with_name("markers.txt"))
+    # A plane is drawn below its surface.
+    assert markers[3].pose.position.z + 0.5 * markers[3].scale.z < 1.0
+
+
+def test_meshes_keep_what_they_bring_in_rviz(tmp_path):
+    """RViz takes no colour at all for "as the mesh is"."""
+    path, green = tmp_path / "m.dae", (0.0, 1.0, 0.0, 1.0)
+    path.write_text("<COLLADA><instance_material/></COLLADA>")
+    covered = Visual(Mesh(path, ""), colour=green, material=Material(covers=True))
+    plain = Visual(Mesh(tmp_path / "m.stl", ""), colour=green)
+    found = [_marker(v) for v in (Visual(Mesh(path, "")), covered, plain)]
+    assert [m.mesh_use_embedded_materials for m in found] == [True, False, False]
+    assert [(m.color.g, m.color.a) for m in found] == [(0, 0), (1, 1), (1, 1)]
+
+
+def test_what_markers_have_no_field_for_stands_in_their_text(tmp_path):
+    texture = Texture(tmp_path / "wood.png", (2.0, 0.5), (0.1, 0.2), 0.3, False, True, True)
+    material = Material(emissive=(0.1, 0.0, 0.0, 1.0), texture=texture, lit=False)
+    for shape in (Box((1.0, 2.0, 3.0)), Plane(size=(500.0, 4.0))):
+        marker = _marker(Visual(shape, material=material))
+        assert look_of(marker.text) == Look(material, isinstance(shape, Plane))
+    # A picture on it is as large as it was.
+    assert plain(marker.scale)[:2] == [500.0, 4.0]
+    assert _marker(Visual(Box((1.0, 1.0, 1.0)))).text == ""
+
+
+NO_LOOKS = """a label
+[1]
+"x"
+{"texture": 3}
+{"texture": {}}
+{"texture": {"path": "a", "scale": [0, 1]}}
+{"texture": {"path": "a", "rotation": "b"}}
+{"emissive": [1, 2, NaN, 1]}"""
+
+
+@pytest.mark.parametrize("text", [*NO_LOOKS.splitlines(), "[" * 100000])
+def test_a_text_that_makes_no_sense_is_no_look(text):
+    assert look_of(text) == Look()

@@ -5,11 +5,13 @@ import rospy
 from bullet_lab.srv import AdvanceResponse
 from geometry_msgs.msg import Twist
 from message_fields import check
+from nav_msgs.msg import Odometry
 from std_msgs.msg import Time
 
 from bullet_lab.ros.node import lock_step
-from bullet_lab.ros.node.lock_step import END_OF_TIME, Member, in_lock_step
+from bullet_lab.ros.node.lock_step import END_OF_TIME, Member, await_room, in_lock_step
 from bullet_lab.ros.node.node import NodeError
+from bullet_lab.ros.node.odometry import planar_pose
 
 
 class Bridge:
@@ -120,3 +122,36 @@ def test_commands_that_lead_nowhere_do_not_keep_a_node_from_its_work(bridge, mon
     member = Member()
     member.publishers.append(publisher("/wish", Twist))
     member.join()
+
+
+def test_what_a_callback_refuses_is_logged_and_does_not_end_its_thread(monkeypatch, logged):
+    monkeypatch.setattr(rospy, "Subscriber", lambda topic, kind, receive, **_: receive)
+    receive = lock_step.subscriber("odom", Time, lambda message: planar_pose(Odometry()))
+    receive(Time())
+    assert logged == ["odom: refused: an orientation of length 0 is no unit quaternion (1 so far)"]
+
+
+@pytest.fixture
+def connection(monkeypatch):
+    """A connection as rospy has them, with five messages; something happens in each sleep."""
+    made = SimpleNamespace(_queue=["message"] * 5, done=False, meanwhile=[])
+    monkeypatch.setattr(lock_step.time, "sleep", lambda _: made.meanwhile.pop(0)())
+    return made
+
+
+def test_a_full_queue_is_waited_for(connection):
+    connection.meanwhile += [list, connection._queue.pop]
+    await_room(connection, 5)
+    assert len(connection._queue) == 4
+
+
+def test_nobody_waits_for_a_subscriber_that_is_gone(connection):
+    connection.meanwhile.append(lambda: setattr(connection, "done", True))
+    await_room(connection, 5)
+    assert connection.done
+
+
+@pytest.mark.parametrize("size", [6, None])
+def test_where_there_is_room_nobody_waits(connection, size):
+    await_room(connection, size)
+    await_room(object(), size)

@@ -9,12 +9,12 @@ from bullet_lab.ros.nodes.bridge import BridgeParameters
 from bullet_lab.ros.nodes.dock import DockParameters
 from bullet_lab.ros.nodes.drive_squares import DriveSquaresParameters
 from bullet_lab.ros.nodes.drive_to_goal import DriveToGoalParameters
-from bullet_lab.ros.nodes.features import (
+from bullet_lab.ros.nodes.image_node import (
     CannyParameters,
     GoodFeaturesParameters,
     HarrisParameters,
+    ImageParameters,
 )
-from bullet_lab.ros.nodes.image_node import ImageParameters
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters
 from bullet_lab.ros.record.plots import PlotNoiseParameters
 

@@ -5,47 +5,40 @@ import pytest
 from bullet_lab.ros.nodes import bridge
 from bullet_lab.ros.nodes.bridge import add_exported_paths
 
-
-@pytest.fixture
-def packages(tmp_path):
-    exports = {
-        "one": '<gazebo_ros gazebo_model_path="${prefix}/models:/opt/m" plugin_path="/x"/>',
-        "two": '<gazebo_ros gazebo_media_path="${prefix}"/><gazebo_ros gazebo_model_path="/two"/>',
-        "none": '<nodelet plugin="p.xml"/>',
-    }
-    for name, export in exports.items():
-        (tmp_path / name).mkdir()
-        text = f"<package><name>{name}</name><export>{export}</export></package>"
-        (tmp_path / name / "package.xml").write_text(text)
-    (tmp_path / "broken").mkdir()
-    (tmp_path / "broken" / "package.xml").write_text("<package> gazebo_ros")
-    return tmp_path
+EXPORTS = {
+    "one": '<gazebo_ros gazebo_model_path="${prefix}/models:/opt/m" plugin_path="/x"/>',
+    "two": '<gazebo_ros gazebo_media_path="${prefix}"/><gazebo_ros gazebo_model_path="/two"/>',
+    "none": '<nodelet plugin="p.xml"/>',
+    "broken": "gazebo_ros<",
+}
 
 
-@pytest.fixture
-def listed(packages, monkeypatch):
-    """A function that returns the folders of both variables after those of the user."""
+class Packages:
+    """Packages in a folder, of which one has no package.xml."""
 
-    class Packages:
-        def list(self):
-            return ["two", "one", "without", "none", "broken"]
+    def __init__(self, folder):
+        self.folder = folder
+        for name, export in EXPORTS.items():
+            (folder / name).mkdir()
+            text = f"<package><name>{name}</name><export>{export}</export></package>"
+            (folder / name / "package.xml").write_text(text)
 
-        def get_path(self, name):
-            return str(packages / name)
+    def list(self):
+        return ["without", *sorted(EXPORTS, reverse=True)]
 
-    def add(models, media):
-        monkeypatch.setenv("GAZEBO_MODEL_PATH", models)
-        monkeypatch.setenv("GAZEBO_RESOURCE_PATH", media)
-        add_exported_paths()
-        variables = ("GAZEBO_MODEL_PATH", "GAZEBO_RESOURCE_PATH")
-        return [os.environ[name].split(os.pathsep) for name in variables]
-
-    monkeypatch.setattr(bridge.rospkg, "RosPack", Packages)
-    return add
+    def get_path(self, name):
+        return str(self.folder / name)
 
 
 @pytest.mark.parametrize("mine, before", [("", []), ("/mine:/two", ["/mine", "/two"])])
-def test_what_packages_export_comes_after_what_the_user_says(packages, listed, mine, before):
-    models, media = listed(mine, "")
-    assert models == list(dict.fromkeys([*before, f"{packages}/one/models", "/opt/m", "/two"]))
-    assert media == [f"{packages}/two"]
+def test_what_packages_export_comes_after_what_the_user_says(tmp_path, monkeypatch, mine, before):
+    packages = Packages(tmp_path)
+    monkeypatch.setattr(bridge.rospkg, "RosPack", lambda: packages)
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", mine)
+    monkeypatch.setenv("GAZEBO_RESOURCE_PATH", "")
+    add_exported_paths()
+    models, media = (
+        os.environ[name].split(os.pathsep) for name in ("GAZEBO_MODEL_PATH", "GAZEBO_RESOURCE_PATH")
+    )
+    assert models == list(dict.fromkeys([*before, f"{tmp_path}/one/models", "/opt/m", "/two"]))
+    assert media == [f"{tmp_path}/two"]

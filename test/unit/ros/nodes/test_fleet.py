@@ -8,13 +8,12 @@ from bullet_lab.core.parameters import read_parameters
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.odometry_noise import derived_seed
 from bullet_lab.reports import Reading
-from bullet_lab.reports.fleet import (
+from bullet_lab.reports.squares import (
     FleetReport,
-    clear_away,
+    SquaresReport,
     fleet_figure,
     fleet_summary,
 )
-from bullet_lab.reports.squares import squares_summary
 from bullet_lab.ros.nodes.drive_squares import robot_names
 from bullet_lab.ros.nodes.noisy_odom import NoisyOdomParameters, robots_of
 
@@ -37,7 +36,7 @@ def test_each_robot_has_noise_of_its_own():
     assert {its.std for its in robots.values()} == {0.3}
 
 
-def test_summary_has_mean_and_largest_errors():
+def test_summary_has_mean_and_largest_errors(tmp_path):
     robots = [
         {"name": "robot1", **FIGURES},
         {"name": "robot2", **FIGURES, "final_error_m": 0.4, "final_heading_error_deg": 1.0},
@@ -50,7 +49,7 @@ def test_summary_has_mean_and_largest_errors():
     }
     assert expected.items() <= fleet_summary(robots).items()
     # Robots that have not moved have no errors.
-    robots[1] = {"name": "robot2", **squares_summary(None, None)}
+    robots[1] = {"name": "robot2", **SquaresReport(tmp_path).measured()}
     assert fleet_summary(robots)["final_error_m_rms"] is None
     assert fleet_summary([])["ape_rmse_m_largest"] is None
 
@@ -81,15 +80,3 @@ def test_each_robot_has_a_folder_of_its_own(tmp_path):
     summary = report.summary(True, {"real_time_factor": 3.0})
     assert [robot["seed"] for robot in summary["robots"]] == [11, 12]
     assert report.line(summary).startswith("2 robots, 0 sides")
-
-
-def test_what_a_larger_fleet_has_left_goes_and_nothing_else(tmp_path):
-    left = ("robot1/odom.tum", "robot3/odom.tum", "robot3/paths.csv", "robot4/noisy_odom.tum")
-    own = ("robot4/notes.txt", "robots/odom.tum", "other/odom.tum")
-    for path in map(tmp_path.joinpath, left + own):
-        path.parent.mkdir(exist_ok=True)
-        path.touch()
-    clear_away(tmp_path, ["robot1", "robot2"])
-    files = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file())
-    assert files == sorted(("robot1/odom.tum", *own))
-    assert not (tmp_path / "robot3").exists()

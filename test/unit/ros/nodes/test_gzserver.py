@@ -97,21 +97,13 @@ def ros(monkeypatch):
     return given
 
 
-def test_the_bridge_gets_the_arguments_of_gzserver(ros):
+def test_the_bridge_gets_the_arguments_of_gzserver(ros, logged):
+    # It is spawn_model that spawns the robot of robot_description.
+    assert (parameters().robot_description, parameters().clock_rate) == ("", 100.0)
     ros["/gazebo/pub_clock_frequency"] = 250
-    wanted = parameters("-u", "--seed", "7", "worlds/beacons.world")
+    wanted = parameters("-u", "--seed", "7", "-s", "libfog.so", "worlds/beacons.world")
     assert wanted.world == str(package_share() / "worlds" / "beacons.world")
     assert (wanted.paused, wanted.seed, wanted.clock_rate, wanted.rtf) == (True, 7, 250.0, 1.0)
-
-
-def test_no_robot_comes_from_robot_description(ros):
-    # It is spawn_model that spawns it.
-    wanted = parameters()
-    assert (wanted.robot, wanted.robot_description, wanted.clock_rate) == ("", "", 100.0)
-
-
-def test_plugins_that_are_not_simulated_are_named(ros, logged):
-    parameters("-s", "libfog.so")
     assert logged == ["server plugin libfog.so is not simulated and skipped"]
 
 

@@ -1,6 +1,7 @@
 """Nodes that look at images: answers, encodings, what they refuse, and their diagnostics."""
 
 import dataclasses
+import math
 import threading
 import time
 
@@ -8,20 +9,23 @@ import numpy as np
 import pytest
 import rospy
 from marker_images import CAMERA, View, image_of, marker, true_corners
+from message_fields import plain
 from sensor_msgs.msg import CameraInfo
 
+from bullet_lab.core.parameters import read_parameters
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.ros.nodes import aruco, image_node
 from bullet_lab.ros.nodes.aruco import Aruco, ArucoParameters
-from bullet_lab.ros.nodes.features import (
+from bullet_lab.ros.nodes.image_node import (
     CannyEdges,
     CannyParameters,
     GoodFeatures,
     GoodFeaturesParameters,
     HarrisCorners,
     HarrisParameters,
+    ImageParameters,
+    ViewCamera,
 )
-from bullet_lab.ros.nodes.image_node import ImageParameters, ViewCamera
 
 NODE = image_node
 FRAME = "camera_optical_frame"
@@ -126,12 +130,9 @@ def test_parameters_count(published, node, figures):
     ("encoding", "channels"),
     [("bgr8", [0, 1, 2]), ("rgb8", [2, 1, 0]), ("bgra8", [0, 1, 2, 3]), ("rgba8", [2, 1, 0, 3])],
 )
-def test_encodings_that_cameras_have(published, encoding, channels):
+def test_encodings_that_cameras_have(encoding, channels):
     colours = np.full((480, 640, 4), (10, 120, 230, 255), np.uint8)[..., channels]
-    node = ViewCamera(ImageParameters())
-    (seen,) = answers(
-        node, published, image(np.ascontiguousarray(colours), 1.0, encoding), "image_annotated"
-    )
+    seen = image(colours, encoding=encoding)
     assert pixels_of(seen, "bgr8")[300, 300].tolist() == [10, 120, 230]
 
 
@@ -152,11 +153,11 @@ def test_images_that_are_none_are_answered_without_a_marker(published, which):
     assert answer.detections == []
 
 
-def test_images_that_are_none_are_refused(published, caplog):
+def test_images_that_are_none_are_refused(published, logged):
     node = GoodFeatures(GoodFeaturesParameters())
     node._receive_image(bad_image("no such"))
     assert not published["~points"]
-    assert "/mycamera/image_raw: refused:" in caplog.text
+    assert logged[0].startswith("/mycamera/image_raw: refused:")
     answers(node, published, image(square(), 3.0), "points")
 
 
@@ -180,6 +181,35 @@ def test_the_lens_of_a_raw_image(published):
     node = finder(camera_info(bent))
     (answer,) = answers(node, published, image(marker_image(view, bent)), "detections")
     assert place_of(answer.detections[0]) == pytest.approx(view.translation, abs=0.005)
+
+
+def test_chosen_markers_of_rectified_images_have_transforms(published, monkeypatch):
+    monkeypatch.setattr(aruco, "publisher", image_node.publisher)
+    layout = [{"id": 7, "size": 0.4, "x": 0.1}, {"id": 3, "size": 0.2}]
+    bundles = [{"name": "panel", "layout": layout}]
+    given = {"tags": "4x4_50", "ids": "3 7", "sizes": "7=0.4", "tag_bundles": bundles}
+    given.update(rectified=True, publish_tf=True)
+    parameters = read_parameters(ArucoParameters, lambda name, none: given.get(name[1:], none))
+    node, view = Aruco(parameters), View(1.0, yaw=25.0, shift=(0.35, 0.2))
+    # Of a rectified image, the lens does not matter.
+    about = camera_info(dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.001, 0.0)))
+    about.P = np.column_stack((CAMERA.matrix, (0.0, 0.0, 0.0))).ravel().tolist()
+    node._receive_info(about)
+    seen = image_of([marker(7, size=0.4, tags="4x4_50")], view, samples=4)
+    (answer,) = answers(node, published, image(seen), "detections")
+    ((found,), (bundle,)) = answer.detections, answer.bundles
+    assert (found.id, found.dictionary, found.size) == (7, "DICT_4X4_50", 0.4)
+    assert place_of(found) == pytest.approx(view.translation, abs=0.005)
+    assert (bundle.name, bundle.ids) == ("panel", (7,))
+    (one, panel) = published["/tf"][0].transforms
+    assert (one.child_frame_id, one.header.frame_id) == ("fiducial_7", FRAME)
+    assert panel.child_frame_id == "panel"
+    ends = [plain(each.transform.translation) for each in (one, panel)]
+    assert math.dist(*ends) == pytest.approx(0.1, abs=1e-6)
+    assert np.linalg.norm(plain(one.transform.rotation)) == pytest.approx(1.0, abs=1e-9)
+    other = image_of([marker(9, tags="4x4_50")], VIEW, samples=4)
+    (answer,) = answers(node, published, image(other, 3.0), "detections")
+    assert not answer.detections
 
 
 def test_camera_info_is_waited_for_by_the_first_image(published, monkeypatch):
@@ -219,7 +249,7 @@ def test_every_image_is_answered_also_without_a_marker(published, pixels, number
     node = finder(camera_info())
     (answer,) = answers(node, published, image(pixels), "detections")
     assert len(answer.detections) == number
-    level, line = node.health()
+    level, line = node.health
     assert (level, "id 0 at 2.0" in line) == ((0, True) if number else (1, False))
 
 
@@ -229,5 +259,5 @@ def test_a_camera_that_is_none(published):
     node = finder(zero)
     (answer,) = answers(node, published, image(marker_image()), "detections")
     assert answer.detections[0].size == 0.0
-    assert node.health().level == 2
-    assert "zero K" in node.health().message
+    assert node.health.level == 2
+    assert "zero K" in node.health.message

@@ -142,9 +142,9 @@ def test_perfect_message_stays_as_it_came(adder):
     node = adder(std=0.5, seed=1)
     for message in arc(10):
         before = copy.deepcopy(message)
-        node.odom_callback(message)
-        assert message == node.last_odom == node.msg == before
-    assert message.pose.pose.position.x != pytest.approx(node.pose[0], abs=1e-7)
+        noisy = node.send([message])
+        assert message == node.msg == before
+    assert message.pose.pose.position.x != pytest.approx(pose(noisy[-1])[0], abs=1e-7)
 
 
 def test_time_set_back_starts_anew(adder):

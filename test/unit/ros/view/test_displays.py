@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import PointCloud2, PointField
 
+from bullet_lab.ros.view.context import MessageError
 from bullet_lab.ros.view.displays import GREY, Displays, Kind, points_of
-from bullet_lab.ros.view.subscription import MessageError
 
 PLACES = [[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [4.0, 5.0, 6.0], [7.0, 8.0, np.inf]]
 COLOURED = np.dtype([("xyz", "f4", 3), ("pad", "f4"), ("rgb", "u4")])

@@ -14,10 +14,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.view import displays
+from bullet_lab.ros.view.context import DisplayContext, MessageError, reader_of
 from bullet_lab.ros.view.displays import OdometryDisplay, ScanDisplay, read_path
-from bullet_lab.ros.view.frames import DisplayContext, read_transforms
 from bullet_lab.ros.view.markers import MarkersDisplay, read_marker, read_markers
-from bullet_lab.ros.view.subscription import MessageError, reader_of
+from bullet_lab.ros.view.robots import read_transforms
 
 
 @pytest.fixture
@@ -124,21 +124,16 @@ def test_markers():
     fields = """
         frame: odom
         key: [line, 7]
-        text: größer
+        message.text: größer
         points: [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
         colours: [[0.5, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 1.0]]
         pose.quaternion: [0.0, 0.0, 0.0, 1.0]
-        locked: true
-        embedded: false
     """
     check(first, fields)
     fields = """
-        mesh: package://a/b.dae
         scale: [1.0, 2.0, 3.0]
         colour: [0.5, 0.25, 0.0, 1.0]
         pose.position: [1.0, 2.0, 3.0]
-        locked: false
-        embedded: true
     """
     check(second, fields)
 

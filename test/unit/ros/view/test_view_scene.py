@@ -7,15 +7,7 @@ import pytest
 import trimesh
 
 from bullet_lab.core.pose import Pose
-from bullet_lab.ros.view.scene import (
-    PIECE,
-    Labels,
-    PointsNode,
-    Polyline,
-    Solids,
-    floor_point,
-    glb_of,
-)
+from bullet_lab.ros.view.scene import PIECE, Nodes, Solids, floor_point, glb_of
 from bullet_lab.simulation.world.description import Visual
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.shapes import Box, Mesh, Sphere
@@ -43,7 +35,6 @@ def test_solids_of_a_kind_are_one_node_that_is_sent_once_they_move(scene, put):
     put(*((number, 0.0) for number in range(20)))
     node = scene.nodes["/s/box"]
     assert node.batched_positions[:, 0].tolist() == list(range(20))
-    assert node.batched_colors.dtype == np.uint8
     for y, sent in ((0.0, 0), (7.0, 1)):
         put((3.0, y), first=3)
         assert (node.sent, node.batched_positions[3].tolist()) == (sent, [3.0, y, 0.0])
@@ -62,39 +53,46 @@ def test_a_solid_that_comes_goes_or_turns_to_glass_makes_nodes_anew(scene, put):
 
 
 def test_of_a_line_that_grows_only_the_end_is_sent(scene):
-    line = Polyline(scene, "/l", RED)
+    nodes = Nodes(scene)
     points = np.zeros((int(2.5 * PIECE), 3))
     points[:, 0] = range(len(points))
     for count in (*range(2, len(points), 7), len(points)):
-        line.set(points[:count])
+        nodes.put_line("/l", points[:count], RED)
     pieces = [scene.nodes[f"/l/{number}"] for number in range(3)]
     segments = np.concatenate([piece.points for piece in pieces])
     assert segments == pytest.approx(np.stack((points[:-1], points[1:]), axis=1))
     sent = np.array([piece.sent for piece in pieces])
-    line.set(np.concatenate((points, points[-1:] + 1.0)))
+    nodes.put_line("/l", np.concatenate((points, points[-1:] + 1.0)), RED)
     assert ([piece.sent for piece in pieces] - sent).tolist() == [0, 0, 1]
-    line.set(points[:1])
+    nodes.put_line("/l", points[:1], RED)
     assert not scene.nodes
 
 
 def test_nothing_to_show_is_no_node(scene):
-    shown = PointsNode(lambda points: scene.add_point_cloud("/p", points, None))
+    nodes = Nodes(scene)
     for count in (0, 3, 5, 0, 0, 2):
-        shown.set(np.zeros((count, 3)))
+        nodes.put_points("/p", {"colors": RED}, points=np.zeros((count, 3)))
         assert len(scene.nodes) == bool(count)
 
 
+def test_a_node_of_another_look_is_made_anew(scene):
+    nodes, ends = Nodes(scene), np.zeros((1, 2, 3))
+    for colour, made in ((RED, 1), (RED, 1), (GLASS, 2)):
+        nodes.put_segments("/s", ends, colour)
+        assert (scene.nodes["/s"].colors, scene.made) == (colour, made)
+    nodes.put_line("/l", np.zeros((3, 3)), RED)
+    nodes.clear()
+    assert not scene.nodes
+
+
 def test_labels_follow_and_go(scene):
-    labels = Labels(scene, "/t")
+    nodes = Nodes(scene)
     for text in ("one", "two"):
-        labels.put(text, text, (0.0, 0.0, 0.0))
-    labels.drop("one")
-    for text in ("three", "two"):
-        labels.put(text, text, (1.0, 0.0, 0.0))
-    assert sorted(node.text for node in scene.nodes.values()) == ["three", "two"]
-    labels.keep(["two"])
+        nodes.put_label(text, text, (0.0, 0.0, 0.0))
+    nodes.drop("one")
+    nodes.put_label("two", "more", (1.0, 0.0, 0.0))
     (node,) = scene.nodes.values()
-    assert node.position == (1.0, 0.0, 0.0)
+    assert (node.text, node.position) == ("more", (1.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

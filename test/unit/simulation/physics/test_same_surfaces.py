@@ -12,10 +12,11 @@ from alike import assert_as_before, lines_of
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.surfaces import (
     ContactSurface,
-    Footing,
     axle_of,
     directed_wheels,
     heavy_enough,
+    is_wheel,
+    load_of,
     on_treads,
     skidding_wheels,
 )
@@ -36,14 +37,15 @@ def surfaces_of(model):
     names = {wheel.link for wheel in skidding}
     yield from lines_of((*skidding, *directed_wheels(links, joints)), model.name)
     axles = {joint.child: axle_of(joint) for joint in joints}
-    footing = Footing.of(links, joints, names)
+    load = load_of(links)
     if skidding:
         yield from lines_of(wheel_mobility(links, joints, skidding), model.name)
     for link in heavy_enough(links, skidding) if skidding else links:
         name, axle = f"{model.name}.{link.name}", axles.get(link.name)
         yield from lines_of(link.inertia and link.inertia.matrix, name)
+        rolls = is_wheel(link.collisions, axle) and link.name not in names
         for shape in on_treads(link.collisions, axle, link.name in names):
-            surface = footing.surface(link, ContactSurface.of(shape, axle))
+            surface = ContactSurface.of(shape, axle, load, rolls)
             yield from lines_of((shape.geometry, shape.pose), name)
             yield from lines_of(surface.properties(Pose(), model.static), name)
 

@@ -9,7 +9,7 @@ from sensor_worlds import record, steps
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import Camera, CameraSettings
-from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.rendering import RendererError
 from bullet_lab.simulation.world.description import Box
 from bullet_lab.simulation.world.urdf import read_urdf
 

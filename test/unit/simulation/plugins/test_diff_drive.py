@@ -3,8 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor_worlds import box, check_refusal, drive, record, steps
-from shared import complains
+from sensor_worlds import box, drive, record, steps
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import pybullet
@@ -105,11 +104,8 @@ def test_the_defaults_are_gazebos(world, model):
     assert speeds(robot) == pytest.approx(expected, rel=5e-3)
 
 
-def test_the_legacy_mode_changes_nothing_as_in_noetic(world, spawn, caplog):
-    robot = spawn(legacyMode="true")
-    assert drive(world, robot, 0.3, wz=0.5).yaw > 0.1
-    (told,) = caplog.messages
-    assert "<legacyMode> is ignored" in told
+def test_the_legacy_mode_changes_nothing_as_in_noetic(world, spawn):
+    assert drive(world, spawn(legacyMode="true"), 0.3, wz=0.5).yaw > 0.1
 
 
 def test_the_acceleration_limit_on_the_floor(world, spawn):
@@ -278,30 +274,3 @@ def test_commands_that_are_not_finite_are_refused(spawn):
     for bad in (PlanarCommand(vx=math.nan), PlanarCommand(wz=1e300)):
         with pytest.raises(PluginError, match="is not finite"):
             robot.command("cmd_vel", bad)
-
-
-@pytest.mark.parametrize(
-    ("tags", "message"),
-    [
-        ({"leftJoint": None}, "<leftJoint>: no movable joint 'left_joint'"),
-        ({"rightJoint": "left_wheel_joint"}, "'left_wheel_joint' is the left one already"),
-        ({"wheelSeparation": "0"}, "<wheelSeparation>: 0 is not positive"),
-        ({"wheelDiameter": "-0.1"}, "<wheelDiameter>: -0.1 is not positive"),
-        ({"wheelTorque": "-1"}, "<wheelTorque>: -1 is negative"),
-        ({"odometrySource": "gps"}, "<odometrySource>: 'gps' is not one of world, encoder"),
-        ({"publishTf": "perhaps"}, "<publishTf>"),
-    ],
-)
-def test_tags_that_make_no_drive_are_refused(world, spawn, tags, message):
-    with complains(f"model 'camera_robot': plugin 'drive': .*{message}"):
-        spawn(**tags)
-
-
-def test_a_sliding_joint_is_no_wheel_and_what_cannot_move_no_robot(model):
-    model = replace(model, plugins=(PluginTag(FILENAME, "drive", TAGS),))
-    left, right = model.joints
-    sliding = replace(model, joints=(left, replace(right, kind="prismatic")))
-    message = "'right_wheel_joint' is prismatic; it must be continuous or revolute"
-    check_refusal(sliding, message)
-    static = replace(model, static=True)
-    check_refusal(static, "model 'camera_robot': plugin 'drive' needs a model that can move")

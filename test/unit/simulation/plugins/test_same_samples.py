@@ -3,8 +3,10 @@
 A change that means to send others renews the text: see `assert_as_before`.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
+import yaml
 from alike import assert_as_before, lines_of
 
 from bullet_lab.simulation.plugins.samples import ImageSample, PlanarCommand, PointsSample
@@ -46,3 +48,14 @@ def test_samples_are_as_before(caplog):
 def test_wrong_tags_are_named_as_before(caplog):
     with Simulation(read_world_file(HERE / "wrong.world")):
         assert_as_before(caplog.messages, HERE / "wrong.txt")
+
+
+def test_wrong_tags_of_drives_are_named_as_before(caplog):
+    models = {model.name: model for model in read_world_file(HERE / "plugins.world").models}
+    for name, cases in yaml.safe_load((HERE / "wrong_drives.yaml").read_text()).items():
+        drive = next(tag for tag in models[name].plugins if tag.name == "drive")
+        for tags in cases:
+            changed = replace(drive, tags={**drive.tags, **tags})
+            with Simulation() as simulation:
+                simulation.add(replace(models[name], plugins=(changed,)))
+    assert_as_before(caplog.messages, HERE / "wrong_drives.txt")

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sensor_worlds import check_refusal, drive, record
+from sensor_worlds import drive, record
 from shared import EMPTY_WORLD
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -98,16 +98,3 @@ def test_hard_wheels_creep_by_their_load_as_in_gazebo(world, mass, wheel_mass, d
     for seconds, vx, wz in (1.0, 0.2, 0.0), (0.5, 0.0, 0.0), (5.0, 0.0, 0.5):
         driven = drive(world, robot, seconds, vx, wz)
     assert math.degrees(driven.yaw) == pytest.approx(degrees, rel=0.08)
-
-
-@pytest.mark.parametrize(
-    ("tag", "value", "message"),
-    [
-        ("leftFrontJoint", "x", "no movable joint"),
-        ("rightRearJoint", "left_rear_joint", "the four joints must be different"),
-        ("torque", "-1", "-1 is negative"),
-        ("covariance_x", "-1", "-1 is negative"),
-    ],
-)
-def test_refusals(tag, value, message):
-    check_refusal(rover(f"<{tag}>{value}</{tag}>"), f"<{tag}>: {message}")

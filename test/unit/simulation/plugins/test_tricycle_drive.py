@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 from sensor_worlds import drive, record
-from shared import complains
 
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
@@ -91,16 +90,3 @@ def test_all_four_joints_are_shown(world, tricycle):
     assert shown.keys() == {"steering_joint", *wheels}
     children = {sample.child_frame for sample in transforms}
     assert children == {"base_link", "fork", "front_wheel", "left_wheel", "right_wheel"}
-
-
-@pytest.mark.parametrize(
-    "tags, complaint",
-    [
-        ({"steeringJoint": "it"}, "<steeringJoint>: no movable joint 'it'"),
-        ({"encoderWheelRightJoint": "left_wheel_joint"}, "<encoderWheelRightJoint>: 'left_wheel"),
-        ({"steeringSpeed": "-1"}, "<steeringSpeed>: -1 is negative; the default is used"),
-    ],
-)
-def test_wrong_tags_are_named(tricycle, tags, complaint):
-    with complains(complaint):
-        tricycle(**tags)

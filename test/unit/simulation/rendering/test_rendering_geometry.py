@@ -9,8 +9,8 @@ from picture_worlds import CAMERA, FOCAL, checkers, plate, simulation_of, thing,
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.plugins.camera import Lens
-from bullet_lab.simulation.rendering.graphics import RendererError
+from bullet_lab.simulation.plugins.lenses import Lens
+from bullet_lab.simulation.rendering import RendererError
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.world.description import Box
 
@@ -27,8 +27,9 @@ def inner_corners(columns, rows, cell):
 def offsets(renderer, camera, corners, poses, half, samples=1):
     """Offsets in px of corners in pictures, from where the camera's geometry has them."""
     lens, found = Lens(camera), []
+    shot = Shot(lens.ideal, samples=samples)
     for pose in poses:
-        picture = lens.bend(renderer.picture(pose, Shot(lens.ideal, samples=samples)))
+        picture = lens.picture(lambda turn, at=pose: renderer.picture(at * turn, shot))
         assert picture.shape == (camera.height, camera.width, 3)
         local = (corners - pose.position) @ pose.rotation_matrix()
         pixels = camera.project(np.column_stack((-local[:, 1], -local[:, 2], local[:, 0])))
@@ -124,7 +125,7 @@ def test_where_a_lens_shows_nothing_its_picture_is_black(distortion, focal):
         black = 1.0 - np.pi * radius**2 / (640 * 480)
     assert lens.black == pytest.approx(black, abs=0.005)
     size = (lens.ideal.height, lens.ideal.width)
-    dark = (lens.bend(np.full((*size, 3), 255, np.uint8)) == 0).all(axis=2)
+    dark = (lens.picture(lambda _: np.full((*size, 3), 255, np.uint8)) == 0).all(axis=2)
     assert dark.mean() == pytest.approx(lens.black, abs=0.005)
     assert np.array_equal(np.isnan(lens.pick(np.ones(size, np.float32))), dark)
     assert lens.ideal.width <= 3 * camera.width + 4

@@ -13,8 +13,8 @@ from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
-from bullet_lab.simulation.rendering import graphics
-from bullet_lab.simulation.rendering.graphics import RendererError, shared_graphics
+from bullet_lab.simulation import rendering
+from bullet_lab.simulation.rendering import RendererError, shared_graphics
 from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Light, Plane
@@ -185,7 +185,7 @@ def test_buffers_and_shadow_maps_of_other_sizes_are_given_back():
             simulation.remove("b")
 
         # A buffer with its depths has 6 MB, a shadow map 64 MB.
-        assert bytes_kept(draw, graphics.KEPT_BUFFERS) < 1e6
+        assert bytes_kept(draw, rendering.KEPT_BUFFERS) < 1e6
 
 
 def test_textures_that_are_gone_are_given_back(tmp_path):
@@ -203,9 +203,9 @@ def test_textures_that_are_gone_are_given_back(tmp_path):
 
 
 def test_a_driver_without_the_language_of_our_programs_is_refused(monkeypatch):
-    monkeypatch.setattr(graphics, "GLSL", (9, 0))
+    monkeypatch.setattr(rendering, "GLSL", (9, 0))
     with pytest.raises(RendererError, match="has GLSL .*, 1.40 at least is needed"):
-        graphics.Graphics()
+        rendering.Graphics()
 
 
 def test_panda3d_is_loaded_for_the_first_picture_and_needs_a_driver():
@@ -213,7 +213,7 @@ def test_panda3d_is_loaded_for_the_first_picture_and_needs_a_driver():
     code += "world = Simulation.of('package://bullet_lab/worlds/docking.world')\n"
     code += "world.spawn('package://bullet_lab/urdf/camera_robot.urdf'); world.run_for(0.1)\n"
     code += "print('panda3d' in sys.modules)\n"
-    code += "from bullet_lab.simulation.rendering.graphics import driver_name, RendererError\n"
+    code += "from bullet_lab.simulation.rendering import driver_name, RendererError\n"
     code += "for _ in range(2):\n  try: driver_name()\n  except RendererError as e: print(e)"
     hidden = {"__EGL_VENDOR_LIBRARY_FILENAMES": os.devnull, "LIBGL_DRIVERS_PATH": os.devnull}
     path = os.pathsep.join(filter(None, sys.path))

@@ -32,9 +32,9 @@ def box(size=(2.0, 1.0, 0.5), pose=HERE):
 
 def test_a_box_is_where_model_and_shape_put_it():
     pose = Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, 0.5))
-    (found,) = footprints(world_of(box(pose=Pose((0.5, 0.0, 0.25))), pose=pose))
+    (found,) = footprints(world_of(box(pose=Pose((0.5, 0.0, 0.25))), pose=pose), 1.0)
     assert found.name == "thing"
-    places = [pose.inverse() * Pose((*point, 0.0)) for point in (found.centre, *found.corners())]
+    places = [pose.inverse() * Pose((*point, 0.0)) for point in (found.pose[:2], *found.corners())]
     wanted = [(0.5, 0.0), (1.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (1.5, -0.5)]
     assert np.array([place.position[:2] for place in places]) == pytest.approx(np.array(wanted))
 
@@ -58,7 +58,7 @@ def test_a_picture_is_scaled_scrolled_and_turned():
 )
 def test_distance_to_a_turned_and_moved_box(point, distance):
     pose = Pose.from_rpy((3.0, -1.0, 0.0), (0.0, 0.0, 0.7))
-    (found,) = footprints(world_of(box(), pose=pose))
+    (found,) = footprints(world_of(box(), pose=pose), 1.0)
     x, y, _ = (pose * Pose((*point, 0.0))).position
     assert found.distance((x, y)) == pytest.approx(distance, abs=1e-12)
 
@@ -79,4 +79,4 @@ LEANING = Pose.from_rpy((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
 )
 def test_all_upright_boxes_of_what_stands_still_and_not_above(world, below, count):
     twice = replace(world, models=2 * world.models)
-    assert len(footprints(twice, below=below)) == 2 * count
+    assert len(footprints(twice, below)) == 2 * count

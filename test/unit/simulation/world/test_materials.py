@@ -1,46 +1,32 @@
 """Materials of OGRE's scripts, and Gazebo's own, as models name them."""
 
 import logging
-import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from PIL import Image
 from sensor_worlds import carrier
 
 from bullet_lab.simulation.world import materials, resources
 from bullet_lab.simulation.world.description import Texture
+from bullet_lab.simulation.world.materials import (
+    ScriptError,
+    inherited,
+    parse_script,
+    substituted,
+)
 from bullet_lab.simulation.world.sdf import read_spawned, read_world_file
 from bullet_lab.simulation.world.urdf import read_urdf
 
 SCRIPT = """
-material Shop/Crate : Shop/Base
-{
-  technique { pass { diffuse 0.5 0.25 1 0.5
-    ambient 0.1 0.2 0.3
-    emissive 0 0 0.5
-    texture_unit { texture crate.png
-      scale 0.5 0.25
-      scroll 0.1 0
-      rotate 90
-      filtering linear point none
-      tex_address_mode clamp } } }
-}
-abstract material Shop/Base { technique { pass { lighting on } } }
+material Shop/Crate { technique { pass { diffuse 0.5 0.25 1 0.5
+  texture_unit { texture crate.png } } } }
 material Shop/Glass { technique { pass { scene_blend alpha_blend
   diffuse 0 0 1 0.25 } } }
-material Shop/Lamp { technique { pass { lighting off
-  diffuse 1 0.5 0 } } }
-material Shop/Layers { technique { pass { diffuse 1 0 0 } pass { diffuse 0 1 0 }
-  pass { scene_blend add
-    diffuse 0 0 1 } } }
 material Shop/Plain { }
-material Shop/Bad { technique { pass { diffuse one two three } } }
 material Shop/Lost { technique { pass { texture_unit { texture lost.png } } } }
-material Shop/Shaded { technique { pass { fragment_program_ref Shop/FS { } } } }
-material Shop/Labelled { technique { pass { texture_unit label { texture other.png } } } }
-material Shop/Relabelled : Shop/Labelled { set_texture_alias label crate.png
-}
 """
 
 
@@ -83,21 +69,12 @@ def script(name, uris=URIS[0], more=""):
 
 @pytest.mark.parametrize("uris", URIS)
 def test_colours_and_picture_of_a_script(shop, uris):
+    """What else a script may say: see whole.material."""
     visual = visual_of(script("Shop/Crate", uris))
     # What is not blended is opaque, whatever its alpha.
     assert visual.colour == (0.5, 0.25, 1.0, 1.0)
-    found = visual.material
-    assert (found.ambient, found.emissive) == ((0.1, 0.2, 0.3, 1.0), (0.0, 0.0, 0.5, 1.0))
-    assert found.covers
-    assert found.name == "Shop/Crate"
-    assert found.texture == Texture(
-        shop / "shop" / "materials" / "textures" / "crate.png",
-        (0.5, 0.25),
-        (0.1, 0.0),
-        math.pi / 2,
-        False,
-        sharp=True,
-    )
+    assert visual.material.name == "Shop/Crate"
+    assert visual.material.texture == Texture(shop / "shop/materials/textures/crate.png")
 
 
 def test_file_uris_and_uris_of_several_models(shop, tmp_path):
@@ -107,10 +84,6 @@ def test_file_uris_and_uris_of_several_models(shop, tmp_path):
     uris = f"<uri>file://{other}</uri>{URIS[0]}"
     assert visual_of(script("Other/A", uris)).colour == (0, 1, 0, 1)
     assert visual_of(script("Shop/Crate", uris)).material.texture is not None
-
-
-def test_a_picture_by_its_alias(shop):
-    assert visual_of(script("Shop/Relabelled")).material.texture.path.name == "crate.png"
 
 
 @pytest.mark.parametrize(
@@ -225,3 +198,63 @@ def test_a_material_as_in_sdf_for_a_link_of_a_urdf(shop):
     assert tagged(colours).links[0].visuals[0].colour == (0, 1, 0, 1)
     nothing = "<visual><material><specular>0 1 0 1</specular></material></visual>"
     assert tagged(nothing).links[0].visuals[0].colour == (1, 1, 1, 1)
+
+
+# The language of the scripts, with what real ones have in them
+
+HERE = Path(__file__).parent
+CHILDREN = "ByName", "ByPlace", "ByPattern", "New", "Deep"
+
+
+def blocks(text):
+    root, mistake = parse_script(text)
+    assert mistake == ""
+    return {block.name: block for block in root.blocks}
+
+
+def whole(text, name):
+    known = blocks(text)
+    return substituted(inherited(known[name], lambda _, other: known.get(other)))
+
+
+def test_blocks_are_read_and_go_over_those_of_their_parents_as_before():
+    text = (HERE / "scripts.material").read_text()
+    root, mistake = parse_script(text)
+    first, _ = root.blocks[0].blocks[0].blocks
+    assert (first.words("ambient"), first.all("pass")) == (("1", "0", "0"), [])
+    assert first.blocks[0].properties == [("texture", "a wall.png", "2d")]
+    told = [*lines_of(root, "read"), f"mistake: {mistake}"]
+    for name in CHILDREN:
+        told += lines_of(whole(text, name), name)
+    assert_as_before(told, HERE / "scripts.txt")
+
+
+@pytest.mark.parametrize(
+    ("text", "mistake", "kept"),
+    [
+        ("material A { }\nmaterial B {\n technique {", "'technique ' is not closed", ["A"]),
+        ("\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", ["A"]),
+        ("material A { }\n" + "a {\n" * 30, "more than 20 blocks", ["A"]),
+        ('material A { technique { name "open\n } }', "", ["A"]),
+        ("material A { /* open", "'material A' is not closed", []),
+        ("", "", []),
+    ],
+)
+def test_mistakes_are_said_and_what_was_before_them_counts(text, mistake, kept):
+    root, found = parse_script(text)
+    assert mistake in found
+    assert bool(mistake) == bool(found)
+    assert [block.name for block in root.blocks] == kept
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("material A : B { }\nmaterial B : A { }", "inherits from it"),
+        ("material A : A { }", "inherits from it"),
+        ("material A : Gone { }", "its parent 'Gone' is missing"),
+    ],
+)
+def test_parents_that_cannot_be(text, message):
+    with pytest.raises(ScriptError, match=message):
+        whole(text, "A")

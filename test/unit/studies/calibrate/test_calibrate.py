@@ -12,16 +12,20 @@ from bullet_lab.core.parameters import part_of, read_parameters
 from bullet_lab.core.trajectory import CSV_HEADER
 from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
-from bullet_lab.noise.prediction import path_of
-from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors, SystematicSpread
+from bullet_lab.noise.systematic import (
+    SYSTEMATIC,
+    SystematicErrors,
+    SystematicSpread,
+    path_of,
+)
 from bullet_lab.studies.calibrate import study
-from bullet_lab.studies.calibrate.recordings import (
+from bullet_lab.studies.calibrate.steps import StepSettings, take_steps
+from bullet_lab.studies.calibrate.study import (
     DriveSettings,
     calibration_drive,
     coverage,
     made_up,
 )
-from bullet_lab.studies.calibrate.steps import StepSettings, take_steps
 
 SETTINGS = study.CalibrateSettings(("rate_invariant", "probabilistic"))
 LAP = DriveSettings(laps=1)

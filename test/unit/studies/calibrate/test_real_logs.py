@@ -13,14 +13,13 @@ import pytest
 
 from bullet_lab.core import se2
 from bullet_lab.noise.calibration import Problem, covariance, fit
-from bullet_lab.noise.prediction import INSIDE, LENGTHS, OWN, judged, path_of, predicted
-from bullet_lab.noise.systematic import arcs
+from bullet_lab.noise.goodness import INSIDE, LENGTHS, judged, predicted
+from bullet_lab.noise.systematic import arcs, path_of
 from bullet_lab.studies.calibrate.alignment import robust_fit
 from bullet_lab.studies.calibrate.results import ModelCalibration, predictions
 from bullet_lab.studies.calibrate.steps import (
     StepSettings,
     long_length,
-    long_pairs,
     pairs_of,
     part_of,
     short_steps,
@@ -41,14 +40,11 @@ WALKS = ("rate_invariant", "random_walk")
 def winner(steps):
     """The best random walk of long steps, without its intervals and tests, which take long."""
     length, found = long_length(steps), []
-    pairs, _ = long_pairs(steps, length)
+    pairs, _ = pairs_of(steps, length)
     for model in WALKS:
         make = functools.partial(Problem, model=model, systematic=ERRORS)
-        problem = make(pairs)
         prediction = judged(list(predictions(make, steps, length)))
-        found.append(
-            ModelCalibration(problem, fit(problem), None, None, prediction, length)
-        )
+        found.append(ModelCalibration(fit(make(pairs)), None, None, prediction, length))
     return sorted(found, key=ModelCalibration.rank)[0]
 
 
@@ -58,9 +54,10 @@ def turn_gain(one):
     gain = (1.0 + values["scale_error"]) / (1.0 + values["base_error"])
     relative, scale = (part[0] for part in covariance(one.fit.information))
     inverse = relative / np.outer(scale, scale)
-    slope = np.zeros(len(one.fit.names))
+    names = one.fit.problem.names
+    slope = np.zeros(len(names))
     for name, by in (("scale_error", gain), ("base_error", -gain)):
-        slope[one.fit.names.index(name)] = 0.01 * by / (1.0 + values[name])
+        slope[names.index(name)] = 0.01 * by / (1.0 + values[name])
     return gain, float(np.sqrt(one.prediction.dispersion * slope @ inverse @ slope))
 
 
@@ -74,13 +71,8 @@ def robust_gain(steps):
 
 def ends(one, other):
     """Squares and logarithms of the density of the other half's windows, by length."""
-    variances = np.square([one.published()[f"{name}_std"] for name in ERRORS]) / OWN
-    variances /= one.prediction.dispersion
-    windows = (
-        predicted(one.problem, one.fit, pairs_of(other), other.follows, length)
-        for length in LENGTHS
-    )
-    return [found.squares(variances, one.prediction.dispersion) for found in windows]
+    windows = (predicted(one.fit, *pairs_of(other), length) for length in LENGTHS)
+    return [found.squares(one.prediction.dispersion) for found in windows]
 
 
 def figures(found):

@@ -6,7 +6,7 @@ import pytest
 from bullet_lab.core import se2
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
-from bullet_lab.noise.prediction import path_of
+from bullet_lab.noise.systematic import path_of
 from bullet_lab.studies.calibrate.alignment import marker_place, resolution
 from bullet_lab.studies.calibrate.steps import StepSettings, joined, take_steps
 from bullet_lab.studies.paths import Recording

@@ -4,19 +4,20 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+import yaml
 from alike import assert_as_before, lines_of, lines_of_figure
 from study_runs import csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
-from bullet_lab.simulation.rendering.graphics import driver_name
-from bullet_lab.studies.detection_range.figures import heat_map, range_figure
+from bullet_lab.simulation.rendering import driver_name
 from bullet_lab.studies.detection_range.study import (
     RangeSettings,
     describe,
     found_range,
+    heat_map,
+    range_figure,
     ranges_of,
     run_detection_range,
     tasks,
@@ -49,7 +50,7 @@ def seen(printed, pose, identifier=0, shift=0.0):
 
 
 def judged(pose, *markers, others=()):
-    return judge(list(markers), pose, WANTED, others, CAMERA)
+    return judge(list(markers), pose, (WANTED, *others), CAMERA)
 
 
 # ---- Judging ----
@@ -122,20 +123,18 @@ def rows_of(rates, bearing=0.0, world="marker_panel", light="default", frames=20
     ]
 
 
-GAPS = {0.3: 1.0, 0.4: 0.9, 0.5: 0.95, 2.0: 1.0, 4.0: 1.0, 5.0: 0.94, 6.0: 1.0, 7.0: 1.0}
+# Shares of finds by distance, the bearing that is asked for, and the ends of the range.
+RANGES = """
+- [{0.3: 1.0, 0.4: 0.9, 0.5: 0.95, 2.0: 1.0, 4.0: 1.0, 5.0: 0.94, 6.0: 1.0, 7.0: 1.0}, 0, 0.5, 4.0]
+- [{0.3: 0.1, 0.4: 1.0, 0.5: 0.0}, 0, 0.4, 0.4]
+- [{0.3: 0.1}, 0, null, null]
+- [{0.3: 1.0, 4.0: 1.0}, 30, null, null]
+"""
 
 
-@pytest.mark.parametrize(
-    ("rates", "bearing", "found"),
-    [
-        (GAPS, 0.0, (0.5, 4.0)),
-        ({0.3: 0.1, 0.4: 1.0, 0.5: 0.0}, 0.0, (0.4, 0.4)),
-        ({0.3: 0.1}, 0.0, (None, None)),
-        (GAPS, 30.0, (None, None)),
-    ],
-)
-def test_the_range_is_the_longest_without_a_gap(rates, bearing, found):
-    assert found_range(rows_of(rates), bearing) == found
+@pytest.mark.parametrize(("rates", "bearing", "closest", "farthest"), yaml.safe_load(RANGES))
+def test_the_range_is_the_longest_without_a_gap(rates, bearing, closest, farthest):
+    assert found_range(rows_of(rates), bearing) == (closest, farthest)
 
 
 def test_the_summary_has_the_ranges_of_each_world_and_light():
@@ -157,20 +156,20 @@ def test_the_picture_is_drawn_of_whatever_was_tried():
         *rows_of({1.0: 0.0}, bearing=30.0, light="dark"),
         *rows_of({1.0: 0.5}, world="docking", light="dark"),
     ]
-    figure = range_figure(rows, ranges_of(rows), {})
+    figure = range_figure(rows, {})
     assert "found from nowhere" in figure._suptitle.get_text()
     assert len(heat_map("marker_panel", rows[:2]).axes) == 1
 
 
 def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_there():
     rows = rows_of({0.5: 1.0, 1.0: 1.0, 2.0: 1.0, 3.0: 0.2, 4.0: 0.0})
-    png = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes()
+    picture = np.zeros((480, 640), np.uint8)
     corners = np.array([[[300, 200], [340, 200], [340, 240], [300, 240]]], dtype=float)
-    found, missed = MarkerImage(png, corners), MarkerImage(png, np.zeros((0, 4, 2)))
+    found, missed = MarkerImage(picture, corners), MarkerImage(picture, np.zeros((0, 4, 2)))
     pictures = {
         ("marker_panel", row["distance_m"]): found if row["found"] > 10 else missed for row in rows
     }
-    figure = range_figure(rows, ranges_of(rows), pictures)
+    figure = range_figure(rows, pictures)
     assert "from 0.5 m to 2 m" in figure._suptitle.get_text()
     assert_as_before(lines_of_figure(figure), HERE / "range.txt")
 

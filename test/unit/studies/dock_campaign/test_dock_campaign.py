@@ -23,7 +23,7 @@ from bullet_lab.studies.dock_campaign.trial import (
     draw_scenario,
     run_trial,
 )
-from bullet_lab.studies.workers import TaskLostError
+from bullet_lab.studies.study import TaskLostError
 
 FILES = ("dockings.jsonl", "campaign.csv", "campaign.png")
 

@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from recorded_paths import poses_of
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error
 from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
-from bullet_lab.noise.prediction import path_of
+from bullet_lab.noise.systematic import path_of
 from bullet_lab.studies.noise_study.regions import level_rule
 from bullet_lab.studies.noise_study.statistics import (
     PathMetrics,
@@ -38,7 +37,7 @@ def measured(trajectory, model, std, count=4):
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
     metrics = PathMetrics(trajectory, steps, 1.0)
     (block,) = noisy_blocks(steps, np.random.default_rng(61), count, 10**7)
-    estimates = [Trajectory(trajectory.stamps, p) for p in poses_of(block, trajectory.poses)]
+    estimates = [Trajectory(trajectory.stamps, p) for p in block.poses(trajectory.poses)]
     rows = metrics.values(block)
     return [(dict(zip(metrics.names, row)), path) for row, path in zip(rows, estimates)]
 
@@ -153,7 +152,7 @@ def test_evo_says_the_same_of_exported_paths(tmp_path, monkeypatch):
     # The same draws as the study's.
     for number, (values, _) in enumerate(measured(path, *key[:2])[:2]):
         pair = []
-        for trajectory in (case.trajectory, case.kept_path(number)):
+        for trajectory in (path, Trajectory(path.stamps, case.kept[number])):
             (tmp_path / "path.tum").write_text(tum_text(trajectory))
             pair.append(read(str(tmp_path / "path.tum")))
         ours = [values[name] for name in names]

@@ -14,7 +14,7 @@ from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import exponential_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
 from bullet_lab.noise.odometry_noise import MODELS, NoisyPath
-from bullet_lab.noise.prediction import path_of
+from bullet_lab.noise.systematic import path_of
 from bullet_lab.studies.noise_study.regions import (
     BOUNDS,
     LEVELS,

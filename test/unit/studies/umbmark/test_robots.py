@@ -1,7 +1,5 @@
 """Robots on the floor assume the wheels that errors and correction give them."""
 
-from dataclasses import astuple
-
 import numpy as np
 import pytest
 from shared import PACKAGE
@@ -51,10 +49,10 @@ def roll(robot):
 def test_robots_assume_other_wheels_until_they_are_corrected(built, files, diameter, base):
     left, right = WRONG.diameters
     wrong = built(*files, WRONG, NONE)
-    assumed = (diameter / left, diameter / right, base / 0.98)
-    assert astuple(wrong.assumed) == pytest.approx(assumed)
+    assumed = (0.5 * diameter / left, 0.5 * diameter / right, base / 0.98)
+    assert (*wrong.radii, wrong.base) == pytest.approx(assumed)
     corrected = built(*files, WRONG, WRONG)
-    assert astuple(corrected.assumed) == pytest.approx((diameter, diameter, base))
+    assert (*corrected.radii, corrected.base) == pytest.approx((diameter / 2, diameter / 2, base))
     wrong.drive(0.2, 0.0, 0.2)
     assert wrong.odometry[-1][0] > 0.02
 

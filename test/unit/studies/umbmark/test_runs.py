@@ -11,11 +11,9 @@ from bullet_lab.drive import Square
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.paths import tum_text
-from bullet_lab.studies.umbmark.estimate import fit
-from bullet_lab.studies.umbmark.robots import IdealRobot, Wheels, drive_square
-from bullet_lab.studies.umbmark.runs import perfect_square, read_runs
+from bullet_lab.studies.umbmark.estimate import fit, perfect_square, read_runs
+from bullet_lab.studies.umbmark.robots import NO_ERRORS, IdealRobot, drive_square
 
-BELIEVED = Wheels(0.28, 0.28, 0.38)
 TOPICS = ("/truth", "/odom")
 WRONG = SystematicErrors(diameter_error=0.004, base_error=-0.02)
 ELSEWHERE = np.array((3.0, -1.0, 2.0))
@@ -23,7 +21,7 @@ ELSEWHERE = np.array((3.0, -1.0, 2.0))
 
 def recorded(turn):
     """True and reported path of a square, the true one in a frame of its own."""
-    robot = IdealRobot(BELIEVED.times(WRONG), BELIEVED)
+    robot = IdealRobot(0.38, WRONG, NO_ERRORS)
     true = [robot.pose()]
     drive = robot.drive
 

@@ -15,18 +15,19 @@ from bullet_lab.studies.study import UnfinishedError
 from bullet_lab.studies.umbmark.estimate import (
     PARAMETERS,
     Benchmark,
+    SquareRun,
     centre_ellipse,
     closed_forms,
     fit,
+    perfect_square,
+    return_errors,
 )
 from bullet_lab.studies.umbmark.robots import (
     BenchmarkSettings,
     IdealRobot,
-    Wheels,
     drive_square,
     multipliers,
 )
-from bullet_lab.studies.umbmark.runs import SquareRun, perfect_square, return_errors
 from bullet_lab.studies.umbmark.study import (
     calibrate_robot,
     campaign_summary,
@@ -36,7 +37,7 @@ from bullet_lab.studies.umbmark.study import (
     run_umbmark,
 )
 
-BELIEVED = Wheels(0.28, 0.28, 0.38)
+BASE = 0.38
 NONE = SystematicErrors()
 QUIET = BenchmarkSettings(runs=2, std=0.0)
 
@@ -45,15 +46,15 @@ def errors(diameter=0.0, base=0.0):
     return SystematicErrors(diameter_error=diameter, base_error=base)
 
 
-def ideal_runs(wrong, side=4.0, correction=NONE, believed=BELIEVED):
+def ideal_runs(wrong, side=4.0, correction=NONE):
     runs = []
     for turn in (0.5, -0.5):
-        robot = IdealRobot(believed.times(wrong), believed.times(correction))
+        robot = IdealRobot(BASE, wrong, correction)
         runs.append(drive_square(robot, Square(side=side, speed=1.0, turn_speed=turn), "run"))
     return runs
 
 
-def measured(ends, side=1.0, base=BELIEVED.base):
+def measured(ends, side=1.0, base=BASE):
     """Runs at squares that were perfect by the odometry, by (direction, true end)."""
     start = (0.0, 0.0, 0.0)
     return [
@@ -64,7 +65,7 @@ def measured(ends, side=1.0, base=BELIEVED.base):
 # A wrong base makes each turn too small by alpha; unequal wheels bend each side left by beta.
 SMALL = 1e-5
 ALPHA = 0.5 * math.pi * (1.0 - 1.0 / (1.0 + SMALL))
-BETA = 4.0 * SMALL / BELIEVED.base
+BETA = 4.0 * SMALL / BASE
 
 
 @pytest.mark.parametrize(
@@ -170,7 +171,7 @@ def test_squares_have_to_go_both_ways():
 
 
 def test_a_robot_that_stands_does_not_come_round():
-    robot = IdealRobot(BELIEVED, BELIEVED)
+    robot = IdealRobot(BASE, NONE, NONE)
     robot.drive = lambda *_: robot.odometry.append(robot.odometry[-1])
     with pytest.raises(UnfinishedError, match="does not complete its square"):
         drive_square(robot, Square(side=0.2, speed=1.0, turn_speed=1.0), "run")
@@ -180,8 +181,8 @@ def test_noise_follows_from_the_seed():
     settings = BenchmarkSettings(side=0.5, speed=1.0, turn_speed=1.0)
 
     def end(number, laps):
-        robot = IdealRobot(BELIEVED, BELIEVED)
-        noise = settings.noise(number, laps, BELIEVED.base)
+        robot = IdealRobot(BASE, NONE, NONE)
+        noise = settings.noise(number, laps, BASE)
         return drive_square(robot, settings.square("cw"), "run", noise).end
 
     assert end(0, 0) == end(0, 0)

@@ -9,7 +9,7 @@ import importlib
 import logging
 import math
 import pkgutil
-from typing import Any, Mapping, Optional, Tuple
+from typing import Any, Mapping
 
 from bullet_lab.simulation.plugins import PluginError
 
@@ -30,16 +30,13 @@ class ControlParameters:
     """
 
     def __init__(self, tree: Any, where: str):
-        self._tree = tree if isinstance(tree, Mapping) else {}
-        self.where = where
+        self._tree, self.where = tree, where
 
     def value(self, path: str) -> Any:
         """Return the value at a path, or None."""
         found: Any = self._tree
         for key in path.strip("/").split("/"):
-            if not isinstance(found, Mapping) or key not in found:
-                return None
-            found = found[key]
+            found = found.get(key) if isinstance(found, Mapping) else None
         return found
 
     def below(self, path: str) -> ControlParameters:
@@ -55,7 +52,7 @@ class ControlParameters:
         is_valid = _is_number(found) if kind is float else isinstance(found, kind)
         return kind(found) if is_valid else self._ignored(path, EXPECTED[kind], default)
 
-    def names(self, path: str) -> Optional[Tuple[str, ...]]:
+    def names(self, path: str) -> tuple[str, ...] | None:
         """Return a list of names, or None; a text is a list of one name."""
         found = self.value(path)
         if isinstance(found, str):
@@ -64,14 +61,14 @@ class ControlParameters:
             return tuple(found)
         return self._ignored(path, "a list of names", None)
 
-    def required_names(self, path: str) -> Tuple[str, ...]:
+    def required_names(self, path: str) -> tuple[str, ...]:
         """Return a list of names; raises ControlError if there are none."""
         found = self.names(path)
         if not found:
             raise ControlError(f"{self.where}/{path} is missing or empty; it must name joints")
         return found
 
-    def numbers(self, path: str, count: int) -> Tuple[float, ...]:
+    def numbers(self, path: str, count: int) -> tuple[float, ...]:
         """Return a list of `count` finite numbers; raises ControlError without one."""
         found = self.value(path)
         if not isinstance(found, list) or len(found) != count or not all(map(_is_number, found)):

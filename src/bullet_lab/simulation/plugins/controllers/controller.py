@@ -8,10 +8,10 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Dict, Iterator, Mapping, Optional, Sequence, Tuple, Type, Union
+from typing import Any, Iterator, Mapping, Sequence
 
 from bullet_lab.core.schedule import Schedule, ScheduleError
-from bullet_lab.simulation.plugins import Input, Output
+from bullet_lab.simulation.plugins import Device
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.joints import (
     EFFORT,
@@ -53,32 +53,23 @@ class Setting:
     description: str
     min: Any = ""
     max: Any = ""
-    choices: Tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()
 
 
-class Controller(ABC):
+class Controller(Device, ABC):
     """Base of all controllers.
 
     While a controller runs, `update` is called at each control period. It reads its joints and
-    writes their commands, which act until the next ones.
-
-    Args:
-        name: of the controller.
-        kind: its type in ros_control.
-        namespace: of the robot, with a slash at its end.
-        parameters: of the controller.
-        handles: all joints of the robot that have a transmission, by name.
+    writes their commands, which act until the next ones. `namespace` is that of the robot, with a
+    slash at its end; `handles` are all joints of the robot that have a transmission, by name.
 
     Attributes:
-        kinds: the types of ros_controllers that the class implements, each with its hardware
-            interface.
+        kinds: the types of ros_controllers that the class implements, with their interfaces.
         joints: those that it commands.
-        inputs: topics with commands for it.
-        outputs: topics with its samples.
         adjustables: the settings that `adjust` changes, with their first values.
     """
 
-    kinds: ClassVar[Mapping[str, str]] = {}
+    kinds = {}
 
     def __init_subclass__(cls, **arguments: Any):
         super().__init_subclass__(**arguments)
@@ -96,10 +87,8 @@ class Controller(ABC):
         self.handles = handles
         self.interface = self.kinds[kind]
         self.state = INITIALIZED
-        self.joints: Tuple[JointHandle, ...] = ()
-        self.inputs: Tuple[Input, ...] = ()
-        self.outputs: Tuple[Output, ...] = ()
-        self.adjustables: Tuple[Setting, ...] = ()
+        self.joints: tuple[JointHandle, ...] = ()
+        self.adjustables: tuple[Setting, ...] = ()
         self.configure(parameters)
 
     @abstractmethod
@@ -107,10 +96,10 @@ class Controller(ABC):
         """Read the parameters; raises ControlError."""
 
     def topic(self, name: str) -> str:
-        """Return a topic's name within the controller's namespace."""
-        return f"{self.namespace}{self.name}/{name}"
+        """Return a topic's full name, which is within the controller's namespace."""
+        return name if name.startswith("/") else f"{self.namespace}{self.name}/{name}"
 
-    def find_joints(self, names: Sequence[str], *interfaces: str) -> Tuple[JointHandle, ...]:
+    def find_joints(self, names: Sequence[str], *interfaces: str) -> tuple[JointHandle, ...]:
         """Return joints that take commands of one of the interfaces; raises ControlError.
 
         By default, it is that of the controller.
@@ -149,17 +138,11 @@ class Controller(ABC):
     def stopping(self) -> None:
         """Write the last commands before a stop."""
 
-    def placed(self) -> None:
-        """Handle that the robot was placed somewhere else."""
-
-    def reset(self, step: int) -> None:
-        """Start anew after a reset of the robot; simulated time is now `step`."""
-
     def adjust(self, values: Mapping[str, Any], step: int) -> None:
         """Change the adjustable settings, by name, from the simulated time `step` on."""
 
 
-CONTROLLERS: Dict[str, Type[Controller]] = {}
+CONTROLLERS: dict[str, type[Controller]] = {}
 """The controllers that are simulated, by the types of ros_controllers."""
 
 
@@ -171,7 +154,7 @@ def schedule_of(rate: float, where: str, name: str = "publish_rate") -> Schedule
         raise ControlError(f"{where}/{name}: {error}") from error
 
 
-def is_due(schedule: Optional[Schedule], step: int) -> bool:
+def is_due(schedule: Schedule | None, step: int) -> bool:
     """Return whether an occurrence is due, and go on to the next one after `step`."""
     if schedule is None or step < schedule.next_step:
         return False
@@ -181,14 +164,33 @@ def is_due(schedule: Optional[Schedule], step: int) -> bool:
 
 
 class JointTargets(Controller):
-    """Takes a number for a joint, or one for each joint of a group, on the topic `command`.
+    """Brings joints to targets from the topic `command`: a number, or one for each of a group.
 
-    Parameters: joint, or joints for the kinds named JointGroup….
+    Parameters: joint, or joints for the kinds named JointGroup…. A target of the kind that a joint
+    takes is passed on to it; as in ros_controllers, the joint keeps its last one when the
+    controller stops. For the others there are PIDs, with the gains in pid, or <joint>/pid in a
+    group; with them, the state of a single joint is sent at each tenth update.
     """
 
+    passed_on = {
+        "position_controllers/JointPositionController": POSITION,
+        "position_controllers/JointGroupPositionController": POSITION,
+        "velocity_controllers/JointVelocityController": VELOCITY,
+        "velocity_controllers/JointGroupVelocityController": VELOCITY,
+        "effort_controllers/JointEffortController": EFFORT,
+        "effort_controllers/JointGroupEffortController": EFFORT,
+    }
+    kinds = {
+        **passed_on,
+        "effort_controllers/JointPositionController": EFFORT,
+        "effort_controllers/JointGroupPositionController": EFFORT,
+        "velocity_controllers/JointPositionController": VELOCITY,
+        "effort_controllers/JointVelocityController": EFFORT,
+    }
+
     def configure(self, given: ControlParameters) -> None:
-        self.grouped = "/JointGroup" in self.kind
-        if self.grouped:
+        grouped = "/JointGroup" in self.kind
+        if grouped:
             kind, names = JointCommands, given.required_names("joints")
         else:
             kind, names = JointCommand, (given.get("joint", ""),)
@@ -196,19 +198,24 @@ class JointTargets(Controller):
                 raise ControlError(f"{given.where}/joint is missing or empty; it must name a joint")
         self.by_position = self.kind.endswith("PositionController")
         self.joints = self.find_joints(names)
-        self.inputs = (Input(self.topic("command"), kind, self.command),)
-        self.targets: Tuple[float, ...] = (0.0,) * len(names)
+        self.input("command", kind, self.command)
+        self.targets = (0.0,) * len(names)
+        by_pid = () if self.kind in self.passed_on else names
+        paths = [f"{name}/pid" if grouped else "pid" for name in by_pid]
+        self._pids = [Pid(given.below(path)) for path in paths]
+        self._updates = 0
+        self.states = self.output("state", LoopSample, bool(by_pid) and not grouped)
 
     def starting(self, step: int) -> None:
         """Have the present positions as targets, or no velocity or effort."""
         self.targets = tuple(one.position if self.by_position else 0.0 for one in self.joints)
+        for pid in self._pids:
+            pid.reset()
 
-    def command(self, command: Union[JointCommand, JointCommands]) -> None:
+    def command(self, command: JointCommand | JointCommands) -> None:
         """Take over new targets of the joints.
 
-        Raises:
-            ControlError: the number of values is not that of the joints, or a value is not finite
-                or exceeds `LARGEST_COMMAND`.
+        Raises ControlError if their number is wrong, or one is not finite or too large.
         """
         values = (command.value,) if isinstance(command, JointCommand) else command.values
         if len(values) != len(self.joints):
@@ -218,55 +225,10 @@ class JointTargets(Controller):
             raise ControlError(f"a command to '{self.name}' is not finite, or too large")
         self.targets = tuple(values)
 
-
-class ForwardCommand(JointTargets):
-    """Passes commands on to the joints.
-
-    As in ros_controllers, a joint keeps its last command when the controller stops.
-    """
-
-    kinds = {
-        "position_controllers/JointPositionController": POSITION,
-        "position_controllers/JointGroupPositionController": POSITION,
-        "velocity_controllers/JointVelocityController": VELOCITY,
-        "velocity_controllers/JointGroupVelocityController": VELOCITY,
-        "effort_controllers/JointEffortController": EFFORT,
-        "effort_controllers/JointGroupEffortController": EFFORT,
-    }
-
     def update(self, step: int, seconds: float) -> None:
-        for joint, target in zip(self.joints, self.targets):
-            joint.command = target
-
-
-class JointPid(JointTargets):
-    """Brings joints to a position or velocity by an effort, or to a position by a velocity.
-
-    Parameters besides those of the joints: the gains in pid, or <joint>/pid in a group. The state
-    of a single joint is sent at each tenth update.
-    """
-
-    kinds = {
-        "effort_controllers/JointPositionController": EFFORT,
-        "effort_controllers/JointGroupPositionController": EFFORT,
-        "velocity_controllers/JointPositionController": VELOCITY,
-        "effort_controllers/JointVelocityController": EFFORT,
-    }
-
-    def configure(self, given: ControlParameters) -> None:
-        super().configure(given)
-        paths = [f"{joint.name}/pid" if self.grouped else "pid" for joint in self.joints]
-        self._pids = [Pid(given.below(path)) for path in paths]
-        self._updates = 0
-        self.states = Output(self.topic("state"), LoopSample)
-        self.outputs = () if self.grouped else (self.states,)
-
-    def starting(self, step: int) -> None:
-        super().starting(step)
-        for pid in self._pids:
-            pid.reset()
-
-    def update(self, step: int, seconds: float) -> None:
+        if not self._pids:
+            for joint, target in zip(self.joints, self.targets):
+                joint.command = target
         for joint, pid, target in zip(self.joints, self._pids, self.targets):
             if self.by_position:
                 value, slope = joint.position, joint.velocity
@@ -276,7 +238,7 @@ class JointPid(JointTargets):
                 value, slope = joint.velocity, 0.0
                 error = target - value
             joint.command = pid.command(error, seconds)
-            if self._updates % STATE_EVERY == 0 and self.outputs and self.states.wanted:
+            if self._updates % STATE_EVERY == 0 and self.states.wanted:
                 loop = (target, value, slope, error, seconds, joint.command)
                 gains = (pid.p, pid.i, pid.d, pid.i_max)
                 self.states.send(LoopSample(step, *loop, gains, pid.antiwindup))
@@ -304,8 +266,7 @@ class JointStateController(Controller):
         self._read = [self.handles[name] for name in names]
         self._extra = tuple(_extra_joints(given, names))
         self._names = (*names, *(name for name, *_ in self._extra))
-        self.states = Output(f"{self.namespace}joint_states", JointSample)
-        self.outputs = (self.states,)
+        self.states = self.output(f"{self.namespace}joint_states", JointSample)
         self._begun = False
 
     def starting(self, step: int) -> None:
@@ -330,7 +291,7 @@ class JointStateController(Controller):
 
 def _extra_joints(
     parameters: ControlParameters, taken: Sequence[str]
-) -> Iterator[Tuple[str, float, float, float]]:
+) -> Iterator[tuple[str, float, float, float]]:
     """Yield name, position, velocity and effort of each extra joint; ignore invalid entries."""
     extra = parameters.value("extra_joints")
     if extra is not None and not isinstance(extra, list):

@@ -6,8 +6,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import ClassVar, Dict, Mapping, Optional, Tuple, Type
+from typing import Mapping
 from xml.etree.ElementTree import Element
 
 from bullet_lab.core.pose import Vector
@@ -29,6 +28,13 @@ VELOCITY = "VelocityJointInterface"
 EFFORT = "EffortJointInterface"
 INTERFACES = (POSITION, VELOCITY, EFFORT)
 SOFT_LIMITS = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
+# The fields of `JointLimits` that parameters change, by their kinds.
+LIMIT_PARAMETERS = {
+    "velocity": {"velocity": "max_velocity"},
+    "acceleration": {"acceleration": "max_acceleration"},
+    "effort": {"effort": "max_effort"},
+    "position": {"lower": "min_position", "upper": "max_position"},
+}
 # Tags of shapes that have a radius.
 ROUND = ("cylinder", "sphere")
 # Effort (N m or N) of a motor without limit.
@@ -38,64 +44,49 @@ AT_ONCE = 1.0
 
 
 @dataclass(frozen=True)
-class SoftLimits:
-    """URDF's `<safety_controller>`, which slows a joint down; gains in 1/s and N m s."""
-
-    lower: float
-    upper: float
-    k_position: float
-    k_velocity: float
-
-
-@dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint's commands, in rad or m, per s and s², and N m or N; inf for none."""
+    """Limits of a joint's commands, in rad or m, per s and s², and N m or N; inf for none.
+
+    The last four are those of URDF's `<safety_controller>`, which slows a joint down; gains in 1/s
+    and N m s, None without one.
+    """
 
     lower: float = -math.inf
     upper: float = math.inf
     velocity: float = math.inf
     acceleration: float = math.inf
     effort: float = math.inf
-    soft: Optional[SoftLimits] = None
+    soft_lower_limit: float = 0.0
+    soft_upper_limit: float = 0.0
+    k_position: float | None = None
+    k_velocity: float | None = None
 
     def changed_by(self, given: ControlParameters) -> JointLimits:
         """Return the limits with those of joint_limits/<joint>: has_…_limits, max_… and min_…."""
-        changed: Dict[str, float] = {}
-        for kind in ("velocity", "acceleration", "effort"):
-            most = given.get(f"max_{kind}")
+        changed = {}
+        for kind, names in LIMIT_PARAMETERS.items():
+            limits = {field: given.get(name) for field, name in names.items()}
             switch = given.value(f"has_{kind}_limits")
             if switch is False:
-                changed[kind] = math.inf
-            elif switch is True and most is not None:
-                changed[kind] = most
-        switch = given.value("has_position_limits")
-        lower, upper = given.get("min_position"), given.get("max_position")
-        if switch is False:
-            changed.update(lower=-math.inf, upper=math.inf)
-        elif switch is True and None not in (lower, upper):
-            changed.update(lower=lower, upper=upper)
+                changed.update({field: getattr(JointLimits, field) for field in limits})
+            elif switch is True and None not in limits.values():
+                changed.update(limits)
         return replace(self, **changed)
 
 
 @dataclass(frozen=True)
 class DescribedJoint:
-    """A joint of the URDF.
+    """A joint of the URDF; `kind` is URDF's type, `interface` that of its transmission.
 
-    Attributes:
-        name: of the joint.
-        kind: URDF's type.
-        origin: its place in its parent link, in m.
-        limits: of its `<limit>` and `<safety_controller>`.
-        radius: of the wheel below it in m: of the first collision of its child link; None if that
-            is neither a cylinder nor a sphere.
-        interface: of its transmission.
+    `origin` is its place in its parent link in m. `radius` is that of the wheel below it in m: of
+    the first collision of its child link; None if that is neither a cylinder nor a sphere.
     """
 
     name: str
     kind: str
     origin: Vector = (0.0, 0.0, 0.0)
     limits: JointLimits = JointLimits()
-    radius: Optional[float] = None
+    radius: float | None = None
     interface: str = ""
 
     def error(self, position: float, target: float) -> float:
@@ -103,8 +94,6 @@ class DescribedJoint:
         if self.kind not in ("revolute", "continuous"):
             return target - position
         near = math.remainder(target - position, math.tau)
-        if self.kind == "continuous":
-            return near
         for distance in (near, near - math.copysign(math.tau, near)):
             if self.limits.lower <= position + distance <= self.limits.upper:
                 return distance
@@ -112,14 +101,12 @@ class DescribedJoint:
 
     def within_limits(self, target: float) -> float:
         """Return the nearest position within the described limits."""
-        if self.kind not in ("revolute", "prismatic"):
-            return target
-        return min(max(target, self.limits.lower), self.limits.upper)
+        return _between(target, self.limits.lower, self.limits.upper)
 
 
 def described_joints(
-    urdf: str, source: str, interfaces: Mapping[str, str] = MappingProxyType({})
-) -> Dict[str, DescribedJoint]:
+    urdf: str, source: str, interfaces: Mapping[str, str] | None = None
+) -> dict[str, DescribedJoint]:
     """Return the joints that have a transmission in the text of a URDF, by name; raises XmlError.
 
     As in Gazebo, an invalid transmission is ignored with a warning. With `interfaces` by
@@ -129,7 +116,7 @@ def described_joints(
     links, joints = (map(robot.below, robot.element.findall(tag)) for tag in ("link", "joint"))
     radii = {link.name: _radius(link) for link in links}
     known = {joint.name: _joint(joint, radii) for joint in joints}
-    found = dict(interfaces)
+    found = dict(interfaces or {})
     for element in () if interfaces else robot.element.findall("transmission"):
         where = f"{source}: transmission '{element.get('name', '')}'"
         try:
@@ -147,43 +134,43 @@ def described_joints(
     }
 
 
-def _joint(tag: UrdfTag, radii: Mapping[str, Optional[float]]) -> DescribedJoint:
-    kind, limits = tag.text("type"), JointLimits()
+def _joint(tag: UrdfTag, radii: Mapping[str, float | None]) -> DescribedJoint:
+    kind, limits = tag.text("type"), {}
     if tag.element.find("limit") is not None:
-        soft = None
         if tag.element.find("safety_controller") is not None:
-            soft = SoftLimits(*(tag.number(f"safety_controller/{key}") for key in SOFT_LIMITS))
-        limits = JointLimits(**{key: tag.bound(f"limit/{key}") for key in LIMITS}, soft=soft)
+            limits = {key: tag.number(f"safety_controller/{key}") for key in SOFT_LIMITS}
+        limits.update({key: tag.bound(f"limit/{key}") for key in LIMITS})
         if kind == "continuous":
-            limits = replace(limits, lower=-math.inf, upper=math.inf)
+            limits.update(lower=-math.inf, upper=math.inf)
     radius = radii.get(tag.text("child/link"))
-    return DescribedJoint(tag.name, kind, tag.pose().position, limits, radius)
+    return DescribedJoint(tag.name, kind, tag.pose().position, JointLimits(**limits), radius)
 
 
-def _radius(link: UrdfTag) -> Optional[float]:
+def _radius(link: UrdfTag) -> float | None:
     """Return the radius (m) of the first collision, if it is a cylinder or a sphere."""
     shape = link.element.find("collision[1]/geometry/*")
     is_round = shape is not None and shape.tag in ROUND
     return link.other(shape).sizes("radius", 1)[0] if is_round else None
 
 
-def _transmission(element: Element) -> Tuple[str, str]:
+def _transmission(element: Element) -> tuple[str, str]:
     """Return the name of the joint and its interface; raises XmlError with what is wrong."""
-    if not element.get("name"):
-        raise XmlError("has no name")
-    if not (element.findtext("type") or "").strip():
-        raise XmlError("has no <type>")
-    if element.find("actuator") is None:
-        raise XmlError("has no <actuator>")
+    for is_missing, what in (
+        (not element.get("name"), "name"),
+        (not (element.findtext("type") or "").strip(), "<type>"),
+        (element.find("actuator") is None, "<actuator>"),
+    ):
+        if is_missing:
+            raise XmlError(f"has no {what}")
     joints = element.findall("joint")
     if len(joints) != 1 or not joints[0].get("name"):
         raise XmlError(f"has {len(joints) or 'no'} joints; it needs one, with a name")
     joint = joints[0].get("name", "")
-    texts = [(child.text or "").strip() for child in joints[0].findall("hardwareInterface")]
-    if not any(texts):
-        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
+    texts = ((child.text or "").strip() for child in joints[0].findall("hardwareInterface"))
     # As in Gazebo, the first counts; robots older than ROS Indigo have no prefix.
-    interface = next(filter(None, texts))
+    interface = next(filter(None, texts), "")
+    if not interface:
+        raise XmlError(f"has no <hardwareInterface> in its joint '{joint}'")
     name = interface[len(PREFIX) :] if interface.startswith(PREFIX) else interface
     if name not in INTERFACES:
         known = ", ".join(PREFIX + one for one in INTERFACES)
@@ -194,14 +181,9 @@ def _transmission(element: Element) -> Tuple[str, str]:
 class Pid:
     """A PID loop with the gains, clamps and anti-windup of control_toolbox.
 
-    With `antiwindup` the integral itself is kept so small that its contribution is within the
-    clamps, else only its contribution.
-
-    Args:
-        parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup.
-
-    Raises:
-        ControlError: there is no p.
+    Parameters: p, i, d, i_clamp (or i_clamp_min, i_clamp_max) and antiwindup. With `antiwindup` the
+    integral itself is kept so small that its contribution is within the clamps, else only its
+    contribution. Raises ControlError without p.
     """
 
     def __init__(self, parameters: ControlParameters):
@@ -221,7 +203,7 @@ class Pid:
         # As in control_toolbox, the loop starts at error 0, so its first step has a derivative.
         self._last = 0.0
 
-    def command(self, error: float, seconds: float, slope: Optional[float] = None) -> float:
+    def command(self, error: float, seconds: float, slope: float | None = None) -> float:
         """Return the command for an error, `seconds` after the last one; 0 if it is not finite.
 
         `slope` is the error's, if it is known.
@@ -249,12 +231,10 @@ class JointHandle(ABC):
     velocity, by the gains of gazebo_ros_control.
     """
 
-    interface: ClassVar[str]
-
     body: Body
     described: DescribedJoint
     limits: JointLimits
-    pid: Optional[Pid] = None
+    pid: Pid | None = None
 
     def __post_init__(self) -> None:
         self.name = self.described.name
@@ -283,16 +263,13 @@ class JointHandle(ABC):
         if self._applied:
             self.body.exert(self.name, self._applied)
 
-    def _speed_limits(self, position: float) -> Tuple[float, float]:
+    def _speed_limits(self, position: float) -> tuple[float, float]:
         """Return the least and the greatest velocity that the limits allow at a position."""
-        most, soft = self.limits.velocity, self.limits.soft
-        if soft is None or not math.isfinite(self.limits.upper):
+        limits, most = self.limits, self.limits.velocity
+        if limits.k_position is None or not math.isfinite(limits.upper):
             return -most, most
-        return _slowed(soft, position, soft.lower, most), _slowed(soft, position, soft.upper, most)
-
-
-def _slowed(soft: SoftLimits, position: float, end: float, most: float) -> float:
-    return _between(-soft.k_position * (position - end), -most, most)
+        ends = (limits.soft_lower_limit, limits.soft_upper_limit)
+        return tuple(_between(-limits.k_position * (position - end), -most, most) for end in ends)
 
 
 def _between(value: float, least: float, most: float) -> float:
@@ -308,14 +285,13 @@ class EffortJoint(JointHandle):
         self.command = _between(self.command, *self._effort_limits())
         self._apply(0.0 if stopped else self.command)
 
-    def _effort_limits(self) -> Tuple[float, float]:
-        limits, soft = self.limits, self.limits.soft
+    def _effort_limits(self) -> tuple[float, float]:
+        limits = self.limits
         least, most = -limits.effort, limits.effort
-        if soft is not None:
-            slowest, fastest = self._speed_limits(self.position)
-            return (
-                _between(-soft.k_velocity * (self.velocity - slowest), least, most),
-                _between(-soft.k_velocity * (self.velocity - fastest), least, most),
+        if limits.k_velocity is not None:
+            return tuple(
+                _between(-limits.k_velocity * (self.velocity - speed), least, most)
+                for speed in self._speed_limits(self.position)
             )
         if self.position < limits.lower or self.velocity < -limits.velocity:
             least = 0.0
@@ -338,7 +314,7 @@ class PositionJoint(JointHandle):
         # The position during an emergency stop.
         self._held = self.position
         # The last limited command; None after the robot was placed.
-        self._before: Optional[float] = None
+        self._before: float | None = None
 
     def placed(self) -> None:
         self._before = None
@@ -368,34 +344,28 @@ class VelocityJoint(JointHandle):
         super().__post_init__()
         # The last limited command.
         self._before = 0.0
-        # The velocity that the motor was given last; None after the robot was placed.
-        self._driven: Optional[float] = None
-        self._wheel: Optional[Wheel] = None
-        if self.pid is None:
-            self._wheel = Wheel(self.body, self.name, min(self.limits.effort, STRONGEST))
+        most = min(self.limits.effort, STRONGEST)
+        self._wheel = Wheel(self.body, self.name, most) if self.pid is None else None
 
     def placed(self) -> None:
-        self._driven = None
         if self._wheel is not None:
             self._wheel.stop()
 
     def write(self, stopped: bool) -> None:
         slowest, fastest = self._speed_limits(self.position)
         if math.isfinite(self.limits.acceleration):
-            before = self._before if self.limits.soft is None else self.velocity
+            before = self._before if self.limits.k_velocity is None else self.velocity
             change = self.limits.acceleration * STEP_SECONDS
             slowest, fastest = max(slowest, before - change), min(fastest, before + change)
         self.command = self._before = _between(self.command, slowest, fastest)
         speed = 0.0 if stopped else self.command
         if self._wheel is None:
             self._apply(self.pid.command(speed - self.velocity, STEP_SECONDS))
-        elif speed == 0.0 or speed != self._driven:
-            # A motor keeps its speed, but at 0 the wheel must check whether to hold the joint.
-            self._driven = speed
-            self._wheel.follow(speed)
+        else:
+            self._wheel.keep(speed)
 
 
-KINDS: Mapping[str, Type[JointHandle]] = {
+KINDS: Mapping[str, type[JointHandle]] = {
     kind.interface: kind for kind in (PositionJoint, VelocityJoint, EffortJoint)
 }
 
@@ -404,18 +374,13 @@ def joint_handles(
     bodies: Mapping[str, Body],
     described: Mapping[str, DescribedJoint],
     parameters: ControlParameters,
-) -> Dict[str, JointHandle]:
+) -> dict[str, JointHandle]:
     """Return the joints of a robot that have a transmission, by name.
 
     A transmission of a joint that the model does not have, or that cannot move, is ignored with
-    a warning.
-
-    Args:
-        bodies: of the robot.
-        described: the joints with a transmission, by name.
-        parameters: with joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
+    a warning. Parameters: joint_limits/<joint> and gazebo_ros_control/pid_gains/<joint>.
     """
-    handles: Dict[str, JointHandle] = {}
+    handles: dict[str, JointHandle] = {}
     owners = {name: body for body in bodies.values() for name in body.joint_names}
     for name, joint in described.items():
         if name not in owners:
@@ -425,6 +390,6 @@ def joint_handles(
         limits = joint.limits.changed_by(parameters.below(f"joint_limits/{name}"))
         gains = parameters.below(f"gazebo_ros_control/pid_gains/{name}")
         has_pid = joint.interface != EFFORT and gains.get("p") is not None
-        pid = Pid(gains) if has_pid else None
-        handles[name] = KINDS[joint.interface](owners[name], joint, limits, pid)
+        parts = (owners[name], joint, limits, Pid(gains) if has_pid else None)
+        handles[name] = KINDS[joint.interface](*parts)
     return handles

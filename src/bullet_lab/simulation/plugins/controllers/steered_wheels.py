@@ -9,9 +9,8 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import replace
-from typing import Sequence, Tuple
+from typing import Sequence
 
-from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.diff_drive import DiffDriveController, wheel_radius
 from bullet_lab.simulation.plugins.controllers.joints import (
@@ -31,16 +30,10 @@ NEVER = 1e9
 
 
 class SteeredWheel:
-    """A driven wheel on a steered fork.
+    """A driven wheel with a radius (m) on a steered fork, whose `place` in the robot is in m.
 
-    Args:
-        fork: the joint that steers it, counter-clockwise.
-        axle: the joint that drives it.
-        radius: of the wheel in m.
-        gains: of PIDs, for a fork that takes no angles and an axle that takes no speeds.
-
-    Attributes:
-        place: of the fork in the robot, in m.
+    The joint `fork` steers it counter-clockwise, and `axle` drives it. A fork that takes no angles
+    and an axle that takes no speeds need `gains` of PIDs.
     """
 
     def __init__(
@@ -54,7 +47,7 @@ class SteeredWheel:
         self._steering = None if fork.interface == POSITION else Pid(gains.below(fork.name))
         self._driving = None if axle.interface == VELOCITY else Pid(gains.below(axle.name))
 
-    def roll(self) -> Tuple[complex, complex]:
+    def roll(self) -> tuple[complex, complex]:
         """Return where the wheel is in the robot, and how far it has rolled since the last time."""
         ahead = cmath.rect(1.0, self.fork.position)
         way = self._radius * (self.axle.position - self._rolled)
@@ -98,17 +91,16 @@ class SteeredWheels(DiffDriveController):
     directions = ("vx", "vy", "wz")
     separation = 1.0
 
-    def configure(self, given: ControlParameters) -> None:
-        super().configure(given)
-        self.adjustables = ()
-
     def set_wheels(
-        self, given: ControlParameters, names: Sequence[Tuple[str, str]], radii: Sequence[float]
+        self,
+        given: ControlParameters,
+        forks: Sequence[str],
+        axles: Sequence[str],
+        radii: Sequence[float],
     ) -> None:
         """Set the wheels by the names of forks and axles, and their radii; raises ControlError."""
         if not all(0.0 < radius < math.inf for radius in radii):
             raise ControlError("the sizes of the wheels have to be positive")
-        forks, axles = zip(*names)
         pairs = (self.find_joints(forks, *INTERFACES), self.find_joints(axles, VELOCITY, EFFORT))
         self.joints = sum(pairs, ())
         gains = given.below("pid_gains")
@@ -116,13 +108,13 @@ class SteeredWheels(DiffDriveController):
         if len({wheel.place for wheel in self._wheels}) < 2:
             raise ControlError("the wheels are all in one place")
 
-    def distances(self) -> Tuple[float, float]:
+    def distances(self) -> tuple[float, float]:
         """Let the odometry go on from where the wheels are now."""
         for wheel in self._wheels:
             wheel.roll()
         return 0.0, 0.0
 
-    def moved(self, seconds: float) -> Tuple[float, float, float]:
+    def moved(self, seconds: float) -> tuple[float, float, float]:
         places, ways = zip(*(wheel.roll() for wheel in self._wheels))
         middle, mean = sum(places) / len(places), sum(ways) / len(ways)
         arms = [place - middle for place in places]
@@ -161,19 +153,18 @@ class SteeredWheelBase(SteeredWheels):
         }
         super().configure(ControlParameters(usual, given.where))
         self._limiters = Limiter(given, "linear"), Limiter(given, "yaw")
-        self.inputs += (Input("/cmd_vel", PlanarCommand, self.command),)
-        shared = Output("/odom", OdometrySample)
+        self.input("/cmd_vel", PlanarCommand, self.command)
+        shared = self.output("/odom", OdometrySample)
         self.odometry.connect(shared.send, lambda: shared.wanted)
-        self.outputs += (shared,)
 
     def find_wheels(self, given: ControlParameters) -> None:
         listed = given.value("wheels")
         if not isinstance(listed, list) or len(listed) < 2:
             raise ControlError(f"{given.where}/wheels has to be a list of two wheels or more")
         wheels = [ControlParameters(one, f"{given.where}/wheels") for one in listed]
-        names = [[one.get(f"{key}_joint", "") for key in ("steering", "axle")] for one in wheels]
+        joints = ([one.get(f"{key}_joint", "") for one in wheels] for key in ("steering", "axle"))
         scale = 0.5 * given.get("wheel_diameter_scale")
-        self.set_wheels(given, names, [scale * one.get("diameter", 0.0) for one in wheels])
+        self.set_wheels(given, *joints, [scale * one.get("diameter", 0.0) for one in wheels])
 
     def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
         linear, angular = self._limiters
@@ -225,7 +216,7 @@ class FourWheelSteering(SteeredWheels):
             raise ControlError("it needs two joints in each of front_wheel … rear_steering")
         (first,) = self.find_joints(axles[:1])
         radius = wheel_radius(given, first.described)
-        self.set_wheels(given, list(zip(forks, axles)), [radius] * 4)
+        self.set_wheels(given, forks, axles, [radius] * 4)
 
     def limited(self, asked: PlanarCommand, seconds: float) -> PlanarCommand:
         return replace(super().limited(asked, seconds), vy=asked.vy)

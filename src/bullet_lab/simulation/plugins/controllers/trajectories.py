@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import math
 from itertools import chain
-from typing import Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, NamedTuple, Sequence
 
 from bullet_lab.core.schedule import STEPS_PER_SECOND
-from bullet_lab.simulation.plugins import Input, Output
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters, actions
 from bullet_lab.simulation.plugins.controllers.controller import is_due
 from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, VELOCITY, Pid
@@ -25,11 +24,6 @@ LOG = logging.getLogger(__name__)
 # Error codes of control_msgs/FollowJointTrajectoryResult.
 INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = -1, -2, -3, -4, -5
 
-# Position, velocity and acceleration of a joint; the last two are None if they are not given.
-State = Tuple[float, Optional[float], Optional[float]]
-# The greatest errors of position and velocity; 0 for any.
-Bounds = Tuple[float, ...]
-
 
 class TrajectoryError(ControlError):
     """A trajectory is refused, with an error code."""
@@ -39,18 +33,11 @@ class TrajectoryError(ControlError):
         self.code = code
 
 
-class Tolerance(NamedTuple):
-    """The greatest errors of a joint on the path and at its end, which may be late by `seconds`."""
-
-    path: Bounds = ()
-    goal: Bounds = ()
-    seconds: float = 0.0
-
-
-def spline(one: State, two: State, t: float) -> Tuple[float, ...]:
+def spline(one: Sequence[float | None], two: Sequence[float | None], t: float) -> tuple[float, ...]:
     """Return the coefficients of a polynomial from a state to one that is `t` seconds later.
 
-    It is linear without velocities, cubic without accelerations, and quintic otherwise.
+    A state is a position, a velocity and an acceleration; the last two may be None. The polynomial
+    is linear without velocities, cubic without accelerations, and quintic otherwise.
 
     >>> spline((0.0, None, None), (1.0, None, None), 2.0)
     (0.0, 0.5)
@@ -76,10 +63,10 @@ class Segment(NamedTuple):
 
     start: float
     end: float
-    coefficients: Tuple[float, ...]
+    coefficients: tuple[float, ...]
     origin: float
 
-    def at(self, time: float) -> Tuple[float, float, float]:
+    def at(self, time: float) -> tuple[float, float, float]:
         """Return the state at a time; before and after the segment, the joint stands still."""
         t = min(max(time - self.start, 0.0), self.end - self.start)
         p = v = a = 0.0
@@ -88,11 +75,7 @@ class Segment(NamedTuple):
         return (p, v, a) if t == time - self.start else (p, 0.0, 0.0)
 
 
-# What a joint follows, in the order of time; there is always a segment.
-Path = List[Segment]
-
-
-def segment_at(path: Path, time: float) -> Segment:
+def segment_at(path: Sequence[Segment], time: float) -> Segment:
     """Return the segment of a time, or the first one if it begins later."""
     return next((one for one in reversed(path) if one.start <= time), path[0])
 
@@ -111,28 +94,23 @@ class JointTrajectory(actions.ActionController):
         super().configure(given)
         self._names = given.required_names("joints")
         self.joints = self.find_joints(self._names)
-        self._wraps = [joint.described.kind == "continuous" for joint in self.joints]
         self._partial = given.get("allow_partial_joints_goal", False)
         self._stop_seconds = max(0.0, given.get("stop_trajectory_duration", 0.0))
         limits = given.below("constraints")
         slowest = limits.get("stopped_velocity_tolerance", 0.01)
-        late = limits.get("goal_time", 0.0)
+        self._goal_time = limits.get("goal_time", 0.0)
+        # The greatest errors of position and velocity by joint, on the path and at its end; 0: any.
         self._tolerances = {}
         for name in self._names:
-            path, goal = (limits.get(f"{name}/{where}", 0.0) for where in ("trajectory", "goal"))
-            self._tolerances[name] = Tolerance((path, 0.0), (goal, slowest), late)
-        by_pid = self.interface != POSITION
-        self._pids = [Pid(given.below(f"gains/{name}")) for name in self._names if by_pid]
+            self._tolerances[name, "path"] = (limits.get(f"{name}/trajectory", 0.0), 0.0)
+            self._tolerances[name, "goal"] = (limits.get(f"{name}/goal", 0.0), slowest)
+        by_pid = () if self.interface == POSITION else self._names
+        self._pids = [Pid(given.below(f"gains/{name}")) for name in by_pid]
         self._forward = [given.get(f"velocity_ff/{name}", 0.0) for name in self._names]
         self._publishing = self.schedule(given, "state_publish_rate", 50.0)
-        self.states = Output(self.topic("state"), TrajectorySample)
-        self.outputs = (self.states,)
-        self.inputs = (Input(self.topic("command"), Trajectory, self.command),)
+        self.states = self.output("state", TrajectorySample)
+        self.input("command", Trajectory, self.command)
         self.queries = {"query_state": self.query}
-        self._paths: List[Path] = []
-        # Tolerances of the active goal, and when they begin to hold.
-        self._bounds: Mapping[str, Tolerance] = {}
-        self._since = 0.0
 
     def starting(self, step: int) -> None:
         self._desired = [(joint.position, joint.velocity, 0.0) for joint in self.joints]
@@ -148,7 +126,7 @@ class JointTrajectory(actions.ActionController):
         self._check(trajectory)
         self.take(TrajectoryGoal(trajectory, {}, {}, 0.0))
 
-    def query(self, time: float) -> Tuple[Tuple[str, ...], TrajectoryPoint]:
+    def query(self, time: float) -> tuple[tuple[str, ...], TrajectoryPoint]:
         """Return the joints and their states at a simulated time in s; raises ControlError."""
         if not self.running or time < self._paths[0][0].start:
             raise ControlError(f"controller '{self.name}' has no trajectory at {time:.3f} s")
@@ -156,28 +134,29 @@ class JointTrajectory(actions.ActionController):
 
     def begin(self, content: TrajectoryGoal, step: int) -> None:
         self._check(content.trajectory)
-        bounds = {}
-        for name, (path, goal, seconds) in self._tolerances.items():
-            bounds[name] = Tolerance(
-                _chosen(content.path.get(name, ()), path),
-                _chosen(content.goal.get(name, ()), goal),
-                *_chosen((content.seconds,), (seconds,)),
-            )
         if not content.trajectory.points:
             self.hold(step)
             return
         self._follow(content.trajectory, step)
-        self._bounds = bounds
+        self._patience = content.seconds or self._goal_time
+        for (name, where), usual in self._tolerances.items():
+            # 0 stands for the usual bound; a negative one is none.
+            asked = getattr(content, where).get(name, usual)
+            self._bounds[name, where] = tuple(a or kept for a, kept in zip(asked, usual))
 
-    def refusal(self, error: ControlError) -> Tuple[int, str]:
+    def refusal(self, error: ControlError) -> tuple[int, str]:
         return getattr(error, "code", INVALID_GOAL), str(error)
 
     def hold(self, step: int) -> None:
         """Stop within stop_trajectory_duration, or where the joints are."""
         now, span = step / STEPS_PER_SECOND, self._stop_seconds
-        self._paths, self._bounds, self._since = [], {}, now
+        # What each joint follows, in the order of time; there is always a segment.
+        self._paths: list[list[Segment]] = []
+        # Tolerances of the active goal, and when they begin to hold.
+        self._bounds: dict[tuple[str, str], Sequence[float]] = {}
+        self._since = now
         for joint, (position, velocity, _) in zip(self.joints, self._desired):
-            parts: Tuple[float, ...] = (joint.position,)
+            parts: tuple[float, ...] = (joint.position,)
             if span:
                 # Half of a path that comes back with the opposite velocity.
                 start, back = (position, velocity, 0.0), (position, -velocity, 0.0)
@@ -255,10 +234,10 @@ class JointTrajectory(actions.ActionController):
         self._since = max(now, origin)
         for column, name in enumerate(trajectory.joints):
             number, start = self._names.index(name), self._since
-            last: State = segment_at(self._paths[number], start).at(start)
+            last: Sequence[float | None] = segment_at(self._paths[number], start).at(start)
             made = [one for one in self._paths[number] if one.start <= start]
             shift, first = 0.0, points[0].positions[column]
-            if self._wraps[number]:
+            if self.joints[number].described.kind == "continuous":
                 shift = last[0] + math.remainder(first - last[0], math.tau) - first
             for point in points:
                 others = (point.velocities, point.accelerations)
@@ -273,11 +252,10 @@ class JointTrajectory(actions.ActionController):
         """End the goal if a tolerance is violated, or if all joints have arrived."""
         is_done = True
         for name, path, errors in zip(self._names, self._paths, self._errors):
-            tolerance = self._bounds.get(name, Tolerance())
             is_over = len(path) == 1 and now >= path[0].end
             where, code = ("goal", OFF_GOAL) if is_over else ("path", OFF_PATH)
-            problem = _violation(errors, getattr(tolerance, where), where)
-            if problem and not (is_over and now < path[0].end + tolerance.seconds):
+            problem = _violation(errors, self._bounds.get((name, where), ()), where)
+            if problem and not (is_over and now < path[0].end + self._patience):
                 text = f"joint '{name}': {problem}"
                 self.end(actions.ABORTED, (code, text), text)
                 return
@@ -290,12 +268,7 @@ def _point(seconds: float, states: Iterable[Sequence[float]]) -> TrajectoryPoint
     return TrajectoryPoint(seconds, *zip(*states))
 
 
-def _chosen(asked: Bounds, default: Bounds) -> Bounds:
-    """Return bounds: those that are asked for, or the default for 0; a negative one is none."""
-    return tuple(given or kept for given, kept in zip(asked or default, default))
-
-
-def _violation(errors: Sequence[float], bounds: Bounds, where: str) -> str:
+def _violation(errors: Sequence[float], bounds: Sequence[float], where: str) -> str:
     """Return which error exceeds its bound, or an empty text."""
     for kind, error, most in zip(("position", "velocity"), errors, bounds):
         if 0.0 < most < abs(error):

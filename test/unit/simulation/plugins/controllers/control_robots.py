@@ -1,7 +1,13 @@
-"""A robot of our own for tests of ros_control, and its plugin ready for controllers."""
+"""Robots of our own for tests of ros_control, and their plugins ready for controllers."""
+
+import math
+
+import yaml
+from shared import PACKAGE
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlParameters
+from bullet_lab.simulation.plugins.controllers.joints import VELOCITY
 from bullet_lab.simulation.plugins.ros_control import RosControl
 from bullet_lab.simulation.world.urdf import read_urdf
 
@@ -37,6 +43,30 @@ CASTER = """
     <collision name="{name}">
       <origin xyz="{x} 0 0.02"/><geometry><sphere radius="0.02"/></geometry>
     </collision>"""
+RADIUS, LENGTH, WIDTH = 0.06, 0.5, 0.4
+PLACES = {
+    "fl": (0.5 * LENGTH, 0.5 * WIDTH),
+    "fr": (0.5 * LENGTH, -0.5 * WIDTH),
+    "rl": (-0.5 * LENGTH, 0.5 * WIDTH),
+    "rr": (-0.5 * LENGTH, -0.5 * WIDTH),
+}
+LEG = """
+  <link name="{name}_fork">
+    <inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3"/></inertial>
+  </link>
+  <joint name="{name}_steering" type="{kind}">
+    <origin xyz="{x} {y} {radius}"/><parent link="base_link"/><child link="{name}_fork"/>
+    <axis xyz="0 0 1"/><limit lower="{least}" upper="{most}" effort="20" velocity="12"/>
+  </joint>
+  <link name="{name}_wheel">
+    <inertial><mass value="0.5"/><inertia ixx="5e-4" iyy="9e-4" izz="5e-4"/></inertial>
+    <collision><origin rpy="1.5707963267948966 0 0"/>
+      <geometry><cylinder radius="{radius}" length="0.004"/></geometry></collision>
+  </link>
+  <joint name="{name}_axle" type="continuous">
+    <origin xyz="0 {offset} 0"/><parent link="{name}_fork"/><child link="{name}_wheel"/>
+    <axis xyz="0 1 0"/><limit effort="20" velocity="60"/>
+  </joint>"""
 PLUGIN = """
   <gazebo><plugin name="control" filename="libgazebo_ros_control.so">{tags}</plugin></gazebo>"""
 
@@ -77,6 +107,27 @@ def robot_urdf(
 </robot>"""
 
 
+def base_urdf(
+    fork=VELOCITY, axle=VELOCITY, kind="continuous", least=-2, most=2, offset=0.0, rear="", tags=""
+):
+    """A base on four steered wheels, which are `offset` outside of their forks."""
+    legs = ""
+    for name, (x, y) in PLACES.items():
+        out = math.copysign(offset, y)
+        sizes = {"radius": RADIUS, "least": least, "most": most}
+        sizes["kind"] = rear if rear and x < 0.0 else kind
+        legs += LEG.format(name=name, x=x, y=y - out, offset=out, **sizes)
+        for joint, interface in (("steering", fork), ("axle", axle)):
+            legs += TRANSMISSION.format(joint=f"{name}_{joint}", interface=interface)
+    return f"""<robot name="base"><link name="base_link">
+      <inertial><origin xyz="0 0 0.1"/><mass value="10"/>
+        <inertia ixx="0.2" iyy="0.3" izz="0.4"/></inertial>
+      <collision><origin xyz="0 0 0.2"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision>
+    </link>{legs}
+    <gazebo><plugin name="control" filename="libgazebo_ros_control.so">{tags}</plugin></gazebo>
+    </robot>"""
+
+
 def control_of(instance):
     """Return the plugin of a robot."""
     return next(plugin for plugin in instance.plugins if isinstance(plugin, RosControl))
@@ -101,3 +152,21 @@ def run(manager, name, **parameters):
     controller = manager.load(name, ControlParameters(parameters, f"/bot/{name}"))
     manager.switch([name], [])
     return controller
+
+
+CAR = yaml.safe_load((PACKAGE / "test/drives/car.yaml").read_text())["drive"]
+"""Parameters of the car's controller."""
+
+
+def spawn_car(simulation):
+    """Put a car into a simulation; return it, and the manager of its controllers."""
+    urdf = (PACKAGE / "test/drives/car.urdf").read_text()
+    car = simulation.add(read_urdf(urdf, "car"))
+    return car, control_of(car).configure(urdf, {})
+
+
+def spawn_base(simulation, parameters=None, **robot):
+    """Put a base on steered wheels into a simulation; return it, and its controllers' manager."""
+    urdf = base_urdf(**robot)
+    base = simulation.add(read_urdf(urdf, "base"))
+    return base, control_of(base).configure(urdf, parameters or {})

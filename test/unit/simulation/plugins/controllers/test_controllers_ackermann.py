@@ -3,33 +3,23 @@
 import math
 
 import pytest
-import yaml
-from control_robots import listen, run
+from control_robots import CAR, listen, run, spawn_car
 
-from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.world.urdf import read_urdf
 
 LENGTH, RADIUS = 0.6, 0.1
 
 
 @pytest.fixture
-def car(world, package):
+def car(world):
     """The car, and the manager of its controllers."""
-    text = (package / "test/drives/car.urdf").read_text()
-    car = world.add(read_urdf(text, "car"))
-    return car, car.plugins[0].configure(text, {})
+    return spawn_car(world)
 
 
-@pytest.fixture
-def settings(package):
-    return yaml.safe_load((package / "test/drives/car.yaml").read_text())["drive"]
-
-
-def drive(world, car, settings, vx, angle, seconds, **parameters):
+def drive(world, car, vx, angle, seconds, **parameters):
     """Return the robot's motion and the odometry after a drive."""
     robot, manager = car
-    controller = run(manager, "drive", **{**settings, "cmd_vel_timeout": 60.0, **parameters})
+    controller = run(manager, "drive", **{**CAR, "cmd_vel_timeout": 60.0, **parameters})
     samples = listen(controller.odometry)
     world.run_for(0.5)
     start = robot.pose()
@@ -45,8 +35,8 @@ def drive(world, car, settings, vx, angle, seconds, **parameters):
         "steer_drive_controller/SteerDriveController",
     ],
 )
-def test_it_drives_a_metre(world, car, settings, kind):
-    driven, told = drive(world, car, settings, 0.25, 0.0, 4.0, type=kind)
+def test_it_drives_a_metre(world, car, kind):
+    driven, told = drive(world, car, 0.25, 0.0, 4.0, type=kind)
     assert driven.position[:2] == pytest.approx((1.0, 0.0), abs=0.01)
     assert told.pose.position[:2] == pytest.approx(driven.position[:2], abs=2e-3)
     assert told.velocity.vx == pytest.approx(0.25, rel=0.01)
@@ -55,8 +45,8 @@ def test_it_drives_a_metre(world, car, settings, kind):
 
 
 @pytest.mark.parametrize("angle", [-0.5, 0.2, 0.9])
-def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, car, settings, angle):
-    driven, told = drive(world, car, settings, 0.2, angle, 3.0)
+def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, car, angle):
+    driven, told = drive(world, car, 0.2, angle, 3.0)
     x, y, _ = driven.position
     # The chord of an arc whose tangent has turned by the yaw.
     radius = math.hypot(x, y) / (2.0 * math.sin(0.5 * driven.yaw))
@@ -66,25 +56,11 @@ def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, car, sett
     assert told.velocity.wz == pytest.approx(0.2 * math.tan(angle) / LENGTH, rel=0.02)
 
 
-def test_it_stops_after_the_timeout_and_claims_both_joints(world, car, settings):
-    driven, _ = drive(world, car, settings, 0.2, 0.3, 2.0, cmd_vel_timeout=0.5)
+def test_it_stops_after_the_timeout_and_claims_both_joints(world, car):
+    driven, _ = drive(world, car, 0.2, 0.3, 2.0, cmd_vel_timeout=0.5)
     assert math.hypot(*driven.position) == pytest.approx(0.1, abs=0.01)
     (controller,) = car[1].controllers.values()
     assert [(joint.name, joint.interface) for joint in controller.joints] == [
         ("rear_wheel_joint", "VelocityJointInterface"),
         ("steering_joint", "PositionJointInterface"),
     ]
-
-
-@pytest.mark.parametrize(
-    "given, complaint",
-    [
-        ({"front_steer": "rear_wheel_joint"}, "no joint 'rear_wheel_joint' has a PositionJoint"),
-        ({"rear_wheel": "it"}, "no joint 'it' has a VelocityJointInterface"),
-        ({"wheel_separation_h": 0.0}, "have to be positive"),
-        ({"pose_covariance_diagonal": [1]}, "has to be a list of 6 numbers"),
-    ],
-)
-def test_wrong_parameters_are_named(car, settings, given, complaint):
-    with pytest.raises(ControlError, match=complaint):
-        run(car[1], "drive", **{**settings, **given})

@@ -148,26 +148,6 @@ def test_a_robot_that_is_put_elsewhere_has_not_driven_and_a_reset_begins_again(w
     assert robot.pose().position[0] == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("parameters", "complaint"),
-    [
-        ({"left_wheel": []}, "left_wheel is missing or empty"),
-        ({"left_wheel": ["left_wheel_joint", "x"]}, "2 wheels on the left, 1 on the right"),
-        ({"left_wheel": "turntable_joint"}, "no joint 'turntable_joint' has a Velocity"),
-        ({"pose_covariance_diagonal": [1.0]}, "list of 6 numbers"),
-        ({"wheel_separation": 0.0}, "have to be positive"),
-        (
-            {"linear": {"x": {"has_velocity_limits": True, "max_velocity": -1.0}}},
-            "linear/x/max_velocity is -1: it must be at least min_velocity, 1",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused_by_name(manager, parameters, complaint):
-    with pytest.raises(ControlError, match=complaint):
-        run(manager, "drive", **{**WHEELS, **parameters})
-    assert not manager.controllers
-
-
 def test_commands_that_make_no_sense_are_refused(manager):
     controller = run(manager, "drive", **WHEELS)
     with pytest.raises(ControlError, match="not finite"):

@@ -55,7 +55,7 @@ def test_a_gripper_reaches_its_goal_or_stalls_at_a_box(world, kind):
 def test_an_arm_carries_a_box_in_its_gripper(world):
     controller, fingers = gripper(world, "position")
     kind = "position_controllers/JointTrajectoryController"
-    arm = run(control_of(world.models["arm"]).manager, "arm", type=kind, joints=list(NAMES))
+    arm = run(control_of(world.models["arm"]), "arm", type=kind, joints=list(NAMES))
     Sent(controller, GripperSample(0.05, 10.0), world, 0.5)
     world.set_gravity((0.0, 0.0, -9.8))
     arm.command(trajectory((1.0, (0.5, 0.5, 0.5, 0.5, 0.0, 0.0), 0.0), (2.0, 0.0, 0.0)))

@@ -40,12 +40,6 @@ def test_joint_states_of_a_robot_whose_joints_have_no_known_transmission_are_emp
     assert (samples[-1].names, samples[-1].positions) == ((), ())
 
 
-@pytest.mark.parametrize("told", [{}, {"publish_rate": 50, "joints": ["tail"]}])
-def test_joint_states_that_cannot_be(manager, told):
-    with pytest.raises(ControlError, match=r"publish_rate is missing|no joint 'tail'"):
-        run(manager, "states", **STATES, **told)
-
-
 def test_a_position_is_reached_by_an_effort_and_told(world, manager):
     gains = {"p": 2.0, "i": 0.5, "d": 0.05, "i_clamp": 1.0}
     kind = "effort_controllers/JointPositionController"
@@ -129,14 +123,6 @@ def test_a_controller_is_loaded_started_stopped_and_unloaded(manager):
     assert not manager.controllers
     with pytest.raises(ControlError, match="no controller 's'"):
         manager.unload("s")
-
-
-def test_a_kind_that_is_not_simulated_is_named(manager):
-    kind = "joint_trajectory_controller/JointTrajectoryController"
-    with pytest.raises(ControlError, match="'arm'.*JointTrajectoryController.*list_controller"):
-        manager.load("arm", ControlParameters({"type": kind}, "/bot/arm"))
-    with pytest.raises(ControlError, match="/bot/arm/type is missing; is the namespace"):
-        manager.load("arm", ControlParameters(None, "/bot/arm"))
 
 
 def test_two_controllers_of_one_joint_do_not_run_at_once(manager):

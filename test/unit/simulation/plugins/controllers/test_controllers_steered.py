@@ -3,60 +3,12 @@
 import math
 
 import pytest
-from control_robots import TRANSMISSION, control_of, listen, run
+from control_robots import LENGTH, PLACES, RADIUS, WIDTH, control_of, listen, run, spawn_base
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
-from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION, VELOCITY
+from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.world.urdf import read_urdf
-
-RADIUS, LENGTH, WIDTH = 0.06, 0.5, 0.4
-PLACES = {
-    "fl": (0.5 * LENGTH, 0.5 * WIDTH),
-    "fr": (0.5 * LENGTH, -0.5 * WIDTH),
-    "rl": (-0.5 * LENGTH, 0.5 * WIDTH),
-    "rr": (-0.5 * LENGTH, -0.5 * WIDTH),
-}
-LEG = """
-  <link name="{name}_fork">
-    <inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3"/></inertial>
-  </link>
-  <joint name="{name}_steering" type="{kind}">
-    <origin xyz="{x} {y} {radius}"/><parent link="base_link"/><child link="{name}_fork"/>
-    <axis xyz="0 0 1"/><limit lower="{least}" upper="{most}" effort="20" velocity="12"/>
-  </joint>
-  <link name="{name}_wheel">
-    <inertial><mass value="0.5"/><inertia ixx="5e-4" iyy="9e-4" izz="5e-4"/></inertial>
-    <collision><origin rpy="1.5707963267948966 0 0"/>
-      <geometry><cylinder radius="{radius}" length="0.004"/></geometry></collision>
-  </link>
-  <joint name="{name}_axle" type="continuous">
-    <origin xyz="0 {offset} 0"/><parent link="{name}_fork"/><child link="{name}_wheel"/>
-    <axis xyz="0 1 0"/><limit effort="20" velocity="60"/>
-  </joint>"""
-
-
-def base_urdf(
-    fork=VELOCITY, axle=VELOCITY, kind="continuous", least=-2, most=2, offset=0.0, rear="", tags=""
-):
-    """A base on four steered wheels, which are `offset` outside of their forks."""
-    legs = ""
-    for name, (x, y) in PLACES.items():
-        out = math.copysign(offset, y)
-        sizes = {"radius": RADIUS, "least": least, "most": most}
-        sizes["kind"] = rear if rear and x < 0.0 else kind
-        legs += LEG.format(name=name, x=x, y=y - out, offset=out, **sizes)
-        for joint, interface in (("steering", fork), ("axle", axle)):
-            legs += TRANSMISSION.format(joint=f"{name}_{joint}", interface=interface)
-    return f"""<robot name="base"><link name="base_link">
-      <inertial><origin xyz="0 0 0.1"/><mass value="10"/>
-        <inertia ixx="0.2" iyy="0.3" izz="0.4"/></inertial>
-      <collision><origin xyz="0 0 0.2"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision>
-    </link>{legs}
-    <gazebo><plugin name="control" filename="libgazebo_ros_control.so">{tags}</plugin></gazebo>
-    </robot>"""
-
 
 GAINS = {f"{name}_steering": {"p": 60.0, "d": 1.0} for name in PLACES}
 BASE = {
@@ -82,9 +34,7 @@ EFFORTS = {f"{name}_axle": {"p": 2.0, "i": 0.0} for name in PLACES}
 
 def start(world, given, parameters=None, **robot):
     """Return the robot and its controller, which runs."""
-    urdf = base_urdf(**robot)
-    instance = world.add(read_urdf(urdf, "base"))
-    manager = control_of(instance).configure(urdf, parameters or {})
+    instance, manager = spawn_base(world, parameters, **robot)
     return instance, run(manager, "drive", **given)
 
 
@@ -213,33 +163,6 @@ def test_topics_and_frames(world, given, velocity, topics):
     assert last[-1].pose == last[0].pose
     with pytest.raises(ControlError, match="not finite"):
         controller.command(PlanarCommand(vy=math.nan))
-
-
-def wheels(**change):
-    """The base's parameters with another first wheel."""
-    return {**BASE, "wheels": [{**BASE["wheels"][0], **change}, *BASE["wheels"][1:]]}
-
-
-@pytest.mark.parametrize(
-    ("given", "robot", "complaint"),
-    [
-        ({**BASE, "wheels": None}, {}, "wheels has to be a list of two wheels or more"),
-        ({**BASE, "wheels": [1]}, {}, "wheels has to be a list of two wheels or more"),
-        (wheels(steering_joint="it"), {}, "no joint 'it' has a Position"),
-        (wheels(axle_joint="fl_steering"), FORKS, "no joint 'fl_steering' has a VelocityJoint"),
-        ({**BASE, "wheels": 2 * BASE["wheels"][:1]}, {}, "are all in one place"),
-        (wheels(diameter=0), {}, "sizes of the wheels have to be positive"),
-        (wheels(diameter="big"), {}, "sizes of the wheels have to be positive"),
-        ({**BASE, "pid_gains": {}}, {}, "pid_gains/fl_steering/p is missing"),
-        ({**FOUR, "front_wheel": "fl_axle"}, FORKS, "two joints in each"),
-        ({**FOUR, "rear_steering": None}, FORKS, "rear_steering is missing or empty"),
-        ({**FOUR, "wheel_radius": 0}, FORKS, "sizes of the wheels have to be positive"),
-        ({**FOUR, "pose_covariance_diagonal": [1]}, FORKS, "has to be a list of 6 numbers"),
-    ],
-)
-def test_wrong_parameters_are_named(world, given, robot, complaint):
-    with pytest.raises(ControlError, match=complaint):
-        start(world, given, **robot)
 
 
 def test_odometry_goes_on_where_the_robot_is_placed(world):

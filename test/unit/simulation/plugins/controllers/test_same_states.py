@@ -5,18 +5,21 @@ A change that means to send others renews the text: see `assert_as_before`.
 
 from pathlib import Path
 
+import pytest
 import yaml
 from alike import assert_as_before, lines_of
 from arm_robots import arm_controller, trajectory
-from control_robots import listen, run, spawn
-from shared import PACKAGE
+from control_robots import CAR, listen, run, spawn, spawn_base, spawn_car
 
+from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.samples import JointCommand, PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.urdf import read_urdf
 
 HERE = Path(__file__).parent
 FLOOR = "package://bullet_lab/worlds/empty.world"
+
+
+SPAWN = {"bot": spawn, "car": spawn_car, "base": spawn_base}
 
 
 def controller_of(world, name, robot="bot", parameters=None, velocity=None):
@@ -26,12 +29,8 @@ def controller_of(world, name, robot="bot", parameters=None, velocity=None):
         points = (0.2, 0.3, 0.5, 0.0), (0.6, 0.7, -0.2, 0.1)
         return arm_controller(world, name.partition("s_")[0], **parameters), trajectory(*points)
     if robot == "car":
-        text = (PACKAGE / "test/drives/car.urdf").read_text()
-        usual = yaml.safe_load((PACKAGE / "test/drives/car.yaml").read_text())["drive"]
-        parameters = {**usual, **parameters}
-        manager = world.add(read_urdf(text, "car")).plugins[0].configure(text, {})
-    else:
-        _, manager = spawn(world)
+        parameters = {**CAR, **parameters}
+    _, manager = SPAWN[robot](world)
     command = PlanarCommand(*velocity) if velocity else JointCommand(0.8)
     return run(manager, name, **parameters), command
 
@@ -52,3 +51,17 @@ def test_states_are_as_before(caplog):
     told += caplog.messages
     # Errors of controllers by efforts grow from one step to the next.
     assert_as_before(told, HERE / "controllers.txt", 1e-4)
+
+
+def test_wrong_parameters_are_named_as_before():
+    told = []
+    for name, cases in yaml.safe_load((HERE / "wrong_controllers.yaml").read_text()).items():
+        usual = CAR if name == "car" else {}
+        for case in cases:
+            with Simulation() as world:
+                _, manager = SPAWN[name](world, **case.get("robot", {}))
+                with pytest.raises(ControlError) as error:
+                    run(manager, "drive", **{**usual, **case["parameters"]})
+            assert not manager.controllers
+            told.append(error.value)
+    assert_as_before(told, HERE / "wrong_controllers.txt")

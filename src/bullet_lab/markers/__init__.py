@@ -1,1 +1,0 @@
-"""Printed markers as images and as things to put into a world."""

@@ -1,1 +1,0 @@
-"""Runs submissions to exercises in the simulation and marks them."""
