@@ -205,12 +205,7 @@ def _root(covariance: ndarray) -> ndarray:
 class DockBelief:
     """Belief about the dock's pose, by the robot's odometry and the camera's images.
 
-    Args:
-        dock: what is known of the dock.
-        dock_pose: its rough pose in the odometry frame.
-        mount: where the camera is on the robot.
-        settings: of the docking.
-        rng: draws the particles.
+    The dock's rough pose, `dock_pose`, is in the odometry frame; `rng` draws the particles.
 
     Attributes:
         odometry: the last messages.

@@ -197,8 +197,7 @@ def carried(x: ndarray, p: ndarray, motion: MotionStep) -> tuple[ndarray, ndarra
     by_error = np.zeros((len(x), _OF_POSE, _OF_ODOMETRY))
     by_error[:, :2, 0] = steps[:, :2]
     ahead = motion.step[0]
-    by_error[:, 2, 1], by_error[:, 2, 2] = motion.step[2], max(ahead, 0.0)
-    by_error[:, 2, 3] = max(-ahead, 0.0)
+    by_error[:, 2, 1:] = motion.step[2], max(ahead, 0.0), max(-ahead, 0.0)
     by_state[:, :_OF_POSE, -_OF_ODOMETRY:] = by_step @ by_error
     p = by_state @ p @ by_state.transpose(0, 2, 1)
     p[:, :3, :3] += by_step @ motion.covariance @ by_step.transpose(0, 2, 1)
@@ -336,13 +335,8 @@ def applied(matrices: ndarray, vectors: ndarray) -> ndarray:
 def iterated_update(start, p, sizes, measured: Measurement, rounds: int, hidden=None):
     """Update states by corners in an image (Bell and Cathey 1993: Gauss-Newton steps).
 
-    Args:
-        start: (n, 20) states.
-        p: (n, 20, 20) their covariances.
-        sizes: (n,) m.
-        measured: the corners.
-        rounds: most linearisations.
-        hidden: index of a corner that does not count.
+    The states `start` are (n, 20), their covariances `p` (n, 20, 20), the `sizes` (n,) m. There are
+    at most `rounds` linearisations. The corner of the index `hidden` does not count.
 
     Returns:
         States (n, 20), covariances (n, 20, 20), squared Mahalanobis distances of the corners (n,)

@@ -50,8 +50,7 @@ _EDGE = 0.35
 _BEARING = 0.03
 
 # Standard deviations of height, m, and of the logarithm of the size: of the real one, and others.
-_HEIGHT_KNOWN, _HEIGHT_FREE = 0.008, 0.4
-_GROWTH_KNOWN, _GROWTH_FREE = 1e-4, 0.12
+_KNOWN, _FREE = (0.008, 1e-4), (0.4, 0.12)
 # Yaws at the start, against the line of sight, and their deviations, rad.
 _SLANTS = np.radians(np.arange(-70.0, 71.0, 7.0))
 _START_DEVIATION = math.radians(5.0)
@@ -144,8 +143,8 @@ class MarkerTrack:
         self._spot = np.array([math.inf, math.inf])
         self._spot_frames = 0
         self._outliers = 0
-        # Poses and covariances of the real ones, which are needed many times at each tick.
-        self._known: tuple[ndarray, ndarray] | None = None
+        # Result of `components`, which is needed many times at each tick.
+        self._known: tuple[ndarray, ndarray, ndarray] | None = None
         self._extent = extent_of(sighting.corners)
         self._start(sighting, view, prior)
 
@@ -162,12 +161,12 @@ class MarkerTrack:
 
     def components(self) -> tuple[ndarray, ndarray, ndarray]:
         """Return the Gaussians (n, 3), (n, 3, 3) of the pose if it is real, with weights (n,)."""
-        real = self._scale == 0
-        weights = self._weights[real]
         if self._known is None:
+            real = self._scale == 0
             x, p = as_known(self._x[real], self._p[real])
-            self._known = x[:, :3].copy(), p[:, :3, :3].copy()
-        return (*self._known, weights / float(np.sum(weights)))
+            weights = self._weights[real] / float(np.sum(self._weights[real]))
+            self._known = x[:, :3].copy(), p[:, :3, :3].copy(), weights
+        return self._known
 
     def samples(self, rng: np.random.Generator, count: int) -> ndarray:
         """Draw (count, 3) poses of the dock, if it is real."""
@@ -333,29 +332,29 @@ class MarkerTrack:
         ray, reach = view.line_of_sight(sighting.corners, self._size)
         count = len(_SLANTS)
         self._scale = scale = np.repeat(np.arange(len(SCALES)), count)
+        real = scale == 0
         slants = np.tile(_SLANTS, len(SCALES))
         distance = reach * SCALES[scale]
         eye = view.origin
         states = np.zeros((len(scale), STATES))
         states[:, :2] = eye[:2] + distance[:, None] * ray[:2]
         states[:, 2] = wrap(math.atan2(ray[1], ray[0]) + slants)
-        states[:, 3] = np.where(scale == 0, self._height, eye[2] + distance * ray[2])
+        states[:, 3] = np.where(real, self._height, eye[2] + distance * ray[2])
         deviations = np.empty_like(states)
         deviations[:, :2] = 0.3 * distance[:, None] + 0.05
         deviations[:, 2] = _START_DEVIATION
-        deviations[:, 3] = np.where(scale == 0, _HEIGHT_KNOWN, _HEIGHT_FREE)
-        deviations[:, 4] = np.where(scale == 0, _GROWTH_KNOWN, _GROWTH_FREE)
+        deviations[:, 3:5] = np.where(real[:, None], _KNOWN, _FREE)
         deviations[:, CAMERA] = UNKNOWN_CAMERA
         deviations[:, CORNERS] = OFF_CORNER
         deviations[:, ODOMETRY] = UNKNOWN_ODOMETRY
         covariance = deviations[:, None] ** 2 * np.eye(STATES)
         given = states, covariance, self._sizes, Measurement(sighting, view)
         self._x, self._p, squares, _ = robust_update(*given, rounds=6)
-        unlikely = np.where(scale == 0, prior.excess(self._x[:, :3].copy()), 0.0)
+        unlikely = np.where(real, prior.excess(self._x[:, :3].copy()), 0.0)
         self._fuse(prior)
         logs = -0.5 * np.minimum(squares + unlikely, 2000.0)
         # Within a size the yaws compete; between the sizes the best of each does.
-        best = np.array([np.max(logs[scale == index]) for index in range(len(SCALES))])
+        best = logs.reshape(-1, count).max(axis=1)
         self._within = np.exp(logs - best[scale])
         self._first = np.minimum(best - np.max(best), 0.0)
         # Before anything is known of its size, nine of ten are real.

@@ -360,11 +360,7 @@ class MarkerSearch:
         return None
 
     def _probabilities(
-        self,
-        points: ndarray,
-        docks: ndarray,
-        reach: ndarray,
-        visibility: MarkerVisibility,
+        self, points: ndarray, docks: ndarray, reach: ndarray, visibility: MarkerVisibility
     ) -> ndarray:
         """Return the probability of finding the marker, (n, 36) for each point and heading.
 

@@ -160,11 +160,6 @@ class DockingProgress:
     """Estimates and counters of a docking.
 
     Attributes:
-        belief: of the dock's pose.
-        settings: speeds and limits.
-        axis: of the dock.
-        paths: plans the robot's paths.
-        search: for the marker.
         now: stamp of the tick, s.
         retries: how often it retreated to try again.
         unclear: how often an approach was given up as the axis was not known well enough.

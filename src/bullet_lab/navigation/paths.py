@@ -40,7 +40,6 @@ class CostGrid:
         start: x, y where all ways begin, m.
 
     Attributes:
-        cell: as given.
         costs: (rows, columns) of the cheapest way to each cell; infinite without a way.
     """
 

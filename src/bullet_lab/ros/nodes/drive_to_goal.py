@@ -80,12 +80,8 @@ class DriveToGoalParameters(MapParameters, GoalLimits):
         20.0, "lock step: messages of odometry per second, 1000/51 for planar_move's 20", above=0.0,
         maximum=1000.0,
     )
-    stale: float = number(
-        0.5, "s without odometry after which the robot is stopped", above=0.0
-    )
-    patience: float = number(
-        5.0, "s without odometry after which the goal is aborted", above=0.0
-    )
+    stale: float = number(0.5, "s without odometry after which the robot is stopped", above=0.0)
+    patience: float = number(5.0, "s without odometry after which the goal is aborted", above=0.0)
 
 
 class GoalTopics:

@@ -164,9 +164,7 @@ class Floor:
             raise OdometryError(f"no map on {self._parameters.map}")
         return self._frame
 
-    def place(
-        self, places: list[Place], odometry_frame: str, now: rospy.Time
-    ) -> PlanarPose | None:
+    def place(self, places: list[Place], odometry_frame: str, now: rospy.Time) -> PlanarPose | None:
         """Take odometry and scans; return the robot's pose in the map, None if it is not known."""
         for place in places:
             self._places.add(place)

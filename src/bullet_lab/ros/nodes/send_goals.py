@@ -65,9 +65,7 @@ class SendGoalsParameters:
     radius: float = number(0.25, "m, of the robot, as of drive_to_goal", above=0.0)
 
 
-def draw_goal(
-    costmap: RobotCostmap, robot: PlanarPose, random: np.random.Generator
-) -> PlanarPose:
+def draw_goal(costmap: RobotCostmap, robot: PlanarPose, random: np.random.Generator) -> PlanarPose:
     """Return a pose on known free floor to which there is a way; raises NodeError."""
     known = costmap.map
     rows, columns = np.nonzero(known.cells == FREE)

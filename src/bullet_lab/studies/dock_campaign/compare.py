@@ -188,9 +188,7 @@ COLOURS = (BLUE, ORANGE)
 
 
 def comparison_figure(
-    names: Sequence[str],
-    pairs: Sequence[Sequence[Record]],
-    columns: Sequence[Summary],
+    names: Sequence[str], pairs: Sequence[Sequence[Record]], columns: Sequence[Summary]
 ) -> Figure:
     """Draw shares with their intervals, times pair by pair, and the distributions of the errors."""
     title = f"{len(pairs[0])} dockings, the same for both (95 %; dashed: tolerances)"

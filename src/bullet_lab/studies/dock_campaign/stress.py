@@ -24,6 +24,11 @@ FOCAL_ERROR, SIZE_ERROR, ODOMETRY_ERROR = 0.02, 0.03, 0.05
 LATEST_IMAGE, DROPPED = 0.2, 0.3
 BIAS = math.radians(2.0)
 COVER = (0.10, 0.25)
+# Ends of the names of columns with what docking has found, and factors; "" and 1 for the others.
+_FOUND_UNITS = {
+    **dict.fromkeys(("roll", "pitch", "yaw"), ("_deg", 180.0 / math.pi)),
+    "height": ("_m", 1.0),
+}
 _IN_FRONT = 0.002
 _RUN_STREAM = 1000  # random stream of the draws during a docking
 _COVER_THICKNESS = 0.001
@@ -100,9 +105,7 @@ class Stress:
     def allowed(self, tolerance: DockTolerance, docked_distance: float) -> DockTolerance:
         """Return a dock's tolerance plus these costs."""
         along, across, _ = self.costs(docked_distance)
-        return DockTolerance(
-            tolerance.distance + along, tolerance.lateral + across, tolerance.yaw
-        )
+        return DockTolerance(tolerance.distance + along, tolerance.lateral + across, tolerance.yaw)
 
 
 Draw = Callable[[np.random.Generator], Dict[str, Any]]
@@ -169,14 +172,10 @@ def stress_columns(stress: Stress) -> dict[str, Any]:
 def found_columns(calibration: CalibrationErrors | None) -> dict[str, Any]:
     """Return the columns of a record with the errors that docking estimated; empty for None."""
     columns = {}
-    for name, unit, scale in (
-        *((axis, "_deg", 180.0 / math.pi) for axis in ("roll", "pitch", "yaw")),
-        ("height", "_m", 1.0),
-        *((error, "", 1.0) for error in ("way", "turn", "drift")),
-    ):
-        found = None if calibration is None else getattr(calibration, name)
-        columns[f"found_{name}{unit}"] = None if found is None else scale * found.value
-        columns[f"found_{name}_std{unit}"] = None if found is None else scale * found.deviation
+    for name, found in zip(CalibrationErrors._fields, calibration or 7 * [(None, None)]):
+        unit, scale = _FOUND_UNITS.get(name, ("", 1.0))
+        for part, value in zip(("", "_std"), found):
+            columns[f"found_{name}{part}{unit}"] = None if value is None else scale * value
     return columns
 
 

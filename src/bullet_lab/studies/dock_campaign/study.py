@@ -54,6 +54,7 @@ from bullet_lab.studies.study import (
 
 MOST_DOCKINGS = 1_000_000
 
+
 @dataclass(frozen=True)
 class DockCampaignSettings(DrawSettings):
     """Dockings of the indices from 0 on."""

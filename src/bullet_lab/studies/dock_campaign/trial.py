@@ -88,9 +88,6 @@ CRASHED = "crashed"
 TOLERANCES = {name: name.replace("error", "tolerance") for name in ERRORS}
 """Names of the columns with the dock's own tolerances, by those of the errors."""
 
-COSTS = {name: name.replace("error", "cost") for name in ERRORS}
-"""Names of the columns with the cost of the stress, which is added to the tolerance."""
-
 PART_SIZES = (64, 96, 128, 192, 256, 320, 416)
 """Of parts of a picture, px. They are few, as the renderer keeps a buffer for each of the last."""
 
@@ -100,6 +97,8 @@ MOST_PARTS = 4
 AROUND, AROUND_SHARE = 20.0, 0.2
 """What a part shows around the markers: px, and as a share of the largest marker's edge."""
 
+# Columns with the cost of the stress, which is added to the tolerance.
+_COSTS = [name.replace("error", "cost") for name in ERRORS]
 _MOST_ATTEMPTS = 10_000
 _SETTLE_STEPS = 100
 
@@ -428,7 +427,7 @@ def _record(
         "image_blur_px": scenario.image_blur,
         **dict(zip(TOLERANCES.values(), largest_errors(dock.tolerance).values())),
         **stress_columns(scenario.stress),
-        **dict(zip(COSTS.values(), scenario.stress.costs(dock.docked_distance))),
+        **dict(zip(_COSTS, scenario.stress.costs(dock.docked_distance))),
         "result": result,
         "message": message,
         **measured,
