@@ -110,8 +110,8 @@ class ModelInstance:
             if not math.isfinite(position):
                 where = f"model '{self.name}': joint '{name}'"
                 raise SimulationError(f"{where}: position {position} is not finite")
-        for body, (name, position) in zip(bodies, positions.items()):
-            body.set_joint(name, position)
+        for body, name in zip(bodies, positions):
+            body.set_joint(name, positions[name])
         self.moves += 1
 
     def state(self) -> ModelState:

@@ -89,17 +89,15 @@ class Video:
         self._writer.release()
 
     def _take(self, _step: int) -> None:
+        # Extends the models' paths, and the box in the view to where they are now.
         for name, model in self._simulation.models.items():
-            self._follow(name, np.array(model.pose().position))
+            place = np.array(model.pose().position)
+            self._paths.setdefault(name, []).append(place)
+            self._low = np.minimum(self._low, GRID * np.floor((place - MARGIN) / GRID))
+            self._high = np.maximum(self._high, GRID * np.ceil((place + MARGIN) / GRID))
         view = overview(self._low, self._high)
         picture = take_picture(self._simulation, view, samples=2)
         picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
         paths = [pixels_of(np.array(path), view) for path in self._paths.values()]
         cv2.polylines(picture, paths, False, TRAIL, 1, cv2.LINE_AA)
         self._writer.write(picture)
-
-    def _follow(self, name: str, place: ndarray) -> None:
-        """Extend a model's path and the box in the view to where the model is now."""
-        self._paths.setdefault(name, []).append(place)
-        self._low = np.minimum(self._low, GRID * np.floor((place - MARGIN) / GRID))
-        self._high = np.maximum(self._high, GRID * np.ceil((place + MARGIN) / GRID))

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from itertools import chain
@@ -181,16 +182,15 @@ def _add_line(block: Block, words: list[str]) -> None:
 def _over(upper: Block, lower: Block) -> Block:
     """Return a block whose content overrides that of another one of its kind."""
     blocks = list(lower.blocks)
-    counts: dict[str, int] = {}
+    unnamed: Counter[str] = Counter()
     for block in upper.blocks:
         places = [n for n, other in enumerate(lower.blocks) if other.kind == block.kind]
         if block.name:
             places = [n for n in places if fnmatchcase(lower.blocks[n].name, block.name)]
         else:
             # Blocks without a name override those at the same place.
-            count = counts.setdefault(block.kind, 0)
-            counts[block.kind] += 1
-            places = places[count : count + 1]
+            places = places[unnamed[block.kind] :][:1]
+            unnamed[block.kind] += 1
         for place in places:
             blocks[place] = _over(block, blocks[place])
         if not places:
@@ -227,12 +227,8 @@ class MaterialLibrary:
         self._folders: list[Path] = []
         self._files: dict[Path, dict[str, Path]] = {}
 
-    def of_tag(
-        self, tag: ElementReader | None, finder: ResourceFinder, default: Colour
-    ) -> Appearance:
-        """Return the meaning of an SDF `<material>`; `default` is the colour without one."""
-        if tag is None:
-            return default, Material()
+    def of_tag(self, tag: ElementReader, finder: ResourceFinder, default: Colour) -> Appearance:
+        """Return the meaning of an SDF `<material>`; `default` is the colour of an empty one."""
         name = tag.text("script/name", tag.text("script", tag.element.get("script", "")))
         found, shown, look = None, default, Material()
         if name not in UNNAMED:

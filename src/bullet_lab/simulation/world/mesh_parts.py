@@ -32,7 +32,7 @@ from bullet_lab.simulation.world.meshes import (
     readable,
     unit,
 )
-from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder
+from bullet_lab.simulation.world.resources import ResourceError, ResourceFinder, is_below
 from bullet_lab.simulation.world.shapes import load_triangles, middle_of
 from bullet_lab.simulation.world.xml import Report, finite
 
@@ -200,17 +200,14 @@ def _find(name: str, user: Path) -> Path:
     holders = [f for f in user.parents if any((f / mark).is_file() for mark in marks)] or [folder]
     root = holders[0]
     outer = next((f for f in holders if (f / "package.xml").is_file()), root)
-    finder = ResourceFinder(root)
     bare = name.rpartition("/")[2]
     places = (folder, folder.parent / "materials" / "textures", root / "materials" / "textures")
     try:
         if "://" in name or name.startswith("/"):
-            return finder.find(name)
+            return ResourceFinder(root).find(name)
         return ResourceFinder(outer).find(os.path.relpath(folder / name, outer))
     except (ResourceError, ValueError) as error:
-        for path in (place / bare for place in places if bare):
-            try:
-                return finder.find(os.path.relpath(path, root))
-            except ResourceError:
-                continue
+        for path in (place / bare for place in places):
+            if os.path.isfile(path) and is_below(path, outer):
+                return path
         raise ResourceError(f"{user}: {error}") from error

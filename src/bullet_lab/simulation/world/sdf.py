@@ -141,7 +141,6 @@ def _world(tag: SdfTag) -> World:
         frames.add(part.name, part.pose, base)
     parts = [replace(part, pose=frames.pose(base) * part.pose) for part, base in found]
     models = first_of_each((part for part in parts if isinstance(part, Model)), "model", tag.source)
-    state = tag.element.find("state")
     return World(
         tag.element.get("name", "default"),
         models,
@@ -151,7 +150,7 @@ def _world(tag: SdfTag) -> World:
         tag.colour("scene/ambient", World.ambient),
         tag.colour("scene/background", World.background),
         tag.boolean("scene/shadows", True),
-        {} if state is None else read_states(state, models, tag.source),
+        read_states(tag.part("state").element, models, tag.source),
         tag.text("physics/ode/solver/friction_model", "pyramid_model") == "cone_model",
     )
 
@@ -268,8 +267,7 @@ def _plugins(tag: SdfTag, frames: Container[str]) -> tuple[PluginTag, ...]:
 
 
 def _link(tag: SdfTag, static: bool) -> Link:
-    inertial = tag.element.find("inertial")
-    inner = tag.other(Element("inertial") if inertial is None else inertial)
+    inner = tag.part("inertial")
     return Link(
         tag.name,
         # SDF's defaults are 1 kg and moments of 1 kg m².
@@ -284,9 +282,8 @@ def _link(tag: SdfTag, static: bool) -> Link:
 def _visual(tag: SdfTag, geometry: Shape) -> Visual:
     # A default colour would darken the colours and pictures in the file of a mesh.
     default = WHITE if isinstance(geometry, Mesh) else DEFAULT_COLOUR
-    element, document = tag.element.find("material"), tag.document
-    inner = None if element is None else tag.other(element, f"{tag.source}: visual '{tag.name}'")
-    colour, look = document.materials.of_tag(inner, document.finder, default)
+    material = tag.part("material", f"{tag.source}: visual '{tag.name}'")
+    colour, look = tag.document.materials.of_tag(material, tag.document.finder, default)
     colour = (*colour[:3], colour[3] * (1.0 - tag.number("transparency")))
     casts = tag.boolean("cast_shadows", True)
     return Visual(geometry, tag.pose(), colour, tag.name, casts, look)
@@ -435,8 +432,7 @@ def _end(tag: SdfTag, name: str, frames: Frames, links: Collection[str], model: 
 def _axis(tag: SdfTag, frames: Frames, place: Pose, child: Pose) -> Vector:
     """Return the axis in the child's frame; `place` is the pose of the joint in the child."""
     axis = tag.direction("axis/xyz", "0 0 1")
-    xyz = tag.element.find("axis/xyz")
-    base = "" if xyz is None else xyz.get("expressed_in", "")
+    base = tag.part("axis/xyz").element.get("expressed_in", "")
     if tag.document.version < AXES_IN_JOINTS or tag.boolean("axis/use_parent_model_frame", False):
         base = base or MODEL_FRAME
     if base:

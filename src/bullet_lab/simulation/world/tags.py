@@ -187,6 +187,11 @@ class Tag(ElementReader):
         """Return the reader of another element of the document."""
         return type(self)(element, source or self.source, self.document)
 
+    def part(self: AnyTag, path: str, source: str = "") -> AnyTag:
+        """Return the reader of an element in it, or of an empty one if that is missing."""
+        found = self.element.find(path)
+        return self.other(Element(path) if found is None else found, source)
+
     def below(self: AnyTag, element: Element) -> AnyTag:
         """Return the reader of an element in it, which messages name."""
         return self.other(element, f"{self.source}: {element.tag} '{element.get('name', '')}'")
@@ -259,8 +264,8 @@ class SdfTag(Tag):
 
     def base(self) -> str:
         """Return the frame that its <pose> is given in; empty for the one around it."""
-        found = self.element.find("pose")
-        return "" if found is None else found.get("relative_to") or found.get("frame") or ""
+        pose = self.part("pose").element
+        return pose.get("relative_to") or pose.get("frame") or ""
 
     def pose(self) -> Pose:  # noqa: D102
         base, pose = self.base(), super().pose()

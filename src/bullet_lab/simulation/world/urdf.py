@@ -220,11 +220,11 @@ def _shorten_numbers(element: Element) -> None:
 
 def _link(tag: UrdfTag, colours: Mapping[str, Colour]) -> Link:
     def visual(tag: UrdfTag, shape: Shape) -> Visual:
-        material = tag.element.find("material")
-        if material is None or material.find("color") is None:
-            colour = colours.get(tag.text("material/name"), WHITE)
+        material = tag.part("material")
+        if material.element.find("color") is None:
+            colour = colours.get(material.name, WHITE)
         else:
-            colour = tag.other(material).colour()
+            colour = material.colour()
         return Visual(shape, tag.pose(), colour, tag.name)
 
     def collision(inner: UrdfTag, shape: Shape) -> Collision:
@@ -250,8 +250,6 @@ def _joint(tag: UrdfTag) -> Joint:
     for end in ("parent", "child"):
         if not tag.text(f"{end}/link"):
             raise XmlError(f"{tag.source}: no <{end} link=…>")
-    limits = tag.element.find("limit")
-    given = () if limits is None else limits.attrib
     return Joint(
         tag.name,
         kind,
@@ -260,7 +258,7 @@ def _joint(tag: UrdfTag) -> Joint:
         tag.pose(),
         # SolidWorks writes a zero vector for fixed joints.
         Joint.axis if kind == "fixed" else tag.direction("axis/xyz", "1 0 0"),
-        {key: tag.bound(f"limit/{key}") for key in given if key in LIMITS},
+        {k: tag.bound(f"limit/{k}") for k in tag.part("limit").element.attrib if k in LIMITS},
         tag.number("dynamics/damping"),
         tag.number("dynamics/friction"),
     )
@@ -301,9 +299,9 @@ class _LinkTag(Tag):
 
     def look(self) -> Appearance | None:
         """Return what the <material> in it describes; the same as in SDF."""
-        material, document = self.element.find("material"), self.document
-        inner = None if material is None else SdfTag(material, self.source, document)
-        found = document.materials.of_tag(inner, document.finder, WHITE)
+        document = self.document
+        material = SdfTag(self.element, self.source, document).part("material")
+        found = document.materials.of_tag(material, document.finder, WHITE)
         return found if found[1].covers else None
 
 
