@@ -146,6 +146,14 @@ def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> list[Surfac
     return [SURFACES[type(geometry)](geometry)]
 
 
+def visible_surfaces(visual: Visual, ambient: ndarray, report: Report) -> list[Surface]:
+    """Return the surfaces of a visual with its look, see `Surface.shown` and `surfaces_of`."""
+    if visual.colour[3] <= 0.0:
+        return []
+    found = surfaces_of(visual.geometry, report)
+    return [surface.shown(visual, ambient, report) for surface in found]
+
+
 def _box(box: Box) -> Surface:
     from trimesh import creation
 
@@ -305,14 +313,11 @@ class Drawables:
 
     def _surfaces(self, visual: Visual, where: str) -> list[Surface]:
         """Return the surfaces of a visual, in the link's frame."""
-        if visual.colour[3] <= 0.0:
-            return []
         try:
-            found = surfaces_of(visual.geometry, self._report)
+            return visible_surfaces(visual, self._ambient, self._report)
         except LabError as error:
             self._report(f"{where} is not drawn completely: {error}")
             return []
-        return [surface.shown(visual, self._ambient, self._report) for surface in found]
 
     def _loaded(self, surface: Surface) -> LoadedTexture | None:
         texture = surface.texture
