@@ -140,31 +140,29 @@ def _each(lights: Sequence[Lit], of_light: str, of_map: str = "", end: str = "")
 def aim_at(boxes: ndarray, light: Light, kind: str) -> Aim:
     """Return the smallest map, STILL or MOVING, for the boxes (n, 8, 3) that a light reaches."""
     place = np.asarray(light.pose.position)
-    size, limits, rim = SPOT_SIZE[kind], np.full(3, math.inf), PIXEL[kind]
     if light.kind == "point":
         ahead = [axes * ((1,), (1,), (sign,)) for sign in (-1, 1) for axes in LAMP_AXES]
         return [_perspective(axes, place) for axes in ahead], LAMP_SIZE, 2.0 * LIFT / LAMP_SIZE
-    matrix = np.eye(4)
-    matrix[:3, :3] = axes_along(light.pose.rotate(light.direction))
+    axes = axes_along(light.pose.rotate(light.direction))
     if light.kind == "spot":
-        matrix = _perspective(matrix[:3, :3], place)
         slope = math.tan(0.5 * min(light.cone.outer, WIDEST_SPOT))
-        limits, rim = np.array((slope, slope, 1.0)), 1e-4
+        matrix, limits, rim = _perspective(axes, place), np.array((slope, slope, 1.0)), 1e-4
+    else:
+        matrix, limits, rim = np.eye(4), np.full(3, math.inf), PIXEL[kind]
+        matrix[:3, :3] = axes
     small = boxes[np.ptp(boxes, axis=1).max(axis=1) <= LARGEST]
     points = (small if len(small) else boxes).reshape(-1, 3)
-    nowhere = [np.zeros((4, 4))], SIZES[kind][0], 0.0
-    if not len(points):
-        return nowhere
     clip = np.column_stack((points, np.ones(len(points)))) @ matrix.T
     there = clip[:, :3] / np.maximum(clip[:, 3:], NEAREST)
     if (clip[:, 3] < NEAREST).any():
         # A corner is beside the light or behind it.
         there = np.append(there, (-limits, limits), axis=0)
-    low = np.maximum(there.min(axis=0) - rim, -limits)
-    high = np.minimum(there.max(axis=0) + rim, limits)
+    low = np.maximum(there.min(axis=0, initial=math.inf) - rim, -limits)
+    high = np.minimum(there.max(axis=0, initial=-math.inf) + rim, limits)
     if (low >= high).any():
-        return nowhere
-    extent = float((high - low)[:2].max())
+        # The light reaches nothing.
+        return [np.zeros((4, 4))], SIZES[kind][0], 0.0
+    extent, size = float((high - low)[:2].max()), SPOT_SIZE[kind]
     if light.kind == "directional":
         size = next((s for s in SIZES[kind] if extent <= PIXEL[kind] * s), SIZES[kind][-1])
     fit = np.diag((*(2.0 / (high - low)), 1.0))
