@@ -159,7 +159,6 @@ class Body:
         self.client = client
         self.unique_id = unique_id
         self.bullet_links = tuple(bullet_links)
-        self.links = tuple(one.link for one in bullet_links if one.joint is not HELPER_JOINT)
         self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
         self.set_velocity = partial(pybullet.resetBaseVelocity, unique_id, physicsClientId=client)
         self.near_points = partial(pybullet.getContactPoints, unique_id, physicsClientId=client)
@@ -187,7 +186,7 @@ class Body:
                 self._joints[one.joint.name] = index
                 self.drive_joint(one.joint.name, 0.0, 0.0)
         self.joint_names = tuple(self._joints)
-        self._weigh()
+        self._note_links()
 
     def pose(self) -> Pose:
         """Return the pose of the root link's frame in the world."""
@@ -400,13 +399,15 @@ class Body:
         if self.traction is not None:
             self.traction.update_gains()
 
-    def _weigh(self) -> None:
-        """Note which links gravity does not pull."""
-        masses = [one.mass_properties()[0] for one in self.bullet_links]
+    def _note_links(self) -> None:
+        """Note what the links are now, and which of them gravity does not pull."""
+        every = self.bullet_links
+        self.links = tuple(one.link for one in every if one.joint is not HELPER_JOINT)
+        masses = [one.mass_properties()[0] for one in every]
         total = sum(masses)
         self.weightless = tuple(
             (index, mass)
-            for index, (mass, one) in enumerate(zip(masses, self.bullet_links), ROOT)
+            for index, (mass, one) in enumerate(zip(masses, every), ROOT)
             if mass and not one.link.gravity
         )
         self.weight = 1.0 - sum(mass for _, mass in self.weightless) / total if total else 1.0
@@ -415,7 +416,7 @@ class Body:
         links = list(self.bullet_links)
         links[index - ROOT] = replace(links[index - ROOT], **changes)
         self.bullet_links = tuple(links)
-        self._weigh()
+        self._note_links()
         return self.link_at(index)
 
     def _joint(self, name: str) -> Joint:
