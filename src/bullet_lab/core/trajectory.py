@@ -144,16 +144,11 @@ def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
 def trajectory_of(
     rows: Sequence[Sequence[float]], path: str | PathLike, places: Sequence[str]
 ) -> Trajectory:
-    """Return the trajectory of rows of a file.
+    """Return the trajectory of rows of a file, whose places in it are given in words.
 
-    Args:
-        rows: stamp (s), x, y (m) and yaw (rad), or stamp, speed (m/s) and turn rate (rad/s). Of
-            those with the same stamp the first is kept.
-        path: the file.
-        places: of the rows in it, in words.
-
-    Raises:
-        TrajectoryError: they are invalid; the message names their file, and the place.
+    A row is stamp (s), x, y (m) and yaw (rad), or stamp, speed (m/s) and turn rate (rad/s). Of
+    those with the same stamp the first is kept. Raises TrajectoryError if they are invalid, with
+    the path and the place.
     """
     table = np.array(rows, dtype=float).reshape(len(rows), -1 if rows else 4)
     waits = np.diff(table[:, 0], prepend=-np.inf)
@@ -175,12 +170,9 @@ def trajectory_of(
 
 
 def integrated(stamps: ndarray, speed: ndarray, turn_rate: ndarray) -> ndarray:
-    """Return the poses (m, m, rad) if each velocity is held until the next stamp, (n, 3).
+    """Return the poses (m, m, rad) if each velocity is held until the next stamp (s), (n, 3).
 
-    Args:
-        stamps: s, shape (n,).
-        speed: m/s, shape (n,).
-        turn_rate: rad/s, counter-clockwise > 0, shape (n,).
+    The speeds (m/s) and turn rates (rad/s, counter-clockwise > 0) are of shape (n,).
 
     >>> integrated(np.array([0.0, 2.0, 3.0]), np.ones(3), np.array([0.0, np.pi, 0.0])).round(3)
     array([[ 0.   ,  0.   ,  0.   ],
@@ -223,8 +215,7 @@ class PathError:
 def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
     """Compare an estimate with the reference, pose by pose.
 
-    Raises:
-        TrajectoryError: the stamps are not exactly the same.
+    Raises TrajectoryError if the stamps are not exactly the same.
 
     >>> perfect = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     >>> noisy = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.5, 0.0)])
