@@ -106,28 +106,27 @@ def read_tum(path: str | PathLike) -> Trajectory:
     """
     try:
         with open(path, encoding="utf-8") as file:
-            lines = [(number, line.split()) for number, line in enumerate(file, start=1)]
+            lines = [(f"line {number}", line.split()) for number, line in enumerate(file, start=1)]
     except OSError as error:
         raise TrajectoryError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise TrajectoryError(f"cannot read {path}: it is not a text file") from None
-    lines = [(number, words) for number, words in lines if words and not words[0].startswith("#")]
+    lines = [(place, words) for place, words in lines if words and not words[0].startswith("#")]
     count = len(lines[0][1]) if lines else _COLUMNS[0]
     needed = str(count) if count in _COLUMNS else " or ".join(map(str, _COLUMNS))
-    rows, places = [], []
-    for number, words in lines:
-        places.append(f"line {number}")
-        where = f"{path}, {places[-1]}"
+    rows = []
+    for place, words in lines:
+        where = f"{path}, {place}"
         if len(words) != count or count not in _COLUMNS:
             raise TrajectoryError(f"{where}: {needed} values needed, not {len(words)}")
         values = finite_numbers(words, where)
-        if len(values) == _COLUMNS[0]:
+        if count == _COLUMNS[0]:
             stamp, x, y, _, *quaternion = values
             if not any(quaternion):
                 raise TrajectoryError(f"{where}: the quaternion is zero")
             values = [stamp, x, y, yaw_from_quaternion(*quaternion)]
         rows.append(values)
-    return trajectory_of(rows, path, places)
+    return trajectory_of(rows, path, [place for place, _ in lines])
 
 
 def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
