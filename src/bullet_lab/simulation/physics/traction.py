@@ -138,6 +138,7 @@ class Partner:
     share: float = 1.0
 
 
+@dataclass(eq=False)
 class WheelFriction:
     """The friction of one wheel.
 
@@ -150,13 +151,12 @@ class WheelFriction:
         kept: the force that the next step begins with, in N.
     """
 
-    gains: Pair
-
-    def __init__(self, index: int, axle: Vector, direction: Vector | None):
-        self.index = index
-        self.axle = axle
-        self.direction = direction
-        self.reset()
+    index: int
+    axle: Vector
+    direction: Vector | None
+    gains: Pair = (0.0, 0.0)
+    load: float = 0.0
+    kept: Pair = (0.0, 0.0)
 
     def reset(self) -> None:
         """Have no load and no friction."""

@@ -23,6 +23,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+from dataclasses import dataclass
 from typing import Any, Callable, Iterator, Sequence, Tuple
 
 import numpy as np
@@ -190,38 +191,40 @@ def axes_along(direction: Sequence[float]) -> ndarray:
     return np.stack((first, np.cross(along, first), along))
 
 
+@dataclass(eq=False)
 class _ShadowMap:
-    """A shadow map of a light, in the uniforms of the scene."""
+    """A shadow map of a light, in the uniforms of the scene below a root; a camera draws it."""
 
-    def __init__(self, graphics: Graphics, root: Any, light: Light, name: str, kind: str):
-        self.kind = kind
-        self._graphics, self._root, self._light, self._name = graphics, root, light, name
-        self._target: Canvas | None = None
-        self._version = -1
-        # Both sides of a triangle cast shadows, since a mesh may be open.
-        self._state = graphics.state(graphics.depth_program, cull="none")
+    graphics: Graphics
+    root: Any
+    camera_state: Any
+    light: Light
+    name: str
+    kind: str
+    target: Canvas | None = None
+    version: int = -1
 
     def update(self, version: int, boxes: Callable[[str], ndarray]) -> list[Canvas]:
         """Return the map if it must be drawn again: for another version."""
-        if self._version == version:
+        if self.version == version:
             return []
-        self._version = version
-        matrices, size, lift = aim_at(boxes(self.kind), self._light, self.kind)
-        if self._target is None or self._target.size != size:
+        self.version = version
+        matrices, size, lift = aim_at(boxes(self.kind), self.light, self.kind)
+        if self.target is None or self.target.size != size:
             self.remove()
             tiles = (3, 2) if len(matrices) > 1 else (1, 1)
-            self._target = self._graphics.shadow_target(size, tiles)
-        self._target.aim(self._root, self._state, BITS[self.kind], matrices)
-        put = self._root.set_shader_input
-        put(f"{self._name}_{self.kind}", self._target.texture)
-        put(f"{self._name}_into_{self.kind}", panda_matrix(matrices[0]))
-        put(f"{self._name}_lift_{self.kind}", lift)
-        return [self._target]
+            self.target = self.graphics.shadow_target(size, tiles)
+        self.target.aim(self.root, self.camera_state, BITS[self.kind], matrices)
+        put = self.root.set_shader_input
+        put(f"{self.name}_{self.kind}", self.target.texture)
+        put(f"{self.name}_into_{self.kind}", panda_matrix(matrices[0]))
+        put(f"{self.name}_lift_{self.kind}", lift)
+        return [self.target]
 
     def remove(self) -> None:
         """Release the buffer."""
-        if self._target is not None:
-            self._graphics.remove(self._target)
+        if self.target is not None:
+            self.graphics.remove(self.target)
 
 
 class Lighting:
@@ -237,12 +240,15 @@ class Lighting:
         self.programs: dict[bool, dict[str, Any]] = {False: {}, True: {}}
         planned = list(zip(world.lights, plan_maps(world)))
         root.set_shader_input("ambient", *world.ambient[:3])
+        # Both sides of a triangle cast shadows, since a mesh may be open.
+        state = graphics.state(graphics.depth_program, cull="none")
         for number, (light, kinds) in enumerate(planned):
             uniforms = _uniforms(light)
             for name, values in uniforms.items():
                 root.set_shader_input(f"light{number}_{name}", *map(float, values))
             for kind in kinds:
-                self._maps.append(_ShadowMap(graphics, root, light, f"light{number}", kind))
+                name = f"light{number}"
+                self._maps.append(_ShadowMap(graphics, root, state, light, name, kind))
             if MOVING in kinds:
                 self._positions.append(np.array(uniforms["position"]))
         for moving, paint in itertools.product((False, True), PAINT):
