@@ -302,8 +302,7 @@ class Body:
     def drive_joint(self, name: str, velocity: float, effort: float) -> None:
         """Drive a joint at a velocity (rad/s or m/s) from now on, with at most `effort` (N m, N).
 
-        Raises:
-            KeyError: an unknown name.
+        Raises KeyError for an unknown name.
         """
         velocity, effort = net_motor(self._joint(name), velocity, effort)
         self._control(name, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=effort)
@@ -380,8 +379,7 @@ class Body:
     def change_link(self, name: str, inertia: Inertia, gravity: bool) -> None:
         """Change mass and moments of a link, and whether gravity pulls it.
 
-        Raises:
-            PhysicsError: a mass or moment is not positive, or the principal frame would move.
+        Raises PhysicsError if one is not positive, or the principal frame would move.
         """
         index = self.link_index(name)
         moments, frame = principal_axes(inertia)

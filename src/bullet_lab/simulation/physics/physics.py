@@ -107,12 +107,8 @@ class ShapeMaker:
     ) -> list[tuple[tuple[Collision, ...], int, ContactSurface]]:
         """Return groups of the link's shapes, each with PyBullet's id and the common surface.
 
-        Args:
-            link: with the shapes.
-            joint: that it hangs on; None for a root.
-            load: of the body, see `load_of`.
-            skids: whether it is a wheel that skids as the body turns.
-            static: whether its model never moves.
+        The link hangs on a joint unless it is a root. See `load_of` for the load. `skids` tells
+        whether it is a wheel that skids as the body turns, `static` whether its model never moves.
         """
         axle, origin = axle_of(joint), joint.anchor if joint else ZERO
         rolls = is_wheel(link.collisions, axle) and not (skids or static)
@@ -219,9 +215,7 @@ class Physics:
     def add(self, model: Model) -> dict[str, Body]:
         """Make the bodies of a model at its pose; return them by the names of their root links.
 
-        Raises:
-            PhysicsError: a body has too many links, or PyBullet refuses it.
-            MeshError: a mesh is not usable.
+        Raises PhysicsError for too many links or what PyBullet refuses, and MeshError.
         """
         bodies: dict[str, Body] = {}
         try:
