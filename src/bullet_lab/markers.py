@@ -114,8 +114,7 @@ _CONFIG = """<?xml version="1.0"?>
 def paste(canvas: ndarray, patch: ndarray, column: int, row: int) -> None:
     """Draw a picture over another, its upper left pixel at a column and row.
 
-    Raises:
-        LabError: it does not fit there.
+    Raises LabError if it does not fit there.
     """
     height, width = patch.shape
     rows, columns = canvas.shape
@@ -129,10 +128,8 @@ def scatter_dots(side: float, free: float, rng: np.random.Generator) -> ndarray:
     """Return the centres of dots on a square sheet, as dense as those of the report's figure 8.
 
     They are (n, 2), m from the upper left corner to the right and downwards. All dots are whole,
-    and none touches the square of the edge `free` (m) in the middle of the sheet.
-
-    Raises:
-        LabError: so many dots do not fit.
+    and none touches the square of the edge `free` (m) in the middle of the sheet. Raises LabError
+    if so many dots do not fit.
     """
     amount = round(DOTS_PER_SQUARE_METRE * (side * side - free * free))
     kept, count = np.empty((amount, 2)), 0
@@ -234,10 +231,8 @@ def nested_face(marker: Print, around: Print) -> Face:
     """Return a white back wall with a marker in its middle, as one white cell of a larger one.
 
     The white cell of the larger marker that is nearest to its middle is taken; ties go to the
-    upper, then to the left one.
-
-    Raises:
-        LabError: the marker does not fit into a cell, or the larger one on the wall.
+    upper, then to the left one. Raises LabError if the marker does not fit into a cell, or the
+    larger one on the wall.
     """
     canvas = _wall(WHITE)
     pixels = _pixels(around)
@@ -289,11 +284,8 @@ def write_panel(face: Face, height: float, folder: Path, about: str) -> None:
     """Write a model of a plate on a post, its middle at a height above the floor in m.
 
     Its frame is the dock's: the origin on the floor below the marker's face, x into the face. A
-    docked robot looks along x.
-
-    Raises:
-        LabError: the plate would reach into the floor.
-        FileError: the folder cannot be written to.
+    docked robot looks along x. Raises LabError if the plate would reach into the floor, or the
+    folder cannot be written to.
     """
     below = height - 0.5 * face.size
     if below < 0.0:
@@ -346,13 +338,8 @@ def write_plate(face: Face, thickness: float, folder: Path, name: str) -> tuple[
     The origin is the middle of the front, which looks along -x with z up; the box reaches
     `thickness` metres to +x. The other sides have the colour of the picture's corner. The box
     is whole, so that nothing has to stand close behind the picture: in a depth buffer of 16
-    bits things some millimetres apart fight for the pixels.
-
-    Returns:
-        The three files.
-
-    Raises:
-        FileError: the folder cannot be written to.
+    bits things some millimetres apart fight for the pixels. Returns the three files; raises
+    FileError if the folder cannot be written to.
     """
     make_folder(folder)
     obj, mtl, png = (folder / f"{name}.{kind}" for kind in ("obj", "mtl", "png"))

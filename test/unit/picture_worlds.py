@@ -5,15 +5,13 @@ import math
 import numpy as np
 from PIL import Image
 
-from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
-from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Link, Mesh, Model, Visual, World
 
 WHITE_LIGHT = (1.0, 1.0, 1.0, 1.0)
-FOCAL = 320 / math.tan(math.radians(65) / 2)
-CAMERA = PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5)
+CAMERA = centred_camera(640, 480, math.radians(65))
 
 # Of the quarters of a picture: upper left, upper right, lower left, lower right.
 COLOURS = np.array([(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)])

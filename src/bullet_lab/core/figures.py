@@ -58,15 +58,10 @@ def panels(
     grid: bool = True,
     **more: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its axes, an array of a shape.
+    """Return a figure and its axes, an array of a shape (rows, columns).
 
-    Args:
-        shape: numbers of rows and columns.
-        size: width and height in inches.
-        title: of the figure.
-        labels: of x below the last row, and of y beside the first column.
-        grid: whether to draw grids.
-        more: as in `Figure.subplots`.
+    The size is width and height in inches; the labels are that of x below the last row and that of
+    y beside the first column. `more` is as in `Figure.subplots`.
     """
     figure = new_figure(*size, title)
     every = figure.subplots(*shape, squeeze=False, **more)
@@ -82,14 +77,10 @@ def panels(
 def legend_below(
     figure: Figure, handles: Sequence[Artist], columns: int = 0, bottom: float = 0.0, **more: Any
 ) -> None:
-    """Add a legend below the panels of a figure.
+    """Add a legend of handles with labels below the panels of a figure.
 
-    Args:
-        figure: to draw on.
-        handles: with labels.
-        columns: of the legend; 0 for a single row.
-        bottom: share of the height for the legend; the panels are laid out above it. 0 keeps them.
-        more: as in `Figure.legend`.
+    With 0 columns it is a single row. The panels are laid out above `bottom`, a share of the
+    height, unless it is 0. `more` is as in `Figure.legend`.
     """
     more = {"loc": "lower center", "ncol": columns or len(handles), "frameon": False, **more}
     if handles:
@@ -134,12 +125,9 @@ def show_around(axes: Axes, points: Sequence[Sequence[Sequence[float]]], margin:
 
 
 def draw_plan(axes: Axes, outlines: Iterable[Outline], dock: Sequence[float]) -> None:
-    """Draw walls, the marker and the dock's axis to scale.
+    """Draw the outlines of obstacles, the marker and the dock's axis to scale, in the world (m).
 
-    Args:
-        axes: to draw on; x and y are the world's, in metres.
-        outlines: of all obstacles.
-        dock: x, y (m) and yaw (rad) of the floor below the marker's face.
+    `dock` is x, y (m) and yaw (rad) of the floor below the marker's face.
     """
     plan_axes(axes, adjustable="box")
     for outline in outlines:

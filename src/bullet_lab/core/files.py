@@ -50,12 +50,8 @@ def make_folder(folder: Path) -> Path:
 def replace_file(path: Path, write: Callable[[Path], Any]) -> None:
     """Write a file under another name, and rename it when it is complete.
 
-    Args:
-        path: of the file.
-        write: writes a file to the path that it is called with.
-
-    Raises:
-        FileError: it cannot be written; a file that existed before is unchanged.
+    `write` is called with the path to write to. Raises FileError if the file cannot be written; one
+    that existed before is unchanged.
     """
     with file_errors(f"cannot write {path}"):
         descriptor, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix, prefix=PART)
@@ -80,8 +76,7 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, values: Summary) -> None:
     """Write values as indented JSON, keys in the given order.
 
-    Raises:
-        FileError: JSON cannot represent a value, such as NaN, or the file cannot be written.
+    Raises FileError if JSON cannot represent a value, such as NaN, or the file cannot be written.
     """
     try:
         text = json.dumps(values, indent=2, allow_nan=False) + "\n"
@@ -119,8 +114,7 @@ class Series:
     def add(self, stamp: int, values: Sequence[float]) -> None:
         """Record numbers at a stamp in ns; they may be infinite, which means that nothing was seen.
 
-        Raises:
-            LabError: NaN, a wrong number of them, or an out-of-order stamp.
+        Raises LabError for NaN, a wrong number of them, or an out-of-order stamp.
         """
         row = tuple(map(float, values))
         if len(row) != len(self.columns):
@@ -189,9 +183,7 @@ Values = Sequence[float]
 class Join:
     """Joins rows of several sources whose stamps are equal to the nanosecond.
 
-    Args:
-        sources: names of all of them.
-        complete: called with the stamp in ns and the values by source, when all have come.
+    `complete` is called with the stamp in ns and the values by source, when all have come.
     """
 
     def __init__(self, sources: Iterable[str], complete: Callable[[int, Dict[str, Values]], None]):

@@ -70,12 +70,7 @@ class Declaration:
     def read(self, value: Any, shown_name: str = "") -> Any:
         """Return a value converted; an empty text that is not allowed gives the default.
 
-        Args:
-            value: typed, or the text of a launch file or a command line.
-            shown_name: of the parameter in an error message, by default its name.
-
-        Raises:
-            ParameterError: the value is not allowed.
+        Raises ParameterError for a value that is not allowed, with `shown_name` or the name.
         """
         try:
             return self.accept(value)
@@ -227,10 +222,8 @@ def numbers(
 def mapping(doc: str, *kinds: type) -> Any:
     """Declare a dictionary; empty by default.
 
-    Args:
-        doc: a sentence.
-        kinds: dataclasses whose parameters may be among the entries, as the text of a launch
-            file. It is read as that of the parameter, so an empty text means the default.
+    The parameters of the dataclasses `kinds` may be among the entries, as the text of a launch
+    file. It is read as that of the parameter, so an empty text means the default.
     """
 
     def accept(value: Any) -> Mapping[str, Any]:
@@ -276,11 +269,7 @@ def read_parameters(
 
 
 def check_parameters(parameters: Any) -> None:
-    """Check the values of a dataclass that was made in Python, as in its `__post_init__`.
-
-    Raises:
-        ParameterError: a value that is not allowed.
-    """
+    """Check the values of a dataclass that was made in Python; raises ParameterError."""
     for name, declaration in declarations(type(parameters)).items():
         value = getattr(parameters, name)
         if isinstance(value, str) and not isinstance(declaration.default, str):
@@ -310,8 +299,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
 def read_options(kind: Type[T], values: Mapping[str, Any]) -> T:
     """Return the parameters from the values of a parser with `add_options`, such as `vars(…)`.
 
-    Raises:
-        ParameterError: a value that is not allowed.
+    Raises ParameterError for a value that is not allowed.
     """
     read = {}
     for name, declaration in declarations(kind).items():

@@ -152,14 +152,7 @@ def compose(a, b) -> ndarray:
 
 
 def between(a, b) -> ndarray:
-    """Return pose `b` in the frame of pose `a`, the inverse of `compose`.
-
-    Args:
-        a: poses, shape (..., 3).
-        b: poses in the same frame as `a`, shape (..., 3).
-
-    Returns:
-        Poses of the common broadcast shape (..., 3).
+    """Return pose `b` in the frame of pose `a`, the inverse of `compose`, of the same shapes.
 
     >>> between([1.0, 2.0, np.pi / 2.0], [1.0, 2.5, 0.0]).round(3)
     array([ 0.5  ,  0.   , -1.571])
@@ -260,14 +253,10 @@ SQUARE_RADIUS = -2.0 * math.log(1.0 - LEVEL)
 
 
 def ellipse_points(covariance, count: int = 73) -> ndarray:
-    """Return points of the 95 % ellipse around the origin, the first and the last the same.
+    """Return points of the 95 % ellipse around the origin, (count, 2) in m.
 
-    Args:
-        covariance: 2x2 or larger (m²); its first two rows and columns are used.
-        count: how many points.
-
-    Returns:
-        (count, 2) array of x and y in m.
+    The first and the last are the same. Of the covariance (m²), the first two rows and columns are
+    used.
 
     >>> ellipse_points(np.diag([0.04, 0.01]), 5).round(3).max(axis=0)
     array([0.49 , 0.245])

@@ -106,28 +106,27 @@ def read_tum(path: str | PathLike) -> Trajectory:
     """
     try:
         with open(path, encoding="utf-8") as file:
-            lines = [(number, line.split()) for number, line in enumerate(file, start=1)]
+            lines = [(f"line {number}", line.split()) for number, line in enumerate(file, start=1)]
     except OSError as error:
         raise TrajectoryError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise TrajectoryError(f"cannot read {path}: it is not a text file") from None
-    lines = [(number, words) for number, words in lines if words and not words[0].startswith("#")]
+    lines = [(place, words) for place, words in lines if words and not words[0].startswith("#")]
     count = len(lines[0][1]) if lines else _COLUMNS[0]
     needed = str(count) if count in _COLUMNS else " or ".join(map(str, _COLUMNS))
-    rows, places = [], []
-    for number, words in lines:
-        places.append(f"line {number}")
-        where = f"{path}, {places[-1]}"
+    rows = []
+    for place, words in lines:
+        where = f"{path}, {place}"
         if len(words) != count or count not in _COLUMNS:
             raise TrajectoryError(f"{where}: {needed} values needed, not {len(words)}")
         values = finite_numbers(words, where)
-        if len(values) == _COLUMNS[0]:
+        if count == _COLUMNS[0]:
             stamp, x, y, _, *quaternion = values
             if not any(quaternion):
                 raise TrajectoryError(f"{where}: the quaternion is zero")
             values = [stamp, x, y, yaw_from_quaternion(*quaternion)]
         rows.append(values)
-    return trajectory_of(rows, path, places)
+    return trajectory_of(rows, path, [place for place, _ in lines])
 
 
 def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
@@ -144,16 +143,11 @@ def finite_numbers(words: Iterable[Any], where: str) -> List[float]:
 def trajectory_of(
     rows: Sequence[Sequence[float]], path: str | PathLike, places: Sequence[str]
 ) -> Trajectory:
-    """Return the trajectory of rows of a file.
+    """Return the trajectory of rows of a file, whose places in it are given in words.
 
-    Args:
-        rows: stamp (s), x, y (m) and yaw (rad), or stamp, speed (m/s) and turn rate (rad/s). Of
-            those with the same stamp the first is kept.
-        path: the file.
-        places: of the rows in it, in words.
-
-    Raises:
-        TrajectoryError: they are invalid; the message names their file, and the place.
+    A row is stamp (s), x, y (m) and yaw (rad), or stamp, speed (m/s) and turn rate (rad/s). Of
+    those with the same stamp the first is kept. Raises TrajectoryError if they are invalid, with
+    the path and the place.
     """
     table = np.array(rows, dtype=float).reshape(len(rows), -1 if rows else 4)
     waits = np.diff(table[:, 0], prepend=-np.inf)
@@ -175,12 +169,9 @@ def trajectory_of(
 
 
 def integrated(stamps: ndarray, speed: ndarray, turn_rate: ndarray) -> ndarray:
-    """Return the poses (m, m, rad) if each velocity is held until the next stamp, (n, 3).
+    """Return the poses (m, m, rad) if each velocity is held until the next stamp (s), (n, 3).
 
-    Args:
-        stamps: s, shape (n,).
-        speed: m/s, shape (n,).
-        turn_rate: rad/s, counter-clockwise > 0, shape (n,).
+    The speeds (m/s) and turn rates (rad/s, counter-clockwise > 0) are of shape (n,).
 
     >>> integrated(np.array([0.0, 2.0, 3.0]), np.ones(3), np.array([0.0, np.pi, 0.0])).round(3)
     array([[ 0.   ,  0.   ,  0.   ],
@@ -223,8 +214,7 @@ class PathError:
 def path_error(reference: Trajectory, estimate: Trajectory) -> PathError:
     """Compare an estimate with the reference, pose by pose.
 
-    Raises:
-        TrajectoryError: the stamps are not exactly the same.
+    Raises TrajectoryError if the stamps are not exactly the same.
 
     >>> perfect = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     >>> noisy = Trajectory([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.5, 0.0)])

@@ -15,7 +15,12 @@ import numpy as np
 from numpy import ndarray
 
 from bullet_lab.core.pose import Pose, Vector
-from bullet_lab.simulation.rendering.drawables import Surface, read_pixels, surfaces_of
+from bullet_lab.simulation.rendering.drawables import (
+    Surface,
+    read_pixels,
+    surfaces_of,
+    visible_surfaces,
+)
 from bullet_lab.simulation.world.description import Texture, Visual
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
 from bullet_lab.simulation.world.xml import Report, leaving_out
@@ -279,19 +284,14 @@ def glb_of(visuals: Sequence[Visual], report: Report = LOG.warning) -> bytes:
     """
     import trimesh
 
-    meshes = [_mesh(s, report) for visual in visuals for s in _surfaces(visual, report)]
+    meshes = []
+    for visual in visuals:
+        with leaving_out(report):
+            surfaces = visible_surfaces(visual, NO_LIGHT, report)
+            meshes += [_mesh(surface, report) for surface in surfaces]
     if not meshes:
         return b""
     return trimesh.Scene(meshes).export(file_type="glb", include_normals=True)
-
-
-def _surfaces(visual: Visual, report: Report) -> Sequence[Surface]:
-    if visual.colour[3] <= 0.0:
-        return []
-    with leaving_out(report):
-        found = surfaces_of(visual.geometry, report)
-        return [surface.shown(visual, NO_LIGHT, report) for surface in found]
-    return []
 
 
 def _mesh(surface: Surface, report: Report) -> Any:

@@ -37,18 +37,13 @@ class ContactPoint:
 
 
 class AttachedFrame:
-    """A frame at a pose `offset` in a link of a body.
-
-    Attributes:
-        index: PyBullet's index of the link.
-    """
+    """A frame at a pose `offset` in a link of a body."""
 
     def __init__(self, body: Body, link: str, offset: Pose = ORIGIN):
-        self.body = body
-        self.link = link
-        self.index = body.link_index(link)
+        self.body, self.link = body, link
+        self._index = body.link_index(link)
         # PyBullet gives the pose of a link's principal frame.
-        principal = body.link_at(self.index).mass_properties()[2]
+        principal = body.link_at(self._index).mass_properties()[2]
         self._in_principal = principal.inverse() * offset
 
     @classmethod
@@ -57,8 +52,7 @@ class AttachedFrame:
     ) -> AttachedFrame:
         """Return a frame at an offset in a link of a model, which may be merged into another.
 
-        Raises:
-            KeyError: there is no such link.
+        Raises KeyError if there is no such link.
         """
         carrier, pose = model.frames.get(link, (link, ORIGIN))
         for body in bodies:
@@ -77,10 +71,10 @@ class AttachedFrame:
         """
         if before_friction and self.body.commanded_velocity is not None:
             linear, angular = self.body.commanded_velocity()
-        elif self.index < 0:
+        elif self._index < 0:
             linear, angular = self.body.velocity()
         else:
-            state = pybullet.getLinkState(self.body.unique_id, self.index, 1, 1, self.body.client)
+            state = pybullet.getLinkState(self.body.unique_id, self._index, 1, 1, self.body.client)
             linear, angular = state[6:8]
         arm = self._principal_pose().rotate(self._in_principal.position)
         return add(linear, cross(angular, arm)), angular
@@ -104,7 +98,7 @@ class AttachedFrame:
         return found
 
     def _principal_pose(self) -> Pose:
-        return Pose(*self.body.link_place(self.index))
+        return Pose(*self.body.link_place(self._index))
 
 
 def _seen_from(point: tuple, end: int) -> ContactPoint:

@@ -159,7 +159,6 @@ class Body:
         self.client = client
         self.unique_id = unique_id
         self.bullet_links = tuple(bullet_links)
-        self.links = tuple(one.link for one in bullet_links if one.joint is not HELPER_JOINT)
         self.com_place = partial(pybullet.getBasePositionAndOrientation, unique_id, client)
         self.set_velocity = partial(pybullet.resetBaseVelocity, unique_id, physicsClientId=client)
         self.near_points = partial(pybullet.getContactPoints, unique_id, physicsClientId=client)
@@ -187,7 +186,7 @@ class Body:
                 self._joints[one.joint.name] = index
                 self.drive_joint(one.joint.name, 0.0, 0.0)
         self.joint_names = tuple(self._joints)
-        self._weigh()
+        self._note_links()
 
     def pose(self) -> Pose:
         """Return the pose of the root link's frame in the world."""
@@ -303,8 +302,7 @@ class Body:
     def drive_joint(self, name: str, velocity: float, effort: float) -> None:
         """Drive a joint at a velocity (rad/s or m/s) from now on, with at most `effort` (N m, N).
 
-        Raises:
-            KeyError: an unknown name.
+        Raises KeyError for an unknown name.
         """
         velocity, effort = net_motor(self._joint(name), velocity, effort)
         self._control(name, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=effort)
@@ -381,8 +379,7 @@ class Body:
     def change_link(self, name: str, inertia: Inertia, gravity: bool) -> None:
         """Change mass and moments of a link, and whether gravity pulls it.
 
-        Raises:
-            PhysicsError: a mass or moment is not positive, or the principal frame would move.
+        Raises PhysicsError if one is not positive, or the principal frame would move.
         """
         index = self.link_index(name)
         moments, frame = principal_axes(inertia)
@@ -400,13 +397,15 @@ class Body:
         if self.traction is not None:
             self.traction.update_gains()
 
-    def _weigh(self) -> None:
-        """Note which links gravity does not pull."""
-        masses = [one.mass_properties()[0] for one in self.bullet_links]
+    def _note_links(self) -> None:
+        """Note what the links are now, and which of them gravity does not pull."""
+        every = self.bullet_links
+        self.links = tuple(one.link for one in every if one.joint is not HELPER_JOINT)
+        masses = [one.mass_properties()[0] for one in every]
         total = sum(masses)
         self.weightless = tuple(
             (index, mass)
-            for index, (mass, one) in enumerate(zip(masses, self.bullet_links), ROOT)
+            for index, (mass, one) in enumerate(zip(masses, every), ROOT)
             if mass and not one.link.gravity
         )
         self.weight = 1.0 - sum(mass for _, mass in self.weightless) / total if total else 1.0
@@ -415,7 +414,7 @@ class Body:
         links = list(self.bullet_links)
         links[index - ROOT] = replace(links[index - ROOT], **changes)
         self.bullet_links = tuple(links)
-        self._weigh()
+        self._note_links()
         return self.link_at(index)
 
     def _joint(self, name: str) -> Joint:

@@ -107,12 +107,8 @@ class ShapeMaker:
     ) -> list[tuple[tuple[Collision, ...], int, ContactSurface]]:
         """Return groups of the link's shapes, each with PyBullet's id and the common surface.
 
-        Args:
-            link: with the shapes.
-            joint: that it hangs on; None for a root.
-            load: of the body, see `load_of`.
-            skids: whether it is a wheel that skids as the body turns.
-            static: whether its model never moves.
+        The link hangs on a joint unless it is a root. See `load_of` for the load. `skids` tells
+        whether it is a wheel that skids as the body turns, `static` whether its model never moves.
         """
         axle, origin = axle_of(joint), joint.anchor if joint else ZERO
         rolls = is_wheel(link.collisions, axle) and not (skids or static)
@@ -219,9 +215,7 @@ class Physics:
     def add(self, model: Model) -> dict[str, Body]:
         """Make the bodies of a model at its pose; return them by the names of their root links.
 
-        Raises:
-            PhysicsError: a body has too many links, or PyBullet refuses it.
-            MeshError: a mesh is not usable.
+        Raises PhysicsError for too many links or what PyBullet refuses, and MeshError.
         """
         bodies: dict[str, Body] = {}
         try:
@@ -257,7 +251,7 @@ class Physics:
         try:
             with hidden_native_output():
                 made = self._bullet_links(links, joints, model.static, skids)
-                body = self._made(made, model, pose)
+                body = self._create(made, model, pose)
         except pybullet.error as error:
             what = f"model '{model.name}': PyBullet cannot make it: {error}"
             raise PhysicsError(what) from error
@@ -270,16 +264,6 @@ class Physics:
             _set_self_collisions(body)
         body.place(pose)
         return body
-
-    def _made(self, links: Sequence[BulletLink], model: Model, pose: Pose) -> Body:
-        """Make a body of a model at a pose of its root link's frame."""
-        if len(links) - 1 > MOST_LINKS:
-            need = f"its joints and shapes need {len(links) - 1} links beside the root"
-            what = f"model '{model.name}': {need}; the engine allows {MOST_LINKS}"
-            raise PhysicsError(what)
-        body = self._create(links, pose)
-        self._set_dynamics(body, links, model.static)
-        return Body(self.client, body, links)
 
     def _bullet_links(
         self,
@@ -305,9 +289,13 @@ class Physics:
             helpers += [BulletLink(link, HELPER_JOINT, place, *group, origin) for group in more]
         return found + helpers
 
-    def _create(self, links: Sequence[BulletLink], pose: Pose) -> int:
+    def _create(self, links: Sequence[BulletLink], model: Model, pose: Pose) -> Body:
+        """Make a body of a model at a pose of its root link's frame."""
         (mass, _, centre), *masses = [link.mass_properties() for link in links]
         root, *rest = links
+        if len(rest) > MOST_LINKS:
+            need = f"its joints and shapes need {len(rest)} links beside the root"
+            raise PhysicsError(f"model '{model.name}': {need}; the engine allows {MOST_LINKS}")
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MAINTAIN_LINK_ORDER
         if any(link.link.self_collide for link in links):
             flags |= pybullet.URDF_USE_SELF_COLLISION
@@ -316,7 +304,7 @@ class Physics:
             subtract((link.joint.pose * Pose(link.origin)).position, links[link.parent].origin)
             for link in rest
         ]
-        return pybullet.createMultiBody(
+        body = pybullet.createMultiBody(
             *(mass, root.shape, NO_SHAPE, *astuple(pose), *astuple(centre)),
             linkMasses=[mass for mass, _, _ in masses],
             linkCollisionShapeIndices=[link.shape for link in rest],
@@ -324,8 +312,7 @@ class Physics:
             linkPositions=places,
             linkOrientations=[link.joint.pose.quaternion for link in rest],
             linkInertialFramePositions=[
-                subtract(centre.position, link.origin)
-                for link, (_, _, centre) in zip(rest, masses)
+                subtract(centre.position, link.origin) for link, (_, _, centre) in zip(rest, masses)
             ],
             linkInertialFrameOrientations=[centre.quaternion for _, _, centre in masses],
             linkParentIndices=[link.parent for link in rest],
@@ -336,6 +323,8 @@ class Physics:
             # A body that never moves needs no tree of links: a world of 1,000 takes a quarter.
             useMaximalCoordinates=int(not rest and mass == 0.0),
         )
+        self._set_dynamics(body, links, model.static)
+        return Body(self.client, body, links)
 
     def _set_dynamics(self, body: int, links: Sequence[BulletLink], static: bool) -> None:
         """Set the properties of a body that `createMultiBody` does not take."""

@@ -22,7 +22,6 @@ RAYS_AT_A_TIME = 16_383
 PART = 4096
 # Of so few rays, Bullet finds faster what they hit.
 FEW = 16
-ALL = slice(None)
 # Of the rays of a fan: the distance (m) of what each hits from the origin, infinite without a hit,
 # and the unique id of the body there, -1 without a hit; both of shape (rays,).
 Hits = Tuple[ndarray, ndarray]
@@ -134,16 +133,18 @@ class RayScene:
     def cast(self, fans: Sequence[Fan]) -> list[Hits]:
         """Cast fans of rays; many at once take little longer than one."""
         found = iter(self._compute([fan for fan in fans if fan.ways.shape[1] > FEW]))
-        return [next(found) if fan.ways.shape[1] > FEW else self._look(fan) for fan in fans]
+        return [
+            next(found) if fan.ways.shape[1] > FEW else self._look(fan.origin[:, None], *fan[1:])
+            for fan in fans
+        ]
 
-    def _look(self, fan: Fan, rays: Any = ALL) -> Hits:
-        """Return what rays of a fan hit as Bullet finds it, as `cast`."""
-        limits = fan.nearest, fan.farthest
-        ends = (fan.origin + limit * fan.ways[:, rays].T for limit in limits)
-        found = cast(self._client, *(points.tolist() for points in ends))
+    def _look(self, origins: ndarray, ways: ndarray, nearest: Any, farthest: Any) -> Hits:
+        """Return what rays hit as Bullet finds it; arguments are as in `Fan`, for each ray."""
+        ends = (origins + limit * ways for limit in (nearest, farthest))
+        found = cast(self._client, *(points.T.tolist() for points in ends))
         bodies = np.array([hit[0] for hit in found], dtype=int)
         shares = np.array([hit[2] for hit in found], dtype=float)
-        distances = fan.nearest + shares * (fan.farthest - fan.nearest)
+        distances = nearest + shares * (farthest - nearest)
         return np.where(bodies < 0, np.inf, distances), bodies
 
     def _compute(self, fans: Sequence[Fan]) -> list[Hits]:
@@ -171,18 +172,15 @@ class RayScene:
         distances, bodies = np.full(len(fan_of), np.inf), np.full(len(fan_of), -1)
         distances[rays[seen]] = enters[seen]
         bodies[rays[seen]] = self._body[shapes[seen]]
-        unclear = np.zeros(len(fan_of), dtype=bool)
-        unclear[rays[crossed & by_bullet]] = True
+        left = rays[crossed & by_bullet]
+        if len(left):
+            left = np.unique(left)
+            fan = fan_of[left]
+            found, whose = self._look(origins[:, fan], ways[:, left], *limits[:, fan])
+            nearer = found < distances[left]
+            distances[left[nearer]], bodies[left[nearer]] = found[nearer], whose[nearer]
         last = np.cumsum(counts)[:-1]
-        hits = list(zip(np.split(distances, last), np.split(bodies, last)))
-        for fan, (distances, bodies), here in zip(fans, hits, np.split(unclear, last)):
-            if not here.any():
-                continue
-            found, whose = self._look(fan, here)
-            nearer = found < distances[here]
-            distances[here] = np.where(nearer, found, distances[here])
-            bodies[here] = np.where(nearer, whose, bodies[here])
-        return hits
+        return list(zip(np.split(distances, last), np.split(bodies, last)))
 
     def _candidates(
         self, fans: Sequence[Fan], origins: ndarray, starts: ndarray

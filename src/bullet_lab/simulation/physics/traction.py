@@ -138,6 +138,7 @@ class Partner:
     share: float = 1.0
 
 
+@dataclass(eq=False)
 class WheelFriction:
     """The friction of one wheel.
 
@@ -147,26 +148,20 @@ class WheelFriction:
         direction: `fdir1` in the same frame; None for Coulomb's law.
         gains: the friction that stops a slip in one step, in N s/m.
         load: the smoothed force that carries the wheel, in N.
+        kept: the force that the next step begins with, in N.
     """
 
-    gains: Pair
-
-    def __init__(self, index: int, axle: Vector, direction: Vector | None):
-        self.index = index
-        self.axle = axle
-        self.direction = direction
-        self.reset()
+    index: int
+    axle: Vector
+    direction: Vector | None
+    gains: Pair = (0.0, 0.0)
+    load: float = 0.0
+    kept: Pair = (0.0, 0.0)
 
     def reset(self) -> None:
         """Have no load and no friction."""
         self.load = 0.0
-        self._kept = (0.0, 0.0)
-
-    def update_load(self, load: float, touching: bool) -> None:
-        """Take over the force (N) that carried the wheel in the last step."""
-        self.load += LOAD_SMOOTHING * (load - self.load)
-        if not touching:
-            self._kept = (0.0, 0.0)
+        self.kept = (0.0, 0.0)
 
     def force(self, slip: Pair, coefficients: Pair, share: float, angle: Pair) -> Pair:
         """Return the friction in N at a slip in m/s, with this share of the gains.
@@ -175,7 +170,7 @@ class WheelFriction:
         """
         gains = share * self.gains[0], share * self.gains[1]
         stop, stop2 = gains[0] * slip[0], gains[1] * slip[1]
-        wanted = self._kept[0] - STOPPING * stop, self._kept[1] - STOPPING * stop2
+        wanted = self.kept[0] - STOPPING * stop, self.kept[1] - STOPPING * stop2
         load = max(self.load, LEAST_LOAD)
         if self.direction is None:
             limits = coefficients[0] * load, coefficients[1] * load
@@ -183,7 +178,7 @@ class WheelFriction:
         else:
             along, across, left = limit_directed(wanted, coefficients, load, *angle)
         passing = left * (STOPPING - KEEPING)
-        self._kept = along + passing * stop, across + passing * stop2
+        self.kept = along + passing * stop, across + passing * stop2
         return along, across
 
 
@@ -260,8 +255,10 @@ class Traction:
         for wheel, state in zip(self._wheels, self._states()):
             points = touching[wheel.index]
             load = sum([point[9] for point in points])
-            wheel.update_load(load, bool(points))
-            if points:
+            wheel.load += LOAD_SMOOTHING * (load - wheel.load)
+            if not points:
+                wheel.kept = (0.0, 0.0)
+            else:
                 weights = [point[9] / load if load else 1.0 / len(points) for point in points]
                 self._apply_friction(wheel, state, zip(points, weights))
 

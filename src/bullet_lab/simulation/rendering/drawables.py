@@ -146,6 +146,14 @@ def surfaces_of(geometry: Geometry, report: Report = LOG.warning) -> list[Surfac
     return [SURFACES[type(geometry)](geometry)]
 
 
+def visible_surfaces(visual: Visual, ambient: ndarray, report: Report) -> list[Surface]:
+    """Return the surfaces of a visual with its look, see `Surface.shown` and `surfaces_of`."""
+    if visual.colour[3] <= 0.0:
+        return []
+    found = surfaces_of(visual.geometry, report)
+    return [surface.shown(visual, ambient, report) for surface in found]
+
+
 def _box(box: Box) -> Surface:
     from trimesh import creation
 
@@ -271,7 +279,7 @@ class Drawables:
         """
         # The surfaces of one draw call: of the same kind, with at most one picture.
         calls: dict[tuple, list[Surface]] = {}
-        boxes = [np.zeros((0, 8, 3))]
+        boxes = []
         for visual in visuals:
             is_plane = isinstance(visual.geometry, Plane)
             for surface in self._surfaces(visual, where):
@@ -281,8 +289,10 @@ class Drawables:
                 number = len(calls) if surface.texture is not None else -1
                 calls.setdefault((number, see_through, is_plane, throws), []).append(surface)
                 if throws:
-                    boxes.append(_box_around(surface.corners))
-        made = Drawable([], np.concatenate(boxes), [])
+                    points = surface.corners.reshape(-1, 3)
+                    ends = zip(points.min(axis=0), points.max(axis=0))
+                    boxes.append(list(itertools.product(*ends)))
+        made = Drawable([], np.array(boxes).reshape(-1, 8, 3), [])
         for (_, see_through, is_plane, throws), surfaces in calls.items():
             path, patch = panda3d().NodePath(_node(surfaces)), None
             loaded = self._loaded(surfaces[0])
@@ -305,14 +315,11 @@ class Drawables:
 
     def _surfaces(self, visual: Visual, where: str) -> list[Surface]:
         """Return the surfaces of a visual, in the link's frame."""
-        if visual.colour[3] <= 0.0:
-            return []
         try:
-            found = surfaces_of(visual.geometry, self._report)
+            return visible_surfaces(visual, self._ambient, self._report)
         except LabError as error:
             self._report(f"{where} is not drawn completely: {error}")
             return []
-        return [surface.shown(visual, self._ambient, self._report) for surface in found]
 
     def _loaded(self, surface: Surface) -> LoadedTexture | None:
         texture = surface.texture
@@ -384,9 +391,3 @@ def _patch(surface: Surface) -> Patch:
     total = np.linalg.norm(areas, axis=1).sum()
     centre = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
     return centre, areas.sum(axis=0) / (total or 1.0)
-
-
-def _box_around(corners: ndarray) -> ndarray:
-    """Return the corners of the box around triangles (n, 3, 3), (1, 8, 3)."""
-    ends = np.stack((corners.min(axis=(0, 1)), corners.max(axis=(0, 1))), axis=1)
-    return np.array([list(itertools.product(*ends))])

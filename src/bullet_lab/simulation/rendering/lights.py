@@ -23,6 +23,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+from dataclasses import dataclass
 from typing import Any, Callable, Iterator, Sequence, Tuple
 
 import numpy as np
@@ -140,31 +141,29 @@ def _each(lights: Sequence[Lit], of_light: str, of_map: str = "", end: str = "")
 def aim_at(boxes: ndarray, light: Light, kind: str) -> Aim:
     """Return the smallest map, STILL or MOVING, for the boxes (n, 8, 3) that a light reaches."""
     place = np.asarray(light.pose.position)
-    size, limits, rim = SPOT_SIZE[kind], np.full(3, math.inf), PIXEL[kind]
     if light.kind == "point":
         ahead = [axes * ((1,), (1,), (sign,)) for sign in (-1, 1) for axes in LAMP_AXES]
         return [_perspective(axes, place) for axes in ahead], LAMP_SIZE, 2.0 * LIFT / LAMP_SIZE
-    matrix = np.eye(4)
-    matrix[:3, :3] = axes_along(light.pose.rotate(light.direction))
+    axes = axes_along(light.pose.rotate(light.direction))
     if light.kind == "spot":
-        matrix = _perspective(matrix[:3, :3], place)
         slope = math.tan(0.5 * min(light.cone.outer, WIDEST_SPOT))
-        limits, rim = np.array((slope, slope, 1.0)), 1e-4
+        matrix, limits, rim = _perspective(axes, place), np.array((slope, slope, 1.0)), 1e-4
+    else:
+        matrix, limits, rim = np.eye(4), np.full(3, math.inf), PIXEL[kind]
+        matrix[:3, :3] = axes
     small = boxes[np.ptp(boxes, axis=1).max(axis=1) <= LARGEST]
     points = (small if len(small) else boxes).reshape(-1, 3)
-    nowhere = [np.zeros((4, 4))], SIZES[kind][0], 0.0
-    if not len(points):
-        return nowhere
     clip = np.column_stack((points, np.ones(len(points)))) @ matrix.T
     there = clip[:, :3] / np.maximum(clip[:, 3:], NEAREST)
     if (clip[:, 3] < NEAREST).any():
         # A corner is beside the light or behind it.
         there = np.append(there, (-limits, limits), axis=0)
-    low = np.maximum(there.min(axis=0) - rim, -limits)
-    high = np.minimum(there.max(axis=0) + rim, limits)
+    low = np.maximum(there.min(axis=0, initial=math.inf) - rim, -limits)
+    high = np.minimum(there.max(axis=0, initial=-math.inf) + rim, limits)
     if (low >= high).any():
-        return nowhere
-    extent = float((high - low)[:2].max())
+        # The light reaches nothing.
+        return [np.zeros((4, 4))], SIZES[kind][0], 0.0
+    extent, size = float((high - low)[:2].max()), SPOT_SIZE[kind]
     if light.kind == "directional":
         size = next((s for s in SIZES[kind] if extent <= PIXEL[kind] * s), SIZES[kind][-1])
     fit = np.diag((*(2.0 / (high - low)), 1.0))
@@ -192,38 +191,40 @@ def axes_along(direction: Sequence[float]) -> ndarray:
     return np.stack((first, np.cross(along, first), along))
 
 
+@dataclass(eq=False)
 class _ShadowMap:
-    """A shadow map of a light, in the uniforms of the scene."""
+    """A shadow map of a light, in the uniforms of the scene below a root; a camera draws it."""
 
-    def __init__(self, graphics: Graphics, root: Any, light: Light, name: str, kind: str):
-        self.kind = kind
-        self._graphics, self._root, self._light, self._name = graphics, root, light, name
-        self._target: Canvas | None = None
-        self._version = -1
-        # Both sides of a triangle cast shadows, since a mesh may be open.
-        self._state = graphics.state(graphics.depth_program, cull="none")
+    graphics: Graphics
+    root: Any
+    camera_state: Any
+    light: Light
+    name: str
+    kind: str
+    target: Canvas | None = None
+    version: int = -1
 
     def update(self, version: int, boxes: Callable[[str], ndarray]) -> list[Canvas]:
         """Return the map if it must be drawn again: for another version."""
-        if self._version == version:
+        if self.version == version:
             return []
-        self._version = version
-        matrices, size, lift = aim_at(boxes(self.kind), self._light, self.kind)
-        if self._target is None or self._target.size != size:
+        self.version = version
+        matrices, size, lift = aim_at(boxes(self.kind), self.light, self.kind)
+        if self.target is None or self.target.size != size:
             self.remove()
             tiles = (3, 2) if len(matrices) > 1 else (1, 1)
-            self._target = self._graphics.shadow_target(size, tiles)
-        self._target.aim(self._root, self._state, BITS[self.kind], matrices)
-        put = self._root.set_shader_input
-        put(f"{self._name}_{self.kind}", self._target.texture)
-        put(f"{self._name}_into_{self.kind}", panda_matrix(matrices[0]))
-        put(f"{self._name}_lift_{self.kind}", lift)
-        return [self._target]
+            self.target = self.graphics.shadow_target(size, tiles)
+        self.target.aim(self.root, self.camera_state, BITS[self.kind], matrices)
+        put = self.root.set_shader_input
+        put(f"{self.name}_{self.kind}", self.target.texture)
+        put(f"{self.name}_into_{self.kind}", panda_matrix(matrices[0]))
+        put(f"{self.name}_lift_{self.kind}", lift)
+        return [self.target]
 
     def remove(self) -> None:
         """Release the buffer."""
-        if self._target is not None:
-            self._graphics.remove(self._target)
+        if self.target is not None:
+            self.graphics.remove(self.target)
 
 
 class Lighting:
@@ -239,12 +240,15 @@ class Lighting:
         self.programs: dict[bool, dict[str, Any]] = {False: {}, True: {}}
         planned = list(zip(world.lights, plan_maps(world)))
         root.set_shader_input("ambient", *world.ambient[:3])
+        # Both sides of a triangle cast shadows, since a mesh may be open.
+        state = graphics.state(graphics.depth_program, cull="none")
         for number, (light, kinds) in enumerate(planned):
             uniforms = _uniforms(light)
             for name, values in uniforms.items():
                 root.set_shader_input(f"light{number}_{name}", *map(float, values))
             for kind in kinds:
-                self._maps.append(_ShadowMap(graphics, root, light, f"light{number}", kind))
+                name = f"light{number}"
+                self._maps.append(_ShadowMap(graphics, root, state, light, name, kind))
             if MOVING in kinds:
                 self._positions.append(np.array(uniforms["position"]))
         for moving, paint in itertools.product((False, True), PAINT):

@@ -8,6 +8,7 @@ from contact_forces import pressures
 from rovers import Drive, G, Rover, coulomb_twist, even_inertia
 
 from bullet_lab.core.pose import Pose
+from bullet_lab.simulation.models import change_link, find_link
 from bullet_lab.simulation.world.description import Box, Collision, Link, Model
 
 # Turning
@@ -150,6 +151,17 @@ def test_little_torque_accelerates_as_newton_says():
         drive.go(2.0, 2.0, 0.5)
         mass = 10.0 + 4 * 0.5 * 0.5
         assert drive.twist()[0] == pytest.approx(4 * 0.1 / 0.1 / mass * 0.5, rel=0.02)
+
+
+def test_a_base_that_becomes_heavier_is_stopped_by_more_friction():
+    heavy = Rover(mass=40.0, wheel_mass=2.0)
+    with Drive(heavy) as wanted, Drive(Rover(wheel_mass=2.0)) as drive:
+        base = heavy.model().links[0].inertia
+        change_link(find_link(drive.simulation.models, "base"), base, gravity=True)
+        gains = [
+            [wheel.gains for wheel in one.body.traction.owners.values()] for one in (drive, wanted)
+        ]
+    assert gains[0] == gains[1]
 
 
 # Beginning anew

@@ -1,17 +1,18 @@
 """Where corners are seen, what a view ends at, and what a lens shows."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from picture_worlds import CAMERA, FOCAL, checkers, plate, simulation_of, thing, write_plate
+from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_plate
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.lenses import Lens
 from bullet_lab.simulation.rendering import RendererError
-from bullet_lab.simulation.rendering.renderer import Shot
+from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
 from bullet_lab.simulation.world.description import Box
 
 BENT = (-0.25, 0.08, 0.001, -0.002, 0.01)
@@ -42,19 +43,14 @@ def offsets(renderer, camera, corners, poses, half, samples=1):
     return np.concatenate(found)
 
 
-def wide(width, height, degrees):
-    focal = 0.5 * width / math.tan(0.5 * math.radians(degrees))
-    return PinholeCamera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
-
-
 @pytest.mark.parametrize(
     ("camera", "samples"),
     [
-        (wide(320, 240, 40), 1),
-        (wide(1920, 1080, 120), 1),
+        (centred_camera(320, 240, math.radians(40)), 1),
+        (centred_camera(1920, 1080, math.radians(120)), 1),
         (CAMERA, 4),
         (PinholeCamera(501, 333, 411.0, 370.0, 230.3, 190.8), 1),
-        (PinholeCamera(640, 480, FOCAL, FOCAL, 319.5, 239.5, BENT), 1),
+        (replace(CAMERA, distortion=BENT), 1),
     ],
 )
 def test_corners_are_seen_where_camera_info_has_them(tmp_path, camera, samples):
