@@ -232,7 +232,7 @@ class OdometryFrames:
     def _changed(self, _name: str) -> None:
         """Publish the frames if they have changed with a model."""
         frames = [
-            (name, device.frame, getattr(device, "origin", Pose()))
+            (name, device.frames[0], getattr(device, "origin", Pose()))
             for name, instance in self._world.models.items()
             for device in instance.plugins
             if any(output.kind is OdometrySample for output in device.outputs)

@@ -60,7 +60,6 @@ class MobileBase(Plugin, OdometrySender):
         directions: the components of a command that it uses.
         command_topic: the default of their topic.
         base_frame: the default of the robot's frame.
-        frame: name of the odometry's frame, which the bridge connects with the world.
     """
 
     directions = ("vx", "wz")
@@ -72,9 +71,8 @@ class MobileBase(Plugin, OdometrySender):
         self._body = mount.body
         root = mount.model.root_links()[0].pose
         self._in_root = None if root == Pose() else root.inverse()
-        self.frame = mount.frame(mount.text("odometryFrame", "odom"))
-        base = mount.frame(mount.text("robotBaseFrame", self.base_frame))
-        self.frames = (self.frame, base)
+        odom = mount.frame(mount.text("odometryFrame", "odom"))
+        self.frames = (odom, mount.frame(mount.text("robotBaseFrame", self.base_frame)))
         self.odometry = self.output(mount.text("odometryTopic", "odom"), OdometrySample)
         topic = mount.text("commandTopic", self.command_topic)
         self.input(topic, PlanarCommand, self.command)

@@ -33,7 +33,7 @@ def test_odometry_is_of_the_model_and_not_of_its_first_link(world, plugin, wheel
     assert told[-1].pose.position[:2] == pytest.approx((1.0, 2.0), abs=1e-6)
     assert told[-1].pose.yaw == pytest.approx(0.0, abs=1e-6)
     # The bridge asks for it.
-    assert robot.plugins[0].frame == told[-1].frame
+    assert robot.plugins[0].frames[0] == told[-1].frame
 
 
 @pytest.mark.parametrize("slow", [(1e-3, 0, 0), (0, -1e-3, 0), (0, 0, 0.01), (1e-3, 1e-3, -0.01)])
