@@ -32,6 +32,8 @@ def test_odometry_is_of_the_model_and_not_of_its_first_link(world, plugin, wheel
     world.run_for(0.06)
     assert told[-1].pose.position[:2] == pytest.approx((1.0, 2.0), abs=1e-6)
     assert told[-1].pose.yaw == pytest.approx(0.0, abs=1e-6)
+    # The bridge asks for it.
+    assert robot.plugins[0].frames[0] == told[-1].frame
 
 
 @pytest.mark.parametrize("slow", [(1e-3, 0, 0), (0, -1e-3, 0), (0, 0, 0.01), (1e-3, 1e-3, -0.01)])

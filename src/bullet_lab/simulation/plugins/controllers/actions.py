@@ -37,8 +37,8 @@ class Goal(NamedTuple):
     """
 
     content: Any
-    move: Callable[[str, Any, str], None]
-    tell: Callable[[Any], None]
+    move: Callable[[str, Any, str], None] = lambda *_: None
+    tell: Callable[[Any], None] = lambda _: None
 
 
 class ActionController(Controller):
@@ -82,7 +82,7 @@ class ActionController(Controller):
 
     def take(self, content: Any) -> None:
         """Take a command as a goal of nobody; raises ControlError if not running."""
-        self.post(self._accept, Goal(content, lambda *_: None, lambda _: None))
+        self.post(self._accept, Goal(content))
 
     def cancel(self, goal: Goal) -> None:
         """Cancel a goal, if it is still active at the next update."""
