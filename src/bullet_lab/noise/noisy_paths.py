@@ -80,13 +80,7 @@ def noisy_blocks(
     """Yield noisy paths in blocks, so that memory does not grow with their number.
 
     For any block size they equal, to rounding, those of `NoisyPath` with the same generator,
-    restarted before each path.
-
-    Args:
-        steps: of the perfect path.
-        generator: of the normal draws, three for each step.
-        count: how many paths, >= 0.
-        steps_per_block: about how many steps a block has; a path is not divided.
+    restarted before each path. A block has about `steps_per_block`; a path is not divided.
     """
     n = len(steps)
     size = max(1, steps_per_block // n)

@@ -76,12 +76,11 @@ def _direction(dx: float, dy: float) -> Tuple[float, float]:
 
 @dataclass(frozen=True)
 class NoiseRule(abc.ABC):
-    """A noise model: it gives the variances of a step.
+    """A noise model, a frozen dataclass below `register`: it gives the variances of a step.
 
-    A model is one such class, a frozen dataclass below `register`. Its fields, declared with
-    `bullet_lab.core.parameters.number`, are >= 0 and parameters of noisy_odom; models share
-    parameters of the same name. A value is checked where it is read from a user; the rule does not
-    check it again. Studies choose a level of noise by `at_level`.
+    Its fields, declared with `bullet_lab.core.parameters.number`, are >= 0 and parameters of
+    noisy_odom; models share parameters of the same name. A value is checked where it is read from a
+    user, and not again. Studies choose a level of noise by `at_level`.
 
     Attributes:
         name: of the model, as in the parameter `model`.
@@ -106,15 +105,9 @@ class NoiseRule(abc.ABC):
 
     @abc.abstractmethod
     def variances(self, rot1, trans, rot2):
-        """Return the variances of the parts of a step.
+        """Return the variances of rot1 (rad²), trans (m²) and rot2 (rad²) of a step.
 
-        Args:
-            rot1: rad, float or array.
-            trans: m, signed, float or array of the same shape.
-            rot2: rad, float or array of the same shape.
-
-        Returns:
-            The variances of rot1 (rad²), trans (m²) and rot2 (rad²), shaped as the arguments.
+        The parts (rad, m and signed, rad) are floats, or arrays of one shape.
         """
 
 
@@ -145,11 +138,6 @@ def strength(default: float, doc: str) -> Any:
 class ReportRule(NoiseRule):
     """The rule of the report: standard deviation = std · |part|, for each message.
 
-    The spread at the end of a path therefore depends on the number of messages.
-
-    Attributes:
-        std: standard deviation per metre (translation) and per radian (rotations), >= 0.
-
     >>> ReportRule(0.5).variances(0.0, -2.0, 1.0)
     (0.0, 1.0, 0.25)
     """
@@ -172,9 +160,7 @@ class WalkRule(NoiseRule):
     def walked(self, distance, angle):
         """Return the variances of heading (rad²) and translation (m²) of a way.
 
-        Args:
-            distance: m, forwards and backwards, >= 0, float or array.
-            angle: rad, to the left and to the right, >= 0, likewise.
+        Distance (m, forwards and backwards) and angle (rad, to both sides) are >= 0.
         """
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
@@ -191,8 +177,7 @@ class RateInvariantRule(WalkRule):
     number of messages; across, N steps give 1 + 1/(2 N²) times the limit std² L³ / 3. Strafing
     counts as distance, not as two turns.
 
-    Attributes:
-        std: m/√m and rad/√m and rad/√rad, >= 0.
+    The unit of std is m/√m and rad/√m and rad/√rad.
 
     >>> RateInvariantRule(0.5).variances(0.0, -2.0, 0.0)
     (0.25, 0.5, 0.25)
@@ -212,13 +197,8 @@ class RateInvariantRule(WalkRule):
 class ProbabilisticRule(NoiseRule):
     """The odometry motion model of Probabilistic Robotics, 2nd and later printings, table 5.6.
 
-    The parameters multiply squares, so each is a variance, not a standard deviation.
-
-    Attributes:
-        alpha1: variance of a rotation per rotation squared, >= 0.
-        alpha2: variance of a rotation per translation squared (rad²/m²), >= 0.
-        alpha3: variance of the translation per translation squared, >= 0.
-        alpha4: variance of the translation per rotation squared (m²/rad²), >= 0.
+    The parameters multiply squares, so each is a variance, not a standard deviation; alpha2 is in
+    rad²/m², alpha4 in m²/rad².
 
     >>> ProbabilisticRule(0.5, 0.25, 2.0, 1.0).variances(0.0, 2.0, -1.0)
     (1.0, 9.0, 1.5)
@@ -257,10 +237,7 @@ class ProbabilisticRule(NoiseRule):
 class RandomWalkRule(WalkRule):
     """Rate-invariant noise whose way and heading are not equally noisy, as those of real robots.
 
-    Attributes:
-        way_std: m/√m, of the translation, >= 0.
-        heading_std: rad/√m, of the heading on a way, >= 0.
-        turn_std: rad/√rad, of the heading in a turn, >= 0.
+    The units are m/√m, rad/√m and rad/√rad.
 
     >>> RandomWalkRule(0.5, 0.0, 1.0).variances(0.0, 2.0, -1.0)
     (0.5, 0.5, 0.5)

@@ -111,18 +111,9 @@ def calibrate(
 ) -> ModelCalibration:
     """Find the parameters of a model, and how well halves of the steps predict each other.
 
-    A random walk is fitted to the steps as they are if it describes them, or else to long
-    ones. The other models depend on the length of steps.
-
-    Args:
-        steps: short ones.
-        model: of the noise.
-        systematic: errors to fit.
-        wheel_base: m, as of `SystematicErrors`.
-        seed: of the bootstrap, >= 0.
-
-    Raises:
-        LabError: the steps do not determine the parameters.
+    A random walk is fitted to the (short) steps as they are if it describes them, or else to long
+    ones. The other models depend on the length of steps. Raises LabError if the steps do not
+    determine the parameters.
     """
     make = functools.partial(Problem, model=model, systematic=systematic, wheel_base=wheel_base)
 
@@ -281,10 +272,7 @@ def _verdict(found: Goodness) -> str:
 def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
     """Return a YAML file with the parameters for noisy_odom, described in comments.
 
-    Args:
-        one: calibration of a model.
-        source: of the steps.
-        seconds: median time of a step.
+    `seconds` is the median time of a step.
     """
     verdict = _verdict(one.goodness)
     rate = "any steps" if issubclass(MODELS[one.model], WalkRule) else f"steps of {seconds:.3g} s"

@@ -181,17 +181,9 @@ def coverage(
 ) -> list[Record]:
     """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
 
-    Returns:
-        For each parameter the number of paths, that of the intervals that hold its true value,
-        their share with its 95 % band (Clopper and Pearson), and the means of the estimates and of
-        the finite ends of the intervals.
-
-    Args:
-        settings: of the drive, with the true values.
-        model: of the noise.
-        systematic: systematic errors that are applied and fitted; the others are 0.
-        paths: number of paths.
-        seed: of the paths, >= 0.
+    The errors that are not in `systematic` are 0 and not fitted. The result has for each parameter
+    the number of paths, that of the intervals that hold its true value, their share with its 95 %
+    band (Clopper and Pearson), and the means of the estimates and of the finite ends.
     """
     errors = {name: getattr(settings, name) for name in systematic}
     true = {**asdict(settings.rule(model)), **errors}
@@ -235,18 +227,10 @@ def run_calibration(
     recordings: Sequence[Recording] = (),
     tell: Tell = print,
 ) -> Summary:
-    """Calibrate; write noise.yaml, figures and summary.json; return the summary.
+    """Calibrate by recordings, or the made-up drive if there are none.
 
-    Args:
-        folder: for the results.
-        settings: models and errors to fit.
-        steps: settings of the steps.
-        drive: made up if there are no recordings.
-        recordings: to calibrate by.
-        tell: prints a line.
-
-    Raises:
-        LabError: recordings that are not usable, or a folder that cannot be written to.
+    Write noise.yaml, figures and summary.json; return the summary. Raises LabError for recordings
+    that are not usable, or a folder that cannot be written to.
     """
     true: dict[str, dict[str, float]] = {}
     if not recordings:
