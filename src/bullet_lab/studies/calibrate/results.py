@@ -175,12 +175,8 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(ranked: Sequence[ModelCalibration]) -> Summary:
-    """Return the figures of all models, the best one first, for summary.json."""
-    return {"best": ranked[0].model, "models": [_summary(one) for one in ranked]}
-
-
-def _summary(one: ModelCalibration) -> Summary:
+def model_summary(one: ModelCalibration) -> Summary:
+    """Return the figures of a model for summary.json."""
     fitted = one.goodness
     return {
         "model": one.model,

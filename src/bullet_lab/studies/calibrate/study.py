@@ -34,9 +34,9 @@ from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors, Systematic
 from bullet_lab.studies.calibrate.results import (
     ModelCalibration,
     calibrate,
-    calibration_summary,
     coverage_figure,
     lines,
+    model_summary,
     noise_yaml,
     paths_figure,
     profiles_figure,
@@ -268,7 +268,8 @@ def run_calibration(
         "seed": settings.seed,
         "recordings": names,
         "steps": taken.summary(),
-        **calibration_summary(ranked),
+        "best": best.model,
+        "models": list(map(model_summary, ranked)),
     }
     figures = {
         "residuals.png": residuals_figure(found),

@@ -416,7 +416,7 @@ def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
 
 def _draw_bent_region(axes: Axes, mean, covariance, around: ndarray) -> None:
     """Draw the region of 95 % of the positions, if they are Gaussian in exponential coordinates."""
-    if inverse_of(covariance) is None:
+    if not inverse_of(covariance).any():
         return
     sides = np.array([around.real, around.imag])
     margins = 0.2 * np.ptp(sides, axis=1)
