@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.noise.exact_moments import NoisySteps
-from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, decompose_steps, line_of_travel
+from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, decompose, line_of_travel
 
 STEPS_PER_BLOCK = 16384
 """Steps of a block: their arrays, about 1.5 MB, fit into the processor's cache."""
@@ -36,7 +36,7 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
     """
     poses = np.asarray(poses, dtype=float)
     body = se2.steps(poses)
-    parts = decompose_steps(body)
+    parts = decompose(body)
     # As in NoisyPath, a step that is too short for a rot1 keeps its direction.
     angle = poses[:-1, 2] + line_of_travel(body[:, 0], body[:, 1])[0]
     shape = parts.shape[:1]

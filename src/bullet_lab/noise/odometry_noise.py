@@ -32,23 +32,16 @@ class NoiseError(LabError):
     """The noise model is unknown, or its parameters have another number."""
 
 
-def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
-    """Decompose a displacement (m, m, rad) in the body frame before it into (rot1, trans, rot2).
+def decompose(steps) -> ndarray:
+    """Decompose displacements (m, m, rad) in the body frame before each into rot1, trans and rot2.
 
     Turning by rot1 (rad, in [-pi/2, pi/2]), going trans ahead (m, back when negative) and turning
     by rot2 (rad, in [-pi, pi)) leads to the same pose. A step shorter than `MIN_TRANSLATION` has no
-    meaningful direction: its rot1 is 0.
+    meaningful direction: its rot1 is 0. Both arrays are of shape (..., 3).
 
-    >>> decompose(0.5, 0.0, 0.25)
-    (0.0, 0.5, 0.25)
+    >>> decompose((0.5, 0.0, 0.25))
+    array([0.  , 0.5 , 0.25])
     """
-    direction, trans = _direction(dx, dy)
-    rot1 = direction if abs(trans) >= MIN_TRANSLATION else 0.0
-    return rot1, trans, wrap(dyaw - rot1)
-
-
-def decompose_steps(steps) -> ndarray:
-    """Decompose an array of (dx, dy, dyaw), shape (..., 3), like `decompose`."""
     dx, dy, dyaw = columns(steps)
     direction, trans = line_of_travel(dx, dy)
     rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
@@ -373,7 +366,9 @@ class NoisyPath:
 
         dx, dy, dyaw = body_step(before, self._true)
         direction, trans = _direction(dx, dy)
-        variances = self._rule.variances(*decompose(dx, dy, dyaw))
+        # As of `decompose`, for floats.
+        rot1 = direction if abs(trans) >= MIN_TRANSLATION else 0.0
+        variances = self._rule.variances(rot1, trans, wrap(dyaw - rot1))
         error1, error_trans, error2 = self._draw(variances)
         self._moments.add(before[2] + direction, trans, variances)
         motion = RunningMoments()
