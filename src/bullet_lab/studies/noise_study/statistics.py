@@ -40,21 +40,6 @@ MOST_LAPS = 50
 QUANTILE_PATHS = 100_000
 """Number of paths for medians and 95 % quantiles; everything else uses all paths."""
 
-METRICS = (
-    "final_error_m",
-    "final_heading_error_deg",
-    "ape_rmse_m",
-    "ape_heading_rmse_deg",
-    "rpe_rmse_m",
-    "rpe_heading_rmse_deg",
-    "drift_percent",
-    "drift_deg_per_m",
-    "along_track_rms_m",
-    "cross_track_rms_m",
-)
-"""Columns of `PathMetrics.values`; a closure error for each lap follows."""
-
-
 def find_laps(trajectory: Trajectory) -> tuple[ndarray, ndarray]:
     """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
 
@@ -129,31 +114,29 @@ class PathMetrics:
         self._share = 1.0 / (distance * len(distance))
         self._tangent = _tangents(steps).conj()
         self._starts, self._ends = find_laps(trajectory)
-        laps = [f"closure_error_lap_{i + 1}_m" for i in range(len(self._ends))]
-        self.names = (*METRICS, *laps)
 
-    def values(self, block: NoisyBlock) -> ndarray:
-        """Return the metrics of each path, shape (b, len(names)); see `names`."""
+    def values(self, block: NoisyBlock) -> dict[str, ndarray]:
+        """Return the metrics of each path by name, shapes (b,)."""
         heading = block.heading_error
         error = block.position - self._position
         error *= self._tangent
         along, across = error.real, error.imag
         square = np.square(along) + np.square(across)
         relative, relative_heading = self._relative_errors(block)
-        columns = [
-            np.sqrt(square[:, -1]),
-            np.degrees(np.abs(_short_way(heading[:, -1]))),
-            np.sqrt(np.mean(square, axis=1)),
-            np.degrees(_rms(_short_way(heading))),
-            _rms(relative),
-            np.degrees(_rms(relative_heading)),
-            100.0 * (relative @ self._share),
-            np.degrees(np.abs(relative_heading) @ self._share),
-            _rms(along),
-            _rms(across),
-        ]
         laps = np.abs(block.position[:, self._ends] - block.position[:, self._starts])
-        return np.column_stack([*columns, laps])
+        return {
+            "final_error_m": np.sqrt(square[:, -1]),
+            "final_heading_error_deg": np.degrees(np.abs(_short_way(heading[:, -1]))),
+            "ape_rmse_m": np.sqrt(np.mean(square, axis=1)),
+            "ape_heading_rmse_deg": np.degrees(_rms(_short_way(heading))),
+            "rpe_rmse_m": _rms(relative),
+            "rpe_heading_rmse_deg": np.degrees(_rms(relative_heading)),
+            "drift_percent": 100.0 * (relative @ self._share),
+            "drift_deg_per_m": np.degrees(np.abs(relative_heading) @ self._share),
+            "along_track_rms_m": _rms(along),
+            "cross_track_rms_m": _rms(across),
+            **{f"closure_error_lap_{i}_m": lap for i, lap in enumerate(laps.T, 1)},
+        }
 
     def _relative_errors(self, block: NoisyBlock) -> tuple[ndarray, ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).
@@ -282,7 +265,7 @@ def study_case(
     metrics = PathMetrics(trajectory, steps, delta)
     regions, ellipses = Regions(trajectory, steps, known), _last_ellipses(known)
     squares, inside = np.zeros(len(steps) + 1), np.zeros(len(ELLIPSES), dtype=int)
-    sums, values = np.zeros(len(metrics.names)), []
+    sums, values = 0.0, []
     kept = [np.empty((0, *trajectory.poses.shape))]
     # In memory that does not grow with the number of paths.
     for block in noisy_blocks(steps, generator, paths):
@@ -294,8 +277,9 @@ def study_case(
         nees = ellipses.nees(last[:, None])
         inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
         found = metrics.values(block)
-        sums += found.sum(axis=0)
-        values.append(found[: max(0, QUANTILE_PATHS - block.first)])
+        table = np.column_stack(list(found.values()))
+        sums = sums + table.sum(axis=0)
+        values.append(table[: max(0, QUANTILE_PATHS - block.first)])
         if block.first < keep:
             kept.append(block.poses(trajectory.poses)[: keep - block.first])
     median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
@@ -308,7 +292,7 @@ def study_case(
         std,
         known,
         regions,
-        {name: dict(zip(("mean", "p50", "p95"), own)) for name, own in zip(metrics.names, columns)},
+        {name: dict(zip(("mean", "p50", "p95"), own)) for name, own in zip(found, columns)},
         dict(zip(ELLIPSES, shares.tolist())),
         np.sqrt(squares / paths),
         np.concatenate(kept),
