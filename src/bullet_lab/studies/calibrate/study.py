@@ -71,11 +71,6 @@ _COMMANDS = (
 )
 """Commands of a lap: m/s, rad/s and s."""
 
-COVERAGE_COLUMNS = (
-    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
-    *("mean_estimate", "mean_low", "mean_high"),
-)
-
 
 @dataclass(frozen=True)
 class CalibrateSettings(Settings):
@@ -197,10 +192,21 @@ def coverage(
     for j, name in enumerate(found.problem.names):
         low, high = bounds[:, j].T
         held = int(((low <= true[name]) & (true[name] <= high)).sum())
-        means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
-        shares = (held / paths, *clopper_pearson(held, paths, 0.025))
-        row = (model, name, true[name], paths, held, *shares, *means)
-        result.append(dict(zip(COVERAGE_COLUMNS, row)))
+        band_low, band_high = clopper_pearson(held, paths, 0.025)
+        columns = {"mean_estimate": values[:, j], "mean_low": low, "mean_high": high}
+        result.append(
+            {
+                "model": model,
+                "parameter": name,
+                "true": true[name],
+                "paths": paths,
+                "held": held,
+                "share": held / paths,
+                "band_low": band_low,
+                "band_high": band_high,
+                **{mean: float(np.mean(c[np.isfinite(c)])) for mean, c in columns.items()},
+            }
+        )
     return result
 
 

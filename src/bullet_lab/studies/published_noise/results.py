@@ -57,7 +57,6 @@ EVIDENCE = {
 """Lengths that a p-value uses: some alone, and all together."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-_SHARES = ("q05", "q25", "q50", "q75", "q95")
 
 NEEDED, RULED_OUT, UNKNOWN = "needed", "ruled out", "cannot be told"
 
@@ -348,7 +347,7 @@ def combination_records(results: Sequence[Result]) -> list[Record]:
             record[f"p_{evidence}"], record[f"p_{evidence}_below"] = rounded((p.value, p.high))
         percentiles = rounded(100.0 * result.percentiles, 1)
         for length, quantiles, percentile in zip(LENGTHS, result.quantiles.T, percentiles):
-            names = (f"{length}_{share}_m" for share in _SHARES)
+            names = (f"{length}_q{100.0 * share:02.0f}_m" for share in QUANTILES)
             record.update(zip(names, rounded(quantiles)))
             record[f"{length}_percentile"] = percentile
         records.append(record)
