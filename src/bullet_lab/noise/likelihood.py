@@ -148,9 +148,9 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
 def walk_shares(within: ndarray) -> ndarray:
     """Return what a random walk's variances do to the ends of long steps of shorter ones.
 
-    These are (n, m, 3). The result are covariances by 1 m² per metre of the translations, by 1 rad²
-    per metre and by 1 rad² per radian of the headings, in order and frame of `LongErrors`,
-    (3, n, 3, 3).
+    The shorter steps are (n, m, 3). The result has covariances by 1 m² per metre of the
+    translations, by 1 rad² per metre and by 1 rad² per radian of the headings, in order and frame
+    of `LongErrors`, (3, n, 3, 3).
     """
     heading = np.cumsum(within[..., 2], axis=1) - within[..., 2]
     moves = (within[..., 0] + 1j * within[..., 1]) * np.exp(1j * heading)

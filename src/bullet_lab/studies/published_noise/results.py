@@ -89,8 +89,8 @@ def find_corners(vertices) -> ndarray:
     a zigzag on one side would move the corners of its neighbours.) Of a path of more than 100
     vertices, whose sides are not straight anyway, 100 are candidates.
 
-    The vertices are x and y (m) in the order driven, (n, 2); the result are their indices, (5,),
-    from the first to the last. Raises LabError if the path has no four sides.
+    The vertices are x and y (m) in the order driven, (n, 2); the result has the indices of five of
+    them, from the first to the last. Raises LabError if the path has no four sides.
 
     >>> find_corners([(0, 0), (1, 0.1), (2, 0), (2, -2), (1, -2), (0, -2), (0, 0)]).tolist()
     [0, 2, 3, 5, 6]
