@@ -159,7 +159,11 @@ def whitened(problem: Problem, values: ndarray) -> ndarray:
 
 
 def drawn_pairs(
-    pairs: StepPairs, rule: NoiseRule, generator: np.random.Generator, count: int, expected=None
+    pairs: StepPairs,
+    rule: NoiseRule,
+    generator: np.random.Generator,
+    count: int,
+    expected: ndarray,
 ) -> StepPairs:
     """Draw odometries whose `whitened` errors are standard normal.
 
@@ -168,9 +172,8 @@ def drawn_pairs(
         rule: the noise rule.
         generator: of the normal draws, three for each step.
         count: how many odometries.
-        expected: steps without noise, shape (n, 3); the true ones by default.
+        expected: steps without noise, shape (n, 3).
     """
-    expected = pairs.true if expected is None else expected
     if pairs.within is not None:
         errors = LongErrors.of(pairs, expected[np.newaxis], walk_shares(pairs.within))
         roots = np.linalg.cholesky(errors.covariance(rule))

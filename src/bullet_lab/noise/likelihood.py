@@ -105,7 +105,7 @@ class PartErrors:
 
         >>> from bullet_lab.noise.odometry_noise import ReportRule
         >>> pairs = StepPairs(np.array([[1.0, 0.0, 0.0]]), np.array([[[1.2, 0.0, 0.0]]]))
-        >>> error, variance = part_errors(pairs).residuals(ReportRule(0.1))
+        >>> error, variance = part_errors(pairs, pairs.true).residuals(ReportRule(0.1))
         >>> error.round(6), variance.round(6)
         (array([[[0. , 0.2, 0. ]]]), array([[[0.  , 0.01, 0.  ]]]))
         """
@@ -121,12 +121,11 @@ class PartErrors:
         return errors, variances
 
 
-def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
+def part_errors(pairs: StepPairs, expected: ndarray) -> PartErrors:
     """Compare the reported steps with those that the odometries would report without the noise.
 
-    These have the shape (n, 3) or (b, n, 3), and are the true ones by default.
+    These have the shape (n, 3) or (b, n, 3).
     """
-    expected = pairs.true if expected is None else expected
     direction, trans = line_of_travel(expected[..., 0], expected[..., 1])
     cos, sin = np.cos(direction), np.sin(direction)
     dx, dy, turn = columns(pairs.odometry)

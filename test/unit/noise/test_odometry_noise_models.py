@@ -69,7 +69,7 @@ def test_a_model_that_is_registered_is_known_by_its_name(slip):
 def test_its_parameters_are_calibrated(slip):
     steps = np.tile([[0.04, 0.0, 0.0], [0.0, 0.0, 0.1]], (100, 1))
     true = StepPairs(steps, steps[np.newaxis])
-    pairs = drawn_pairs(true, SlipRule(0.1, 0.02), np.random.default_rng(1), 1)
+    pairs = drawn_pairs(true, SlipRule(0.1, 0.02), np.random.default_rng(1), 1, steps)
     std, slipped = intervals(fit(Problem(pairs, "slip")))[0]
     assert 0.05 < std[0] < 0.1 < std[1] < 0.15
     assert 0.01 < slipped[0] < 0.02 < slipped[1] < 0.03

@@ -230,8 +230,8 @@ def run_calibration(
     settings: CalibrateSettings,
     steps: StepSettings,
     drive: DriveSettings,
-    recordings: Sequence[Recording] = (),
-    tell: Tell = print,
+    recordings: Sequence[Recording],
+    tell: Tell,
 ) -> Summary:
     """Calibrate by recordings, or the made-up drive if there are none.
 

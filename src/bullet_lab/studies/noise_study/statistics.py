@@ -40,6 +40,8 @@ MOST_LAPS = 50
 QUANTILE_PATHS = 100_000
 """Number of paths for medians and 95 % quantiles; everything else uses all paths."""
 
+KEPT_PATHS = 60
+
 def find_laps(trajectory: Trajectory) -> tuple[ndarray, ndarray]:
     """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
 
@@ -194,7 +196,7 @@ class Case:
         coverage: share of the paths whose last position lies in the 95 % ellipse, for each of
             `ELLIPSES`. None for an ellipse without area.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
-        kept: poses of the first paths (m, m, rad), (k, n+1, 3).
+        kept: poses of the first `KEPT_PATHS` (m, m, rad), (k, n+1, 3).
     """
 
     trajectory: Trajectory
@@ -244,7 +246,6 @@ def study_case(
     generator: np.random.Generator,
     paths: int,
     delta: float,
-    keep: int = 0,
 ) -> Case:
     """Draw some noisy versions of a path and measure them.
 
@@ -254,7 +255,6 @@ def study_case(
         generator: of the normal draws.
         paths: number of paths, >= 2.
         delta: m, of the relative pose error.
-        keep: number of paths to keep.
 
     Raises:
         LabError: no two poses of the path are delta apart.
@@ -266,7 +266,7 @@ def study_case(
     regions, ellipses = Regions(trajectory, steps, known), _last_ellipses(known)
     squares, inside = np.zeros(len(steps) + 1), np.zeros(len(ELLIPSES), dtype=int)
     sums, values = 0.0, []
-    kept = [np.empty((0, *trajectory.poses.shape))]
+    kept = []
     # In memory that does not grow with the number of paths.
     for block in noisy_blocks(steps, generator, paths):
         regions.add(block)
@@ -280,8 +280,8 @@ def study_case(
         table = np.column_stack(list(found.values()))
         sums = sums + table.sum(axis=0)
         values.append(table[: max(0, QUANTILE_PATHS - block.first)])
-        if block.first < keep:
-            kept.append(block.poses(trajectory.poses)[: keep - block.first])
+        if block.first < KEPT_PATHS:
+            kept.append(block.poses(trajectory.poses)[: KEPT_PATHS - block.first])
     median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
     columns = zip((sums / paths).tolist(), median.tolist(), high.tolist())
     shares = np.where(ellipses.known[:, 0], inside / paths, None)

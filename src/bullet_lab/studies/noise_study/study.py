@@ -53,7 +53,6 @@ LARGEST_STD = 10.0
 """At this level the heading is random after some centimetres."""
 
 MOST_PATHS = 10_000_000
-KEPT_PATHS = 60
 SIDES_PER_LAP = 4
 _DISTANCES_PER_CASE = 100
 
@@ -121,7 +120,6 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -
                     study_generator(settings.seed, model, std, rate),
                     settings.paths,
                     settings.delta,
-                    KEPT_PATHS,
                 )
                 for std in settings.levels
             ]
@@ -150,8 +148,8 @@ def run_study(
     folder: Path,
     settings: StudySettings,
     trajectory: Trajectory,
-    source: str = "",
-    tell: Tell = print,
+    source: str,
+    tell: Tell,
 ) -> Summary:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
