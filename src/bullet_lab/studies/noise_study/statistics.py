@@ -192,7 +192,7 @@ class Case:
         std: the level.
         theory: moments in closed form.
         regions: coverage of the regions of all three coordinates along the path.
-        metrics: for each metric its mean, 50 % and 95 % quantile.
+        metrics: mean, 50 % and 95 % quantile of each metric by name, such as drift_percent_p95.
         coverage: share of the paths whose last position lies in the 95 % ellipse, for each of
             `ELLIPSES`. None for an ellipse without area.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
@@ -205,7 +205,7 @@ class Case:
     std: float
     theory: Theory
     regions: Regions
-    metrics: dict[str, dict[str, float]]
+    metrics: dict[str, float]
     coverage: dict[str, float | None]
     rms_distance: ndarray
     kept: ndarray
@@ -283,7 +283,7 @@ def study_case(
         if block.first < KEPT_PATHS:
             kept.append(block.poses(trajectory.poses)[: KEPT_PATHS - block.first])
     median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
-    columns = zip((sums / paths).tolist(), median.tolist(), high.tolist())
+    names = [f"{name}_{part}" for name in found for part in ("mean", "p50", "p95")]
     shares = np.where(ellipses.known[:, 0], inside / paths, None)
     return Case(
         trajectory,
@@ -292,7 +292,7 @@ def study_case(
         std,
         known,
         regions,
-        {name: dict(zip(("mean", "p50", "p95"), own)) for name, own in zip(found, columns)},
+        dict(zip(names, np.ravel((sums / paths, median, high), order="F").tolist())),
         dict(zip(ELLIPSES, shares.tolist())),
         np.sqrt(squares / paths),
         np.concatenate(kept),

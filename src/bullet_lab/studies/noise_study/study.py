@@ -207,11 +207,7 @@ def case_records(cases: Sequence[Case]) -> list[Record]:
             {
                 **case.key,
                 "paths": case.regions.paths,
-                **{
-                    f"{name}_{part}": case.metrics.get(name, {}).get(part)
-                    for name, parts in fullest.items()
-                    for part in parts
-                },
+                **{name: case.metrics.get(name) for name in fullest},
                 **{f"coverage_{name}": share for name, share in case.coverage.items()},
                 "nees_mean": published and published.nees,
                 "nees_within_95": published and published.coverage[MEANT],
