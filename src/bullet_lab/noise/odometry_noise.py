@@ -111,8 +111,7 @@ MODELS: Dict[str, Type[NoiseRule]] = {}
 def register(model: Type[NoiseRule]) -> Type[NoiseRule]:
     """Register a noise model: a decorator of its class.
 
-    Raises:
-        ValueError: a model with this name or stream is already registered.
+    Raises ValueError if there is one with this name or stream.
     """
     for other in MODELS.values():
         if model.name == other.name or model.stream == other.stream:
@@ -206,10 +205,7 @@ class ProbabilisticRule(NoiseRule):
 
     @classmethod
     def at_level(cls, std: float) -> NoiseRule:
-        """Return the rule with alpha1 = alpha3 = std² and alpha2 = alpha4 = std² / 10.
-
-        At 0.1 these are the defaults.
-        """
+        """Return the rule with alpha1 = alpha3 = std² and alpha2 = alpha4 = std² / 10."""
         square = std * std
         return cls(square, 0.1 * square, square, 0.1 * square)
 
@@ -286,8 +282,7 @@ def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:
 def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
     """Return the parameters of a model other than std, by name, from their values in order.
 
-    Raises:
-        NoiseError: the model is unknown, or has a different number of them, and not none.
+    Raises NoiseError if the model is unknown, or has a different number of them, and not none.
     """
     names = [name for name in declarations(model_named(model)) if name != "std"]
     if names and len(alphas) != len(names):

@@ -99,13 +99,9 @@ def simulated_square(laps: int = 1) -> Trajectory:
 
 
 def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -> list[Case]:
-    """Study every level, model and rate on a path, without writing files.
+    """Return a case for each model, rate and level, in this order, without writing files.
 
-    Returns:
-        A case for each, by model, then rate, then level, in the order of the settings.
-
-    Raises:
-        LabError: the path is not usable, or a setting does not suit it.
+    Raises LabError if the path is not usable, or a setting does not suit it.
     """
     check_path(trajectory)
     cases: list[Case] = []
@@ -153,11 +149,8 @@ def run_study(
 ) -> Summary:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
-    The same settings and path give the same tables. The source names the origin of the path.
-
-    Raises:
-        LabError: the path is not usable, a setting does not suit it, or the folder cannot be
-            written to.
+    The source names the origin of the path. Raises LabError if the path is not usable, a setting
+    does not suit it, or the folder cannot be written to.
     """
     cases = study(trajectory, settings, tell)
     records = case_records(cases)

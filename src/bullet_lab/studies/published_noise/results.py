@@ -173,11 +173,7 @@ class PublishedFigure:
 
 
 def read_published_figure(path: Path) -> PublishedFigure:
-    """Read figure 1b from a CSV file.
-
-    Raises:
-        LabError: the file cannot be read or does not hold two paths around a square.
-    """
+    """Read figure 1b from a CSV file; raises LabError unless it holds two paths around a square."""
     noisy, perfect = (_read_series(path, f"fig1b_{name}") for name in ("noisy", "perfect"))
     corners = perfect[find_corners(perfect)]
     return PublishedFigure(noisy, find_corners(noisy), corners, measure(noisy, corners))
