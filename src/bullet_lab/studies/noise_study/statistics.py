@@ -117,16 +117,15 @@ class PathMetrics:
         self._tangent = _tangents(steps).conj()
         self._starts, self._ends = find_laps(trajectory)
 
-    def values(self, block: NoisyBlock) -> dict[str, ndarray]:
-        """Return the metrics of each path by name, shapes (b,)."""
+    def values(self, block: NoisyBlock) -> tuple[list[str], ndarray]:
+        """Return the names of k metrics, and their values for each path, shape (b, k)."""
         heading = block.heading_error
         error = block.position - self._position
         error *= self._tangent
         along, across = error.real, error.imag
         square = np.square(along) + np.square(across)
         relative, relative_heading = self._relative_errors(block)
-        laps = np.abs(block.position[:, self._ends] - block.position[:, self._starts])
-        return {
+        columns = {
             "final_error_m": np.sqrt(square[:, -1]),
             "final_heading_error_deg": np.degrees(np.abs(_short_way(heading[:, -1]))),
             "ape_rmse_m": np.sqrt(np.mean(square, axis=1)),
@@ -137,8 +136,10 @@ class PathMetrics:
             "drift_deg_per_m": np.degrees(np.abs(relative_heading) @ self._share),
             "along_track_rms_m": _rms(along),
             "cross_track_rms_m": _rms(across),
-            **{f"closure_error_lap_{i}_m": lap for i, lap in enumerate(laps.T, 1)},
         }
+        laps = np.abs(block.position[:, self._ends] - block.position[:, self._starts])
+        names = [*columns, *(f"closure_error_lap_{i + 1}_m" for i in range(len(self._ends)))]
+        return names, np.column_stack([*columns.values(), laps])
 
     def _relative_errors(self, block: NoisyBlock) -> tuple[ndarray, ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).
@@ -276,14 +277,13 @@ def study_case(
         last = np.column_stack([error[:, -1].real, error[:, -1].imag])
         nees = ellipses.nees(last[:, None])
         inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
-        found = metrics.values(block)
-        table = np.column_stack(list(found.values()))
-        sums = sums + table.sum(axis=0)
-        values.append(table[: max(0, QUANTILE_PATHS - block.first)])
+        names, found = metrics.values(block)
+        sums = sums + found.sum(axis=0)
+        values.append(found[: max(0, QUANTILE_PATHS - block.first)])
         if block.first < KEPT_PATHS:
             kept.append(block.poses(trajectory.poses)[: KEPT_PATHS - block.first])
     median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
-    names = [f"{name}_{part}" for name in found for part in ("mean", "p50", "p95")]
+    columns = [f"{name}_{part}" for name in names for part in ("mean", "p50", "p95")]
     shares = np.where(ellipses.known[:, 0], inside / paths, None)
     return Case(
         trajectory,
@@ -292,7 +292,7 @@ def study_case(
         std,
         known,
         regions,
-        dict(zip(names, np.ravel((sums / paths, median, high), order="F").tolist())),
+        dict(zip(columns, np.ravel((sums / paths, median, high), order="F").tolist())),
         dict(zip(ELLIPSES, shares.tolist())),
         np.sqrt(squares / paths),
         np.concatenate(kept),

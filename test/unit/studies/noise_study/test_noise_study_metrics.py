@@ -38,9 +38,8 @@ def measured(trajectory, model, std, count=4):
     metrics = PathMetrics(trajectory, steps, 1.0)
     (block,) = noisy_blocks(steps, np.random.default_rng(61), count, 10**7)
     estimates = [Trajectory(trajectory.stamps, p) for p in block.poses(trajectory.poses)]
-    values = metrics.values(block)
-    rows = zip(*values.values())
-    return [(dict(zip(values, row)), path) for row, path in zip(rows, estimates)]
+    names, rows = metrics.values(block)
+    return [(dict(zip(names, row)), path) for row, path in zip(rows, estimates)]
 
 
 @pytest.mark.parametrize(("model", "std", "rate"), CASES)
