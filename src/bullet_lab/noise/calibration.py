@@ -111,13 +111,8 @@ def intervals(found: Fit) -> ndarray:
 def profile(found: Fit, name: str, values: Sequence[float]) -> ndarray:
     """Return by how much twice the logarithm of the likelihood falls if a parameter is held fixed.
 
-    Args:
-        found: fit of one odometry, b = 1.
-        name: of the parameter.
-        values: at which it is held fixed, in order.
-
-    Returns:
-        The falls, >= 0, in the order of the values; the interval ends at 3.84.
+    The fit is that of one odometry. The falls are >= 0, one for each of the values, which are in
+    order; the interval ends at 3.84.
     """
     problem = found.problem
     j = problem.names.index(name)
@@ -222,9 +217,8 @@ def _end(optimum: Fit, best: ndarray, j: int, side: float) -> ndarray:
 def _ahead(optimum: Fit, j: int) -> Tuple[ndarray, ndarray]:
     """Return the way to the ends of the interval of parameter j, by the information.
 
-    Returns:
-        By how much all coordinates change with that of the parameter, (b, k), and about the
-        half width of the interval, (b,).
+    It is by how much all coordinates change with that of the parameter, (b, k), and about the half
+    width of the interval, (b,).
     """
     problem = optimum.problem
     inverse, scale = covariance(optimum.information)

@@ -166,10 +166,8 @@ def exact_moments(steps: NoisySteps) -> Moments:
 
 
 def _fading_sum(terms: ndarray, factors: ndarray) -> ndarray:
-    """Return r with r[0] = 0 and r[k+1] = (r[k] + terms[k]) factors[k], shape of the terms.
-
-    The closed form would divide by products of factors, which may be zero to rounding.
-    """
+    """Return r with r[0] = 0 and r[k+1] = (r[k] + terms[k]) factors[k], shape of the terms."""
+    # The closed form would divide by products of factors, which may be zero to rounding.
     result = [0j]
     for term, factor in zip(terms.tolist(), factors.tolist()):
         result.append((result[-1] + term) * factor)
@@ -203,11 +201,8 @@ def quadratic_covariances(steps: NoisySteps) -> ndarray:
 
         Cov(H_j², H_k²) = 2 V_j²,    Var(et_k H_k) = s_k² V_k,
 
-    and all else is uncorrelated. If their share of the exact covariance is small in each
-    direction, the error is nearly Gaussian; see `quadratic_shares`.
-
-    Returns:
-        Of the errors of x (m), y (m) and heading (rad), shape (n+1, 3, 3); 0 for the heading.
+    and all else is uncorrelated. The result is that of the errors of x (m), y (m) and heading
+    (rad), shape (n+1, 3, 3); 0 for the heading.
     """
     s2, unit = steps.variance_trans, steps.direction
     v = _acting_variances(steps)
@@ -221,13 +216,10 @@ def quadratic_covariances(steps: NoisySteps) -> ndarray:
 
 
 def quadratic_shares(quadratic, covariance) -> ndarray:
-    """Return the largest share of the variance that is quadratic in the noise, of all directions.
+    """Return the largest u' Q u / u' C u over all directions u of (x, y, heading), 0 without noise.
 
-    It is the largest of u' Q u / u' C u over all directions u of (x, y, heading): 0 for a Gaussian
-    error, and about 1 for one that is bent like a banana.
-
-    Q are `quadratic_covariances` at some poses, and C the exact ones there, both (..., 3, 3); 0 if
-    there is no noise.
+    Q are `quadratic_covariances` at some poses, and C the exact ones there, both (..., 3, 3). It is
+    0 for a Gaussian error, and about 1 for one that is bent like a banana.
 
     >>> from bullet_lab.noise.noisy_paths import noisy_steps
     >>> from bullet_lab.noise.odometry_noise import RateInvariantRule

@@ -41,7 +41,14 @@ from bullet_lab.core import se2
 from bullet_lab.core.se2 import LEVEL
 from bullet_lab.noise.calibration import Fit, Problem, covariance, fit
 from bullet_lab.noise.exact_moments import exact_moments
-from bullet_lab.noise.likelihood import PARTS, LongErrors, StepPairs, part_errors, walk_shares
+from bullet_lab.noise.likelihood import (
+    PARTS,
+    LongErrors,
+    PartErrors,
+    StepPairs,
+    part_errors,
+    walk_shares,
+)
 from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import NoiseRule, line_of_travel
 from bullet_lab.noise.systematic import path_of
@@ -137,22 +144,26 @@ class Goodness:
         return found
 
 
-def whitened(pairs: StepPairs, rule: NoiseRule, expected=None) -> ndarray:
+def whitened(problem: Problem, values: ndarray) -> ndarray:
     """Return the errors of all parts over their standard deviations, shape (b, n, 3).
 
-    If rule and expectation are right, they are standard normal. NaN if the rule gives the part less
-    noise than the truth's poses have, and the error is not larger than that.
-
-    `pairs` has b odometries of n steps; `expected` is as of `part_errors`.
+    If the parameters (b, k) are right, they are standard normal. NaN if the rule gives the part of
+    a step less noise than the truth's poses have, and the error is not larger than that.
     """
-    errors = part_errors(pairs, expected)
-    error, variance = errors.residuals(rule)
-    shown = (variance > 2.0 * errors.floor) | (error * error > 25.0 * errors.floor)
-    return np.where(shown, error / np.sqrt(variance), np.nan)
+    errors = problem.step_errors(values)
+    error, variance = errors.residuals(problem.rule(values))
+    if isinstance(errors, PartErrors):
+        shown = (variance > 2.0 * errors.floor) | (error * error > 25.0 * errors.floor)
+        error = np.where(shown, error, np.nan)
+    return error / np.sqrt(variance)
 
 
 def drawn_pairs(
-    pairs: StepPairs, rule: NoiseRule, generator: np.random.Generator, count: int, expected=None
+    pairs: StepPairs,
+    rule: NoiseRule,
+    generator: np.random.Generator,
+    count: int,
+    expected: ndarray,
 ) -> StepPairs:
     """Draw odometries whose `whitened` errors are standard normal.
 
@@ -161,9 +172,8 @@ def drawn_pairs(
         rule: the noise rule.
         generator: of the normal draws, three for each step.
         count: how many odometries.
-        expected: steps without noise, shape (n, 3); the true ones by default.
+        expected: steps without noise, shape (n, 3).
     """
-    expected = pairs.true if expected is None else expected
     if pairs.within is not None:
         errors = LongErrors.of(pairs, expected[np.newaxis], walk_shares(pairs.within))
         roots = np.linalg.cholesky(errors.covariance(rule))
@@ -185,7 +195,7 @@ def drawn_pairs(
 
 def goodness(found: Fit, follows: ndarray, seed: int) -> Goodness:
     """Test the fit of one odometry; `follows` says whether each step follows the one before."""
-    seen = _whitened(found)[0]
+    seen = whitened(found.problem, found.estimates)[0]
     counts = np.isfinite(seen).sum(axis=0)
     distance, squares = _distance(seen), _mean_squares(seen)
     distances, spread = _replicas(found, seed)
@@ -205,14 +215,6 @@ def goodness(found: Fit, follows: ndarray, seed: int) -> Goodness:
     )
 
 
-def _whitened(found: Fit) -> ndarray:
-    problem, values = found.problem, found.estimates
-    if problem.pairs.within is None:
-        return whitened(problem.pairs, problem.rule(values), problem.expected(values))
-    error, variance = problem.step_errors(values).residuals(problem.rule(values))
-    return error / np.sqrt(variance)
-
-
 def _replicas(found: Fit, seed: int):
     """Return the scaled distances of replicas, and the spread of their mean squares, (3,)."""
     generator = np.random.default_rng([seed, 2])
@@ -227,7 +229,7 @@ def _replicas(found: Fit, seed: int):
     again = Problem(
         drawn, problem.model, problem.systematic, problem.wheel_base, found.coordinates[0]
     )
-    seen = _whitened(fit(again))
+    seen = whitened(again, fit(again).estimates)
     counts = np.isfinite(seen).sum(axis=1)
     distances = np.array([math.sqrt(max(c.sum(), 1)) * _distance(z) for z, c in zip(seen, counts)])
     squares = np.array([_mean_squares(z) for z in seen])

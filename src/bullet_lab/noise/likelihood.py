@@ -98,19 +98,14 @@ class PartErrors:
     floor: ndarray
 
     def residuals(self, rule: NoiseRule) -> Tuple[ndarray, ndarray]:
-        """Return the noise that was added to each part of each step, and its variance by a rule.
+        """Return the errors, with that of rot2 alone and made independent of rot1, and variances.
 
-        Args:
-            rule: its parameters may be arrays of shape (b, 1).
-
-        Returns:
-            The errors of the parts rot1 (as m at the end of the true step), trans (m) and rot2
-            (rad, made independent of rot1), and their variances, both of shape (b, n, 3). Under
-            the rule the errors are independent and Gaussian.
+        Both are of shape (b, n, 3). Under the rule, whose parameters may be arrays of shape (b, 1),
+        the errors are independent and Gaussian.
 
         >>> from bullet_lab.noise.odometry_noise import ReportRule
         >>> pairs = StepPairs(np.array([[1.0, 0.0, 0.0]]), np.array([[[1.2, 0.0, 0.0]]]))
-        >>> error, variance = part_errors(pairs).residuals(ReportRule(0.1))
+        >>> error, variance = part_errors(pairs, pairs.true).residuals(ReportRule(0.1))
         >>> error.round(6), variance.round(6)
         (array([[[0. , 0.2, 0. ]]]), array([[[0.  , 0.01, 0.  ]]]))
         """
@@ -126,14 +121,11 @@ class PartErrors:
         return errors, variances
 
 
-def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
+def part_errors(pairs: StepPairs, expected: ndarray) -> PartErrors:
     """Compare the reported steps with those that the odometries would report without the noise.
 
-    Args:
-        pairs: b odometries of n steps.
-        expected: the steps without noise, shape (n, 3) or (b, n, 3); the true ones by default.
+    These have the shape (n, 3) or (b, n, 3).
     """
-    expected = pairs.true if expected is None else expected
     direction, trans = line_of_travel(expected[..., 0], expected[..., 1])
     cos, sin = np.cos(direction), np.sin(direction)
     dx, dy, turn = columns(pairs.odometry)
@@ -155,12 +147,9 @@ def part_errors(pairs: StepPairs, expected=None) -> PartErrors:
 def walk_shares(within: ndarray) -> ndarray:
     """Return what a random walk's variances do to the ends of long steps of shorter ones.
 
-    Args:
-        within: the shorter steps, (n, m, 3).
-
-    Returns:
-        Covariances by 1 m² per metre of the translations, by 1 rad² per metre of the headings and
-        by 1 rad² per radian of the headings, in order and frame of `LongErrors`, (3, n, 3, 3).
+    The shorter steps are (n, m, 3). The result has covariances by 1 m² per metre of the
+    translations, by 1 rad² per metre and by 1 rad² per radian of the headings, in order and frame
+    of `LongErrors`, (3, n, 3, 3).
     """
     heading = np.cumsum(within[..., 2], axis=1) - within[..., 2]
     moves = (within[..., 0] + 1j * within[..., 1]) * np.exp(1j * heading)

@@ -78,7 +78,7 @@ class OdometryNoise:
         errors, spread = (part_of(kind, known) for kind in (SystematicErrors, SystematicSpread))
         self._systematic = SpreadPath(errors, spread, known.seed)
         self.path = NoisyPath(rule_of(known.model, asdict(known)), known.seed)
-        self._published = PublishedNoise(known.std, known.seed) if known.as_published else None
+        self._published = PublishedNoise(known.std, known.seed)
         self._sampler = Sampler(rate)
 
     @property
@@ -89,8 +89,7 @@ class OdometryNoise:
     def restart(self) -> None:
         """Start a new path with the next pose."""
         for part in (self._systematic, self.path, self._published, self._sampler):
-            if part is not None:
-                part.restart()
+            part.restart()
 
     def update(self, stamp: float, pose: Sequence[float]) -> Optional[NoisyStep]:
         """Return the report for the next pose (m, m, rad) and its stamp (s).
@@ -99,7 +98,7 @@ class OdometryNoise:
             None for a message that is not sampled. The report's noise leaves covariances alone.
         """
         reported = self._systematic.update(*pose)
-        if self._published is None:
+        if not self.parameters.as_published:
             step = self.path.update(*reported.pose)
             return replace(
                 step,

@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from bullet_lab.core import se2
 from bullet_lab.noise.exact_moments import NoisySteps
-from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, decompose_steps, line_of_travel
+from bullet_lab.noise.odometry_noise import MODELS, NoiseRule, decompose, line_of_travel
 
 STEPS_PER_BLOCK = 16384
 """Steps of a block: their arrays, about 1.5 MB, fit into the processor's cache."""
@@ -36,7 +36,7 @@ def noisy_steps(poses, rule: NoiseRule) -> NoisySteps:
     """
     poses = np.asarray(poses, dtype=float)
     body = se2.steps(poses)
-    parts = decompose_steps(body)
+    parts = decompose(body)
     # As in NoisyPath, a step that is too short for a rot1 keeps its direction.
     angle = poses[:-1, 2] + line_of_travel(body[:, 0], body[:, 1])[0]
     shape = parts.shape[:1]
@@ -80,13 +80,7 @@ def noisy_blocks(
     """Yield noisy paths in blocks, so that memory does not grow with their number.
 
     For any block size they equal, to rounding, those of `NoisyPath` with the same generator,
-    restarted before each path.
-
-    Args:
-        steps: of the perfect path.
-        generator: of the normal draws, three for each step.
-        count: how many paths, >= 0.
-        steps_per_block: about how many steps a block has; a path is not divided.
+    restarted before each path. A block has about `steps_per_block`; a path is not divided.
     """
     n = len(steps)
     size = max(1, steps_per_block // n)

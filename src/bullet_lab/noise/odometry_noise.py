@@ -32,23 +32,16 @@ class NoiseError(LabError):
     """The noise model is unknown, or its parameters have another number."""
 
 
-def decompose(dx: float, dy: float, dyaw: float) -> tuple[float, float, float]:
-    """Decompose a displacement (m, m, rad) in the body frame before it into (rot1, trans, rot2).
+def decompose(steps) -> ndarray:
+    """Decompose displacements (m, m, rad) in the body frame before each into rot1, trans and rot2.
 
     Turning by rot1 (rad, in [-pi/2, pi/2]), going trans ahead (m, back when negative) and turning
     by rot2 (rad, in [-pi, pi)) leads to the same pose. A step shorter than `MIN_TRANSLATION` has no
-    meaningful direction: its rot1 is 0.
+    meaningful direction: its rot1 is 0. Both arrays are of shape (..., 3).
 
-    >>> decompose(0.5, 0.0, 0.25)
-    (0.0, 0.5, 0.25)
+    >>> decompose((0.5, 0.0, 0.25))
+    array([0.  , 0.5 , 0.25])
     """
-    direction, trans = _direction(dx, dy)
-    rot1 = direction if abs(trans) >= MIN_TRANSLATION else 0.0
-    return rot1, trans, wrap(dyaw - rot1)
-
-
-def decompose_steps(steps) -> ndarray:
-    """Decompose an array of (dx, dy, dyaw), shape (..., 3), like `decompose`."""
     dx, dy, dyaw = columns(steps)
     direction, trans = line_of_travel(dx, dy)
     rot1 = np.where(np.abs(trans) >= MIN_TRANSLATION, direction, 0.0)
@@ -76,12 +69,11 @@ def _direction(dx: float, dy: float) -> Tuple[float, float]:
 
 @dataclass(frozen=True)
 class NoiseRule(abc.ABC):
-    """A noise model: it gives the variances of a step.
+    """A noise model, a frozen dataclass below `register`: it gives the variances of a step.
 
-    A model is one such class, a frozen dataclass below `register`. Its fields, declared with
-    `bullet_lab.core.parameters.number`, are >= 0 and parameters of noisy_odom; models share
-    parameters of the same name. A value is checked where it is read from a user; the rule does not
-    check it again. Studies choose a level of noise by `at_level`.
+    Its fields, declared with `bullet_lab.core.parameters.number`, are >= 0 and parameters of
+    noisy_odom; models share parameters of the same name. A value is checked where it is read from a
+    user, and not again. Studies choose a level of noise by `at_level`.
 
     Attributes:
         name: of the model, as in the parameter `model`.
@@ -106,15 +98,9 @@ class NoiseRule(abc.ABC):
 
     @abc.abstractmethod
     def variances(self, rot1, trans, rot2):
-        """Return the variances of the parts of a step.
+        """Return the variances of rot1 (rad²), trans (m²) and rot2 (rad²) of a step.
 
-        Args:
-            rot1: rad, float or array.
-            trans: m, signed, float or array of the same shape.
-            rot2: rad, float or array of the same shape.
-
-        Returns:
-            The variances of rot1 (rad²), trans (m²) and rot2 (rad²), shaped as the arguments.
+        The parts (rad, m and signed, rad) are floats, or arrays of one shape.
         """
 
 
@@ -125,8 +111,7 @@ MODELS: Dict[str, Type[NoiseRule]] = {}
 def register(model: Type[NoiseRule]) -> Type[NoiseRule]:
     """Register a noise model: a decorator of its class.
 
-    Raises:
-        ValueError: a model with this name or stream is already registered.
+    Raises ValueError if there is one with this name or stream.
     """
     for other in MODELS.values():
         if model.name == other.name or model.stream == other.stream:
@@ -144,11 +129,6 @@ def strength(default: float, doc: str) -> Any:
 @dataclass(frozen=True)
 class ReportRule(NoiseRule):
     """The rule of the report: standard deviation = std · |part|, for each message.
-
-    The spread at the end of a path therefore depends on the number of messages.
-
-    Attributes:
-        std: standard deviation per metre (translation) and per radian (rotations), >= 0.
 
     >>> ReportRule(0.5).variances(0.0, -2.0, 1.0)
     (0.0, 1.0, 0.25)
@@ -172,9 +152,7 @@ class WalkRule(NoiseRule):
     def walked(self, distance, angle):
         """Return the variances of heading (rad²) and translation (m²) of a way.
 
-        Args:
-            distance: m, forwards and backwards, >= 0, float or array.
-            angle: rad, to the left and to the right, >= 0, likewise.
+        Distance (m, forwards and backwards) and angle (rad, to both sides) are >= 0.
         """
 
     def variances(self, rot1, trans, rot2):  # noqa: D102 - inherited
@@ -191,8 +169,7 @@ class RateInvariantRule(WalkRule):
     number of messages; across, N steps give 1 + 1/(2 N²) times the limit std² L³ / 3. Strafing
     counts as distance, not as two turns.
 
-    Attributes:
-        std: m/√m and rad/√m and rad/√rad, >= 0.
+    The unit of std is m/√m and rad/√m and rad/√rad.
 
     >>> RateInvariantRule(0.5).variances(0.0, -2.0, 0.0)
     (0.25, 0.5, 0.25)
@@ -212,13 +189,8 @@ class RateInvariantRule(WalkRule):
 class ProbabilisticRule(NoiseRule):
     """The odometry motion model of Probabilistic Robotics, 2nd and later printings, table 5.6.
 
-    The parameters multiply squares, so each is a variance, not a standard deviation.
-
-    Attributes:
-        alpha1: variance of a rotation per rotation squared, >= 0.
-        alpha2: variance of a rotation per translation squared (rad²/m²), >= 0.
-        alpha3: variance of the translation per translation squared, >= 0.
-        alpha4: variance of the translation per rotation squared (m²/rad²), >= 0.
+    The parameters multiply squares, so each is a variance, not a standard deviation; alpha2 is in
+    rad²/m², alpha4 in m²/rad².
 
     >>> ProbabilisticRule(0.5, 0.25, 2.0, 1.0).variances(0.0, 2.0, -1.0)
     (1.0, 9.0, 1.5)
@@ -233,10 +205,7 @@ class ProbabilisticRule(NoiseRule):
 
     @classmethod
     def at_level(cls, std: float) -> NoiseRule:
-        """Return the rule with alpha1 = alpha3 = std² and alpha2 = alpha4 = std² / 10.
-
-        At 0.1 these are the defaults.
-        """
+        """Return the rule with alpha1 = alpha3 = std² and alpha2 = alpha4 = std² / 10."""
         square = std * std
         return cls(square, 0.1 * square, square, 0.1 * square)
 
@@ -257,10 +226,7 @@ class ProbabilisticRule(NoiseRule):
 class RandomWalkRule(WalkRule):
     """Rate-invariant noise whose way and heading are not equally noisy, as those of real robots.
 
-    Attributes:
-        way_std: m/√m, of the translation, >= 0.
-        heading_std: rad/√m, of the heading on a way, >= 0.
-        turn_std: rad/√rad, of the heading in a turn, >= 0.
+    The units are m/√m, rad/√m and rad/√rad.
 
     >>> RandomWalkRule(0.5, 0.0, 1.0).variances(0.0, 2.0, -1.0)
     (0.5, 0.5, 0.5)
@@ -316,8 +282,7 @@ def rule_of(model: str, values: Mapping[str, Any]) -> NoiseRule:
 def named_alphas(model: str, alphas: Sequence[float]) -> Dict[str, float]:
     """Return the parameters of a model other than std, by name, from their values in order.
 
-    Raises:
-        NoiseError: the model is unknown, or has a different number of them, and not none.
+    Raises NoiseError if the model is unknown, or has a different number of them, and not none.
     """
     names = [name for name in declarations(model_named(model)) if name != "std"]
     if names and len(alphas) != len(names):
@@ -396,7 +361,9 @@ class NoisyPath:
 
         dx, dy, dyaw = body_step(before, self._true)
         direction, trans = _direction(dx, dy)
-        variances = self._rule.variances(*decompose(dx, dy, dyaw))
+        # As of `decompose`, for floats.
+        rot1 = direction if abs(trans) >= MIN_TRANSLATION else 0.0
+        variances = self._rule.variances(rot1, trans, wrap(dyaw - rot1))
         error1, error_trans, error2 = self._draw(variances)
         self._moments.add(before[2] + direction, trans, variances)
         motion = RunningMoments()

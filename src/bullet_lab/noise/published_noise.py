@@ -71,58 +71,67 @@ def combinations() -> Tuple[Defects, ...]:
     return tuple(sorted((Defects(*s) for s in switches), key=lambda d: sum(astuple(d))))
 
 
-@dataclass(frozen=True)
 class PublishedAlgorithm:
-    """A step of the report's algorithm, with the switches, for one path or many.
+    """The report's algorithm, with some of its defects, message by message, for one path or many.
 
-    Attributes:
-        std: standard deviation per metre and per radian.
-        defects: the enabled ones; `sampled` has no effect on a step.
+    Args:
+        std: standard deviation per metre and per radian, >= 0.
+        defects: the enabled ones; `sampled` decides which messages it gets, see the function.
         functions: module with sin, cos, arctan2 and hypot for the numbers.
     """
 
-    std: float
-    defects: Defects
-    functions: Any
+    def __init__(self, std: float, defects: Defects, functions: Any):
+        self._std = std
+        self._defects = defects
+        self._functions = functions
+        self.restart()
 
-    def step(self, pose, noisy_yaw, before, now, draws):
-        """Return the summed pose (x, y and an unwrapped yaw) after one more step.
+    def restart(self) -> None:
+        """Start a new path with the next pose."""
+        # Summed up, with a yaw that is not wrapped.
+        self._pose: Any = None
 
-        Args:
-            pose: the summed pose so far.
-            noisy_yaw: its yaw as published.
-            before: the last perfect pose; not used with aliasing.
-            now: the new perfect pose.
-            draws: standard normal, for trans, rot1 and rot2.
+    def step(self, x, y, yaw, draws):
+        """Return the noisy pose, yaw in [-pi, pi], for the next perfect pose (m, m, rad).
+
+        `draws` are standard normal, for trans, rot1 and rot2; a first pose needs none.
         """
-        x, y, summed_yaw = pose
-        remembered = (x, y, noisy_yaw) if self.defects.aliasing else before
+        now = x, y, self._through_message(yaw)
+        self._pose = now if self._pose is None else self._moved(now, draws)
+        self._before = now
+        self._noisy = (*self._pose[:2], self._through_message(self._pose[2]))
+        return self._noisy
+
+    def _moved(self, now, draws):
+        """Return the summed pose (x, y and an unwrapped yaw) after one more step."""
+        x, y, summed_yaw = self._pose
+        remembered = self._noisy if self._defects.aliasing else self._before
         dx, dy = now[0] - remembered[0], now[1] - remembered[1]
         turn = now[2] - remembered[2]
-        trans = self.functions.hypot(dx, dy)
-        rot1 = self.functions.arctan2(dy, dx) - remembered[2]
+        trans = self._functions.hypot(dx, dy)
+        rot1 = self._functions.arctan2(dy, dx) - remembered[2]
         rot2 = turn - rot1
-        if not self.defects.unwrapped:
+        if not self._defects.unwrapped:
             rot1, rot2, turn = wrap(rot1), wrap(rot2), wrap(turn)
         noise1, noise2 = rot1, rot2
-        if not self.defects.noise_at_rest:
+        if not self._defects.noise_at_rest:
             at_rest = trans < MIN_TRANSLATION
             noise1, noise2 = np.where(at_rest, 0.0, rot1), np.where(at_rest, turn, rot2)
 
-        trans = trans + abs(self.std * trans) * draws[0]
-        rot1 = rot1 + abs(self.std * noise1) * draws[1]
-        rot2 = rot2 + abs(self.std * noise2) * draws[2]
-        direction = (remembered[2] if self.defects.unbent else noisy_yaw) + rot1
+        trans = trans + abs(self._std * trans) * draws[0]
+        rot1 = rot1 + abs(self._std * noise1) * draws[1]
+        rot2 = rot2 + abs(self._std * noise2) * draws[2]
+        direction = (remembered if self._defects.unbent else self._noisy)[2] + rot1
         return (
-            x + trans * self.functions.cos(direction),
-            y + trans * self.functions.sin(direction),
+            x + trans * self._functions.cos(direction),
+            y + trans * self._functions.sin(direction),
             summed_yaw + rot1 + rot2,
         )
 
-    def through_message(self, yaw):
+    def _through_message(self, yaw):
         """Return a yaw (rad) after conversion to the quaternion of a message and back."""
-        z, w = self.functions.sin(0.5 * yaw), self.functions.cos(0.5 * yaw)
-        return self.functions.arctan2(2.0 * (w * z + 0.0), w * w - z * z)
+        z, w = self._functions.sin(0.5 * yaw), self._functions.cos(0.5 * yaw)
+        return self._functions.arctan2(2.0 * (w * z + 0.0), w * w - z * z)
 
 
 def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np) -> np.ndarray:
@@ -134,28 +143,20 @@ def noisy_paths(poses, draws, std: float, defects: Defects, functions: Any = np)
         draws: standard normal, for trans, rot1 and rot2 of each step, shape (n - 1, m, 3). Path
             k is that of a `PublishedNoise` whose generator draws `draws[:, k]`.
         std: standard deviation per metre and per radian, for each step, >= 0.
-        defects: the enabled ones; `sampled` decides which poses these are, see the function.
-        functions: module with sin, cos, arctan2 and hypot for arrays. Numpy's are the fastest, and
-            their last bit depends on the processor.
+        defects: the enabled ones.
+        functions: as of `PublishedAlgorithm`, for arrays. Numpy's are the fastest, and their last
+            bit depends on the processor.
     """
     algorithm = PublishedAlgorithm(std, defects, functions)
-    count = draws.shape[1]
-    perfect = np.empty((len(poses), 3, count))
-    perfect[:] = np.moveaxis(poses, 2, 1)
-    perfect[:, 2] = algorithm.through_message(perfect[:, 2])
-
-    noisy = np.empty((len(poses), count, 3))
-    pose = tuple(perfect[0])
-    noisy[0] = np.transpose(pose)
-    for k, draw in enumerate(draws, start=1):
-        pose = algorithm.step(pose, noisy[k - 1, :, 2], perfect[k - 1], perfect[k], draw.T)
-        noisy[k, :, 0], noisy[k, :, 1] = pose[:2]
-        noisy[k, :, 2] = algorithm.through_message(pose[2])
+    noisy = np.empty((len(poses), draws.shape[1], 3))
+    for row, pose, draw in zip(noisy, poses, (None, *np.moveaxis(draws, 2, 1))):
+        for column, values in zip(row.T, algorithm.step(*pose.T, draw)):
+            column[:] = values
     return noisy
 
 
-class PublishedNoise:
-    """The algorithm with all defects, pose by pose.
+class PublishedNoise(PublishedAlgorithm):
+    """The algorithm with all defects, for one path; a seed of None is a different one each time.
 
     >>> published = PublishedNoise(0.0, seed=1)
     >>> [published.update(x, 0.0, 0.0) for x in (0.0, 0.5)]
@@ -163,25 +164,16 @@ class PublishedNoise:
     """
 
     def __init__(self, std: float, seed: Optional[int]):
-        self._algorithm = PublishedAlgorithm(std, ALL, _MATH)
+        super().__init__(std, ALL, _MATH)
         self._generator = np.random.default_rng(seed)
-        self._yaw = 0.0
-        self.restart()
-
-    def restart(self) -> None:
-        """Start a new path with the next pose. The random generator is not reset."""
-        self._pose: Optional[PlanarPose] = None
 
     def update(self, x: float, y: float, yaw: float) -> PlanarPose:
-        """Return the noisy pose, yaw in [-pi, pi], for the next perfect pose (m, m, rad)."""
-        now = x, y, self._algorithm.through_message(yaw)
-        if self._pose is None:
-            self._pose = now
-        else:
-            draws = self._generator.standard_normal(3).tolist()
-            self._pose = self._algorithm.step(self._pose, self._yaw, None, now, draws)
-        self._yaw = self._algorithm.through_message(self._pose[2])
-        return self._pose[0], self._pose[1], self._yaw
+        """Return the noisy pose, yaw in [-pi, pi], for the next perfect pose (m, m, rad).
+
+        `restart` does not reset the random generator.
+        """
+        is_first = self._pose is None
+        return self.step(x, y, yaw, () if is_first else self._generator.standard_normal(3).tolist())
 
 
 class Sampler:

@@ -24,7 +24,7 @@ def drive(count=3):
 
 def drawn(rule, count, seed=1, steps=None, errors=None):
     steps = drive() if steps is None else steps
-    expected = None if errors is None else errors.steps(steps)
+    expected = steps if errors is None else errors.steps(steps)
     pairs = StepPairs(steps, steps[np.newaxis])
     return drawn_pairs(pairs, rule, np.random.default_rng(seed), count, expected)
 

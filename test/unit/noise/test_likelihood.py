@@ -10,8 +10,8 @@ from scipy import stats
 from bullet_lab.core import se2
 from bullet_lab.noise.goodness import whitened
 from bullet_lab.noise.likelihood import Problem, StepPairs, part_errors
-from bullet_lab.noise.odometry_noise import NoisyPath, ProbabilisticRule, RateInvariantRule
-from bullet_lab.noise.systematic import SystematicErrors
+from bullet_lab.noise.odometry_noise import NoisyPath, ProbabilisticRule
+from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -21,7 +21,9 @@ def test_the_draws_of_a_noisy_path_are_found_again(rule, errors):
     noisy = reported(played(NoisyPath(rule, 7), errors.path(true)))
     steps = se2.steps(true)
     pairs = StepPairs(steps, se2.steps(noisy)[np.newaxis])
-    found = whitened(pairs, rule, errors.steps(steps))[0]
+    problem = Problem(pairs, rule.name, SYSTEMATIC, errors.wheel_base)
+    values = [*astuple(rule), *(getattr(errors, name) for name in SYSTEMATIC)]
+    (found,) = whitened(problem, np.array([values]))
     draws = np.random.default_rng(7).standard_normal((len(steps), 3))[:, [1, 0, 2]]
     ahead = np.hypot(*steps[:, :2].T) > 1e-3
     assert np.isfinite(found[ahead, 1]).all()
@@ -35,7 +37,7 @@ def test_the_draws_of_a_noisy_path_are_found_again(rule, errors):
 
 def test_a_turn_on_the_spot_tells_both_rotations_together():
     pairs = StepPairs(np.array([[0.0, 0.0, 0.5]]), np.array([[[0.0, 0.0, 0.6]]]))
-    (found,) = whitened(pairs, RateInvariantRule(0.1))[0]
+    ((found,),) = whitened(Problem(pairs, "rate_invariant"), np.array([[0.1]]))
     assert np.isnan(found[0])
     assert found[2] == pytest.approx(0.1 / np.sqrt(0.01 * 0.5))
 

@@ -5,7 +5,6 @@ The parameter std is checked where it comes in, and nowhere else on its way to a
 
 import sys
 from dataclasses import asdict, dataclass, fields, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -70,7 +69,7 @@ def test_a_model_that_is_registered_is_known_by_its_name(slip):
 def test_its_parameters_are_calibrated(slip):
     steps = np.tile([[0.04, 0.0, 0.0], [0.0, 0.0, 0.1]], (100, 1))
     true = StepPairs(steps, steps[np.newaxis])
-    pairs = drawn_pairs(true, SlipRule(0.1, 0.02), np.random.default_rng(1), 1)
+    pairs = drawn_pairs(true, SlipRule(0.1, 0.02), np.random.default_rng(1), 1, steps)
     std, slipped = intervals(fit(Problem(pairs, "slip")))[0]
     assert 0.05 < std[0] < 0.1 < std[1] < 0.15
     assert 0.01 < slipped[0] < 0.02 < slipped[1] < 0.03
@@ -152,22 +151,3 @@ def test_in_a_start_of_noisy_odom(noisy_odom, checks, model, as_published):
     robots = [noisy_odom.NoisyOdometry(own, name) for name, own in every]
     assert [robot.std for robot in robots] == [STD, STD]
     assert len(checks) == 1
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_a_request_to_the_node_is_checked(noisy_odom, model):
-    node = noisy_odom.NoisyOdometry(noisy_odom.NoisyOdomParameters(seed=1))
-
-    def ask(*given):
-        return node.set_noise(SimpleNamespace(**dict(zip(("model", "std", "alphas"), given))))
-
-    for given, said in (
-        ((model, -1.0, []), "std is -1.0: it must be"),
-        (("probabilistic", 0.1, [0, 0, -1, 0]), "alpha3 is -1: it must be"),
-        (("nix", 0.1, []), "unknown noise model 'nix'"),
-    ):
-        refused = ask(*given)
-        assert not refused.success and said in refused.status_message
-    assert node.std == noisy_odom.NoisyOdomParameters.std
-    assert ask(model, 0.3, []).success
-    assert node.std == 0.3

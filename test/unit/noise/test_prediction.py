@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from noise_checks import drawn_errors
 from numpy.testing import assert_allclose
 
 from bullet_lab.noise.calibration import Problem, fit
 from bullet_lab.noise.goodness import INSIDE, LENGTHS, drawn_pairs, judged, predicted, windows
 from bullet_lab.noise.likelihood import LongErrors, StepPairs, walk_shares
-from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
+from bullet_lab.noise.noisy_paths import noisy_steps
 from bullet_lab.noise.odometry_noise import RandomWalkRule, rule_of
 from bullet_lab.noise.systematic import SystematicErrors, end_of, path_of
 
@@ -72,9 +73,7 @@ def test_shares_of_a_long_step_are_the_moments_of_many_paths():
     errors = LongErrors(np.zeros((1, 1, 3)), walk_shares(within[np.newaxis]), np.zeros(3))
     said = errors.covariance(RULE)[0]
     steps = noisy_steps(path_of(within), RULE)
-    (block,) = noisy_blocks(steps, np.random.default_rng(2), 20000, 10**7)
-    ends = block.position[:, -1] - steps.position[-1]
-    seen = np.cov(np.stack((ends.imag, ends.real, block.heading_error[:, -1])))
+    seen = np.cov(drawn_errors(steps, np.random.default_rng(2), 20000)[:, [1, 0, 2]].T)
     scale = np.sqrt(np.diagonal(seen))
     # 20000 paths determine a variance to 1 %, and the moments are of first order.
     size = np.outer(scale, scale)

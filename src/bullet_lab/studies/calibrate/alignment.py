@@ -53,16 +53,10 @@ def interpolated(path: Trajectory, stamps: ndarray) -> ndarray:
 def joined_ends(
     steps: ndarray, follows: ndarray, distance: float, angle: float
 ) -> tuple[ndarray, ndarray]:
-    """Join steps until they are long enough, within rows of which each follows the one before.
+    """Join steps (m, m, rad; (n, 3)) until they are so far (m) or turned so much (rad).
 
-    Args:
-        steps: dx (m), dy (m) and dyaw (rad), shape (n, 3).
-        follows: whether each begins at the end of the one before, shape (n,).
-        distance: m from its begin after which a joined one ends.
-        angle: rad, likewise; 0, 0: with each step.
-
-    Returns:
-        The first step of each joined one, and the one after its last, (k,) and (k,).
+    `follows` says whether each begins at the end of the one before, (n,); others are not joined.
+    The result is the first step of each joined one, and the one after its last, (k,) and (k,).
     """
     first, last = [], []
     begin, place, heading = 0, 0j, 0.0

@@ -111,18 +111,9 @@ def calibrate(
 ) -> ModelCalibration:
     """Find the parameters of a model, and how well halves of the steps predict each other.
 
-    A random walk is fitted to the steps as they are if it describes them, or else to long
-    ones. The other models depend on the length of steps.
-
-    Args:
-        steps: short ones.
-        model: of the noise.
-        systematic: errors to fit.
-        wheel_base: m, as of `SystematicErrors`.
-        seed: of the bootstrap, >= 0.
-
-    Raises:
-        LabError: the steps do not determine the parameters.
+    A random walk is fitted to the (short) steps as they are if it describes them, or else to long
+    ones. The other models depend on the length of steps. Raises LabError if the steps do not
+    determine the parameters.
     """
     make = functools.partial(Problem, model=model, systematic=systematic, wheel_base=wheel_base)
 
@@ -184,12 +175,8 @@ def meaning(model: str, name: str) -> str:
     return doc[len(model) + 2 :] if doc.startswith(f"{model}: ") else doc
 
 
-def calibration_summary(ranked: Sequence[ModelCalibration]) -> Summary:
-    """Return the figures of all models, the best one first, for summary.json."""
-    return {"best": ranked[0].model, "models": [_summary(one) for one in ranked]}
-
-
-def _summary(one: ModelCalibration) -> Summary:
+def model_summary(one: ModelCalibration) -> Summary:
+    """Return the figures of a model for summary.json."""
     fitted = one.goodness
     return {
         "model": one.model,
@@ -281,10 +268,7 @@ def _verdict(found: Goodness) -> str:
 def noise_yaml(one: ModelCalibration, source: str, seconds: float) -> str:
     """Return a YAML file with the parameters for noisy_odom, described in comments.
 
-    Args:
-        one: calibration of a model.
-        source: of the steps.
-        seconds: median time of a step.
+    `seconds` is the median time of a step.
     """
     verdict = _verdict(one.goodness)
     rate = "any steps" if issubclass(MODELS[one.model], WalkRule) else f"steps of {seconds:.3g} s"

@@ -197,7 +197,7 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
         LabError: the stamps have no time in common, or too short a one.
     """
     truth, odometry = recording.truth, recording.odometry
-    odometry = _shifted(odometry, settings.time_offset)
+    odometry = replace(odometry, stamps=odometry.stamps + settings.time_offset)
     stamps = _common_stamps(truth, odometry, recording.name)
     remarks = [
         f"{name}: {path.remark}"
@@ -213,7 +213,7 @@ def take_steps(recording: Recording, settings: StepSettings) -> Steps:
             + ("corrected" if settings.find_offset else f"time_offset:={whole:.3f} corrects it")
         )
         if settings.find_offset:
-            odometry = _shifted(odometry, offset)
+            odometry = replace(odometry, stamps=odometry.stamps + offset)
             stamps = _common_stamps(truth, odometry, recording.name)
     true_poses, poses = (interpolated(path, stamps) for path in (truth, odometry))
     if settings.find_marker:
@@ -316,10 +316,6 @@ def _about_marker(place: Sequence[float], error: Sequence[float]) -> str:
     )
 
 
-def _shifted(path: Trajectory, seconds: float) -> Trajectory:
-    return replace(path, stamps=path.stamps + seconds) if seconds else path
-
-
 def _common_stamps(truth: Trajectory, odometry: Trajectory, name: str) -> ndarray:
     """Return the stamps of the slower path within the times of both."""
     start = max(truth.stamps[0], odometry.stamps[0])
@@ -357,10 +353,8 @@ def _over_gap(stamps: ndarray, paths: Sequence[Trajectory], most: float) -> ndar
 
 def long_length(short: Steps) -> tuple[float, float]:
     """Return the longest of `LONG` of which there are enough; `EACH` if there is none."""
-    for length in LONG:
-        if len(joined_ends(short.true, short.follows, *length)[0]) >= FEWEST_LONG:
-            return length
-    return EACH
+    counts = (len(joined_ends(short.true, short.follows, *length)[0]) for length in LONG)
+    return next((length for length, n in zip(LONG, counts) if n >= FEWEST_LONG), EACH)
 
 
 def short_steps(steps: Steps) -> Steps:

@@ -34,9 +34,9 @@ from bullet_lab.noise.systematic import SYSTEMATIC, SystematicErrors, Systematic
 from bullet_lab.studies.calibrate.results import (
     ModelCalibration,
     calibrate,
-    calibration_summary,
     coverage_figure,
     lines,
+    model_summary,
     noise_yaml,
     paths_figure,
     profiles_figure,
@@ -70,11 +70,6 @@ _COMMANDS = (
     (0.2, 0.3, 7.0),
 )
 """Commands of a lap: m/s, rad/s and s."""
-
-COVERAGE_COLUMNS = (
-    *("model", "parameter", "true", "paths", "held", "share", "band_low", "band_high"),
-    *("mean_estimate", "mean_low", "mean_high"),
-)
 
 
 @dataclass(frozen=True)
@@ -181,17 +176,9 @@ def coverage(
 ) -> list[Record]:
     """Calibrate many noisy versions of the drive, jointly for random and systematic errors.
 
-    Returns:
-        For each parameter the number of paths, that of the intervals that hold its true value,
-        their share with its 95 % band (Clopper and Pearson), and the means of the estimates and of
-        the finite ends of the intervals.
-
-    Args:
-        settings: of the drive, with the true values.
-        model: of the noise.
-        systematic: systematic errors that are applied and fitted; the others are 0.
-        paths: number of paths.
-        seed: of the paths, >= 0.
+    The errors that are not in `systematic` are 0 and not fitted. The result has for each parameter
+    the number of paths, that of the intervals that hold its true value, their share with its 95 %
+    band (Clopper and Pearson), and the means of the estimates and of the finite ends.
     """
     errors = {name: getattr(settings, name) for name in systematic}
     true = {**asdict(settings.rule(model)), **errors}
@@ -205,10 +192,21 @@ def coverage(
     for j, name in enumerate(found.problem.names):
         low, high = bounds[:, j].T
         held = int(((low <= true[name]) & (true[name] <= high)).sum())
-        means = (float(np.mean(part[np.isfinite(part)])) for part in (values[:, j], low, high))
-        shares = (held / paths, *clopper_pearson(held, paths, 0.025))
-        row = (model, name, true[name], paths, held, *shares, *means)
-        result.append(dict(zip(COVERAGE_COLUMNS, row)))
+        band_low, band_high = clopper_pearson(held, paths, 0.025)
+        columns = {"mean_estimate": values[:, j], "mean_low": low, "mean_high": high}
+        result.append(
+            {
+                "model": model,
+                "parameter": name,
+                "true": true[name],
+                "paths": paths,
+                "held": held,
+                "share": held / paths,
+                "band_low": band_low,
+                "band_high": band_high,
+                **{mean: float(np.mean(c[np.isfinite(c)])) for mean, c in columns.items()},
+            }
+        )
     return result
 
 
@@ -232,21 +230,13 @@ def run_calibration(
     settings: CalibrateSettings,
     steps: StepSettings,
     drive: DriveSettings,
-    recordings: Sequence[Recording] = (),
-    tell: Tell = print,
+    recordings: Sequence[Recording],
+    tell: Tell,
 ) -> Summary:
-    """Calibrate; write noise.yaml, figures and summary.json; return the summary.
+    """Calibrate by recordings, or the made-up drive if there are none.
 
-    Args:
-        folder: for the results.
-        settings: models and errors to fit.
-        steps: settings of the steps.
-        drive: made up if there are no recordings.
-        recordings: to calibrate by.
-        tell: prints a line.
-
-    Raises:
-        LabError: recordings that are not usable, or a folder that cannot be written to.
+    Write noise.yaml, figures and summary.json; return the summary. Raises LabError for recordings
+    that are not usable, or a folder that cannot be written to.
     """
     true: dict[str, dict[str, float]] = {}
     if not recordings:
@@ -284,7 +274,8 @@ def run_calibration(
         "seed": settings.seed,
         "recordings": names,
         "steps": taken.summary(),
-        **calibration_summary(ranked),
+        "best": best.model,
+        "models": list(map(model_summary, ranked)),
     }
     figures = {
         "residuals.png": residuals_figure(found),

@@ -208,14 +208,10 @@ def distances_figure(cases: Sequence[Case]) -> Figure:
 
 
 def banana_figure(cases: Sequence[Case], seed: int) -> Figure:
-    """Draw clouds of noisy positions and their 95 % regions, for some levels.
+    """Draw clouds of noisy positions and their 95 % regions, for some levels; one rate.
 
     The model is the one whose clouds are most bent. Above: at the pose of the path with the most
     bent cloud. Below: at the end of a straight line of the same length.
-
-    Args:
-        cases: of one rate, one of them with noise.
-        seed: of the noise on the straight line.
     """
     most = max(cases, key=lambda case: case.theory.quadratic_share())
     bent = noisy_levels(by_model_of(cases)[most.model])
@@ -265,12 +261,8 @@ def _model_panels(
 ) -> tuple[Figure, ndarray, dict[str, list[Case]]]:
     """Return a figure with a column for each model, its axes, and the cases of each model.
 
-    Args:
-        cases: of one rate, which is added to the title.
-        size: number of rows, width of a column and of the rest, and height, in inches.
-        title: of the figure.
-        labels: as of `panels`.
-        note: added to the title.
+    The size is the number of rows, width of a column and of the rest, and height, in inches. The
+    rate of the cases and the note are added to the title.
     """
     by_model = by_model_of(cases)
     rows, column, rest, height = size
@@ -424,7 +416,7 @@ def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
 
 def _draw_bent_region(axes: Axes, mean, covariance, around: ndarray) -> None:
     """Draw the region of 95 % of the positions, if they are Gaussian in exponential coordinates."""
-    if inverse_of(covariance) is None:
+    if not inverse_of(covariance).any():
         return
     sides = np.array([around.real, around.imag])
     margins = 0.2 * np.ptp(sides, axis=1)

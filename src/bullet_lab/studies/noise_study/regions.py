@@ -68,7 +68,7 @@ class Theory:
         This is the Mahalanobis length, in the position, of the exact bias; 0 without noise.
         """
         bias, inverse = self.exact.mean[-1, :2], inverse_of(position_of(self.first_order))
-        return 0.0 if inverse is None else math.sqrt(float(bias @ inverse @ bias))
+        return math.sqrt(float(bias @ inverse @ bias))
 
     def area_ratio(self) -> float:
         """Return the area of the first-order ellipse at the end over that of the exact one."""
@@ -98,15 +98,13 @@ def position_of(moments: Moments) -> ndarray:
     return moments.covariance[-1, :2, :2]
 
 
-def inverse_of(covariance: ndarray) -> ndarray | None:
-    """Return the inverse of a covariance, None if it is singular to rounding."""
+def inverse_of(covariance: ndarray) -> ndarray:
+    """Return the inverse of a covariance, zeros if it is singular to rounding."""
     scale = np.sqrt(np.abs(np.diag(covariance)))
-    if (scale == 0.0).any():
-        return None
-    correlation = covariance / np.outer(scale, scale)
-    if np.linalg.eigvalsh(correlation)[0] < _SINGULAR:
-        return None
-    return np.linalg.inv(correlation) / np.outer(scale, scale)
+    size = np.outer(scale, scale)
+    if not scale.all() or np.linalg.eigvalsh(covariance / size)[0] < _SINGULAR:
+        return np.zeros_like(size)
+    return np.linalg.inv(covariance / size) / size
 
 
 METHODS = {
@@ -210,10 +208,8 @@ class Ellipsoids:
 
     def __init__(self, means, covariances):
         self._means = np.asarray(means)
-        found = [[inverse_of(c) for c in of_method] for of_method in covariances]
-        self.known = np.array([[inverse is not None for inverse in row] for row in found])
-        nothing = np.zeros((self._means.shape[-1],) * 2)
-        self._inverses = np.array([[nothing if i is None else i for i in row] for row in found])
+        self._inverses = np.array([list(map(inverse_of, of_method)) for of_method in covariances])
+        self.known = self._inverses.any(axis=(-2, -1))
 
     def nees(self, errors: ndarray) -> ndarray:
         """Return the square Mahalanobis lengths of b errors, (m, b, k, d) to (m, b, k)."""

@@ -40,20 +40,7 @@ MOST_LAPS = 50
 QUANTILE_PATHS = 100_000
 """Number of paths for medians and 95 % quantiles; everything else uses all paths."""
 
-METRICS = (
-    "final_error_m",
-    "final_heading_error_deg",
-    "ape_rmse_m",
-    "ape_heading_rmse_deg",
-    "rpe_rmse_m",
-    "rpe_heading_rmse_deg",
-    "drift_percent",
-    "drift_deg_per_m",
-    "along_track_rms_m",
-    "cross_track_rms_m",
-)
-"""Columns of `PathMetrics.values`; a closure error for each lap follows."""
-
+KEPT_PATHS = 60
 
 def find_laps(trajectory: Trajectory) -> tuple[ndarray, ndarray]:
     """Return the first and the last pose of each lap of a path, indices (l,) and (l,).
@@ -129,31 +116,30 @@ class PathMetrics:
         self._share = 1.0 / (distance * len(distance))
         self._tangent = _tangents(steps).conj()
         self._starts, self._ends = find_laps(trajectory)
-        laps = [f"closure_error_lap_{i + 1}_m" for i in range(len(self._ends))]
-        self.names = (*METRICS, *laps)
 
-    def values(self, block: NoisyBlock) -> ndarray:
-        """Return the metrics of each path, shape (b, len(names)); see `names`."""
+    def values(self, block: NoisyBlock) -> tuple[list[str], ndarray]:
+        """Return the names of k metrics, and their values for each path, shape (b, k)."""
         heading = block.heading_error
         error = block.position - self._position
         error *= self._tangent
         along, across = error.real, error.imag
         square = np.square(along) + np.square(across)
         relative, relative_heading = self._relative_errors(block)
-        columns = [
-            np.sqrt(square[:, -1]),
-            np.degrees(np.abs(_short_way(heading[:, -1]))),
-            np.sqrt(np.mean(square, axis=1)),
-            np.degrees(_rms(_short_way(heading))),
-            _rms(relative),
-            np.degrees(_rms(relative_heading)),
-            100.0 * (relative @ self._share),
-            np.degrees(np.abs(relative_heading) @ self._share),
-            _rms(along),
-            _rms(across),
-        ]
+        columns = {
+            "final_error_m": np.sqrt(square[:, -1]),
+            "final_heading_error_deg": np.degrees(np.abs(_short_way(heading[:, -1]))),
+            "ape_rmse_m": np.sqrt(np.mean(square, axis=1)),
+            "ape_heading_rmse_deg": np.degrees(_rms(_short_way(heading))),
+            "rpe_rmse_m": _rms(relative),
+            "rpe_heading_rmse_deg": np.degrees(_rms(relative_heading)),
+            "drift_percent": 100.0 * (relative @ self._share),
+            "drift_deg_per_m": np.degrees(np.abs(relative_heading) @ self._share),
+            "along_track_rms_m": _rms(along),
+            "cross_track_rms_m": _rms(across),
+        }
         laps = np.abs(block.position[:, self._ends] - block.position[:, self._starts])
-        return np.column_stack([*columns, laps])
+        names = [*columns, *(f"closure_error_lap_{i + 1}_m" for i in range(len(self._ends)))]
+        return names, np.column_stack([*columns.values(), laps])
 
     def _relative_errors(self, block: NoisyBlock) -> tuple[ndarray, ndarray]:
         """Return the relative pose errors in m and rad, each of shape (b, number of pairs).
@@ -207,11 +193,11 @@ class Case:
         std: the level.
         theory: moments in closed form.
         regions: coverage of the regions of all three coordinates along the path.
-        metrics: for each metric its mean, 50 % and 95 % quantile.
+        metrics: mean, 50 % and 95 % quantile of each metric by name, such as drift_percent_p95.
         coverage: share of the paths whose last position lies in the 95 % ellipse, for each of
             `ELLIPSES`. None for an ellipse without area.
         rms_distance: m, root mean square distance from the perfect path at each pose, (n+1,).
-        kept: poses of the first paths (m, m, rad), (k, n+1, 3).
+        kept: poses of the first `KEPT_PATHS` (m, m, rad), (k, n+1, 3).
     """
 
     trajectory: Trajectory
@@ -220,7 +206,7 @@ class Case:
     std: float
     theory: Theory
     regions: Regions
-    metrics: dict[str, dict[str, float]]
+    metrics: dict[str, float]
     coverage: dict[str, float | None]
     rms_distance: ndarray
     kept: ndarray
@@ -261,7 +247,6 @@ def study_case(
     generator: np.random.Generator,
     paths: int,
     delta: float,
-    keep: int = 0,
 ) -> Case:
     """Draw some noisy versions of a path and measure them.
 
@@ -271,7 +256,6 @@ def study_case(
         generator: of the normal draws.
         paths: number of paths, >= 2.
         delta: m, of the relative pose error.
-        keep: number of paths to keep.
 
     Raises:
         LabError: no two poses of the path are delta apart.
@@ -282,8 +266,8 @@ def study_case(
     metrics = PathMetrics(trajectory, steps, delta)
     regions, ellipses = Regions(trajectory, steps, known), _last_ellipses(known)
     squares, inside = np.zeros(len(steps) + 1), np.zeros(len(ELLIPSES), dtype=int)
-    sums, values = np.zeros(len(metrics.names)), []
-    kept = [np.empty((0, *trajectory.poses.shape))]
+    sums, values = 0.0, []
+    kept = []
     # In memory that does not grow with the number of paths.
     for block in noisy_blocks(steps, generator, paths):
         regions.add(block)
@@ -293,13 +277,13 @@ def study_case(
         last = np.column_stack([error[:, -1].real, error[:, -1].imag])
         nees = ellipses.nees(last[:, None])
         inside += np.count_nonzero(nees <= SQUARE_RADIUS, axis=(1, 2))
-        found = metrics.values(block)
-        sums += found.sum(axis=0)
+        names, found = metrics.values(block)
+        sums = sums + found.sum(axis=0)
         values.append(found[: max(0, QUANTILE_PATHS - block.first)])
-        if block.first < keep:
-            kept.append(block.poses(trajectory.poses)[: keep - block.first])
+        if block.first < KEPT_PATHS:
+            kept.append(block.poses(trajectory.poses)[: KEPT_PATHS - block.first])
     median, high = np.quantile(np.concatenate(values), [0.5, 0.95], axis=0)
-    columns = zip((sums / paths).tolist(), median.tolist(), high.tolist())
+    columns = [f"{name}_{part}" for name in names for part in ("mean", "p50", "p95")]
     shares = np.where(ellipses.known[:, 0], inside / paths, None)
     return Case(
         trajectory,
@@ -308,7 +292,7 @@ def study_case(
         std,
         known,
         regions,
-        {name: dict(zip(("mean", "p50", "p95"), own)) for name, own in zip(metrics.names, columns)},
+        dict(zip(columns, np.ravel((sums / paths, median, high), order="F").tolist())),
         dict(zip(ELLIPSES, shares.tolist())),
         np.sqrt(squares / paths),
         np.concatenate(kept),

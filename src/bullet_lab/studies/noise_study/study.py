@@ -53,7 +53,6 @@ LARGEST_STD = 10.0
 """At this level the heading is random after some centimetres."""
 
 MOST_PATHS = 10_000_000
-KEPT_PATHS = 60
 SIDES_PER_LAP = 4
 _DISTANCES_PER_CASE = 100
 
@@ -100,13 +99,9 @@ def simulated_square(laps: int = 1) -> Trajectory:
 
 
 def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -> list[Case]:
-    """Study every level, model and rate on a path, without writing files.
+    """Return a case for each model, rate and level, in this order, without writing files.
 
-    Returns:
-        A case for each, by model, then rate, then level, in the order of the settings.
-
-    Raises:
-        LabError: the path is not usable, or a setting does not suit it.
+    Raises LabError if the path is not usable, or a setting does not suit it.
     """
     check_path(trajectory)
     cases: list[Case] = []
@@ -121,7 +116,6 @@ def study(trajectory: Trajectory, settings: StudySettings, tell: Tell = print) -
                     study_generator(settings.seed, model, std, rate),
                     settings.paths,
                     settings.delta,
-                    KEPT_PATHS,
                 )
                 for std in settings.levels
             ]
@@ -150,16 +144,13 @@ def run_study(
     folder: Path,
     settings: StudySettings,
     trajectory: Trajectory,
-    source: str = "",
-    tell: Tell = print,
+    source: str,
+    tell: Tell,
 ) -> Summary:
     """Study a path; write tables, figures, TUM files and summary.json; return the summary.
 
-    The same settings and path give the same tables. The source names the origin of the path.
-
-    Raises:
-        LabError: the path is not usable, a setting does not suit it, or the folder cannot be
-            written to.
+    The source names the origin of the path. Raises LabError if the path is not usable, a setting
+    does not suit it, or the folder cannot be written to.
     """
     cases = study(trajectory, settings, tell)
     records = case_records(cases)
@@ -209,11 +200,7 @@ def case_records(cases: Sequence[Case]) -> list[Record]:
             {
                 **case.key,
                 "paths": case.regions.paths,
-                **{
-                    f"{name}_{part}": case.metrics.get(name, {}).get(part)
-                    for name, parts in fullest.items()
-                    for part in parts
-                },
+                **{name: case.metrics.get(name) for name in fullest},
                 **{f"coverage_{name}": share for name, share in case.coverage.items()},
                 "nees_mean": published and published.nees,
                 "nees_within_95": published and published.coverage[MEANT],

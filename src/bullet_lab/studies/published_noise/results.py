@@ -57,7 +57,6 @@ EVIDENCE = {
 """Lengths that a p-value uses: some alone, and all together."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-_SHARES = ("q05", "q25", "q50", "q75", "q95")
 
 NEEDED, RULED_OUT, UNKNOWN = "needed", "ruled out", "cannot be told"
 
@@ -90,8 +89,8 @@ def find_corners(vertices) -> ndarray:
     a zigzag on one side would move the corners of its neighbours.) Of a path of more than 100
     vertices, whose sides are not straight anyway, 100 are candidates.
 
-    The vertices are x and y (m) in the order driven, (n, 2); the result are their indices, (5,),
-    from the first to the last. Raises LabError if the path has no four sides.
+    The vertices are x and y (m) in the order driven, (n, 2); the result has the indices of five of
+    them, from the first to the last. Raises LabError if the path has no four sides.
 
     >>> find_corners([(0, 0), (1, 0.1), (2, 0), (2, -2), (1, -2), (0, -2), (0, 0)]).tolist()
     [0, 2, 3, 5, 6]
@@ -174,11 +173,7 @@ class PublishedFigure:
 
 
 def read_published_figure(path: Path) -> PublishedFigure:
-    """Read figure 1b from a CSV file.
-
-    Raises:
-        LabError: the file cannot be read or does not hold two paths around a square.
-    """
+    """Read figure 1b from a CSV file; raises LabError unless it holds two paths around a square."""
     noisy, perfect = (_read_series(path, f"fig1b_{name}") for name in ("noisy", "perfect"))
     corners = perfect[find_corners(perfect)]
     return PublishedFigure(noisy, find_corners(noisy), corners, measure(noisy, corners))
@@ -348,7 +343,7 @@ def combination_records(results: Sequence[Result]) -> list[Record]:
             record[f"p_{evidence}"], record[f"p_{evidence}_below"] = rounded((p.value, p.high))
         percentiles = rounded(100.0 * result.percentiles, 1)
         for length, quantiles, percentile in zip(LENGTHS, result.quantiles.T, percentiles):
-            names = (f"{length}_{share}_m" for share in _SHARES)
+            names = (f"{length}_q{100.0 * share:02.0f}_m" for share in QUANTILES)
             record.update(zip(names, rounded(quantiles)))
             record[f"{length}_percentile"] = percentile
         records.append(record)

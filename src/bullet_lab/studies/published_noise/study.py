@@ -168,10 +168,12 @@ def _results(
     # With aliasing, `unbent` changes nothing, to the last bit.
     every = [d for d in combinations() if not (d.aliasing and d.unbent)]
     todo = [(defects, block) for defects in every for block in blocks]
-    lengths = [replay.lengths(*one) for one in progress(todo, "blocks", len(todo), tell)]
+    lengths: dict[Defects, list[ndarray]] = {defects: [] for defects in every}
+    for defects, block in progress(todo, "blocks", len(todo), tell):
+        lengths[defects].append(replay.lengths(defects, block))
     results = [
-        Result.of(defects, np.concatenate(lengths[first : first + len(blocks)]), figure.lengths)
-        for defects, first in zip(every, range(0, len(todo), len(blocks)))
+        Result.of(defects, np.concatenate(parts), figure.lengths)
+        for defects, parts in lengths.items()
     ]
     aliased = [result for result in results if result.defects.aliasing]
     return [*results, *(replace(r, defects=replace(r.defects, unbent=True)) for r in aliased)]

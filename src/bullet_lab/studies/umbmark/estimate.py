@@ -132,16 +132,8 @@ def read_runs(path: Path, topics: Topics, side: float, base: float) -> list[Squa
     """Read a run from each recording that `find_recordings` finds, or from each row of a table.
 
     Such a table of returns (`RETURNS`: cw or ccw, m, m, rad) has the true pose at the end of each
-    run, in the frame of its start; its odometry reports a perfect square.
-
-    Args:
-        path: the folder, or one file with several runs.
-        topics: of a bag's true poses and odometry.
-        side: of the square, m, for tables of returns.
-        base: that the odometry assumed, m.
-
-    Raises:
-        LabError: a file cannot be read, or there is none.
+    run, in the frame of its start; its odometry reports a perfect square of the side (m). The base
+    (m) is that which the odometry assumed. Raises LabError if there is no file that can be read.
     """
     files = sorted(path.iterdir()) if os.path.isdir(path) else [path]
     runs = [

@@ -309,16 +309,10 @@ def drive_square(
     name: str,
     noisy: Callable[[PlanarPose], PlanarPose] = lambda pose: pose,
 ) -> SquareRun:
-    """Drive a square by odometry, with a rest after it.
+    """Drive a square by odometry, clockwise if its turn speed is negative, with a rest after it.
 
-    Args:
-        robot: that stands still.
-        square: clockwise if its turn speed is negative.
-        name: of the run.
-        noisy: returns the pose to drive by for each reported one, in order.
-
-    Raises:
-        UnfinishedError: the robot does not complete the square in time.
+    `noisy` returns the pose to drive by for each reported one, in order. Raises UnfinishedError if
+    the robot does not complete the square in time.
     """
     driver = SquareDriver(square, CLOSED_LOOP)
     start, period = robot.pose(), 1.0 / driver.rate

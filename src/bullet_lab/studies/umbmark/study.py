@@ -327,8 +327,7 @@ def run_campaign(
 ) -> Summary:
     """Calibrate random robots; write campaign.csv, campaign.png and summary.json; return that.
 
-    Raises:
-        LabError: a robot cannot be driven, or the folder cannot be written to.
+    Raises LabError if a robot cannot be driven, or the folder cannot be written to.
     """
     task = functools.partial(calibrate_robot, drive, campaign.floor)
     records = run_tasks(task, campaign.robots, run, tell, "robots")

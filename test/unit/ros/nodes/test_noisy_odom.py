@@ -107,6 +107,25 @@ def test_noise_is_changed_while_it_runs(adder):
     assert_follows(path, perfect[20:], noisy[20:])
 
 
+@pytest.mark.parametrize(
+    ("model", "std", "alphas", "said"),
+    [
+        ("report", -1.0, [], "std is -1.0: it must be"),
+        # Also for a model without it.
+        ("probabilistic", -1.0, [], "std is -1.0: it must be"),
+        ("probabilistic", 0.1, [0, 0, -1, 0], "alpha3 is -1: it must be"),
+        ("nix", 0.1, [], "unknown noise model 'nix'"),
+    ],
+)
+def test_a_request_that_is_invalid_changes_nothing(adder, model, std, alphas, said):
+    node = adder(std=0.3)
+    refused = node.set_noise(SetNoiseRequest(model, std, alphas))
+    assert not refused.success and said in refused.status_message
+    assert node.std == 0.3
+    assert node.set_noise(SetNoiseRequest("", 0.2, [])).success
+    assert node.std == 0.2
+
+
 def test_what_cannot_be_used_is_refused_and_not_in_the_path(adder):
     perfect = arc(10)
     bad = [odometry(0.26) for _ in range(6)]

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from noise_checks import drawn_errors
 
-from bullet_lab.core.se2 import logarithm, wrap
+from bullet_lab.core.se2 import logarithm, wrapped
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.noise.exact_moments import exponential_moments
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator
@@ -75,11 +76,8 @@ def test_shares_are_those_of_a_plain_count():
     steps = noisy_steps(trajectory.poses, level_rule("rate_invariant", 0.3))
     known = theory(steps)
     regions = counted(trajectory, "rate_invariant", 0.3, paths)
-    errors = []
-    for block in noisy_blocks(steps, study_generator(80, "rate_invariant", 0.3, 1.0), paths):
-        off = block.position[:, -1] - steps.position[-1]
-        errors.append(np.column_stack([off.real, off.imag, wrap(block.heading_error[:, -1])]))
-    errors = np.concatenate(errors)
+    generator = study_generator(80, "rate_invariant", 0.3, 1.0)
+    errors = wrapped(drawn_errors(steps, generator, paths))
     exponential = exponential_moments(steps, [len(steps)])
     path = NoisyPath(level_rule("rate_invariant", 0.3), 1)
     sent = [path.update(*pose).covariance for pose in trajectory.poses.tolist()][-1]

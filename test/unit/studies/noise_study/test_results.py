@@ -111,5 +111,5 @@ def test_the_simulated_square():
     (case,) = study(
         trajectory, StudySettings(levels=(0.1,), models=("report",), rates=(20.0,), paths=10)
     )
-    assert sum(name.startswith("closure_error_lap") for name in case.metrics) == 1
+    assert sum(name.startswith("closure_error_lap") for name in case.metrics) == 3
     assert np.hypot(*(trajectory.poses[-1] - trajectory.poses[0])[:2]) < 0.1

@@ -57,11 +57,6 @@ def replay_of(drive, seeds=20, **settings):
     return Replay(drive, PublishedNoiseSettings(seeds=seeds, **settings))
 
 
-def lengths_of(drive, seeds, defects, **settings):
-    """The distance of the start, and of the corners, in each of some replays (m)."""
-    return replay_of(drive, seeds, **settings).lengths(defects, range(seeds))[:, 4:].T
-
-
 def test_a_replay_is_what_the_live_algorithm_does(drive):
     replay = replay_of(drive, seed=5)
     np.testing.assert_allclose(replay.corners, drive.corners, atol=1e-3)
@@ -95,21 +90,9 @@ def test_without_aliasing_the_first_corner_is_off_as_the_closed_form_has_it(driv
     assert np.all(lengths[:, 5] > 0.98 * np.abs(errors) - 1e-3)
 
 
-def test_with_aliasing_the_corners_are_the_perfect_ones(drive):
-    _, kept = lengths_of(drive, 100, Defects(aliasing=True, sampled=True))
-    assert np.median(kept) < 1e-3
-    _, lost = lengths_of(drive, 100, Defects(sampled=True, unwrapped=True, unbent=True))
-    assert lost.min() > 5e-3
-
-
-def test_noise_at_rest_shows_at_the_start(drive):
-    still, _ = lengths_of(drive, 100, Defects(aliasing=True, unwrapped=True, sampled=True))
-    assert still.max() < 1e-3
-    assert np.median(lengths_of(drive, 100, ALL)[0]) > 5e-4
-
-
 def test_points_are_read_with_the_error_that_is_set(drive):
-    _, found = lengths_of(drive, 100, Defects(aliasing=True), std=0.0, reading=0.002)
+    replay = replay_of(drive, 100, std=0.0, reading=0.002)
+    found = replay.lengths(Defects(aliasing=True), range(100))[:, 5]
     # The largest of three distances with a Rayleigh distribution, sigma = 2 mm for either point.
     quarters = 0.002 * np.sqrt(-4.0 * np.log(1.0 - np.array([0.25, 0.75]) ** (1 / 3)))
     np.testing.assert_allclose(np.quantile(found, (0.25, 0.75)), quarters, rtol=0.15)
