@@ -25,6 +25,7 @@ from geometry_msgs.msg import Twist
 from rospy.msg import serialize_message
 
 from bullet_lab.core import parameters
+from bullet_lab.errors import LabError
 from bullet_lab.ros.node.node import (
     LOCK_STEP,
     NodeError,
@@ -256,8 +257,11 @@ def subscriber(
     refusals = Refusals()
 
     def take(message: Any) -> None:
-        with refusals.on(topic):
+        # A context takes longer, and messages may be many.
+        try:
             receive(message)
+        except LabError as error:
+            refusals.refuse(topic, str(error))
 
     size = None if in_lock_step() else queue_size
     return rospy.Subscriber(
