@@ -278,9 +278,7 @@ class Rate:
         now: ROS time at the last tick; a reset may have set it back.
     """
 
-    def __init__(
-        self, hz: float, is_ready: Callable[[], bool] | None = None, what: str = ""
-    ):
+    def __init__(self, hz: float, is_ready: Callable[[], bool] | None = None, what: str = ""):
         self._hz = hz
         self._member: Member | None = member() if in_lock_step() else None
         if self._member is None:

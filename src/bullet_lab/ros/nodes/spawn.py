@@ -112,9 +112,7 @@ class PlaceBeaconParameters(DepopulateParameters):
 class PopulateParameters(PlaceBeaconParameters):
     """Private parameters of populate."""
 
-    pattern: str = choice(
-        "poses", "how they are arranged", ("poses", "line", "grid", "circle")
-    )
+    pattern: str = choice("poses", "how they are arranged", ("poses", "line", "grid", "circle"))
     poses: tuple[se2.PlanarPose, ...] = checked(
         BEACONS,
         "their poses, for the pattern poses",
