@@ -97,9 +97,9 @@ class SubmissionError(LabError):
 def command_of(folder: Path) -> list[str]:
     """Return the command that starts a submission; raise SubmissionError."""
     for name in ("main.py", "main.sh"):
-        if (folder / name).is_file() and not os.access(folder / name, os.X_OK):
-            raise SubmissionError(f"{name} is not executable; run chmod +x {name}")
         if (folder / name).is_file():
+            if not os.access(folder / name, os.X_OK):
+                raise SubmissionError(f"{name} is not executable; run chmod +x {name}")
             return [f"./{name}"]
     launch = sorted(folder.glob("*.launch"))
     if len(launch) != 1:

@@ -202,8 +202,7 @@ class BatchPublisher(Publisher):
         data = self._batch.getvalue()
         if not data:
             return
-        self._batch.seek(0)
-        self._batch.truncate()
+        self._batch = BytesIO()
         # While the node shuts down, there is no implementation.
         connections = () if self.impl is None else self.impl.connections
         for connection in connections:
