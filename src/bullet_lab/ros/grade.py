@@ -126,7 +126,7 @@ class Submission:
             shutil.copytree(folder, work, symlinks=True)
             command = ["prlimit", *limits, *command_of(folder)]
             self._process = _start(command, output, cwd=work, start_new_session=True)
-        except (OSError, shutil.Error) as error:
+        except OSError as error:
             raise SubmissionError(f"it cannot be started: {str(error)[:LONGEST_LINE]}") from error
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ from typing import BinaryIO, Iterator
 
 from PIL import ImageGrab
 
-from bullet_lab.core.files import FileError
+from bullet_lab.core.files import file_errors
 from bullet_lab.errors import LabError
 
 _ROS_PACKAGES = ("ROS_PACKAGE_PATH", "ROS_ROOT", "ROS_ETC_DIR", "ROS_VERSION", "ROS_DISTRO")
@@ -71,10 +71,8 @@ class PlainText(io.TextIOBase):
 @contextlib.contextmanager
 def words_to(path: Path):
     """Redirect output and log of this process, not of its nodes, to a file; raise FileError."""
-    try:
+    with file_errors(f"cannot write {path}"):
         file = path.open("wb", buffering=0)
-    except OSError as error:
-        raise FileError(f"cannot write {path}: {error.strerror}") from error
     with file:
         plain = PlainText(file)
         # At the level of INFO, roslaunch would write the user's whole environment to it.
@@ -98,11 +96,8 @@ class VirtualScreen:
         # terminal from it: it must outlive RViz.
         command = tied("Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp")
         streams = {"stdout": subprocess.PIPE, "text": True, "start_new_session": True}
-        try:
-            with self._log.open("w") as log:
-                self._server = subprocess.Popen(command, stderr=log, **streams)
-        except OSError as error:
-            raise LabError(f"cannot start Xvfb: {error.strerror}") from error
+        with file_errors("cannot start Xvfb"), self._log.open("w") as log:
+            self._server = subprocess.Popen(command, stderr=log, **streams)
         answer = self._server.stdout
         ready, _, _ = select.select([answer], [], [], _START_TIMEOUT)
         number = answer.readline().strip() if ready else ""
