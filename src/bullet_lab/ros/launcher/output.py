@@ -12,12 +12,13 @@ import shutil
 import subprocess
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Iterator
 
 from PIL import ImageGrab
 
-from bullet_lab.core.files import file_errors
+from bullet_lab.core.files import FileError, file_errors, replace_file
 from bullet_lab.errors import LabError
 
 _ROS_PACKAGES = ("ROS_PACKAGE_PATH", "ROS_ROOT", "ROS_ETC_DIR", "ROS_VERSION", "ROS_DISTRO")
@@ -128,10 +129,8 @@ class VirtualScreen:
     def picture(self) -> None:
         """Save a picture of the screen, cropped to the windows; none while it is empty."""
         self._next = time.monotonic() + _PICTURE_PERIOD
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, FileError):
             image = ImageGrab.grab(xdisplay=self._display).convert("RGB")
             box = image.getbbox()
             if box is not None:
-                unfinished = self._picture.with_name(f".{self._picture.name}")
-                image.crop(box).save(unfinished, format="PNG")
-                unfinished.replace(self._picture)
+                replace_file(self._picture, partial(image.crop(box).save, format="PNG"))
