@@ -14,6 +14,8 @@ from pathlib import Path
 import rostest
 from lab_testing import wait_for
 
+from bullet_lab.ros.launcher.output import environment_without_ros
+
 TIMEOUT = 600
 RUN = Path(__file__).resolve().parents[2] / "scripts" / "run.sh"
 LAUNCHER = (sys.executable, "-m", "bullet_lab.ros.launcher")
@@ -21,11 +23,10 @@ LAUNCHER = (sys.executable, "-m", "bullet_lab.ros.launcher")
 
 def start(folder, *words, program=LAUNCHER, **environment):
     """Start the launcher in a folder, without the master of this test."""
-    inherited = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
     return subprocess.Popen(
         [*program, *words],
         cwd=folder,
-        env={**inherited, **environment},
+        env={**environment_without_ros(), **environment},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

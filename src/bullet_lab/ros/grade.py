@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rospkg
 import rospy
 from gazebo_msgs.msg import ModelStates
 from roslib.message import get_message_class
@@ -38,7 +37,8 @@ from bullet_lab.msg import TouchedModels
 from bullet_lab.ros.launcher.command import StopSignals
 from bullet_lab.ros.launcher.output import environment_without_ros, temporary_folder, tied
 from bullet_lab.ros.launcher.supervision import Launch, prepare_master
-from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.ros.node.node import holds_within
+from bullet_lab.simulation.world.resources import ResourceFinder, package_share
 from bullet_lab.studies.grade import (
     AGAIN,
     GRADE,
@@ -210,11 +210,8 @@ class Watcher:
             # Two criteria with the same key get the same messages.
             self.record.messages[one.key] = rows
             rospy.Subscriber(one.topic, kind, self._receive, (rows, one.path))
-        until = time.monotonic() + START
-        while not self.record.path:
-            if time.monotonic() > until:
-                raise LabError("the world has no robot")
-            time.sleep(CHECK_PERIOD)
+        if not holds_within(lambda: self.record.path, START):
+            raise LabError("the world has no robot")
 
     def _locate(self, message: ModelStates) -> None:
         self.now = rospy.get_time()
@@ -288,7 +285,6 @@ def run_trial() -> None:
 def _seen(exercise: Exercise, seed: str, folder: Path, work: Path, output: Path) -> Record:
     """Run a submission and return what was seen; raise LabError if that is impossible."""
     signals = StopSignals()
-    package = Path(rospkg.RosPack().get_path("bullet_lab"))
     x, y, yaw = exercise.start
     values = {
         "world": exercise.world,
@@ -297,6 +293,7 @@ def _seen(exercise: Exercise, seed: str, folder: Path, work: Path, output: Path)
         "rtf": str(exercise.rtf),
         "seed": seed,
     }
+    package = package_share()
     job = read_job(package / "launch" / "include" / "bridge.launch.xml", package)
     with Launch(job, values, prepare_master()) as launch:
 
