@@ -24,36 +24,20 @@ VIEW = View(2.0, yaw=20.0, shift=(0.1, 0.05))
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-class FakeCamera:
-    """Publishes images and their camera_info."""
+class ArucoTest(NodeTest):
+    """What the node does with its defaults; this test is the camera."""
 
-    def __init__(self):
+    def setUp(self):
         options = {"queue_size": 100, "tcp_nodelay": True}
-        self._infos = rospy.Publisher(INFO, CameraInfo, **options)
-        self._images = rospy.Publisher(IMAGE, Image, **options)
+        self.infos = rospy.Publisher(INFO, CameraInfo, **options)
+        self.images = rospy.Publisher(IMAGE, Image, **options)
+        for made in (self.infos, self.images):
+            self.addCleanup(made.unregister)
 
     def looked_at(self):
         """Whether anybody subscribes to the images."""
-        self._images.impl.check()
-        return self._images.get_num_connections() > 0
-
-    def send(self, seconds, pixels, matrix=(), encoding="mono8"):
-        """Publish an image, after a camera_info with a matrix if there is one."""
-        if matrix:
-            self._infos.publish(CameraInfo(height=480, width=640, K=matrix))
-        header = rospy.Header(0, rospy.Time.from_sec(seconds), FRAME)
-        message = image_message(header, pixels, "mono8")
-        message.encoding = encoding
-        self._images.publish(message)
-
-    def end(self):
-        """Stop publishing."""
-        self._images.unregister()
-        self._infos.unregister()
-
-
-class ArucoTest(NodeTest):
-    """What the node does with its defaults."""
+        self.images.impl.check()
+        return self.images.get_num_connections() > 0
 
     def status(self, words):
         """The status so far whose message has some words, or None."""
@@ -61,19 +45,17 @@ class ArucoTest(NodeTest):
         return next((one for one in found if one.name.startswith("aruco:")), None)
 
     def test_works_only_while_somebody_listens_and_says_how_it_is(self):
-        self.camera = FakeCamera()
-        self.addCleanup(self.camera.end)
         self.diagnostics = self.topic("/diagnostics", DiagnosticArray, connected=False)
         node = self.node("aruco.py")
         idle = wait_for(lambda: self.status("idle"), "the diagnostics")
-        self.assertEqual((OK, False), (idle.level, self.camera.looked_at()))
+        self.assertEqual((OK, False), (idle.level, self.looked_at()))
         for _ in range(2):
             topic = self.topic("/aruco/pose", PoseStamped)
-            wait_for(self.camera.looked_at, "a subscription")
+            wait_for(self.looked_at, "a subscription")
             topic.close()
-            wait_for(lambda: not self.camera.looked_at(), "the subscription to end")
+            wait_for(lambda: not self.looked_at(), "the subscription to end")
         detections = self.topic("/aruco/detections", MarkerDetectionArray)
-        wait_for(self.camera.looked_at, "a subscription")
+        wait_for(self.looked_at, "a subscription")
         silent = wait_for(lambda: self.status("no messages"), "a status without images")
         self.assertEqual(WARN, silent.level)
         pixels = image_of([marker()], VIEW, samples=4)
@@ -94,15 +76,20 @@ class ArucoTest(NodeTest):
         self.assertEqual(0, node.wait(), node.err)
         self.assertNotIn("Traceback", node.err)
 
-    def send_until_said(self, words, pixels, *matrix, **options):
+    def send_until_said(self, words, pixels, matrix=None, encoding="mono8"):
         """Go on sending an image until the diagnostics have some words; return level, values.
 
-        A node that is behind drops images.
+        A node that is behind drops images. With a matrix, each has a camera_info before it.
         """
 
         def said():
             self.stamp += 0.05
-            self.camera.send(self.stamp, pixels, *matrix, **options)
+            if matrix is not None:
+                self.infos.publish(CameraInfo(height=480, width=640, K=matrix))
+            header = rospy.Header(0, rospy.Time.from_sec(self.stamp), FRAME)
+            message = image_message(header, pixels, "mono8")
+            message.encoding = encoding
+            self.images.publish(message)
             rospy.rostime.wallsleep(0.05)
             return self.status(words)
 

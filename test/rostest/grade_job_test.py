@@ -13,7 +13,7 @@ from pathlib import Path
 import rostest
 from lab_testing import PACKAGE, run_job
 
-SUBMISSIONS = Path(__file__).resolve().parents[1] / "submissions"
+SUBMISSIONS = PACKAGE / "test" / "submissions"
 FOLDER = tempfile.TemporaryDirectory()
 SHORT = """
 title: a short one

@@ -14,6 +14,8 @@ from pathlib import Path
 import rostest
 from lab_testing import wait_for
 
+from bullet_lab.ros.launcher.output import environment_without_ros
+
 TIMEOUT = 600
 RUN = Path(__file__).resolve().parents[2] / "scripts" / "run.sh"
 LAUNCHER = (sys.executable, "-m", "bullet_lab.ros.launcher")
@@ -23,13 +25,11 @@ MARK = "LAUNCHER_TEST_OUT"
 
 def start(folder, *words, program=LAUNCHER, **environment):
     """Start the launcher in a folder, without the master of this test."""
-    inherited = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
     out = next((word[len("out:=") :] for word in words if word.startswith("out:=")), "")
-    inherited[MARK] = str(folder / out)
     return subprocess.Popen(
         [*program, *words],
         cwd=folder,
-        env={**inherited, **environment},
+        env={**environment_without_ros(), MARK: str(folder / out), **environment},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -165,7 +165,10 @@ class LauncherTest(unittest.TestCase):
 
 def command_of(pid):
     """The command line of a process."""
-    return Path(f"/proc/{pid}/cmdline").read_bytes()
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def listening_addresses(pids):

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rospkg
 import rospy
 from gazebo_msgs.msg import ModelStates
 from roslib.message import get_message_class
@@ -38,7 +37,8 @@ from bullet_lab.msg import TouchedModels
 from bullet_lab.ros.launcher.command import StopSignals
 from bullet_lab.ros.launcher.output import environment_without_ros, temporary_folder, tied
 from bullet_lab.ros.launcher.supervision import Launch, prepare_master
-from bullet_lab.simulation.world.resources import ResourceFinder
+from bullet_lab.ros.node.node import holds_within
+from bullet_lab.simulation.world.resources import ResourceFinder, package_share
 from bullet_lab.studies.grade import (
     AGAIN,
     GRADE,
@@ -105,9 +105,9 @@ class SubmissionError(LabError):
 def command_of(folder: Path) -> list[str]:
     """Return the command that starts a submission; raise SubmissionError."""
     for name in ("main.py", "main.sh"):
-        if (folder / name).is_file() and not os.access(folder / name, os.X_OK):
-            raise SubmissionError(f"{name} is not executable; run chmod +x {name}")
         if (folder / name).is_file():
+            if not os.access(folder / name, os.X_OK):
+                raise SubmissionError(f"{name} is not executable; run chmod +x {name}")
             return [f"./{name}"]
     launch = sorted(folder.glob("*.launch"))
     if len(launch) != 1:
@@ -134,7 +134,7 @@ class Submission:
             shutil.copytree(folder, work, symlinks=True)
             command = ["prlimit", *limits, *command_of(folder)]
             self._process = _start(command, output, cwd=work, start_new_session=True)
-        except (OSError, shutil.Error) as error:
+        except OSError as error:
             raise SubmissionError(f"it cannot be started: {str(error)[:LONGEST_LINE]}") from error
 
     def close(self) -> None:
@@ -218,11 +218,8 @@ class Watcher:
             # Two criteria with the same key get the same messages.
             self.record.messages[one.key] = rows
             rospy.Subscriber(one.topic, kind, self._receive, (rows, one.path))
-        until = time.monotonic() + START
-        while not self.record.path:
-            if time.monotonic() > until:
-                raise LabError("the world has no robot")
-            time.sleep(CHECK_PERIOD)
+        if not holds_within(lambda: self.record.path, START):
+            raise LabError("the world has no robot")
 
     def _locate(self, message: ModelStates) -> None:
         self.now = rospy.get_time()
@@ -296,7 +293,6 @@ def run_trial() -> None:
 def _seen(exercise: Exercise, seed: str, folder: Path, work: Path, output: Path) -> Record:
     """Run a submission and return what was seen; raise LabError if that is impossible."""
     signals = StopSignals()
-    package = Path(rospkg.RosPack().get_path("bullet_lab"))
     x, y, yaw = exercise.start
     values = {
         "world": exercise.world,
@@ -305,6 +301,7 @@ def _seen(exercise: Exercise, seed: str, folder: Path, work: Path, output: Path)
         "rtf": str(exercise.rtf),
         "seed": seed,
     }
+    package = package_share()
     job = read_job(package / "launch" / "include" / "bridge.launch.xml", package)
     with Launch(job, values, prepare_master()) as launch:
 

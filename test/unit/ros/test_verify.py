@@ -9,6 +9,7 @@ import pytest
 import yaml
 from alike import assert_as_before, lines_of
 from PIL import Image
+from shared import PACKAGE
 
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import find_jobs
@@ -26,7 +27,6 @@ from bullet_lab.ros.verify import (
     table,
 )
 
-PACKAGE = Path(__file__).resolve().parents[3]
 JOBS = find_jobs(PACKAGE)
 
 

@@ -11,8 +11,6 @@ import sys
 import time
 from pathlib import Path
 
-import rospkg
-
 from bullet_lab.entry import end_at_once_when_interrupted, quick_imports
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.command import (
@@ -27,7 +25,7 @@ from bullet_lab.jobs.command import (
 from bullet_lab.jobs.declaration import FILE, Job, find_jobs
 from bullet_lab.ros.launcher.node_server import NodeServer
 from bullet_lab.ros.launcher.output import VirtualScreen, temporary_folder, words_to
-from bullet_lab.simulation.world.resources import ros_package_folder
+from bullet_lab.simulation.world.resources import package_share, ros_package_folder
 from bullet_lab.simulation.world.xml import parse_text, read_text
 
 _POLL_PERIOD = 0.02
@@ -70,7 +68,7 @@ def main(server: NodeServer) -> None:
 
 
 def _dispatch(server: NodeServer, words: list[str]) -> int:
-    package = Path(rospkg.RosPack().get_path("bullet_lab"))
+    package = package_share()
     found = read_command("scripts/run.sh", find_jobs(package), words, _defaults)
     if found is None:
         return 0

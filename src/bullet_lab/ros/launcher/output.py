@@ -12,10 +12,11 @@ import shutil
 import subprocess
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Iterator
 
-from bullet_lab.core.files import FileError
+from bullet_lab.core.files import FileError, file_errors, replace_file
 from bullet_lab.errors import LabError
 
 _ROS_PACKAGES = ("ROS_PACKAGE_PATH", "ROS_ROOT", "ROS_ETC_DIR", "ROS_VERSION", "ROS_DISTRO")
@@ -69,10 +70,8 @@ class PlainText(io.TextIOBase):
 @contextlib.contextmanager
 def words_to(path: Path):
     """Redirect output and log of this process, not of its nodes, to a file; raise FileError."""
-    try:
+    with file_errors(f"cannot write {path}"):
         file = path.open("wb", buffering=0)
-    except OSError as error:
-        raise FileError(f"cannot write {path}: {error.strerror}") from error
     with file:
         plain = PlainText(file)
         # At the level of INFO, roslaunch would write the user's whole environment to it.
@@ -96,11 +95,8 @@ class VirtualScreen:
         # terminal from it: it must outlive RViz.
         command = tied("Xvfb", "-displayfd", "1", "-screen", "0", _SIZE, "-nolisten", "tcp")
         streams = {"stdout": subprocess.PIPE, "text": True, "start_new_session": True}
-        try:
-            with self._log.open("w") as log:
-                self._server = subprocess.Popen(command, stderr=log, **streams)
-        except OSError as error:
-            raise LabError(f"cannot start Xvfb: {error.strerror}") from error
+        with file_errors("cannot start Xvfb"), self._log.open("w") as log:
+            self._server = subprocess.Popen(command, stderr=log, **streams)
         answer = self._server.stdout
         ready, _, _ = select.select([answer], [], [], _START_TIMEOUT)
         number = answer.readline().strip() if ready else ""
@@ -134,10 +130,8 @@ class VirtualScreen:
         from PIL import ImageGrab
 
         self._next = time.monotonic() + _PICTURE_PERIOD
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, FileError):
             image = ImageGrab.grab(xdisplay=self._display).convert("RGB")
             box = image.getbbox()
             if box is not None:
-                unfinished = self._picture.with_name(f".{self._picture.name}")
-                image.crop(box).save(unfinished, format="PNG")
-                unfinished.replace(self._picture)
+                replace_file(self._picture, partial(image.crop(box).save, format="PNG"))

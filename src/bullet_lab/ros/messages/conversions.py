@@ -37,7 +37,7 @@ from sensor_msgs.msg import (
     PointField,
     Range,
 )
-from std_msgs.msg import Bool, ColorRGBA, Empty, Float64, Float64MultiArray
+from std_msgs.msg import Bool, ColorRGBA, Empty, Float64, Float64MultiArray, Header
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
@@ -415,10 +415,8 @@ def world_markers(instance: ModelInstance, frame: str) -> list[Marker]:
 
 def deleted_markers(model: str, numbers: Iterable[int], frame: str) -> list[Marker]:
     """Return markers that delete those of a model with these numbers."""
-    markers = [Marker(action=Marker.DELETE, ns=model, id=number) for number in numbers]
-    for marker in markers:
-        marker.header.frame_id = frame
-    return markers
+    header = Header(frame_id=frame)
+    return [Marker(header=header, action=Marker.DELETE, ns=model, id=one) for one in numbers]
 
 
 def _marker(visual: Visual) -> Marker:

@@ -149,9 +149,9 @@ def camera_of(info: CameraInfo, width: int, height: int, rectified: bool = False
         raise CameraGeometryError(f"camera_info has numbers in {name} or D that are not finite")
     if not any(numbers):
         raise CameraGeometryError(f"camera_info has a zero {name}: the camera is not calibrated")
-    row = 4 if rectified else 3
-    fx, skew, cx, fy, cy = numbers[0], numbers[1], numbers[2], numbers[row + 1], numbers[row + 2]
-    if abs(skew) > _ALLOWED_SKEW * abs(fx) or numbers[row] or numbers[2 * row + 2] != 1.0:
+    rows = np.reshape(numbers, (3, -1))[:, :3].tolist()
+    (fx, skew, cx), (lower, fy, cy), (_, _, scale) = rows
+    if abs(skew) > _ALLOWED_SKEW * abs(fx) or lower or scale != 1.0:
         raise CameraGeometryError(f"camera_info has a {name} that is no pinhole camera's matrix")
     left, top = _region(info, width, height)
     distortion = _NO_DISTORTION if rectified else _distortion(info)

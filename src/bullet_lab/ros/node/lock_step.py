@@ -25,6 +25,7 @@ from geometry_msgs.msg import Twist
 from rospy.msg import serialize_message
 
 from bullet_lab.core import parameters
+from bullet_lab.errors import LabError
 from bullet_lab.ros.node.node import (
     LOCK_STEP,
     NodeError,
@@ -201,8 +202,7 @@ class BatchPublisher(Publisher):
         data = self._batch.getvalue()
         if not data:
             return
-        self._batch.seek(0)
-        self._batch.truncate()
+        self._batch = BytesIO()
         # While the node shuts down, there is no implementation.
         connections = () if self.impl is None else self.impl.connections
         for connection in connections:
@@ -256,8 +256,11 @@ def subscriber(
     refusals = Refusals()
 
     def take(message: Any) -> None:
-        with refusals.on(topic):
+        # A context takes longer, and messages may be many.
+        try:
             receive(message)
+        except LabError as error:
+            refusals.refuse(topic, str(error))
 
     size = None if in_lock_step() else queue_size
     return rospy.Subscriber(
@@ -274,9 +277,7 @@ class Rate:
         now: ROS time at the last tick; a reset may have set it back.
     """
 
-    def __init__(
-        self, hz: float, is_ready: Callable[[], bool] | None = None, what: str = ""
-    ):
+    def __init__(self, hz: float, is_ready: Callable[[], bool] | None = None, what: str = ""):
         self._hz = hz
         self._member: Member | None = member() if in_lock_step() else None
         if self._member is None:

@@ -110,9 +110,7 @@ class BridgeParameters:
     world: str = text(
         "package://bullet_lab/worlds/empty.world", "SDF world: a path, package:// or model://"
     )
-    robot: str = text(
-        "", "URDF robot: a path or package://; empty for that of ~robot_description"
-    )
+    robot: str = text("", "URDF robot: a path or package://; empty for that of ~robot_description")
     robot_description: str = text(
         "robot_description", "parameter that holds the robot's URDF; empty for no robot"
     )
@@ -147,9 +145,7 @@ class BridgeParameters:
     )
     paused: bool = boolean(False, "start paused")
     lock_step: tuple[str, ...] = name_list("nodes that time waits for")
-    save_folder: str = text(
-        "results", "the only folder into which /bullet_lab/save_world writes"
-    )
+    save_folder: str = text("results", "the only folder into which /bullet_lab/save_world writes")
     video: str = text("", "mp4 file for a video in simulated time; empty: none")
     world_frame: str = text("world", "frame of the markers on /bullet_lab/world")
     publish_world_tf: bool = boolean(

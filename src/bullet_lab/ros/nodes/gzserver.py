@@ -14,12 +14,7 @@ from typing import Sequence
 
 import rospy
 
-from bullet_lab.core.parameters import (
-    ArgumentParser,
-    ArgumentsError,
-    ParameterError,
-    read_parameters,
-)
+from bullet_lab.core.parameters import ArgumentParser, ArgumentsError, declarations
 from bullet_lab.ros.nodes.bridge import BridgeParameters, serve
 from bullet_lab.simulation.world.resources import listed_folders, package_share
 
@@ -73,8 +68,6 @@ def parse_server_arguments(words: Sequence[str]) -> Namespace:
         option = names.split()[-1]
         if getattr(found, option.lstrip("-")) is not None:
             raise ArgumentsError(f"{option} is not simulated")
-    if found.seed < 0:
-        raise ArgumentsError(f"--seed {found.seed} is negative")
     names = [Path(name).name for name in found.plugins]
     found.plugins = [name for name in names if not name.startswith(ROS_PLUGINS)]
     return found
@@ -84,17 +77,14 @@ def bridge_parameters(arguments: Namespace) -> BridgeParameters:
     """Return the bridge's parameters; raises LabError."""
     for name in arguments.plugins:
         rospy.logwarn("server plugin %s is not simulated and skipped", name)
-    given = {
-        "world": find_world(arguments.world),
-        "robot_description": "",
-        "paused": arguments.paused,
-        "seed": arguments.seed,
-        "clock_rate": rospy.get_param(CLOCK_RATE, 100.0),
-    }
-    try:
-        return read_parameters(BridgeParameters, lambda name, other: given.get(name[1:], other))
-    except ParameterError as error:
-        raise ParameterError(str(error).replace("~clock_rate", CLOCK_RATE)) from error
+    known = declarations(BridgeParameters)
+    return BridgeParameters(
+        world=find_world(arguments.world),
+        robot_description="",
+        paused=arguments.paused,
+        seed=known["seed"].read(arguments.seed, "--seed"),
+        clock_rate=known["clock_rate"].read(rospy.get_param(CLOCK_RATE, 100.0), CLOCK_RATE),
+    )
 
 
 def find_world(name: str) -> str:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import functools
 import math
+import posixpath
 import statistics
 import threading
 import time
@@ -72,7 +73,7 @@ class ImageParameters:
     @property
     def info_topic(self) -> str:
         """The topic of camera_info."""
-        return self.camera_info or f"{self.image.rpartition('/')[0]}/camera_info".replace("//", "/")
+        return self.camera_info or posixpath.join(posixpath.dirname(self.image), "camera_info")
 
 
 class CameraImage:

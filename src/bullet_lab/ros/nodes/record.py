@@ -22,7 +22,7 @@ import rospy
 from mcap.writer import Writer
 from roslib.message import get_message_class
 
-from bullet_lab.core.files import FileError
+from bullet_lab.core.files import file_errors, make_folder
 from bullet_lab.core.parameters import text
 from bullet_lab.core.schedule import STEPS_PER_SECOND
 from bullet_lab.ros.node.lock_step import Rate, publishers_know_this_node
@@ -61,13 +61,10 @@ class BothBags:
     """
 
     def __init__(self, folder: Path):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path = str(folder / "record.bag")
+        path = str(make_folder(folder) / "record.bag")
+        with file_errors(f"cannot write in {folder}"):
             self._bag = rosbag.Bag(path, "w", compression=rosbag.Compression.LZ4)
             self._file = (folder / "record.mcap").open("wb")
-        except OSError as error:
-            raise FileError(f"{error.filename}: {error.strerror}") from error
         self._mcap = Writer(self._file)
         self._mcap.start("ros1", "bullet_lab")
         # MCAP's numbers of the channels, by topic and type.

@@ -31,9 +31,7 @@ class SaveWorldParameters:
     path: str = text("", "file to write; the argument FILE if empty")
     summary: str = text("", "JSON file for figures about it; none if empty")
     models: int = integer(0, "wait until there are this many models", minimum=0)
-    at: float = number(
-        0.0, "s; in lock step, the simulated time to save at", minimum=0.0
-    )
+    at: float = number(0.0, "s; in lock step, the simulated time to save at", minimum=0.0)
 
 
 @node

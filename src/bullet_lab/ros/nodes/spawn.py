@@ -112,9 +112,7 @@ class PlaceBeaconParameters(DepopulateParameters):
 class PopulateParameters(PlaceBeaconParameters):
     """Private parameters of populate."""
 
-    pattern: str = choice(
-        "poses", "how they are arranged", ("poses", "line", "grid", "circle")
-    )
+    pattern: str = choice("poses", "how they are arranged", ("poses", "line", "grid", "circle"))
     poses: tuple[se2.PlanarPose, ...] = checked(
         BEACONS,
         "their poses, for the pattern poses",
@@ -280,8 +278,10 @@ def _parser(namespace: str) -> ArgumentParser:
     parser.add_argument("-robot_namespace", "-namespace", default=namespace)
     for option in ("-reference_frame", "-wait"):
         parser.add_argument(option, default="")
-    for option in ("-unpause", "-package_to_model", "-b"):
+    for option in ("-unpause", "-package_to_model"):
         parser.add_argument(option, action="store_true")
+    # The model is deleted when this process ends.
+    parser.add_argument("-b", dest="bond", action="store_true")
     for name in NUMBERS:
         parser.add_argument(f"-{name}", type=_finite, default=0.0)
     parser.add_argument("-J", action="append", nargs=2, default=[])
@@ -352,9 +352,9 @@ def packages_to_models(text: str) -> str:
 def _wait_for(model: str, topic: str) -> None:
     """Wait until a model is in the world; in wall time, since simulated time may stand still."""
     names: set[str] = set()
-    subscriber = rospy.Subscriber(topic, msg.ModelStates, lambda states: names.update(states.name))
+    states = rospy.Subscriber(topic, msg.ModelStates, lambda message: names.update(message.name))
     wait_until(lambda: model in names, f"model '{model}'")
-    subscriber.unregister()
+    states.unregister()
 
 
 def spawn_model() -> None:
@@ -377,7 +377,7 @@ def spawn_model() -> None:
 
     def body() -> None:
         rospy.loginfo("spawn_model: %s", spawn_by(arguments))
-        if arguments.b:
+        if arguments.bond:
             rospy.on_shutdown(delete)
             spin()
 

@@ -38,7 +38,6 @@ def test_arguments(line, found):
 REFUSED = """
 -p state.log: --play is not simulated
 --iters 100 a.world: --iters is not simulated
---seed -3: --seed -3 is negative
 --seed x: "argument --seed: invalid int value: 'x'"
 a.world b.world: "unrecognized arguments: b.world"
 --nix: "unrecognized arguments: --nix"
@@ -108,6 +107,8 @@ def test_the_bridge_gets_the_arguments_of_gzserver(ros, logged):
 
 
 def test_parameters_that_are_refused(ros):
+    with pytest.raises(LabError, match="--seed is -3: it must be a whole number from 0"):
+        parameters("--seed", "-3")
     ros["/gazebo/pub_clock_frequency"] = "often"
     with pytest.raises(LabError, match="/gazebo/pub_clock_frequency is 'often': it must be"):
         parameters()

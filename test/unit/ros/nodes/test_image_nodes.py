@@ -212,6 +212,11 @@ def test_chosen_markers_of_rectified_images_have_transforms(published, monkeypat
     assert not answer.detections
 
 
+@pytest.mark.parametrize("topic", ["/cam/{}", "cam/{}", "/{}", "{}"])
+def test_camera_info_is_beside_the_image(topic):
+    assert ImageParameters(topic.format("image")).info_topic == topic.format("camera_info")
+
+
 def test_camera_info_is_waited_for_by_the_first_image(published, monkeypatch):
     monkeypatch.setattr(image_node, "_INFO_PATIENCE", 600.0)
     node, seen = Aruco(ArucoParameters()), []

@@ -92,7 +92,7 @@ def test_the_line_of_most_launch_files():
         gazebo_namespace: /gazebo
         pose.position: [1.0, -2.5, 0.1]
         unpause: false
-        b: false
+        bond: false
         package_to_model: false
         wait: ""
         reference_frame: ""
@@ -117,7 +117,7 @@ def test_all_of_it():
         wait: ground_plane
         unpause: true
         package_to_model: true
-        b: true
+        bond: true
         joints: {shoulder: 0.5, elbow: -0.001}
     """
     check(found, fields)
