@@ -52,16 +52,8 @@ ELLIPSE_POINTS = 37
 DEPTHS = {"32FC1": (np.float32, 1.0), "16UC1": (np.uint16, 0.001)}
 MAX_DEPTH = 10.0
 MAX_WIDTH = 640
-FIELD_TYPES = {
-    PointField.INT8: "i1",
-    PointField.UINT8: "u1",
-    PointField.INT16: "i2",
-    PointField.UINT16: "u2",
-    PointField.INT32: "i4",
-    PointField.UINT32: "u4",
-    PointField.FLOAT32: "f4",
-    PointField.FLOAT64: "f8",
-}
+# NumPy's letters for the types of a PointField, from INT8 to FLOAT64.
+FIELD_TYPES = dict(enumerate("bBhHiIfd", PointField.INT8))
 # Larger clouds are thinned out, for the network and for the browser.
 MAX_POINTS = 8000
 CLOUD_POINT_SIZE = 0.015

@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.rendering.drawables import Surface, read_pixels, surfaces_of
-from bullet_lab.simulation.world.description import Texture, Visual
+from bullet_lab.simulation.world.description import Geometry, Texture, Visual
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
 from bullet_lab.simulation.world.xml import Report, leaving_out
 
@@ -24,12 +24,13 @@ LOG = logging.getLogger(__name__)
 # Segments of one piece of a polyline. A full piece is never sent again.
 PIECE = 256
 LINE_PIXELS = 2.5
-# Shapes of 1 m along each axis.
-UNITS = {
-    "box": Box((1.0, 1.0, 1.0)),
-    "cylinder": Cylinder(0.5, 1.0),
-    "sphere": Sphere(0.5),
+# Solids of a size along their axes, in m.
+SOLIDS: dict[str, Callable[[Vector], Geometry]] = {
+    "box": Box,
+    "cylinder": lambda size: Cylinder(0.5 * size[0], size[2]),
+    "sphere": lambda size: Sphere(0.5 * size[0]),
 }
+UNIT = (1.0, 1.0, 1.0)
 NO_LIGHT = np.zeros(3)
 # Pixels of a side of a texture: larger ones are scaled down for the page.
 MAX_TEXTURE_SIDE = 1024
@@ -229,7 +230,7 @@ class Solids(CopyGroups):
     def put_solid(
         self, key: Hashable, kind: str, pose: Pose, size: Vector, colour: Sequence[float]
     ) -> None:
-        """Place a solid, named as in UNITS, whose extents along its axes are `size`, in m."""
+        """Place a solid, named as in SOLIDS, whose extents along its axes are `size`, in m."""
         look = {"batched_scales": size, "batched_colors": rgb(colour)}
         if colour[3] < 1.0:
             look["batched_opacities"] = colour[3]
@@ -237,7 +238,7 @@ class Solids(CopyGroups):
 
     def maker(self, thing: tuple[str, bool]) -> Callable[..., Any]:  # noqa: D102 - inherited
         kind, see_through = thing
-        corners = surfaces_of(UNITS[kind])[0].corners.reshape(-1, 3)
+        corners = surfaces_of(SOLIDS[kind](UNIT))[0].corners.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
         return partial(self._scene.add_batched_meshes_simple, name, corners, faces, lod="off")
