@@ -122,12 +122,7 @@ def tf_prefixes(model: Model, namespace: str, name: str = "") -> Callable[[str],
 
 
 class PresentState(rospy.SubscribeListener):
-    """Sends the present state of the world to each new subscriber of a topic.
-
-    Args:
-        world: the running world.
-        message: makes the message with the state.
-    """
+    """Sends the present state of the world, as `message` returns it, to each new subscriber."""
 
     def __init__(self, world: RunningWorld, message: Callable[[], Any]):
         super().__init__()

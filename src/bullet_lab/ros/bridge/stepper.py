@@ -183,15 +183,10 @@ class Stepper:
     """Advances a simulation as the wall clock, the lock step and pauses allow.
 
     Args:
-        simulation: the simulation to advance.
-        pace: computes the steps that are due by the wall clock.
-        gate: keeps the grants of the lock step's members.
         tick: steps between two wake-ups while time follows the wall clock.
-        paused: whether to start paused.
         is_over: returns whether to end the loop.
         report_stall: called with the names of the members that hold time back.
         report_lag: called with a line when simulated time is too slow.
-        watch: measures the speed.
 
     Attributes:
         after_steps: called after each stride, before waiting threads see its end.

@@ -67,17 +67,7 @@ class Status:
 
 
 class TabControls:
-    """Controls of one tab, for driving and for the camera.
-
-    Args:
-        gui: of viser's client.
-        tab: its name.
-        speed: full speed forward, m/s.
-        turn_rate: full turn rate, rad/s.
-
-    Attributes:
-        status: of driving.
-    """
+    """Controls of one tab, for driving (m/s, rad/s at full speed) and for the camera."""
 
     def __init__(self, gui: Any, tab: str, speed: float, turn_rate: float):
         self.tab = tab
@@ -122,13 +112,7 @@ class TabControls:
 
 
 class Panel:
-    """The controls that all tabs share.
-
-    Args:
-        gui: viser's.
-        kinds: names of what can be shown, with a switch each.
-        off: those that are off at first.
-    """
+    """The controls that all tabs share; each of `kinds` has a switch, `off` are off at first."""
 
     def __init__(self, gui: Any, kinds: Sequence[str], off: Sequence[str] = ()):
         self._noise_services: list[str] = []
@@ -297,11 +281,7 @@ class Driver:
     def send_goal(self, drive_topic: str, heard: Collection[str], frame: str, pose: Pose) -> str:
         """Send a goal in the namespace of a command topic; return a line about it for the page.
 
-        Args:
-            drive_topic: topic of the robot's commands.
-            heard: topics that have subscribers.
-            frame: of the pose.
-            pose: of the goal.
+        `heard` are the topics that have subscribers.
         """
         namespace = drive_topic.rpartition("/")[0]
         goal = PoseStamped(pose=pose_message(pose))
