@@ -208,9 +208,10 @@ class MarkersDisplay(Display):
         for number, (place, colour) in enumerate(solids):
             kind, scale = SHAPES[self._markers[key].message.type], self._markers[key].scale
             self._solids.put_solid((*key, number), kind, place, scale, colour)
-        for number in range(len(solids), self._numbers.get(key, 0)):
+        for number in range(len(solids), self._numbers.pop(key, 0)):
             self._solids.drop((*key, number))
-        self._numbers[key] = len(solids)
+        if solids:
+            self._numbers[key] = len(solids)
 
     def _show_label(self, node: str, marker: Marker, pose: Pose) -> None:
         self.nodes.put_label(node, marker.message.text, pose.position)

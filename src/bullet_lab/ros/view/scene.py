@@ -139,9 +139,10 @@ class Copies:
         self._make = make
         # Properties of each copy.
         self._rows: dict[Hashable, dict[str, Any]] = {}
-        self._shown: list[Hashable] = []
         self._changed = False
         self._node: Any = None
+        # Number of copies in the node.
+        self._count = 0
 
     def put(self, key: Hashable, pose: Pose, **others: Any) -> None:
         """Place a copy; `others` are properties besides position and orientation."""
@@ -165,9 +166,9 @@ class Copies:
         if not self._changed:
             return
         self._changed = False
-        keys, rows = list(self._rows), list(self._rows.values())
+        rows = list(self._rows.values())
         arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {}
-        if rows and keys == self._shown and self._node is not None:
+        if self._node is not None and len(rows) == self._count:
             for name, array in arrays.items():
                 setattr(self._node, name, array)
         elif rows:
@@ -176,7 +177,7 @@ class Copies:
         elif self._node is not None:
             self._node.remove()
             self._node = None
-        self._shown = keys
+        self._count = len(rows)
 
 
 class CopyGroups:
