@@ -177,7 +177,7 @@ class OdometryDisplay(Display):
             return
         if len(self._trail) == MAX_TRAIL:
             self._trail = self._trail[MAX_TRAIL // 2 :]
-        self._trail = np.vstack((self._trail, np.float32(point)))
+        self._trail = np.concatenate((self._trail, np.float32([point])))
         self.nodes.put_line(f"{self.name}/trail", self._trail, self._colour)
 
 
