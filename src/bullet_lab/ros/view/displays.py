@@ -407,6 +407,7 @@ class Displays:
             with self._refusals.on(topic):
                 display.tick()
 
+
 def has_no_path(topic: str, others: Iterable[str]) -> bool:
     """Return whether no topic has the path of an odometry, which begins with the same name."""
     known = (f"{topic}_path", FLEET_PATHS)

@@ -260,9 +260,7 @@ class VisualCopies(CopyGroups):
         return partial(self._scene.add_batched_glb, name, glb, lod="off")
 
 
-def floor_point(
-    origin: Sequence[float], direction: Sequence[float]
-) -> tuple[float, float] | None:
+def floor_point(origin: Sequence[float], direction: Sequence[float]) -> tuple[float, float] | None:
     """Return where a ray meets the floor, x and y in m; None if it does not.
 
     >>> floor_point((0.0, 0.0, 2.0), (1.0, 0.0, -1.0))
