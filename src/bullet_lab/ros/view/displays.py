@@ -224,12 +224,10 @@ class RangeDisplay(Display):
             return
         half = 0.5 * min(message.field_of_view, math.pi)
         level = _directions(np.linspace(-half, half, ARC_POINTS))
-        upright = level[:, (0, 2, 1)]
-        tip = np.zeros((1, 3))
+        tip, upright = np.zeros((1, 3)), level[:, (0, 2, 1)]
+        outline = reach * np.concatenate((tip, level, tip, upright, tip))
         pose = self.context.pose_of(message.header.frame_id)
-        outlines = [np.concatenate((tip, arc * reach, tip)) for arc in (level, upright)]
-        ends = np.concatenate([segments(placed(pose, line)) for line in outlines])
-        self.nodes.put_segments(self.name, ends, SONAR)
+        self.nodes.put_segments(self.name, segments(placed(pose, outline)), SONAR)
 
 
 class PoseDisplay(Display):

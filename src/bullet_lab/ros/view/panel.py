@@ -24,14 +24,16 @@ from bullet_lab.ros.node.publishers import COMMAND_TIMEOUT, Publisher
 from bullet_lab.srv import SetNoise, SetRtf, Step
 
 GO_ON = "/gazebo/unpause_physics"
-STEP = "/bullet_lab/step"
 SPEED = "/bullet_lab/set_rtf"
 SET_NOISE = "set_noise"
-# Physics steps of 1 ms of the step button.
-STEPS = 100
-STEP_BUTTON = "100 ms"
-# Services without arguments, by the labels of their buttons.
-BUTTONS = {"Pause": "/gazebo/pause_physics", "Go on": GO_ON, "Reset": "/gazebo/reset_world"}
+# Services with their types and arguments, by the labels of their buttons.
+BUTTONS = {
+    "Pause": ("/gazebo/pause_physics", Empty),
+    "Go on": (GO_ON, Empty),
+    # Physics steps of 1 ms.
+    "100 ms": ("/bullet_lab/step", Step, 100),
+    "Reset": ("/gazebo/reset_world", Empty),
+}
 AS_STARTED = "as started"
 SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0}
 NOBODY = "(nobody listens)"
@@ -119,7 +121,7 @@ class Panel:
         with gui.add_folder("Simulation"):
             self._time = gui.add_html("…")
             speed = gui.add_dropdown("Speed", (AS_STARTED, *SPEEDS))
-            buttons = gui.add_button_group("Time", ("Pause", "Go on", STEP_BUTTON, "Reset"))
+            buttons = gui.add_button_group("Time", tuple(BUTTONS))
             self._status = Status(gui)
         self._noise_folder = gui.add_folder("Noise of the odometry")
         with self._noise_folder:
@@ -159,10 +161,8 @@ class Panel:
         self._noise_folder.visible = bool(found)
 
     def _press(self, label: str) -> None:
-        if label == STEP_BUTTON:
-            self._call(STEP, Step, STEPS)
-        elif label in BUTTONS:
-            self._call(BUTTONS[label], Empty)
+        if label in BUTTONS:
+            self._call(*BUTTONS[label])
 
     def _set_speed(self, label: str) -> None:
         if label in SPEEDS:
