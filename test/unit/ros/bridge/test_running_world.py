@@ -21,14 +21,19 @@ def test_that_no_master_answers_is_said(monkeypatch):
 def test_models_are_followed_as_they_are_added_and_removed():
     models, calls = {"a": "model a"}, []
     world = RunningWorld(SimpleNamespace(simulation=SimpleNamespace(models=models)), None)
-    world.follow(calls.append, lambda name: calls.append(f"end of {name}"))
+
+    def begin(model):
+        calls.append(model)
+        return lambda: calls.append(f"end of {model}")
+
+    world.follow(begin)
     models["b"] = "model b"
     for name in ("b", "b"):
         world.notify(name)
     del models["a"]
     for name in ("a", ""):
         world.notify(name)
-    assert calls == ["model a", "model b", "end of a"]
+    assert calls == ["model a", "model b", "end of model a"]
 
 
 def test_touches_are_counted_anew_each_time_and_the_floor_is_none():
@@ -36,7 +41,7 @@ def test_touches_are_counted_anew_each_time_and_the_floor_is_none():
     publisher = SimpleNamespace(has_connections=lambda: True, publish=messages.append)
     with Simulation.of("package://bullet_lab/worlds/docking.world") as simulation:
         robot = simulation.spawn("package://bullet_lab/urdf/camera_robot.urdf")
-        topics = SimpleNamespace(publisher=lambda topic, kind: publisher)
+        topics = SimpleNamespace(publisher=lambda *_: publisher, release=list)
         TouchCounter(RunningWorld(SimpleNamespace(simulation=simulation), topics))
         simulation.run_for(0.5)
         assert messages[-1].models == []
