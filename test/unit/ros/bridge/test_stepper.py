@@ -298,7 +298,7 @@ class SlowWorld(Run):
     def __init__(self, monkeypatch, cost, rtf=1.0, **options):
         self.now = 0.0
         monkeypatch.setattr(stepper_module.time, "monotonic", self.clock)
-        super().__init__(rtf, self.clock, watch=SpeedWatch(self.clock), **options)
+        super().__init__(rtf, self.clock, **options)
         advance = self.simulation.run_until
 
         def run_until(step):
