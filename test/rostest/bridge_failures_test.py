@@ -1,14 +1,12 @@
 #!/usr/bin/env python3
 """The bridge answers whatever goes wrong with one clear line and the right exit status."""
 
-import os
 import signal
-import subprocess
 import sys
 import unittest
 
 import rostest
-from lab_testing import PATIENCE, Master, Node, wait_for
+from lab_testing import Master, Node, Process, wait_for
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 
@@ -79,17 +77,9 @@ class FailuresTest(unittest.TestCase):
 
     def helper(self, program):
         """Start a little program and wait for its first line."""
-        process = subprocess.Popen(
-            [sys.executable, "-c", program],
-            env=dict(os.environ, ROS_MASTER_URI=self.master.uri),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        self.addCleanup(process.stdout.close)
-        self.addCleanup(process.wait)
-        self.addCleanup(process.kill)
-        self.assertTrue(process.stdout.readline())
+        process = Process(sys.executable, "-c", program, ROS_MASTER_URI=self.master.uri)
+        self.addCleanup(process.end)
+        wait_for(lambda: "\n" in process.out, "the program")
         return process
 
     def assert_ends(self, bridge, status, *words):
@@ -144,8 +134,8 @@ class FailuresTest(unittest.TestCase):
     def test_a_master_forgets_a_node_that_has_logged(self):
         node = self.helper(LOGGING)
         self.assertTrue(self.master.knows("/logging"))
-        node.send_signal(signal.SIGINT)
-        self.assertEqual(0, node.wait(PATIENCE))
+        node.signal()
+        self.assertEqual(0, node.wait())
         self.assertFalse(self.master.knows("/logging"))
 
 

@@ -3,7 +3,6 @@
 
 import math
 import signal
-import subprocess
 import sys
 import threading
 
@@ -21,7 +20,7 @@ from bridge_testing import (
     world,
 )
 from bullet_lab.srv import SetRtf
-from lab_testing import PATIENCE, wait_for
+from lab_testing import PATIENCE, Process, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty
@@ -75,17 +74,16 @@ class BridgeTest(BridgeCase):
         clock = self.topic("/clock", Clock)
         call("/gazebo/unpause_physics", Empty)
         self.assert_stands(0)
-        sleeper = subprocess.Popen([sys.executable, "-c", SLEEPER])
-        self.addCleanup(sleeper.wait)
-        self.addCleanup(sleeper.kill)
+        sleeper = Process(sys.executable, "-c", SLEEPER)
+        self.addCleanup(sleeper.end)
         clock.wait(10)
-        said = self.node.out.count("waits for /sleeper")
-        wait_for(lambda: self.node.out.count("waits for /sleeper") > said, "a report")
+        said = self.bridge.out.count("waits for /sleeper")
+        wait_for(lambda: self.bridge.out.count("waits for /sleeper") > said, "a report")
         self.assert_stands(100)
-        sleeper.send_signal(signal.SIGKILL)
+        sleeper.signal(signal.SIGKILL)
         sleeper.wait()
         wait_for(lambda: len(clock.messages) > 100, "time to pass 0.1 s")
-        self.assertIn("lock-step member /sleeper has died", self.node.err)
+        self.assertIn("lock-step member /sleeper has died", self.bridge.err)
 
     def clock_and_odometry(self):
         return self.topic("/clock", Clock), self.topic("odom", Odometry)
@@ -99,7 +97,7 @@ class BridgeTest(BridgeCase):
         x = [message.pose.pose.position.x for message in odom.wait(19)]
         # The command before them stays in force.
         self.assertAlmostEqual(x[17] + 0.0097, x[18], 3)
-        wait_for(lambda: "is not finite" in self.node.err, "a warning")
+        wait_for(lambda: "is not finite" in self.bridge.err, "a warning")
         commands.send(twist())
         step(1000)
         poses = places(odom.wait(39))
@@ -187,7 +185,7 @@ class BridgeTest(BridgeCase):
     def test_lost_command_does_not_hold_time_for_ever(self):
         self.lock()
         self.assertTrue(self.advance(100, 3).success)
-        self.assertIn("commands of /bridge_test were lost", self.node.err)
+        self.assertIn("commands of /bridge_test were lost", self.bridge.err)
 
     def test_reset_reaches_a_member_that_is_busy(self):
         self.lock()

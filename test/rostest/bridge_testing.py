@@ -1,17 +1,17 @@
 """A bridge for the rostests that talk with one, and what they ask of it."""
 
 import importlib
+import math
 import tempfile
-import unittest
 import xmlrpc.client
 from pathlib import Path
 
 import rosgraph
 import rospy
 from bullet_lab.srv import Advance, SetRtf, Step
-from gazebo_msgs.srv import DeleteModel, GetWorldProperties, SpawnModel
-from geometry_msgs.msg import Pose, Twist, Vector3
-from lab_testing import PATIENCE, Node, Topic, offered, publisher, wait_for
+from gazebo_msgs.srv import DeleteModel, GetModelState, GetWorldProperties, SpawnModel
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
+from lab_testing import PATIENCE, Node, NodeTest, offered, publisher, wait_for
 from std_srvs.srv import Empty
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -58,6 +58,27 @@ def advance(until=None, sent=(), node="", epoch=1):
 def world():
     """What get_world_properties says."""
     return call("/gazebo/get_world_properties", GetWorldProperties)
+
+
+def names():
+    """All models."""
+    return world().model_names
+
+
+def at(x, y, z, yaw=0.0):
+    """A pose."""
+    return Pose(Point(x, y, z), Quaternion(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
+
+
+def state_of(name, frame=""):
+    """A model's state."""
+    return call("/gazebo/get_model_state", GetModelState, name, frame)
+
+
+def place_of(name, frame=""):
+    """Where a model is."""
+    position = state_of(name, frame).pose.position
+    return position.x, position.y, position.z
 
 
 def spawn(name, xml, pose=None, namespace="", frame="", service="spawn_sdf_model"):
@@ -109,27 +130,27 @@ class Sender:
         self._publisher.unregister()
 
 
-class BridgeCase(unittest.TestCase):
+class BridgeCase(NodeTest):
     """All tests of a class have one bridge, which is emptied before each.
 
     Attributes:
         parameters: of the bridge; by default it is paused and at full speed.
-        node: the bridge.
+        bridge: as a process.
         models: the names of those that it starts with.
     """
 
     parameters = {}
-    node = None
+    bridge = None
     models = ()
 
     @classmethod
     def tearDownClass(cls):
-        if cls.node is not None:
-            cls.node.end()
+        if cls.bridge is not None:
+            cls.bridge.end()
 
     def setUp(self):
         # Not in setUpClass, of whose errors rosunit says nothing.
-        if self.node is None:
+        if self.bridge is None:
             self.start(**self.parameters)
         else:
             self.empty()
@@ -138,19 +159,19 @@ class BridgeCase(unittest.TestCase):
         """Start the bridge; end the one before, if there was one."""
         cls = type(self)
         cls.tearDownClass()
-        cls.node = Node("pybullet_bridge.py", **{"paused": True, "rtf": 0, **parameters})
+        cls.bridge = Node("pybullet_bridge.py", **{"paused": True, "rtf": 0, **parameters})
         wait_for(self.is_ready, "the bridge's services")
         cls.models = world().model_names
 
     def is_ready(self):
         """Whether the bridge has all its services."""
-        self.assertTrue(self.node.runs(), self.node.err)
+        self.assertTrue(self.bridge.runs(), self.bridge.err)
         # The last thing that it offers.
         return offered("/bullet_lab/advance")
 
     def empty(self):
         """Pause at time 0 with the models of the start, at full speed, without listeners."""
-        self.assertTrue(self.node.runs(), self.node.err)
+        self.assertTrue(self.bridge.runs(), self.bridge.err)
         call("/gazebo/pause_physics", Empty)
         for name in world().model_names:
             if name not in self.models:
@@ -159,12 +180,6 @@ class BridgeCase(unittest.TestCase):
         call("/gazebo/reset_simulation", Empty)
         # Or a subscriber of this test is taken for one that is gone.
         wait_for(lambda: not hears(), "the bridge to forget the subscribers of the test before")
-
-    def topic(self, name, kind):
-        """A topic that is there for this test."""
-        topic = Topic(name, kind)
-        self.addCleanup(topic.close)
-        return topic
 
     def sender(self, topic="cmd_vel", kind=Twist):
         """A Sender that is there for this test."""

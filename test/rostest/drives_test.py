@@ -3,10 +3,9 @@
 
 import rospy
 import rostest
-from bridge_testing import call, spawn, twist
+from bridge_testing import at, call, place_of, spawn, twist
 from controller_manager_msgs.srv import LoadController, SwitchController
-from gazebo_msgs.srv import GetModelState
-from geometry_msgs.msg import Point, Pose, Quaternion, Twist
+from geometry_msgs.msg import Twist
 from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
 from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
@@ -15,11 +14,6 @@ from std_msgs.msg import Empty
 
 SPACE = "<robotNamespace>/car</robotNamespace>"
 ROOT_SPACE = "<robotNamespace>/</robotNamespace><robotParam>/car/robot_description</robotParam>"
-
-
-def place(model):
-    """Return the place of a model in the world."""
-    return call("/gazebo/get_model_state", GetModelState, model, "world").pose.position
 
 
 class DrivesTest(NodeTest):
@@ -32,9 +26,8 @@ class DrivesTest(NodeTest):
             ("kobuki", "urdf/kobuki_robot.urdf", 0.0),
             ("car", "test/drives/car.urdf", -8.0),
         ):
-            pose = Pose(Point(0.0, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
             text = (PACKAGE / path).read_text().replace(SPACE, ROOT_SPACE)
-            answer = spawn(name, text, pose, "", "", "spawn_urdf_model")
+            answer = spawn(name, text, at(0.0, y, 0.0), service="spawn_urdf_model")
             assert answer.success, answer.status_message
         assert call("/controller_manager/load_controller", LoadController, "drive").ok
         switch = (["drive"], [], 2, False, 10.0)
@@ -74,7 +67,7 @@ class DrivesTest(NodeTest):
         before = [m for m in odometry.messages if m.header.stamp <= touched]
         at_the_wall = 0.95 - 0.177
         self.assertAlmostEqual(at_the_wall, before[-1].pose.pose.position.x, delta=0.05)
-        self.assertAlmostEqual(at_the_wall, place("kobuki").x, delta=0.05)
+        self.assertAlmostEqual(at_the_wall, place_of("kobuki")[0], delta=0.05)
         self.publisher("mobile_base/commands/motor_power", MotorPower).publish(MotorPower.OFF)
         zero = self.publisher("mobile_base/commands/reset_odometry", Empty)
 
@@ -87,7 +80,7 @@ class DrivesTest(NodeTest):
 
     def test_joint_limits_in_the_root_namespace_count(self):
         odometry = self.topic("drive/odom", Odometry)
-        begun = place("car").x
+        begun = place_of("car")[0]
 
         def drives():
             return odometry.wait(1)[-1].pose.pose.position.x > 0.3
@@ -95,7 +88,7 @@ class DrivesTest(NodeTest):
         self.drive(twist(1.0), drives, "the car to drive", "drive/cmd_vel")
         speeds = [message.twist.twist.linear.x for message in odometry.messages]
         self.assertAlmostEqual(0.1, max(speeds), delta=0.005)
-        self.assertGreater(place("car").x, begun + 0.25)
+        self.assertGreater(place_of("car")[0], begun + 0.25)
 
 
 if __name__ == "__main__":

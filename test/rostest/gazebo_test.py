@@ -15,30 +15,23 @@ from bridge_testing import (
     ROBOT,
     BridgeCase,
     advance,
+    at,
     call,
+    names,
+    place_of,
     spawn,
     step,
     twist,
-    world,
 )
 from bullet_lab.srv import SaveWorld
-from gazebo_msgs.msg import (
-    ModelState,
-    PerformanceMetrics,
-)
-from gazebo_msgs.srv import (
-    DeleteModel,
-    GetModelState,
-    SetModelState,
-)
-from geometry_msgs.msg import Point, PointStamped, Pose, Quaternion, Twist
+from gazebo_msgs.msg import ModelState, PerformanceMetrics
+from gazebo_msgs.srv import DeleteModel, SetModelState
+from geometry_msgs.msg import Point, PointStamped, Twist
 from lab_testing import (
     PACKAGE,
     PATIENCE,
     QUARTER_TURN,
-    Node,
     advertised,
-    publisher,
     transform,
     wait_for,
 )
@@ -63,27 +56,6 @@ BALL = """<sdf version="1.6"><model name="ball"><pose>0 0 0.5 0 0 0</pose><link 
   <collision name="skin"><geometry><sphere><radius>0.1</radius></sphere></geometry></collision>
   <visual name="look"><geometry><sphere><radius>0.1</radius></sphere></geometry></visual>
 </link></model></sdf>"""
-
-
-def at(x, y, z, yaw=0.0):
-    """A pose."""
-    return Pose(Point(x, y, z), Quaternion(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
-
-
-def state_of(name, frame=""):
-    """A model's state."""
-    return call("/gazebo/get_model_state", GetModelState, name, frame)
-
-
-def place_of(name, frame=""):
-    """Where a model is."""
-    position = state_of(name, frame).pose.position
-    return position.x, position.y, position.z
-
-
-def names():
-    """All models."""
-    return world().model_names
 
 
 def click(x, y, frame="world"):
@@ -150,7 +122,7 @@ class GazeboTest(GazeboCase):
         waiting.join(PATIENCE)
         self.assertEqual([4.0], found)
         models.send(ModelState(model_name="nix"))
-        self.assertIn("/gazebo/set_model_state: refused: model [nix]", self.node.err)
+        self.assertIn("/gazebo/set_model_state: refused: model [nix]", self.bridge.err)
 
     def test_markers_follow_models(self):
         spawn("ball", BALL, at(0.0, 0.0, 9.0))
@@ -218,8 +190,7 @@ class GazeboTest(GazeboCase):
         self.assertEqual(self.models, names())
 
     def run_node(self, script):
-        node = Node(script)
-        self.addCleanup(node.end)
+        node = self.node(script)
         return node.wait(), node.err
 
 
@@ -285,11 +256,9 @@ class WorldTest(GazeboCase):
     # place_beacon.py
 
     def start_placing(self):
-        self.placer = Node("place_beacon.py")
-        self.addCleanup(self.placer.end)
+        self.placer = self.node("place_beacon.py")
         self.placed = self.topic("place_beacon/placed", String)
-        self.clicks = publisher("/clicked_point", PointStamped)
-        self.addCleanup(self.clicks.unregister)
+        self.clicks = self.publisher("/clicked_point", PointStamped)
 
     def place(self, *point):
         """Click, and return the name of the beacon that was placed."""
@@ -334,8 +303,7 @@ class WorldTest(GazeboCase):
 
     def test_a_robot_is_tracked_from_beacons_that_come_and_go(self):
         self.start_placing()
-        node = Node("track_robot.py", watch=True, remap={"odom": "left/odom"})
-        self.addCleanup(node.end)
+        self.node("track_robot.py", watch=True, remap={"odom": "left/odom"})
         known = self.topic("beacon_2", String)
         labels = self.topic("beacon_markers", MarkerArray)
         self.assertEqual("beacon_3", self.place(4.0, -2.0))

@@ -68,32 +68,20 @@ def forget_parameters(node, master):
         xmlrpc.client.ServerProxy(master).deleteParam("/test", f"/{node}")
 
 
-class Node:
-    """A node of the package as a process.
+class Process:
+    """A command that runs until it ends or is ended.
 
     Args:
-        script: name of its executable, such as "noisy_odom.py".
-        name: the node's name; its own if empty.
-        master: URI of the ROS master; that of this test if empty.
-        remap: topics by their names in the node.
-        parameters: private ones.
+        words: of the command.
+        environment: variables in place of or beside this process's.
     """
 
-    def __init__(self, script, name="", master="", remap=(), **parameters):
-        master = master or rosgraph.get_master_uri()
-        forget_parameters(name or NAMES.get(script, Path(script).stem), master)
-        words = [f"_{key}:={value}" for key, value in parameters.items()]
-        words += [f"{old}:={new}" for old, new in dict(remap).items()]
-        if name:
-            words.append(f"__name:={name}")
+    def __init__(self, *words, **environment):
         # Open as long as this object is there.
         self._files = [tempfile.TemporaryFile("w+") for _ in range(2)]  # noqa: SIM115
-        self.process = subprocess.Popen(
-            [sys.executable, str(PACKAGE / "scripts" / script), *words],
-            env=dict(os.environ, ROS_MASTER_URI=master),
-            stdout=self._files[0],
-            stderr=self._files[1],
-        )
+        out, err = self._files
+        env = {**os.environ, **environment}
+        self.process = subprocess.Popen(words, env=env, stdout=out, stderr=err)
 
     @property
     def out(self):
@@ -104,6 +92,11 @@ class Node:
     def err(self):
         """What it has written to standard error so far."""
         return self._read(1)
+
+    @property
+    def said(self):
+        """What it has written so far, to both."""
+        return self.out + self.err
 
     def runs(self):
         """Whether it is still there."""
@@ -131,6 +124,28 @@ class Node:
         # Another file description, so that the position of the process stays.
         with open(f"/proc/self/fd/{self._files[index].fileno()}") as file:
             return file.read()
+
+
+class Node(Process):
+    """A node of the package as a process.
+
+    Args:
+        script: name of its executable, such as "noisy_odom.py".
+        name: the node's name; its own if empty.
+        master: URI of the ROS master; that of this test if empty.
+        remap: topics by their names in the node.
+        parameters: private ones.
+    """
+
+    def __init__(self, script, name="", master="", remap=(), **parameters):
+        master = master or rosgraph.get_master_uri()
+        forget_parameters(name or NAMES.get(script, Path(script).stem), master)
+        words = [f"_{key}:={value}" for key, value in parameters.items()]
+        words += [f"{old}:={new}" for old, new in dict(remap).items()]
+        if name:
+            words.append(f"__name:={name}")
+        path = str(PACKAGE / "scripts" / script)
+        super().__init__(sys.executable, path, *words, ROS_MASTER_URI=master)
 
 
 class Master:

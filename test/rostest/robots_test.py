@@ -13,10 +13,9 @@ import rostest
 import tf2_ros
 import yaml
 from actionlib import SimpleActionClient
-from bridge_testing import Sender, call, spawn, twist
+from bridge_testing import Sender, at, call, spawn, twist
 from bullet_lab.msg import DockAction, DockGoal, TouchedModels
 from bullet_lab.srv import SetNoise
-from geometry_msgs.msg import Point, Pose, Quaternion
 from lab_testing import PACKAGE, NodeTest, wait_for
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
@@ -126,8 +125,8 @@ class RobotsTest(NodeTest):
         log = self.topic("/rosout", Log)
         for number, name in enumerate(("one", "two")):
             self.addCleanup(call, "/gazebo/delete_model", srv.DeleteModel, name)
-            pose = Pose(Point(0.0, 5.0 + number, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-            self.assertTrue(spawn(name, BLOCK, pose, name).success)
+            place = at(0.0, 5.0 + number, 0.0)
+            self.assertTrue(spawn(name, BLOCK, place, name).success)
         said = "the frame 'odom' belongs to 'one' and 'two': give each robot a tf_prefix"
         wait_for(lambda: any(said in message.msg for message in log.messages), said)
 

@@ -101,7 +101,7 @@ class SensorsTest(BridgeCase):
         _, bias = self.last_of(*topics)
         self.assert_near((0.5, 0.0, 0.0), bias.angular_velocity, 9)
         self.assert_near((1.1, 2.2, 3.3), bias.linear_acceleration, 3)
-        wait_for(lambda: "bias is not finite" in self.node.err, "the refusal of the bias")
+        wait_for(lambda: "bias is not finite" in self.bridge.err, "the refusal of the bias")
 
     def test_a_pair_of_cameras(self):
         topics = [
@@ -157,7 +157,7 @@ class CameraTest(BridgeCase):
 
     # First, as what was drawn with stays loaded.
     def test_0_nothing_is_drawn_without_a_subscriber(self):
-        maps = Path(f"/proc/{self.node.process.pid}/maps")
+        maps = Path(f"/proc/{self.bridge.process.pid}/maps")
         info = self.infos()
         step(100)
         info.wait(3)
@@ -212,8 +212,8 @@ class CameraTest(BridgeCase):
         image = self.images()
         step(100)
         image.wait(3)
-        self.node.process.kill()
-        self.node.wait()
+        self.bridge.process.kill()
+        self.bridge.wait()
         self.assertEqual([], os.listdir(self.temporary.name))
 
 
@@ -227,10 +227,10 @@ class WithoutDriverTest(BridgeCase):
         step(1000)
         odometry.wait(20)
         self.assertEqual([], images.messages)
-        said = self.node.out + self.node.err
+        said = self.bridge.out + self.bridge.err
         line = "pictures need EGL and a driver: on Debian, install libegl1 and libgl1-mesa-dri"
         self.assertEqual(said.count(line), 1, said)
-        self.assertTrue(self.node.runs())
+        self.assertTrue(self.bridge.runs())
 
     def start(self, **parameters):
         hidden = {"__EGL_VENDOR_LIBRARY_FILENAMES": os.devnull, "LIBGL_DRIVERS_PATH": os.devnull}

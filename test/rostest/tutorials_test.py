@@ -6,7 +6,6 @@ import importlib
 import math
 import os
 import re
-import signal
 import subprocess
 import sys
 import tempfile
@@ -17,9 +16,10 @@ from pathlib import Path
 import rospkg
 import rospy
 import rostest
+from bridge_testing import call, names, state_of
 from controller_manager_msgs.srv import ListControllers
-from gazebo_msgs.srv import GetJointProperties, GetModelState, GetWorldProperties
-from lab_testing import PACKAGE, PATIENCE, wait_for
+from gazebo_msgs.srv import GetJointProperties
+from lab_testing import PACKAGE, PATIENCE, Process, wait_for
 from std_srvs.srv import Empty
 
 from bullet_lab.ros.launcher.output import VirtualScreen
@@ -31,16 +31,21 @@ SPAWN_MODEL = os.path.join(rospkg.RosPack().get_path("gazebo_ros"), "scripts", "
 LOG_LINE = re.compile(r"^(\x1b|\[)")
 
 
-def environment():
-    """That of somebody who has the package in a workspace."""
-    paths = [str(TUTORIALS), *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
-    return dict(os.environ, ROS_PACKAGE_PATH=os.pathsep.join(paths))
+# The package in a workspace.
+PATHS = [str(TUTORIALS), *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
+WORKSPACE = {"ROS_PACKAGE_PATH": os.pathsep.join(PATHS)}
+
+
+def start(*words):
+    """Start a command of somebody who has the package in a workspace."""
+    return Process(*words, **WORKSPACE)
 
 
 def command(*words, stdin=None):
     """Run a command to its end; return status, output and what went to standard error."""
+    env = {**os.environ, **WORKSPACE}
     done = subprocess.run(
-        words, env=environment(), input=stdin, capture_output=True, text=True, timeout=PATIENCE
+        words, env=env, input=stdin, capture_output=True, text=True, timeout=PATIENCE
     )
     return done.returncode, done.stdout, done.stderr
 
@@ -50,7 +55,7 @@ def in_course(line, folder=f"{TUTORIALS}/scripts/"):
 
     Another Python stands first in PATH, as that of a virtual environment does.
     """
-    found = environment()
+    found = os.environ
     kept = ("HOME", "DISPLAY", "LIBGL_ALWAYS_SOFTWARE", "ROS_MASTER_URI", "ROS_IP")
     given = [f"{name}={found[name]}" for name in kept if name in found]
     path = f"PATH={Path(sys.executable).parent}:/usr/bin:/bin"
@@ -65,42 +70,6 @@ def spawn_model(line, stdin=None):
     status, out, err = command(SPAWN_MODEL, *line.split(), stdin=stdin)
     lines = [text for text in (out + err).splitlines() if text]
     return status, lines[-1] if lines else ""
-
-
-class Process:
-    """Something that runs until it is ended, with what it says in a file."""
-
-    def __init__(self, *words):
-        # Open as long as this object is there.
-        self._file = tempfile.TemporaryFile("w+")  # noqa: SIM115
-        self.process = subprocess.Popen(
-            words, env=environment(), stdout=self._file, stderr=subprocess.STDOUT
-        )
-
-    def said(self):
-        """What it has said so far."""
-        with open(f"/proc/self/fd/{self._file.fileno()}") as file:
-            return file.read()
-
-    def end(self):
-        """End it as Ctrl-C does."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-        try:
-            self.process.wait(PATIENCE)
-        finally:
-            self.process.kill()
-
-
-def world():
-    """Names of all models."""
-    rospy.wait_for_service("/gazebo/get_world_properties", PATIENCE)
-    return rospy.ServiceProxy("/gazebo/get_world_properties", GetWorldProperties)().model_names
-
-
-def state_of(name):
-    """State of a model."""
-    return rospy.ServiceProxy("/gazebo/get_model_state", GetModelState)(name, "")
 
 
 def reconfigured(name, **settings):
@@ -128,11 +97,11 @@ class TutorialsTest(unittest.TestCase):
         # Not in setUpClass, of whose errors rosunit says nothing.
         cls = type(self)
         if cls.launch is None:
-            cls.launch = Process("roslaunch", "--wait", "tutorials", "world.launch", "gui:=false")
-            cls.robot = Process("roslaunch", "--wait", "tutorials", "rover.launch")
+            cls.launch = start("roslaunch", "--wait", "tutorials", "world.launch", "gui:=false")
+            cls.robot = start("roslaunch", "--wait", "tutorials", "rover.launch")
             with contextlib.suppress(AssertionError):
-                wait_for(lambda: "Successfully spawned" in cls.robot.said(), "the rover")
-        said = f"{cls.launch.said()}\n{cls.robot.said()}"
+                wait_for(lambda: "Successfully spawned" in cls.robot.said, "the rover")
+        said = f"{cls.launch.said}\n{cls.robot.said}"
         self.assertIn("Successfully spawned", said)
 
     def check(self, script):
@@ -163,9 +132,9 @@ class TutorialsTest(unittest.TestCase):
     # Launch files
 
     def test_launch_files(self):
-        self.assertEqual(["ground_plane", "wall", "rover"], world()[:3])
+        self.assertEqual(["ground_plane", "wall", "rover"], names()[:3])
         self.assertTrue(rospy.get_param("/use_sim_time"))
-        for said in (self.launch.said(), self.robot.said()):
+        for said in (self.launch.said, self.robot.said):
             self.assertNotIn("Traceback", said)
             self.assertNotIn("has died", said)
 
@@ -175,13 +144,13 @@ class TutorialsTest(unittest.TestCase):
         self.check("spawner.py")("spawned", ["True", "False"])
 
     def test_controllers_of_ros_control(self):
-        cart = Process("roslaunch", "--wait", "tutorials", "cart.launch")
+        cart = start("roslaunch", "--wait", "tutorials", "cart.launch")
         try:
             expect = self.check("ros_control.py")
             adjusted = reconfigured("/cart/drive", wheel_separation_multiplier=9.0, publish_rate=20)
         finally:
             cart.end()
-        self.assertNotIn("has died", cart.said())
+        self.assertNotIn("has died", cart.said)
         velocity, wheels = "hardware_interface::VelocityJointInterface", "{0}left{1} {0}right{1}"
         expect(
             "controller",
@@ -206,16 +175,16 @@ class TutorialsTest(unittest.TestCase):
             settings = ("wheel_separation_multiplier", "publish_rate", "enable_odom_tf")
             self.assertEqual([1.5, 20.0, True], [adjusted[name] for name in settings])
         # The spawner has taken its controllers down.
-        listing = rospy.ServiceProxy("/cart/controller_manager/list_controllers", ListControllers)
-        self.assertEqual([], listing().controller)
+        listing = call("/cart/controller_manager/list_controllers", ListControllers)
+        self.assertEqual([], listing.controller)
 
     def test_an_arm_with_a_gripper(self):
-        arm = Process("roslaunch", "--wait", "tutorials", "arm.launch")
+        arm = start("roslaunch", "--wait", "tutorials", "arm.launch")
         try:
             expect = self.check("arm.py")
         finally:
             arm.end()
-        self.assertNotIn("has died", arm.said())
+        self.assertNotIn("has died", arm.said)
         expect("servers", "True True")
         expect("followed", "True 0")
         expect("at", "0.5 0.5", 0.02)
@@ -260,7 +229,7 @@ class TutorialsTest(unittest.TestCase):
         pose = state_of("arm").pose
         self.assertAlmostEqual(-40.0, pose.position.x, 2)
         self.assertAlmostEqual(math.sin(math.pi / 4), pose.orientation.z, 3)
-        joint = rospy.ServiceProxy("/gazebo/get_joint_properties", GetJointProperties)("hinge")
+        joint = call("/gazebo/get_joint_properties", GetJointProperties, "hinge")
         self.assertAlmostEqual(-0.1, joint.position[0], 3)
 
     def test_spawn_model_from_stdin_and_from_the_model_folders(self):
@@ -277,7 +246,7 @@ class TutorialsTest(unittest.TestCase):
         self.assertIn("from github.com/osrf/gazebo_models", line)
 
     def test_spawn_model_unpauses(self):
-        rospy.ServiceProxy("/gazebo/pause_physics", Empty)()
+        call("/gazebo/pause_physics", Empty)
         before = rospy.get_rostime()
         self.assertEqual(0, spawn_model("-sdf -database crate -model third -y -40 -unpause")[0])
         wait_for(lambda: rospy.get_rostime() > before, "time to go on")
@@ -291,16 +260,16 @@ class TutorialsTest(unittest.TestCase):
             status, last = spawn_model(line)
             self.assertEqual(wanted, status, line)
             self.assertIn(said, last)
-            self.assertNotIn("m", world())
+            self.assertNotIn("m", names())
 
     def test_a_bonded_model_goes_with_its_spawner(self):
         words = ("-sdf", "-database", "crate", "-model", "guest", "-y", "-42", "-b")
-        spawner = Process(SPAWN_MODEL, *words)
+        spawner = start(SPAWN_MODEL, *words)
         self.addCleanup(spawner.end)
-        wait_for(lambda: "Successfully spawned" in spawner.said(), "the guest")
-        self.assertIn("guest", world())
+        wait_for(lambda: "Successfully spawned" in spawner.said, "the guest")
+        self.assertIn("guest", names())
         spawner.end()
-        wait_for(lambda: "guest" not in world(), "the guest to leave")
+        wait_for(lambda: "guest" not in names(), "the guest to leave")
 
     def test_a_second_server_is_refused(self):
         status, _, err = command("rosrun", "gazebo_ros", "gzserver", "worlds/empty.world")
@@ -308,9 +277,9 @@ class TutorialsTest(unittest.TestCase):
         self.assertIn("gazebo publishes /clock already", err)
 
     def test_the_window_is_a_page(self):
-        window = Process("rosrun", "gazebo_ros", "gzclient")
+        window = start("rosrun", "gazebo_ros", "gzclient")
         self.addCleanup(window.end)
-        wait_for(lambda: "the view is at http://127.0.0.1:" in window.said(), "gzclient to say so")
+        wait_for(lambda: "the view is at http://127.0.0.1:" in window.said, "gzclient to say so")
         self.assertIsNone(window.process.poll())
 
 

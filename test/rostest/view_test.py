@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """The page shows things where they are, a user can drive, and without a page nothing is heard."""
 
-import subprocess
 import sys
 import time
 
@@ -10,7 +9,7 @@ import rosgraph
 import rospy
 import rostest
 from geometry_msgs.msg import PoseStamped, Twist
-from lab_testing import PACKAGE, Node, NodeTest, Topic, wait_for
+from lab_testing import PACKAGE, Node, NodeTest, Process, Topic, wait_for
 from nav_msgs.msg import Odometry
 from view_looker import Looker, wait_for_url
 from visualization_msgs.msg import Marker
@@ -31,7 +30,7 @@ class ViewTest(NodeTest):
     def setUpClass(cls):
         rospy.set_param("/robot_description", ROBOT.read_text())
         cls.bridge = Node("pybullet_bridge.py", world=WORLD, publish_world_tf=True, paused=True)
-        cls.states = subprocess.Popen(["rosrun", "robot_state_publisher", "robot_state_publisher"])
+        cls.states = Process("rosrun", "robot_state_publisher", "robot_state_publisher")
         cls.shared = Node("view.py", port=18080, unpause=True)
         cls.url = wait_for_url(lambda: cls.shared.out)
         cls.commands = Topic("cmd_vel", Twist, connected=False)
@@ -39,8 +38,7 @@ class ViewTest(NodeTest):
 
     @classmethod
     def tearDownClass(cls):
-        cls.states.terminate()
-        for node in (cls.shared, cls.bridge):
+        for node in (cls.states, cls.shared, cls.bridge):
             node.end()
 
     def setUp(self):

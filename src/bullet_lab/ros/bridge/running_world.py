@@ -93,17 +93,18 @@ class RunningWorld:
         for listener in self.changed:
             listener(name)
 
-    def follow(self, begin: Callable[[ModelInstance], None], end: Callable[[str], None]) -> None:
-        """Call `begin` with each model, now and when it is added, and `end` when it is removed."""
-        known: set[str] = set()
+    def follow(self, begin: Callable[[ModelInstance], Callable[[], Any]]) -> None:
+        """Call `begin` with each model, now and when it is added.
+
+        What it returns is called when the model is removed.
+        """
+        ends: dict[str, Callable[[], Any]] = {}
 
         def update(_name: str) -> None:
-            for name in known - self.models.keys():
-                known.remove(name)
-                end(name)
-            for name in [name for name in self.models if name not in known]:
-                known.add(name)
-                begin(self.models[name])
+            for name in ends.keys() - self.models.keys():
+                ends.pop(name)()
+            for name in [name for name in self.models if name not in ends]:
+                ends[name] = begin(self.models[name])
 
         self.changed.append(update)
         update("")
@@ -122,12 +123,7 @@ def tf_prefixes(model: Model, namespace: str, name: str = "") -> Callable[[str],
 
 
 class PresentState(rospy.SubscribeListener):
-    """Sends the present state of the world to each new subscriber of a topic.
-
-    Args:
-        world: the running world.
-        message: makes the message with the state.
-    """
+    """Sends the present state of the world, as `message` returns it, to each new subscriber."""
 
     def __init__(self, world: RunningWorld, message: Callable[[], Any]):
         super().__init__()
@@ -292,20 +288,18 @@ class TouchCounter:
         self._last_step = 0
         world.simulation.every(TOUCH_RATE, self._check)
         world.simulation.every(TOUCHED_RATE, self._send)
-        world.follow(self._begin, self._end)
+        world.follow(self._begin)
 
-    def _begin(self, instance: ModelInstance) -> None:
+    def _begin(self, instance: ModelInstance) -> Callable[[], None]:
+        topics, ends = self._world.topics, contextlib.ExitStack()
         devices = [device for device in instance.plugins if device.inputs]
         if devices:
             namespace = devices[0].mount.namespace
             topic = f"/{namespace}{TOUCHED}" if namespace else TOUCHED
-            publisher = self._world.topics.publisher(topic, TouchedModels)
-            self._robots[instance.name] = _Touches(publisher)
-
-    def _end(self, model: str) -> None:
-        robot = self._robots.pop(model, None)
-        if robot is not None:
-            self._world.topics.release(robot.publisher.resolved_name)
+            self._robots[instance.name] = _Touches(topics.publisher(topic, TouchedModels))
+            ends.callback(topics.release, topic)
+            ends.callback(self._robots.pop, instance.name)
+        return ends.close
 
     def _check(self, step: int) -> None:
         was_reset = step < self._last_step

@@ -53,7 +53,7 @@ class Pace:
 
     def __init__(self, real_time_factor: float, clock: Callable[[], float] = time.monotonic):
         self.real_time_factor = real_time_factor
-        self._clock = clock
+        self.clock = clock
         self.restart(0)
 
     @property
@@ -63,7 +63,7 @@ class Pace:
 
     def restart(self, step: int) -> None:
         """Let a step be due now: after a pause, a stall or a reset."""
-        self._start_step, self._start = step, self._clock()
+        self._start_step, self._start = step, self.clock()
 
     def due(self, step: int) -> float:
         """Return the step that is due now, given that simulated time is at `step`.
@@ -72,7 +72,7 @@ class Pace:
         """
         if self.free:
             return math.inf
-        due = math.floor(self._start_step + self._rate * (self._clock() - self._start))
+        due = math.floor(self._start_step + self._rate * (self.clock() - self._start))
         # At a very slow speed, a delay of one step is longer than FORGIVEN_SECONDS.
         if due - step > max(1.0, FORGIVEN_SECONDS * self._rate):
             self.restart(step)
@@ -83,7 +83,7 @@ class Pace:
         """Return the wall seconds until a step is due; 0 if it is overdue."""
         if self.free:
             return 0.0
-        wait = (step - self._start_step) / self._rate - (self._clock() - self._start)
+        wait = (step - self._start_step) / self._rate - (self.clock() - self._start)
         return max(0.0, wait)
 
     @property
@@ -94,7 +94,7 @@ class Pace:
 class SpeedWatch:
     """Measures the speed of simulated time over `WINDOW`, and reports one that is too slow."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, clock: Callable[[], float]):
         self._clock = clock
         self._silence, self._reported = WINDOW, -math.inf
         self.restart(0)
@@ -183,15 +183,10 @@ class Stepper:
     """Advances a simulation as the wall clock, the lock step and pauses allow.
 
     Args:
-        simulation: the simulation to advance.
-        pace: computes the steps that are due by the wall clock.
-        gate: keeps the grants of the lock step's members.
         tick: steps between two wake-ups while time follows the wall clock.
-        paused: whether to start paused.
         is_over: returns whether to end the loop.
         report_stall: called with the names of the members that hold time back.
         report_lag: called with a line when simulated time is too slow.
-        watch: measures the speed.
 
     Attributes:
         after_steps: called after each stride, before waiting threads see its end.
@@ -209,7 +204,6 @@ class Stepper:
         is_over: Callable[[], bool],
         report_stall: Callable[[Sequence[str]], None],
         report_lag: Callable[[str], None],
-        watch: SpeedWatch | None = None,
     ):
         self.simulation, self.pace, self.gate = simulation, pace, gate
         self.after_steps: Callable[[], None] = lambda: None
@@ -217,7 +211,7 @@ class Stepper:
         # Requests for steps: how many are left, and the future with the step reached.
         self._advances: deque[tuple[int, futures.Future]] = deque()
         self._is_over, self._report_stall, self._report_lag = is_over, report_stall, report_lag
-        self._watch = watch or SpeedWatch()
+        self._watch = SpeedWatch(pace.clock)
         self._reached = simulation.step
         self._stride = STEPS_AT_A_TIME
         self._stalled_since: float | None = None

@@ -95,20 +95,18 @@ class DeviceServices:
 
     def __init__(self, world: RunningWorld):
         self._world = world
-        # Functions to call when a model is removed.
-        self._ends: dict[str, list[Callable[[], Any]]] = {}
-        world.follow(self._begin, self._end)
+        world.follow(self._begin)
 
-    def _begin(self, instance: ModelInstance) -> None:
-        registrar, services = self._world.registrar, []
-        ends = self._ends[instance.name] = [partial(registrar.submit, _shut_down, services)]
+    def _begin(self, instance: ModelInstance) -> Callable[[], None]:
+        registrar, services, ends = self._world.registrar, [], contextlib.ExitStack()
+        ends.callback(registrar.submit, _shut_down, services)
         for plugin in instance.plugins:
             offers: list[Callable[[], Any]] = []
             if isinstance(plugin, RosControl):
-                ends.append(ControllerServices(self._world, plugin).end)
+                ends.callback(ControllerServices(self._world, plugin).end)
             elif isinstance(plugin, Camera):
                 images = CompressedImages(self._world, plugin)
-                ends.append(partial(self._world.topics.release, images.topic))
+                ends.callback(self._world.topics.release, images.topic)
                 offers = self._camera_services(plugin, images)
             elif isinstance(plugin, HectorImu):
                 offers = self._bias_services(plugin)
@@ -119,10 +117,7 @@ class DeviceServices:
                 offers = [partial(rospy.Service, name, Empty, lambda _: ())]
             sensor = plugin.mount.plugin.name
             registrar.submit(_start, offers, services, f"sensor '{sensor}'")
-
-    def _end(self, model: str) -> None:
-        for end in self._ends.pop(model):
-            end()
+        return ends.close
 
     def _give_gains(self, plugin: MimicJoint) -> None:
         try:

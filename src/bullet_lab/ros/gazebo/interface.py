@@ -303,6 +303,4 @@ def offer_all(
     GazeboPhysics(world)
     WorldSaver(world, folder)
     DeviceServices(world)
-    offer(
-        "/bullet_lab/describe_models", DescribeModels, partial(describe_models, world, warnings)
-    )
+    offer("/bullet_lab/describe_models", DescribeModels, partial(describe_models, world, warnings))

@@ -65,12 +65,8 @@ def offer(
 ) -> rospy.Service:
     """Offer a service whose response to an error has no success and the error as status message.
 
-    Args:
-        name: of the service.
-        kind: its type.
-        answer: returns fields of the response to a request.
-        done: status message after a success.
-        failed: text before an error in the status message.
+    `answer` returns fields of the response to a request. `done` is the status message after a
+    success, and `failed` the text before an error.
     """
     fields = kind._response_class.__slots__
 

@@ -72,7 +72,7 @@ class Subscription:
 
     def newest(self) -> Any:
         """Return the newest message as `read` makes it; None if there is no new one."""
-        return next(iter(self.take()[-1:]), None)
+        return (self.take() or [None])[-1]
 
     def close(self) -> None:
         """Unsubscribe."""

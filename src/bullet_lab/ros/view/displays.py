@@ -52,16 +52,8 @@ ELLIPSE_POINTS = 37
 DEPTHS = {"32FC1": (np.float32, 1.0), "16UC1": (np.uint16, 0.001)}
 MAX_DEPTH = 10.0
 MAX_WIDTH = 640
-FIELD_TYPES = {
-    PointField.INT8: "i1",
-    PointField.UINT8: "u1",
-    PointField.INT16: "i2",
-    PointField.UINT16: "u2",
-    PointField.INT32: "i4",
-    PointField.UINT32: "u4",
-    PointField.FLOAT32: "f4",
-    PointField.FLOAT64: "f8",
-}
+# NumPy's letters for the types of a PointField, from INT8 to FLOAT64.
+FIELD_TYPES = dict(enumerate("bBhHiIfd", PointField.INT8))
 # Larger clouds are thinned out, for the network and for the browser.
 MAX_POINTS = 8000
 CLOUD_POINT_SIZE = 0.015
@@ -185,7 +177,7 @@ class OdometryDisplay(Display):
             return
         if len(self._trail) == MAX_TRAIL:
             self._trail = self._trail[MAX_TRAIL // 2 :]
-        self._trail = np.vstack((self._trail, np.float32(point)))
+        self._trail = np.concatenate((self._trail, np.float32([point])))
         self.nodes.put_line(f"{self.name}/trail", self._trail, self._colour)
 
 
@@ -232,12 +224,10 @@ class RangeDisplay(Display):
             return
         half = 0.5 * min(message.field_of_view, math.pi)
         level = _directions(np.linspace(-half, half, ARC_POINTS))
-        upright = level[:, (0, 2, 1)]
-        tip = np.zeros((1, 3))
+        tip, upright = np.zeros((1, 3)), level[:, (0, 2, 1)]
+        outline = reach * np.concatenate((tip, level, tip, upright, tip))
         pose = self.context.pose_of(message.header.frame_id)
-        outlines = [np.concatenate((tip, arc * reach, tip)) for arc in (level, upright)]
-        ends = np.concatenate([segments(placed(pose, line)) for line in outlines])
-        self.nodes.put_segments(self.name, ends, SONAR)
+        self.nodes.put_segments(self.name, segments(placed(pose, outline)), SONAR)
 
 
 class PoseDisplay(Display):
@@ -414,6 +404,7 @@ class Displays:
         for topic, display in self.shown.items():
             with self._refusals.on(topic):
                 display.tick()
+
 
 def has_no_path(topic: str, others: Iterable[str]) -> bool:
     """Return whether no topic has the path of an odometry, which begins with the same name."""

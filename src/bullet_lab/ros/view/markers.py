@@ -20,14 +20,14 @@ from bullet_lab.ros.messages.poses import normalised_pose, vector_of
 from bullet_lab.ros.nodes.show_sensors import contact_markers
 from bullet_lab.ros.view.context import DisplayContext, reader_of
 from bullet_lab.ros.view.displays import NO_POINTS, Display, finite, placed
-from bullet_lab.ros.view.scene import Solids, VisualCopies, rgb
-from bullet_lab.simulation.world.description import WHITE, Colour, Geometry, Mesh, Visual
+from bullet_lab.ros.view.scene import SOLIDS, Solids, VisualCopies, rgb
+from bullet_lab.simulation.world.description import WHITE, Colour, Mesh, Visual
 from bullet_lab.simulation.world.resources import ResourceFinder
-from bullet_lab.simulation.world.shapes import Box, Cylinder, Plane, Sphere
+from bullet_lab.simulation.world.shapes import Plane
 from bullet_lab.simulation.world.xml import ReportOnce
 
 LISTS = {MarkerMessage.CUBE_LIST: "box", MarkerMessage.SPHERE_LIST: "sphere"}
-SOLIDS = {
+SHAPES = {
     MarkerMessage.CUBE: "box",
     MarkerMessage.SPHERE: "sphere",
     MarkerMessage.CYLINDER: "cylinder",
@@ -190,7 +190,7 @@ class MarkersDisplay(Display):
                 look = (message.text, message.mesh_resource, message.mesh_use_embedded_materials)
                 visual = _visual(message.type, marker.scale, marker.colour, *look)
                 self._meshes.put((visual,), key, pose)
-            elif message.type in SOLIDS:
+            elif message.type in SHAPES:
                 self._meshes.drop(key)
                 solids: list[tuple[Pose, Sequence[float]]] = [(pose, marker.colour)]
                 if message.type in LISTS:
@@ -206,11 +206,12 @@ class MarkersDisplay(Display):
     def _put_solids(self, key: Key, solids: Sequence[tuple[Pose, Sequence[float]]]) -> None:
         """Show solids of a marker, each with its pose and colour, in place of those before."""
         for number, (place, colour) in enumerate(solids):
-            kind, scale = SOLIDS[self._markers[key].message.type], self._markers[key].scale
+            kind, scale = SHAPES[self._markers[key].message.type], self._markers[key].scale
             self._solids.put_solid((*key, number), kind, place, scale, colour)
-        for number in range(len(solids), self._numbers.get(key, 0)):
+        for number in range(len(solids), self._numbers.pop(key, 0)):
             self._solids.drop((*key, number))
-        self._numbers[key] = len(solids)
+        if solids:
+            self._numbers[key] = len(solids)
 
     def _show_label(self, node: str, marker: Marker, pose: Pose) -> None:
         self.nodes.put_label(node, marker.message.text, pose.position)
@@ -271,16 +272,10 @@ def _visual(
         material = replace(look.material, covers=not embedded)
         colour = colour if colour[3] > 0.0 else WHITE
         return Visual(Mesh(Path(path), mesh, scale), colour=colour, material=material)
-    shape = Plane(size=scale[:2]) if look.is_plane else SHAPES[kind](scale)
+    shape = Plane(size=scale[:2]) if look.is_plane else SOLIDS[SHAPES[kind]](scale)
     return Visual(shape, colour=colour, material=look.material)
 
 
-# The shape of a solid of a size.
-SHAPES: dict[int, Callable[[Vector], Geometry]] = {
-    MarkerMessage.CUBE: Box,
-    MarkerMessage.SPHERE: lambda size: Sphere(0.5 * size[0]),
-    MarkerMessage.CYLINDER: lambda size: Cylinder(0.5 * size[0], size[2]),
-}
 # How each other kind is shown.
 SHOW: dict[int, Callable[[MarkersDisplay, str, Marker, Pose], None]] = {
     MarkerMessage.ARROW: MarkersDisplay._show_arrow,

@@ -195,15 +195,7 @@ class Clock:
 class Show:
     """All that is shown, from the first page that opens to the last one that closes.
 
-    Args:
-        scene: viser's.
-        panel: controls of all tabs.
-        tabs: returns the controls of each open tab.
-        given: the node's parameters.
-
-    Attributes:
-        context: what displays share.
-        graph: the ROS graph.
+    `panel` has the controls of all tabs, and `tabs` returns those of each open one.
     """
 
     def __init__(

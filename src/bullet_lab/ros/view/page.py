@@ -324,12 +324,7 @@ class Gate:
     token: str = field(default_factory=lambda: secrets.token_urlsafe(16))
 
     def path(self, target: str, headers: Any) -> str | None:
-        """Return the path below the token, without the query; None if the request is refused.
-
-        Args:
-            target: of the request, with the token.
-            headers: of the request, a mapping, as of `websockets`.
-        """
+        """Return the path below the token, without the query; None if the request is refused."""
         _, _, rest = target.partition("?")[0].partition("/")
         token, slash, path = rest.partition("/")
         if not hmac.compare_digest(token.encode(), self.token.encode()):

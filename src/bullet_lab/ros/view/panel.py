@@ -24,14 +24,16 @@ from bullet_lab.ros.node.lock_step import COMMAND_TIMEOUT, Publisher
 from bullet_lab.srv import SetNoise, SetRtf, Step
 
 GO_ON = "/gazebo/unpause_physics"
-STEP = "/bullet_lab/step"
 SPEED = "/bullet_lab/set_rtf"
 SET_NOISE = "set_noise"
-# Physics steps of 1 ms of the step button.
-STEPS = 100
-STEP_BUTTON = "100 ms"
-# Services without arguments, by the labels of their buttons.
-BUTTONS = {"Pause": "/gazebo/pause_physics", "Go on": GO_ON, "Reset": "/gazebo/reset_world"}
+# Services with their types and arguments, by the labels of their buttons.
+BUTTONS = {
+    "Pause": ("/gazebo/pause_physics", Empty),
+    "Go on": (GO_ON, Empty),
+    # Physics steps of 1 ms.
+    "100 ms": ("/bullet_lab/step", Step, 100),
+    "Reset": ("/gazebo/reset_world", Empty),
+}
 AS_STARTED = "as started"
 SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0}
 NOBODY = "(nobody listens)"
@@ -67,17 +69,7 @@ class Status:
 
 
 class TabControls:
-    """Controls of one tab, for driving and for the camera.
-
-    Args:
-        gui: of viser's client.
-        tab: its name.
-        speed: full speed forward, m/s.
-        turn_rate: full turn rate, rad/s.
-
-    Attributes:
-        status: of driving.
-    """
+    """Controls of one tab, for driving (m/s, rad/s at full speed) and for the camera."""
 
     def __init__(self, gui: Any, tab: str, speed: float, turn_rate: float):
         self.tab = tab
@@ -122,20 +114,14 @@ class TabControls:
 
 
 class Panel:
-    """The controls that all tabs share.
-
-    Args:
-        gui: viser's.
-        kinds: names of what can be shown, with a switch each.
-        off: those that are off at first.
-    """
+    """The controls that all tabs share; each of `kinds` has a switch, `off` are off at first."""
 
     def __init__(self, gui: Any, kinds: Sequence[str], off: Sequence[str] = ()):
         self._noise_services: list[str] = []
         with gui.add_folder("Simulation"):
             self._time = gui.add_html("…")
             speed = gui.add_dropdown("Speed", (AS_STARTED, *SPEEDS))
-            buttons = gui.add_button_group("Time", ("Pause", "Go on", STEP_BUTTON, "Reset"))
+            buttons = gui.add_button_group("Time", tuple(BUTTONS))
             self._status = Status(gui)
         self._noise_folder = gui.add_folder("Noise of the odometry")
         with self._noise_folder:
@@ -175,10 +161,8 @@ class Panel:
         self._noise_folder.visible = bool(found)
 
     def _press(self, label: str) -> None:
-        if label == STEP_BUTTON:
-            self._call(STEP, Step, STEPS)
-        elif label in BUTTONS:
-            self._call(BUTTONS[label], Empty)
+        if label in BUTTONS:
+            self._call(*BUTTONS[label])
 
     def _set_speed(self, label: str) -> None:
         if label in SPEEDS:
@@ -297,11 +281,7 @@ class Driver:
     def send_goal(self, drive_topic: str, heard: Collection[str], frame: str, pose: Pose) -> str:
         """Send a goal in the namespace of a command topic; return a line about it for the page.
 
-        Args:
-            drive_topic: topic of the robot's commands.
-            heard: topics that have subscribers.
-            frame: of the pose.
-            pose: of the goal.
+        `heard` are the topics that have subscribers.
         """
         namespace = drive_topic.rpartition("/")[0]
         goal = PoseStamped(pose=pose_message(pose))

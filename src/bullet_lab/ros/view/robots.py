@@ -5,8 +5,9 @@ Robots are described on the parameter server.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Mapping
 from urllib.parse import quote
 
 import rospy
@@ -39,15 +40,13 @@ class Description:
         text: of the parameter.
         namespace: of the parameter, without slashes.
         model: name of the robot.
-        frames: of all links on TF; none if the description is invalid.
-        bodies: frame and visuals of each link that has any.
+        links: visuals of all links, by their frames on TF; none if the description is invalid.
     """
 
     text: str
     namespace: str
     model: str = ""
-    frames: tuple[str, ...] = ()
-    bodies: tuple[tuple[str, tuple[Visual, ...]], ...] = ()
+    links: Mapping[str, tuple[Visual, ...]] = field(default_factory=dict)
 
 
 class Robots:
@@ -106,7 +105,7 @@ class Robots:
         """Return the pose of the robot of a namespace; None if none is shown."""
         found = (one for one in self._shown.values() if one.namespace == namespace)
         robot = next(found, None)
-        return None if robot is None else self._context.pose_of(robot.frames[0])
+        return None if robot is None else self._context.pose_of(next(iter(robot.links)))
 
     def _update(self, names: frozenset[str]) -> None:
         for name in self._known.keys() - names:
@@ -124,25 +123,22 @@ class Robots:
         namespace = name.rpartition("/")[0].strip("/")
         with leaving_out(self._report):
             model, prefix = read_urdf(text, name), tf_prefix(namespace)
-            links = [(prefix + link.name, link.visuals) for link in model.links]
-            frames = tuple(frame for frame, _ in links)
-            bodies = tuple(link for link in links if link[1])
-            return Description(text, namespace, model.name, frames, bodies)
+            links = {prefix + link.name: link.visuals for link in model.links}
+            return Description(text, namespace, model.name, links)
         return Description(text, namespace)
 
     def _show(self, robots: dict[str, Description]) -> None:
         self._shown = robots
         # The next tick places all copies again.
         self._copies.clear()
-        bodies = [body for name in sorted(robots) for body in robots[name].bodies]
-        self._links = [(frame, self._copies.group(visuals)) for frame, visuals in bodies]
+        links = [link for name in sorted(robots) for link in robots[name].links.items()]
+        self._links = [(frame, self._copies.group(visuals)) for frame, visuals in links if visuals]
 
     def _is_placed(self, robot: Description) -> bool:
         """Return whether TF connects a link of the robot with a frame outside the robot."""
         tree = self._context.frames
-        known = set(tree.frames())
-        frames = [frame for frame in robot.frames if frame in known]
-        return any(tree.root(frame) not in robot.frames for frame in frames)
+        frames = robot.links.keys() & set(tree.frames())
+        return any(tree.root(frame) not in robot.links for frame in frames)
 
 
 def _descriptions() -> frozenset[str] | None:
@@ -167,7 +163,7 @@ def _with_links(robot: Description, names: set[str]) -> set[str]:
     except (rospy.ServiceException, rospy.ROSException):
         return set()
     # Frames have a prefix.
-    links = {frame.rpartition("/")[2] for frame in robot.frames}
+    links = {frame.rpartition("/")[2] for frame in robot.links}
     found = {model.name for model in models if set(model.links) == links} & names
     return found if len(found) == 1 else set()
 

@@ -21,7 +21,7 @@ from bullet_lab.simulation.rendering.drawables import (
     surfaces_of,
     visible_surfaces,
 )
-from bullet_lab.simulation.world.description import Texture, Visual
+from bullet_lab.simulation.world.description import Geometry, Texture, Visual
 from bullet_lab.simulation.world.shapes import Box, Cylinder, Sphere
 from bullet_lab.simulation.world.xml import Report, leaving_out
 
@@ -29,12 +29,13 @@ LOG = logging.getLogger(__name__)
 # Segments of one piece of a polyline. A full piece is never sent again.
 PIECE = 256
 LINE_PIXELS = 2.5
-# Shapes of 1 m along each axis.
-UNITS = {
-    "box": Box((1.0, 1.0, 1.0)),
-    "cylinder": Cylinder(0.5, 1.0),
-    "sphere": Sphere(0.5),
+# Solids of a size along their axes, in m.
+SOLIDS: dict[str, Callable[[Vector], Geometry]] = {
+    "box": Box,
+    "cylinder": lambda size: Cylinder(0.5 * size[0], size[2]),
+    "sphere": lambda size: Sphere(0.5 * size[0]),
 }
+UNIT = (1.0, 1.0, 1.0)
 NO_LIGHT = np.zeros(3)
 # Pixels of a side of a texture: larger ones are scaled down for the page.
 MAX_TEXTURE_SIDE = 1024
@@ -143,9 +144,10 @@ class Copies:
         self._make = make
         # Properties of each copy.
         self._rows: dict[Hashable, dict[str, Any]] = {}
-        self._shown: list[Hashable] = []
         self._changed = False
         self._node: Any = None
+        # Number of copies in the node.
+        self._count = 0
 
     def put(self, key: Hashable, pose: Pose, **others: Any) -> None:
         """Place a copy; `others` are properties besides position and orientation."""
@@ -169,9 +171,9 @@ class Copies:
         if not self._changed:
             return
         self._changed = False
-        keys, rows = list(self._rows), list(self._rows.values())
+        rows = list(self._rows.values())
         arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {}
-        if rows and keys == self._shown and self._node is not None:
+        if self._node is not None and len(rows) == self._count:
             for name, array in arrays.items():
                 setattr(self._node, name, array)
         elif rows:
@@ -180,7 +182,7 @@ class Copies:
         elif self._node is not None:
             self._node.remove()
             self._node = None
-        self._shown = keys
+        self._count = len(rows)
 
 
 class CopyGroups:
@@ -234,7 +236,7 @@ class Solids(CopyGroups):
     def put_solid(
         self, key: Hashable, kind: str, pose: Pose, size: Vector, colour: Sequence[float]
     ) -> None:
-        """Place a solid, named as in UNITS, whose extents along its axes are `size`, in m."""
+        """Place a solid, named as in SOLIDS, whose extents along its axes are `size`, in m."""
         look = {"batched_scales": size, "batched_colors": rgb(colour)}
         if colour[3] < 1.0:
             look["batched_opacities"] = colour[3]
@@ -242,7 +244,7 @@ class Solids(CopyGroups):
 
     def maker(self, thing: tuple[str, bool]) -> Callable[..., Any]:  # noqa: D102 - inherited
         kind, see_through = thing
-        corners = surfaces_of(UNITS[kind])[0].corners.reshape(-1, 3)
+        corners = surfaces_of(SOLIDS[kind](UNIT))[0].corners.reshape(-1, 3)
         faces = np.arange(len(corners)).reshape(-1, 3)
         name = f"{self._name}/{kind}{'_see_through' if see_through else ''}"
         return partial(self._scene.add_batched_meshes_simple, name, corners, faces, lod="off")
@@ -263,9 +265,7 @@ class VisualCopies(CopyGroups):
         return partial(self._scene.add_batched_glb, name, glb, lod="off")
 
 
-def floor_point(
-    origin: Sequence[float], direction: Sequence[float]
-) -> tuple[float, float] | None:
+def floor_point(origin: Sequence[float], direction: Sequence[float]) -> tuple[float, float] | None:
     """Return where a ray meets the floor, x and y in m; None if it does not.
 
     >>> floor_point((0.0, 0.0, 2.0), (1.0, 0.0, -1.0))

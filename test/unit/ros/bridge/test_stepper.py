@@ -1,5 +1,6 @@
 import contextlib
 import itertools
+import math
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -297,7 +298,7 @@ class SlowWorld(Run):
     def __init__(self, monkeypatch, cost, rtf=1.0, **options):
         self.now = 0.0
         monkeypatch.setattr(stepper_module.time, "monotonic", self.clock)
-        super().__init__(rtf, self.clock, watch=SpeedWatch(self.clock), **options)
+        super().__init__(rtf, self.clock, **options)
         advance = self.simulation.run_until
 
         def run_until(step):
@@ -350,3 +351,139 @@ def test_a_pause_does_not_count_afterwards(monkeypatch):
     world.stepper.set_paused(False)
     world.run(20.0)
     assert world.lags == []
+
+
+@pytest.mark.parametrize("factor", [0.005, 0.5, 3.0])
+def test_simulated_time_follows_the_wall_clock(clock, factor):
+    pace, begin = Pace(factor, clock), clock.now
+    assert not pace.free
+    step = 0
+    for _ in range(500):
+        clock.now += 0.02
+        step = max(step, pace.due(step))
+        assert step == pytest.approx((clock.now - begin) * 1000 * factor, abs=1.0)
+
+
+def test_as_fast_as_it_goes(clock):
+    pace = Pace(0.0, clock)
+    assert pace.free
+    assert pace.due(12) == math.inf
+    assert pace.seconds_until(12) == 0.0
+
+
+def test_how_long_to_wait(clock):
+    pace = Pace(2.0, clock)
+    assert pace.seconds_until(100) == pytest.approx(0.05)
+    clock.now += 0.04
+    assert pace.seconds_until(100) == pytest.approx(0.01)
+    clock.now += 1.0
+    assert pace.seconds_until(100) == 0.0
+
+
+def test_a_restart_forgets_a_pause(clock):
+    pace = Pace(1.0, clock)
+    clock.now += 10.0
+    pace.restart(500)
+    assert pace.due(500) == 500
+    clock.now += 0.0205
+    assert pace.due(500) == 520
+
+
+def test_a_stall_is_not_chased(clock):
+    pace = Pace(1.0, clock)
+    clock.now += 5.0
+    assert pace.due(0) == 1
+    clock.now += 0.0105
+    assert pace.due(1) == 10
+
+
+def test_a_small_delay_is_made_up_for(clock):
+    pace = Pace(1.0, clock)
+    clock.now += 0.0995
+    assert pace.due(0) == 99
+
+
+# Wall seconds that pass, the step that is reached then, the wanted factor, and what is said.
+SPEED_STORIES = """
+# Time that keeps its speed.
+- [[5.0, 5000, 1.0, ""], [5.0, 10000, 1.0, ""], [5.0, 14600, 1.0, ""], [5.0, 19000, 1.0, falls]]
+# Time that falls behind, which is counted anew then.
+- - [4.9, 0, 1.0, ""]
+  - - 0.1
+    - 2500
+    - 1.0
+    - "simulated time falls behind: real-time factor 0.50 instead of 1 in the last 5 s"
+  - [5.0, 7500, 1.0, ""]
+  - [6.0, 16500, 2.0, 1.50 instead of 2 in the last 6 s]
+# As fast as it goes is never too slow.
+- [[5.0, 1, 0.0, ""]]
+"""
+
+
+@pytest.fixture
+def watch(clock):
+    return SpeedWatch(clock)
+
+
+@pytest.mark.parametrize("story", yaml.safe_load(SPEED_STORIES))
+def test_what_is_said_of_the_speed(clock, watch, story):
+    for seconds, step, wanted, said in story:
+        clock.now += seconds
+        found = watch.lag(step, wanted)
+        assert said in found
+        assert bool(found) == bool(said)
+
+
+def test_a_machine_that_stays_too_slow_is_told_of_less_and_less_often(clock, watch):
+    told = []
+    for second in range(5, 400, 5):
+        clock.now += 5.0
+        if watch.lag(second, 1.0):
+            told.append(second)
+    assert told == [5, 10, 20, 40, 80, 160, 240, 320]
+    # Once it is fast enough, it begins anew.
+    for step, slow in ((100_000, False), (100_001, True)):
+        clock.now += 5.0
+        assert bool(watch.lag(step, 1.0)) == slow
+
+
+# Whom the gate waits for, and what happens then: each time the step up to which time may go on,
+# and who holds it back.
+GATE_STORIES = """
+- - []
+  - [leave nobody, .inf, []]
+- - [b, a]
+  - [grant b 100, -.inf, [a]]
+  - [grant a 50, 50, [a]]
+- - [a]
+  - [grant a 50, 50, [a]]
+  - [grant b 20, 20, [b]]
+  - [grant c 20, 20, [b, c]]
+  - [grant b 70, 20, [c]]
+  - [grant c 80, 50, [a]]
+- - [a, b]
+  - [grant a 50, -.inf, [b]]
+  - [leave b, 50, [a]]
+  - [grant a inf, .inf, []]
+  - [leave a, .inf, []]
+# A restart takes grants back, but not those for ever.
+- - [late]
+  - [grant a 500, -.inf, [late]]
+  - [grant b inf, -.inf, [late]]
+  - [restart, -.inf, [late]]
+  - [grant late 100, 0, [a]]
+  - [leave a, 100, [late]]
+"""
+
+
+@pytest.mark.parametrize("story", yaml.safe_load(GATE_STORIES))
+def test_time_goes_on_as_far_as_each_member_has_granted(story):
+    expected, *events = story
+    gate = TimeGate(expected)
+    for words, limit, holding in events:
+        do, *member = words.split()
+        if do == "grant":
+            gate.grant(member[0], float(member[1]))
+        else:
+            getattr(gate, do)(*member)
+        assert (gate.limit(), gate.holding()) == (limit, tuple(holding)), words
