@@ -6,6 +6,7 @@ from dataclasses import replace
 import docking_standin as standin
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.docking import filter
@@ -100,7 +101,11 @@ def test_finds_what_is_wrong_with_the_odometry_on_an_approach():
     assert track.learned().way[0] == pytest.approx(1.0 / 1.05 - 1.0, abs=0.01)
 
 
-@pytest.mark.parametrize("back", [0.035, -0.035], ids=["gyro", "wheels"])
+@cases("""
+back:
+  - 0.035  # gyro
+  - -0.035  # wheels
+""")
 def test_what_drifts_ahead_says_nothing_of_the_way_back(back):
     steps = [*ahead(0.05, 50), *ahead(-0.05, 40), *ahead(0.05, 40)]
     told = [(way, 0.0, (0.035 if way > 0.0 else back) * way) for way, _, _ in steps]
@@ -118,7 +123,7 @@ def test_a_corner_that_something_hides_is_left_out():
     check_pose(track, pose, 0.003, 0.003, 0.4)
 
 
-@pytest.mark.parametrize("without, hidden", [(20.0, None), (11.0, 2)])
+@cases("without, hidden: [[20.0, null], [11.0, 2]]")
 def test_a_corner_is_left_out_only_if_it_explains_most_of_what_is_off(monkeypatch, without, hidden):
     def update(*_, hidden=None):
         return hidden, None, [without if hidden == 2 else 30.0]
@@ -127,7 +132,7 @@ def test_a_corner_is_left_out_only_if_it_explains_most_of_what_is_off(monkeypatc
     assert filter.robust_update(*4 * [None])[0] == hidden
 
 
-@pytest.mark.parametrize("corner", [0, 2])
+@cases("corner: [0, 2]")
 def test_a_corner_that_is_off_in_all_images_alike_is_found_out(corner):
     """Light or something before it moves it: the yaw was 0.9 degrees off, and certain to 0.2."""
     shift = np.eye(4)[corner][:, None] * (0.25, 0.2)
@@ -154,7 +159,7 @@ def test_one_far_image_leaves_both_yaws_open():
     assert np.min(np.abs(poses[:, 2] - se2.between(pose, DOCK)[2])) < math.radians(5.0)
 
 
-@pytest.mark.parametrize("scale", [0.6, 1.75])
+@cases("scale: [0.6, 1.75]")
 def test_a_copy_of_another_size_is_found_out_by_driving(scale):
     # It seems to be the marker, 1.9 m before the camera and as high.
     place = (2.06 + 1.9 * scale - 4.0, 0.0, 0.0)
@@ -215,7 +220,7 @@ def test_a_large_marker_keeps_its_yaw():
     assert track.estimate().mean[2] == pytest.approx(yaw)
 
 
-@pytest.mark.parametrize(("since", "real"), [(-0.1, True), (0.0, False)])
+@cases("since, real: [[-0.1, true], [0.0, false]]")
 def test_a_late_image_tells_of_the_way_up_to_it(since, real):
     test = SizeTest(3.0, 0.005)
     test.travel(-0.4, 0.0, 1e-6)

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from shared import cases
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.errors import LabError
@@ -119,23 +120,26 @@ def test_a_name_that_is_too_long_is_refused(tmp_path, name):
         read_assignments(job, [f"std:={name}"])
 
 
-@pytest.mark.parametrize(
-    "doc", ["x [nubmer]", "x [number >= 0]", "x [only]", "x [a||b]", "x [ ]"]
-)
+@cases("""
+doc:
+  - "x [nubmer]"
+  - "x [number >= 0]"
+  - "x [only]"
+  - "x [a||b]"
+  - "x [ ]"
+""")
 def test_bracket_outside_the_grammar_is_an_error(tmp_path, doc):
     with pytest.raises(UsageError, match=r"the doc of std ends with \[.*\]; a bracket is text, "):
         of_argument(f'default="1" doc="{doc}"', tmp_path)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "<launch>",
-        "",
-        '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><launch>&b;</launch>',
-        '<launch><arg name="a" doc="x [numbre]"/></launch>',
-    ],
-)
+@cases("""
+text:
+  - <launch>
+  - ""
+  - '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><launch>&b;</launch>'
+  - '<launch><arg name="a" doc="x [numbre]"/></launch>'
+""")
 def test_broken_launch_file_is_a_clear_error(tmp_path, text):
     with pytest.raises(UsageError, match=r"a\.launch: "):
         read("a", text, tmp_path)

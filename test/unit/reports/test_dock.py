@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from alike import assert_as_before, lines_of_figure
+from shared import cases
 
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
@@ -117,7 +118,7 @@ def test_pictures_are_those_of_the_docking_each_with_its_state(report):
     assert titles == ["0.6 s, at rest", "0.7 s, staging"]
 
 
-@pytest.mark.parametrize("seen", [0, 8, 9, 33, 500])
+@cases("seen: [0, 8, 9, 33, 500]")
 def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
     sampler = EvenSample(8)
     for number in range(seen):

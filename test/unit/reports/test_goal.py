@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.reports import Reading
@@ -66,8 +67,8 @@ def drive(report, reached):
             finished(report, 2000)
 
 
-@pytest.mark.parametrize("reached", [True, False])
-@pytest.mark.parametrize("stay", [True, False])
+@cases("reached: [true, false]")
+@cases("stay: [true, false]")
 def test_a_goal_is_recorded_until_the_robot_stands(tmp_path, reached, stay):
     report = GoalReport(tmp_path, 0.05, stay, lambda: [("beacon_0", 1.0, 1.0)])
     drive(report, reached)

@@ -3,6 +3,7 @@ import math
 
 import pytest
 from numpy.testing import assert_allclose
+from shared import cases
 
 from bullet_lab.core.files import LabError
 from bullet_lab.reports import Reading
@@ -109,7 +110,7 @@ def test_summary_measures_against_the_truth(beacons, tmp_path):
     assert BeaconsReport(tmp_path, BEACONS).summary(True, {})["rows"] == 0
 
 
-@pytest.mark.parametrize("bad", [math.inf, math.nan])
+@cases("bad: [.inf, .nan]")
 def test_distances_are_finite(beacons, bad):
     with pytest.raises(LabError, match=f"^a distance of {bad}$"):
         beacons.take("a/range", Reading(100, (bad,)))

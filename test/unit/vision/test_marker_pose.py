@@ -17,6 +17,7 @@ from marker_images import (
     true_corners,
 )
 from scipy.stats import chi2
+from shared import cases
 
 from bullet_lab.vision.images import UNIT_SQUARE, VisionError
 from bullet_lab.vision.marker_detector import DetectorSettings
@@ -69,9 +70,7 @@ def test_the_two_poses_are_mirrored_about_the_line_of_sight():
     assert not estimate.ambiguous
 
 
-@pytest.mark.parametrize(
-    "distance, sigma, ambiguous", [(1.0, 0.1, False), (6.0, 0.1, True), (6.0, 0.05, False)]
-)
+@cases("distance, sigma, ambiguous: [[1.0, 0.1, false], [6.0, 0.1, true], [6.0, 0.05, false]]")
 def test_ambiguity_is_seen_where_noise_would_hide_the_difference(distance, sigma, ambiguous):
     assert estimated(View(distance, yaw=20.0), sigma).ambiguous == ambiguous
 
@@ -123,10 +122,14 @@ def test_covariance_is_that_of_many_noisy_corners(view, sigma, count):
     )
 
 
-@pytest.mark.parametrize(
-    "distance, tilt, sigma",
-    [(7.0, 0.0, 0.05), (7.0, 0.0, 0.3), (10.0, 16.0, 0.3), (10.0, 0.0, 1.0), (2.0, 8.0, 0.3)],
-)
+@cases("""
+distance, tilt, sigma:
+  - [7.0, 0.0, 0.05]
+  - [7.0, 0.0, 0.3]
+  - [10.0, 16.0, 0.3]
+  - [10.0, 0.0, 1.0]
+  - [2.0, 8.0, 0.3]
+""")
 def test_covariance_is_large_enough_at_each_tilt(distance, tilt, sigma):
     """The mean of 700 normalised squares is at most 15 % below 6, and within its upper 99 % bound.
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from unittest import mock
 
 import pytest
+from shared import cases
 
 pytest.importorskip("dynamic_reconfigure.encoding")
 
@@ -58,7 +59,7 @@ def test_what_is_changed_is_asked_for_and_the_start_is_not(settings):
     change.assert_called_once_with({"rate": 9.0})
 
 
-@pytest.mark.parametrize("rate", [math.nan, math.inf, 0.0])
+@cases("rate: [.nan, .inf, 0.0]")
 def test_what_is_refused_changes_nothing(settings, rate):
     def change(values):
         if not values["rate"] > 0.0:

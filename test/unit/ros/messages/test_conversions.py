@@ -11,6 +11,7 @@ from alike import assert_as_before
 from geometry_msgs.msg import Twist, Vector3
 from message_fields import check, message, message_of, plain
 from nav_msgs.msg import Odometry
+from shared import cases
 from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray
 
 from bullet_lab.core.pinhole import PinholeCamera
@@ -69,7 +70,7 @@ def test_steps_are_milliseconds(step):
     assert first_step_at(time_of(step)) == step
 
 
-@pytest.mark.parametrize("time, step", [((1, 1), 1001), ((0, 999_999_999), 1000)])
+@cases("time, step: [[[1, 1], 1001], [[0, 999999999], 1000]]")
 def test_time_between_two_steps_is_the_later_one(time, step):
     assert first_step_at(genpy.Time(*time)) == step
 
@@ -175,17 +176,15 @@ def odometry(pose="orientation: {w: 1.0}", frame="odom", child="base"):
     return message(Odometry, text)
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        "position: {x: .nan}, orientation: {w: 1.0}",
-        "position: {x: .inf}, orientation: {w: 1.0}",
-        "orientation: {w: .nan}",
-        "orientation: {w: 0.0}",
-        "orientation: {w: 1.1}",
-        "orientation: {z: 1.0e+308, w: 1.0e+308}",
-    ],
-)
+@cases("""
+bad:
+  - "position: {x: .nan}, orientation: {w: 1.0}"
+  - "position: {x: .inf}, orientation: {w: 1.0}"
+  - "orientation: {w: .nan}"
+  - "orientation: {w: 0.0}"
+  - "orientation: {w: 1.1}"
+  - "orientation: {z: 1.0e+308, w: 1.0e+308}"
+""")
 def test_poses_that_are_none_are_refused(bad):
     with pytest.raises(InputError):
         planar_pose(odometry(bad))

@@ -4,12 +4,12 @@ from dataclasses import astuple
 import docking_standin as standin
 import numpy as np
 import pytest
-import yaml
 from bullet_lab.msg import DockGoal, MarkerDetectionArray, UndockGoal
 from geometry_msgs.msg import Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
+from shared import cases
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
@@ -126,21 +126,19 @@ def test_a_leaning_dock_is_refused_for_good():
     assert isinstance(caught.value, LabError)
 
 
-# Goals and what is wrong with them.
-INVALID = """
-- [dock, "max_retries: -2, dock_id: dock", max_retries is -2]
-- [dock, "", neither dock_id nor]
-- - dock
-  - "dock_pose: {header: {frame_id: odom}, pose: {position: {x: .nan}, orientation: {w: 1.0}}}"
-  - not finite
-- [dock, "dock_pose: {header: {frame_id: odom}}", no unit quaternion]
-- [undock, "distance: -0.1", distance is -0.1 m]
-- [undock, "distance: 10.1", from 0 to 10 m]
-- [undock, "distance: .nan", distance is nan m]
-"""
-
-
-@pytest.mark.parametrize("action, text, said", yaml.safe_load(INVALID))
+@cases("""
+action, text, said:
+  # Goals and what is wrong with them.
+  - [dock, "max_retries: -2, dock_id: dock", max_retries is -2]
+  - [dock, "", neither dock_id nor]
+  - - dock
+    - "dock_pose: {header: {frame_id: odom}, pose: {position: {x: .nan}, orientation: {w: 1.0}}}"
+    - not finite
+  - [dock, "dock_pose: {header: {frame_id: odom}}", no unit quaternion]
+  - [undock, "distance: -0.1", distance is -0.1 m]
+  - [undock, "distance: 10.1", from 0 to 10 m]
+  - [undock, "distance: .nan", distance is nan m]
+""")
 def test_invalid_goals_are_refused(action, text, said):
     kind = {"dock": DockGoal, "undock": UndockGoal}[action]
     with pytest.raises(DockingFailureError, match=said) as caught:

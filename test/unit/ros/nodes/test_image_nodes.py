@@ -11,6 +11,7 @@ import rospy
 from marker_images import CAMERA, View, image_of, marker, true_corners
 from message_fields import plain
 from sensor_msgs.msg import CameraInfo
+from shared import cases
 
 from bullet_lab.core.parameters import read_parameters
 from bullet_lab.ros.messages.images import image_message, pixels_of
@@ -126,10 +127,13 @@ def test_parameters_count(published, node, figures):
     assert node().process(image_node.CameraImage(image(square()), None)) == figures
 
 
-@pytest.mark.parametrize(
-    ("encoding", "channels"),
-    [("bgr8", [0, 1, 2]), ("rgb8", [2, 1, 0]), ("bgra8", [0, 1, 2, 3]), ("rgba8", [2, 1, 0, 3])],
-)
+@cases("""
+encoding, channels:
+  - [bgr8, [0, 1, 2]]
+  - [rgb8, [2, 1, 0]]
+  - [bgra8, [0, 1, 2, 3]]
+  - [rgba8, [2, 1, 0, 3]]
+""")
 def test_encodings_that_cameras_have(encoding, channels):
     colours = np.full((480, 640, 4), (10, 120, 230, 255), np.uint8)[..., channels]
     seen = image(colours, encoding=encoding)
@@ -146,7 +150,7 @@ def bad_image(which):
     return message
 
 
-@pytest.mark.parametrize("which", ["32FC1", "no such", "short", "tiny"])
+@cases("which: [32FC1, no such, short, tiny]")
 def test_images_that_are_none_are_answered_without_a_marker(published, which):
     node = finder(camera_info())
     (answer,) = answers(node, published, bad_image(which), "detections")
@@ -212,7 +216,13 @@ def test_chosen_markers_of_rectified_images_have_transforms(published, monkeypat
     assert not answer.detections
 
 
-@pytest.mark.parametrize("topic", ["/cam/{}", "cam/{}", "/{}", "{}"])
+@cases("""
+topic:
+  - "/cam/{}"
+  - "cam/{}"
+  - "/{}"
+  - "{}"
+""")
 def test_camera_info_is_beside_the_image(topic):
     assert ImageParameters(topic.format("image")).info_topic == topic.format("camera_info")
 

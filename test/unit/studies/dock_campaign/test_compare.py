@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from scipy import stats
+from shared import cases
 from study_runs import csv_rows
 from test_dock_campaign import fake_trial
 from test_dock_summary import record
@@ -38,7 +39,7 @@ def test_what_is_drawn_does_not_depend_on_the_controller():
         assert other == replace(ours, controller="graceful")
 
 
-@pytest.mark.parametrize(("part", "count"), [(0.5, 15), (0.5, 200), (0.9, 100), (0.99, 1000)])
+@cases("part, count: [[0.5, 15], [0.5, 200], [0.9, 100], [0.99, 1000]]")
 def test_intervals_of_quantiles_are_the_narrowest_with_the_confidence(part, count):
     # The number of values below the quantile, whatever their law, has a binomial distribution.
     found, below = quantile(range(count), part), stats.binom(count, part)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
+from shared import cases
 from study_runs import names_in
 
 from bullet_lab.core.se2 import SQUARE_RADIUS, ellipse_points
@@ -98,7 +99,7 @@ def test_the_figures_are_those_of_the_paper():
     assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(("diameter", "base"), [(0.001, -0.03), (-0.01, 0.005)])
+@cases("diameter, base: [[0.001, -0.03], [-0.01, 0.005]]")
 def test_the_fit_recovers_what_was_injected_and_the_correction_undoes_it(diameter, base):
     wrong = errors(diameter, base)
     before = Benchmark.of(ideal_runs(wrong))
@@ -245,17 +246,15 @@ def test_results_are_left_behind(tmp_path):
     assert len((tmp_path / "returns.csv").read_text().splitlines()) == 9
 
 
-@pytest.mark.parametrize(
-    ("scale", "trusted"),
-    [
-        ((1.0, 1.0, 1.0), True),
-        # In mm, in cm, in degrees, and mirrored.
-        ((1000.0, 1000.0, 1.0), False),
-        ((100.0, 100.0, 1.0), False),
-        ((1.0, 1.0, 57.3), False),
-        ((1.0, -1.0, -1.0), False),
-    ],
-)
+@cases("""
+scale, trusted:
+  - [[1.0, 1.0, 1.0], true]
+  # In mm, in cm, in degrees, and mirrored.
+  - [[1000.0, 1000.0, 1.0], false]
+  - [[100.0, 100.0, 1.0], false]
+  - [[1.0, 1.0, 57.3], false]
+  - [[1.0, -1.0, -1.0], false]
+""")
 def test_returns_are_trusted_if_they_are_plausible(scale, trusted):
     generator = np.random.default_rng(5)
     returns = [
