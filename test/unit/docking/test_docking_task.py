@@ -142,26 +142,35 @@ def test_odometry_that_jumps_is_noticed(jump):
     check_ended(feed, DockingError.ODOMETRY_LOST)
 
 
-def test_gives_up_when_its_time_is_over():
-    feed = fed(time_limit=2.0)
-    check_ended(feed, DockingError.TIMED_OUT)
-    assert feed.task.result.message == "not docked after 2 s"
-
-
-def test_without_search_only_what_is_in_sight_counts():
-    check_ended(fed((1.0, 0.0, 3.0), search=False), DockingError.NOT_DETECTED, moved=0.0)
-
-
-def test_a_start_within_the_walls_is_not_valid():
-    sure = {"uncertainty": DockUncertainty(0.05, 0.02), "pose": PLAIN.dock}
-    check_ended(fed((3.0, 0.6, 0.0), sure), DockingError.NOT_VALID, moved=0.0)
-
-
-def test_a_docked_distance_from_where_the_marker_is_not_seen_is_refused_at_once():
-    feed = fed(dock_changes={"docked_distance": 0.2})
-    check_ended(feed, DockingError.NOT_VALID, moved=0.0)
-    assert feed.now < 0.2
-    assert "the nearest distance possible is 0.35 m" in feed.task.result.message
+@cases("""
+start, dock, settings, error, moved, said:
+  - [[1.0, 0.0, 0.0], {}, {time_limit: 2.0}, TIMED_OUT, null, not docked after 2 s]
+  # Only what is in sight counts.
+  - [[1.0, 0.0, 3.0], {}, {search: false}, NOT_DETECTED, 0.0, ""]
+  # Within the walls.
+  - - [3.0, 0.6, 0.0]
+    - {uncertainty: [0.05, 0.02], pose: [4.0, 0.0, 0.0]}
+    - {}
+    - NOT_VALID
+    - 0.0
+    - ""
+  # From where the marker is not seen.
+  - - [1.0, 0.0, 0.0]
+    - {docked_distance: 0.2}
+    - {}
+    - NOT_VALID
+    - 0.0
+    - the nearest distance possible is 0.35 m
+""")
+def test_what_ends_a_docking_before_it_has_found_the_marker(
+    start, dock, settings, error, moved, said
+):
+    if "uncertainty" in dock:
+        dock["uncertainty"] = DockUncertainty(*dock["uncertainty"])
+    feed = fed(start, dock, **settings)
+    check_ended(feed, DockingError[error], moved)
+    assert said in feed.task.result.message
+    assert moved is None or feed.now < 0.2 or not said
 
 
 def test_a_marker_that_vanishes_is_searched_again():
