@@ -1,6 +1,5 @@
 import contextlib
 import itertools
-import math
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -362,20 +361,25 @@ def test_simulated_time_follows_the_wall_clock(clock, factor):
         assert step == pytest.approx((clock.now - begin) * 1000 * factor, abs=1.0)
 
 
-def test_as_fast_as_it_goes(clock):
-    pace = Pace(0.0, clock)
-    assert pace.free
-    assert pace.due(12) == math.inf
-    assert pace.seconds_until(12) == 0.0
-
-
-def test_how_long_to_wait(clock):
-    pace = Pace(2.0, clock)
-    assert pace.seconds_until(100) == pytest.approx(0.05)
-    clock.now += 0.04
-    assert pace.seconds_until(100) == pytest.approx(0.01)
-    clock.now += 1.0
-    assert pace.seconds_until(100) == 0.0
+@cases("""
+factor, story:
+  # Wall seconds that pass, the step that time is at, the one that is due then, and how long to
+  # wait for the next (s).
+  # As fast as it goes.
+  - [0.0, [[0.0, 12, .inf, 0.0]]]
+  - [2.0, [[0.0, 100, 0, 0.05], [0.04025, 100, 80, 0.00975], [1.0, 100, 101, 0.0]]]
+  # A stall is not chased.
+  - [1.0, [[5.0, 0, 1, 0.0], [0.0105, 1, 10, 0.0]]]
+  # A small delay is made up for.
+  - [1.0, [[0.0995, 0, 99, 0.0]]]
+""")
+def test_what_is_due_and_how_long_to_wait(clock, factor, story):
+    pace = Pace(factor, clock)
+    assert pace.free == (factor == 0.0)
+    for seconds, step, due, wait in story:
+        clock.now += seconds
+        assert pace.seconds_until(step) == pytest.approx(wait)
+        assert pace.due(step) == due
 
 
 def test_a_restart_forgets_a_pause(clock):
@@ -385,20 +389,6 @@ def test_a_restart_forgets_a_pause(clock):
     assert pace.due(500) == 500
     clock.now += 0.0205
     assert pace.due(500) == 520
-
-
-def test_a_stall_is_not_chased(clock):
-    pace = Pace(1.0, clock)
-    clock.now += 5.0
-    assert pace.due(0) == 1
-    clock.now += 0.0105
-    assert pace.due(1) == 10
-
-
-def test_a_small_delay_is_made_up_for(clock):
-    pace = Pace(1.0, clock)
-    clock.now += 0.0995
-    assert pace.due(0) == 99
 
 
 @pytest.fixture
