@@ -127,21 +127,19 @@ def test_progress_is_along_the_side():
     assert driver.command((1.3, 2.6, 0.0))[0] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        (Square, {"sides": 0}),
-        (Square, {"side": 0.0}),
-        (Square, {"turn_speed": 0.0}),
-        (Square, {"turn_speed": True}),
-        (GoalLimits, {"acceleration": 0.0}),
-        (GoalLimits, {"tolerance": 0.005}),
-    ],
-)
+@cases("""
+kind, values:
+  - [square, {sides: 0}]
+  - [square, {side: 0.0}]
+  - [square, {turn_speed: 0.0}]
+  - [square, {turn_speed: true}]
+  - [goal, {acceleration: 0.0}]
+  - [goal, {tolerance: 0.005}]
+""")
 def test_what_cannot_be_driven_is_refused(kind, values):
     given = {f"~{name}": value for name, value in values.items()}
     with pytest.raises(ParameterError):
-        read_parameters(kind, given.get)
+        read_parameters({"square": Square, "goal": GoalLimits}[kind], given.get)
 
 
 @pytest.mark.parametrize("least", [Square(1, 0.02, 0.02, 0.02, 0), GoalLimits(*[0.02] * 8)])

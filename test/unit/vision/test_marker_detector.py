@@ -106,28 +106,6 @@ def test_range_without_gaps(yaw, farthest):
         assert ids_in(picture(view, noise=2.0)) == [0], distance
 
 
-SEVERAL = picture(
-    View(1.5),
-    marker(5, centre=(-0.3, 0.0)),
-    marker(5, size=0.25, centre=(-0.3, 0.3)),
-    marker(9, size=0.3, centre=(0.2, 0.0)),
-)
-NEGATIVE = picture(View(1.5, yaw=10.0), marker(3, black=220.0, white=20.0))
-
-
-@pytest.mark.parametrize(
-    "image, settings, found",
-    [
-        (SEVERAL, {}, [9, 5, 5]),  # largest first
-        (SEVERAL, {"ids": (9, 8)}, [9]),
-        (NEGATIVE, {}, []),
-        (NEGATIVE, {"inverted": True}, [3]),
-    ],
-)
-def test_only_what_was_asked_for_is_found(image, settings, found):
-    assert ids_in(image, **settings) == found
-
-
 def test_of_two_outlines_of_one_marker_the_likelier_stays():
     """As of a panel before a bright sky: its own outline, and that of its marker."""
     panel = Match(0, 100.0 + 27.0 * SQUARE, 2, 0.7)
@@ -202,21 +180,6 @@ def test_misread_cells_of_the_border_are_counted(monkeypatch):
 
 
 # Light
-
-
-@cases("""
-black, white, background, noise:
-  - [4.0, 18.0, 8.0, 0.5]  # dark
-  - [205.0, 255.0, 250.0, 1.0]  # bright
-  - [8.0, 35.0, 250.0, 0.5]  # back-lit
-  - [20.0, 220.0, 120.0, 12.0]  # noisy
-  - [90.0, 115.0, 100.0, 2.0]  # faint
-""")
-def test_light(black, white, background, noise):
-    for distance in (0.6, 2.5):
-        view, layer = View(distance, yaw=10.0, pitch=3.0), marker(black=black, white=white)
-        (found,) = found_in(picture(view, layer, background=background, noise=noise))
-        assert off_by(found, view) < 0.5
 
 
 def test_the_second_pass_is_made_only_where_nothing_was_found():

@@ -29,10 +29,12 @@ def cell(distance, degrees=0.0, world="docking", light="default"):
     return Cell(world, light, distance, math.radians(degrees))
 
 
-@pytest.mark.parametrize(
-    ("distance", "degrees", "place"),
-    [(1.0, 0.0, (3.0, 0.0, 0.44)), (2.0, 30.0, (4.0 - math.sqrt(3.0), 1.0, 0.44))],
-)
+@cases("""
+distance, degrees, place:
+  - [1.0, 0.0, [3.0, 0.0, 0.44]]
+  # 4 less the root of 3.
+  - [2.0, 30.0, [2.2679491924311228, 1.0, 0.44]]
+""")
 def test_a_bearing_is_seen_from_the_marker_and_the_camera_looks_back_at_it(
     distance, degrees, place
 ):
