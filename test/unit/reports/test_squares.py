@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of_figure
+from alike import assert_as_before, lines_of, lines_of_figure
 from recorded_paths import read_paths_csv
 from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.figures import new_figure, save
 from bullet_lab.core.files import FileError
-from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, read_tum
+from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.reports import Reading
 from bullet_lab.reports.squares import (
     SquaresReport,
@@ -54,43 +54,24 @@ def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
         assert path.stamps.tolist() == held.stamps.tolist()
 
 
-def test_finish_leaves_out_what_came_later(recording):
-    fill(recording)
-    assert recording.series["odom"].last == 20 * TICK
-    recording.finish(until=12 * TICK)
-    files = ("noisy_odom.tum", "odom.tum")
-    assert [len(read_tum(recording.folder / name)) for name in files] == [12, 12]
-    assert len(read_paths_csv(recording.folder / "paths.csv")[0]) == 12
-    assert len(recording.perfect()) == len(recording.pairs()[0]) == 12
-    assert {path.name for path in recording.folder.iterdir()} == {*files, "paths.csv"}
-
-
-def test_an_empty_recording(recording):
-    assert recording.perfect() is None
-    assert recording.pairs() is None
-    recording.finish()
-    assert lines(recording, "paths.csv") == [CSV_HEADER]
-    assert lines(recording, "odom.tum") == []
-    summary = recording.measured()
-    assert (summary["side_lengths_m"], summary["pairs"], summary["ape_rmse_m"]) == ([], 0, None)
-
-
-def test_the_summary_has_the_sides_and_the_errors(recording):
-    for number in range(1, 81):
-        pose = (0.0125 * number, 0.0, 0.0)
-        recording.take("odom", Reading(number * TICK, pose))
-        noisy = Reading(number * TICK, np.add(pose, (0.3, 0.4, 0.1)))
-        recording.take("noisy_odom", noisy)
-    summary = recording.measured()
-    assert summary["side_lengths_m"] == pytest.approx([0.9875])
-    expected = {
-        "path_length_m": 0.9875,
-        "final_error_m": 0.5,
-        "ape_rmse_m": 0.5,
-        "final_heading_error_deg": math.degrees(0.1),
-        "pairs": 80,
-    }
-    assert {name: summary[name] for name in expected} == pytest.approx(expected)
+def test_what_is_left_and_measured_is_as_before(tmp_path):
+    told = []
+    for name, until in (("empty", None), ("whole", None), ("cut off", 12 * TICK), ("driven", None)):
+        recording = SquaresReport(tmp_path / name)
+        if name in ("whole", "cut off"):
+            fill(recording)
+        for number in range(1, 81) if name == "driven" else ():
+            pose = (0.0125 * number, 0.0, 0.0)
+            recording.take("odom", Reading(number * TICK, pose))
+            noisy = Reading(number * TICK, np.add(pose, (0.3, 0.4, 0.1)))
+            recording.take("noisy_odom", noisy)
+        recording.finish(until)
+        for path in sorted(recording.folder.iterdir()):
+            told.append(f"{name}: {len(path.read_text().splitlines())} lines in {path.name}")
+        paths = recording.perfect(), *(recording.pairs() or ())
+        told += lines_of([path and len(path) for path in paths], f"{name}: poses")
+        told += lines_of(recording.measured(), name)
+    assert_as_before(told, Path(__file__).with_name("recorded.txt"))
 
 
 @cases("about, shown: [[{}, 1], [{as_published: true}, 0]]")

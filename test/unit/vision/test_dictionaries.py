@@ -59,7 +59,7 @@ def test_distances_are_those_in_the_names_of_the_tags():
         assert (dictionary.distance, dictionary.max_correction) == (distance, (distance - 1) // 2)
 
 
-@pytest.mark.parametrize("turns", range(4))
+@cases("turns: [0, 1, 2, 3]")
 def test_the_nearest_marker_however_turned_and_with_wrong_bits(turns):
     dictionary = dictionary_named("apriltag_36h10")
     pattern = dictionary.pattern(1234)[1:-1, 1:-1]

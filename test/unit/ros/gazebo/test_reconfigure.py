@@ -1,6 +1,5 @@
 """Settings as dynamic_reconfigure's generator would describe them."""
 
-import math
 from types import SimpleNamespace
 from unittest import mock
 
@@ -80,19 +79,17 @@ USUAL = {
 }
 
 
-@pytest.mark.parametrize(
-    "name, value, wrong",
-    [
-        ("D", [math.nan], "not finite"),
-        ("P", [math.inf] * 12, "not finite"),
-        ("D", [0.0] * 100_000, "at most 14"),
-        ("distortion_model", "x" * 10_000, "characters"),
-    ],
-)
-def test_a_calibration_has_numbers_and_a_usual_size(name, value, wrong):
+@cases("""
+name, value, times, wrong:
+  - [D, [.nan], 1, not finite]
+  - [P, [.inf], 12, not finite]
+  - [D, [0.0], 100000, at most 14]
+  - [distortion_model, x, 10000, characters]
+""")
+def test_a_calibration_has_numbers_and_a_usual_size(name, value, times, wrong):
     check_calibration(USUAL)
     with pytest.raises(InputError, match=wrong):
-        check_calibration({**USUAL, name: value})
+        check_calibration({**USUAL, name: times * value})
 
 
 def test_without_the_package_nothing_is_offered(monkeypatch):
