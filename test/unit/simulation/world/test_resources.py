@@ -1,4 +1,5 @@
 import pytest
+import yaml
 
 from bullet_lab.simulation.world import resources
 from bullet_lab.simulation.world.resources import (
@@ -43,37 +44,37 @@ def test_what_may_be_found(finder, files):
     assert finder.find("model:///tree") == files / "second/tree"
 
 
-@pytest.mark.parametrize(
-    ("uri", "message"),
-    [
-        ("", "no file is named"),
-        ("package://nix/a", "no ROS package 'nix'"),
-        ("package://pkg/../secret/s.stl", "leaves its folder"),
-        ("package://pkg/%2e%2e/secret/s.stl", "leaves its folder"),
-        ("package://pkg/meshes/link.stl", "leaves its folder"),
-        ("package://../secret/s.stl", "no ROS package"),
-        ("package://pkg/%00", "null (byte|character)|no such file"),
-        ("package://pkg/" + 300 * "a", "File name too long"),
-        ("../../secret/s.stl", "leaves its folder"),
-        ("/etc/passwd", "outside the folders"),
-        ("file:///etc/passwd", "outside the folders"),
-        ("FILE:///etc/passwd", "outside the folders"),
-        ("file://elsewhere/etc/passwd", "no such file"),
-        ("http://127.0.0.1:1/m.stl", "only package://"),
-        ("data:,x", "only package://"),
-        ("http://[", "Invalid IPv6"),
-        ("model://nix", "in none of the model folders"),
-        ("model://../secret/s.stl", "leaves its folder"),
-        ("model://car/../../secret/s.stl", "leaves its folder"),
-        # Whether a file outside exists is not told.
-        ("model://../secret/nix.stl", "leaves its folder"),
-        ("model://way_out/s.stl", "leaves its folder"),
-        ("model://pkg/../secret/s.stl", "leaves its folder"),
-        ("model://pkg/meshes/link.stl", "leaves its folder"),
-        ("model://pkg", "in none of the model folders"),
-        ("model://pkg/nix.stl", "in none of the model folders"),
-    ],
-)
+LONG = f"package://pkg/{300 * 'a'}", "File name too long"
+LOST = """
+- ['', no file is named]
+- [package://nix/a, no ROS package 'nix']
+- [package://pkg/../secret/s.stl, leaves its folder]
+- [package://pkg/%2e%2e/secret/s.stl, leaves its folder]
+- [package://pkg/meshes/link.stl, leaves its folder]
+- [package://../secret/s.stl, no ROS package]
+- [package://pkg/%00, null (byte|character)|no such file]
+- [../../secret/s.stl, leaves its folder]
+- [/etc/passwd, outside the folders]
+- [file:///etc/passwd, outside the folders]
+- [FILE:///etc/passwd, outside the folders]
+- [file://elsewhere/etc/passwd, no such file]
+- [http://127.0.0.1:1/m.stl, only package://]
+- ['data:,x', only package://]
+- ['http://[', Invalid IPv6]
+- [model://nix, in none of the model folders]
+- [model://../secret/s.stl, leaves its folder]
+- [model://car/../../secret/s.stl, leaves its folder]
+# Whether a file outside exists is not told.
+- [model://../secret/nix.stl, leaves its folder]
+- [model://way_out/s.stl, leaves its folder]
+- [model://pkg/../secret/s.stl, leaves its folder]
+- [model://pkg/meshes/link.stl, leaves its folder]
+- [model://pkg, in none of the model folders]
+- [model://pkg/nix.stl, in none of the model folders]
+"""
+
+
+@pytest.mark.parametrize("uri, message", [*yaml.safe_load(LOST), LONG])
 def test_what_may_not_be_found_is_one_line(finder, uri, message):
     with pytest.raises(ResourceError, match=message) as caught:
         finder.find(uri)

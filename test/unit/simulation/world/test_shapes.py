@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+import yaml
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.physics import SHAPES as BODIES
@@ -109,19 +110,19 @@ def bounds_of(tmp_path, beacon_text):
     return read
 
 
-@pytest.mark.parametrize(
-    ("name", "submesh", "centred", "bounds"),
-    [
-        ("m.dae", "beacon", False, [[-0.5, -0.25, 0], [0.5, 0.25, 2]]),
-        ("m.dae", "small", False, [[9.8, -0.1, -0.1], [10.2, 0.1, 0.1]]),
-        ("m.dae", "small", True, [[-0.2, -0.1, -0.1], [0.2, 0.1, 0.1]]),
-        ("m.dae", "other", False, [[-2, 2, -1], [2, 4, 1]]),
-        ("m.obj", "first one", False, [[0, 0, 0], [2, 1, 0]]),
-        ("m.obj", "second", False, [[10, 5, 5], [12, 6, 5]]),
-        ("m.obj", "second", True, [[-1, -0.5, 0], [1, 0.5, 0]]),
-        ("m.obj", "third", False, [[0, 0, 0], [10, 6, 5]]),
-    ],
-)
+SUBMESHES = """
+- [m.dae, beacon, false, [[-0.5, -0.25, 0], [0.5, 0.25, 2]]]
+- [m.dae, small, false, [[9.8, -0.1, -0.1], [10.2, 0.1, 0.1]]]
+- [m.dae, small, true, [[-0.2, -0.1, -0.1], [0.2, 0.1, 0.1]]]
+- [m.dae, other, false, [[-2, 2, -1], [2, 4, 1]]]
+- [m.obj, first one, false, [[0, 0, 0], [2, 1, 0]]]
+- [m.obj, second, false, [[10, 5, 5], [12, 6, 5]]]
+- [m.obj, second, true, [[-1, -0.5, 0], [1, 0.5, 0]]]
+- [m.obj, third, false, [[0, 0, 0], [10, 6, 5]]]
+"""
+
+
+@pytest.mark.parametrize("name, submesh, centred, bounds", yaml.safe_load(SUBMESHES))
 def test_a_part_of_a_file_by_the_name_of_its_node_object_or_group(
     bounds_of, caplog, name, submesh, centred, bounds
 ):
@@ -156,25 +157,28 @@ def test_indices_of_an_obj_that_count_back(load):
     assert triangles.vertices[triangles.faces].tolist() == [CORNERS]
 
 
+BAD = r"""
+e.dae: ['', not well-formed XML]
+e.stl: ['', no triangles]
+g.obj: [garbage, no triangles]
+one_of_two.obj: ["v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 4\n", finite]
+word.obj: ["v 0 0 x\nf 1 1 1\n", not a readable mesh]
+flat.obj: ["v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", a corner needs three coordinates]
+index.obj: ["v 0 0 0\nv 1 0 0\nf 1 2 99\n", not a readable mesh|unknown corner]
+back.obj: ["v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 -4\n", index -4 of 3]
+points.obj: ["v 0 0 0\nv 1 1 1\n", not a readable mesh]
+a.ply: [ply, 'unknown kind of mesh; use .dae, .stl, .obj']
+plain.dae: [<COLLADA/>, there is no scene]
+nix.stl: [null, No such file or directory$]
+nix.dae: [null, No such file or directory$]
+"""
 BAD = {
-    "e.dae": ("", "not well-formed XML"),
-    "e.stl": ("", "no triangles"),
-    "g.obj": ("garbage", "no triangles"),
+    **yaml.safe_load(BAD),
     "t.stl": (binary_stl(CORNERS)[:100], "neither a whole binary mesh nor text"),
     "count.stl": (binary_stl(CORNERS, count=9), "mesh"),
     "one_of_two.stl": (STL.format("2").replace("endsolid\n", STL.format("nan")[8:]), "finite"),
     "binary_nan.stl": (binary_stl([[0, 0, np.nan], [1, 0, 0], [0, 1, 0]]), "finite"),
-    "one_of_two.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 4\n", "finite"),
-    "word.obj": ("v 0 0 x\nf 1 1 1\n", "not a readable mesh"),
-    "flat.obj": ("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "a corner needs three coordinates"),
-    "index.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 99\n", "not a readable mesh|unknown corner"),
-    "back.obj": ("v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 -4\n", "index -4 of 3"),
-    "points.obj": ("v 0 0 0\nv 1 1 1\n", "not a readable mesh"),
-    "a.ply": ("ply", "unknown kind of mesh; use .dae, .stl, .obj"),
     "latin.dae": ("<ü/>".encode("latin-1"), "not UTF-8 text"),
-    "plain.dae": ("<COLLADA/>", "there is no scene"),
-    "nix.stl": (None, "No such file or directory$"),
-    "nix.dae": (None, "No such file or directory$"),
 }
 
 
@@ -194,22 +198,23 @@ def test_a_bad_mesh_is_one_line_that_names_the_file(load, tmp_path, name):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("<COLLADA ", '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><COLLADA ',
-         "document types and entities are refused"),
-        (MATRIX, MATRIX.replace("0.25", "wide"), "not a readable mesh"),
-        (MATRIX, MATRIX.replace("0.25", "nan"), "finite"),
-        ("0.991445 0.130526 -1", "nan 0.130526 -1", "a number is not finite"),
-        ("0.991445 0.130526 -1", "x 0.130526 -1", "not a readable mesh"),
-        ("48 49 78 ", "48 49 7800 ", "not a readable mesh"),
-        ("48 49 78 ", "-48 49 78 ", "a triangle has an unknown corner"),
-        ("triangles", "polygon_soup", "no triangles"),
-        ('url="#beacon-mesh"', 'url="#nix"', "no triangles"),
-        ('meter="1"', 'meter="long"', "<unit>: 'long' is not a finite number"),
-    ],
-)  # fmt: skip
+BROKEN = """
+- ['<COLLADA ', '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><COLLADA ', document types
+   and entities are refused]
+- [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, wide 0 0 0 0 wide 0 0 0 0 1 1 0 0 0 1, not a readable
+   mesh]
+- [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, nan 0 0 0 0 nan 0 0 0 0 1 1 0 0 0 1, finite]
+- [0.991445 0.130526 -1, nan 0.130526 -1, a number is not finite]
+- [0.991445 0.130526 -1, x 0.130526 -1, not a readable mesh]
+- ['48 49 78 ', '48 49 7800 ', not a readable mesh]
+- ['48 49 78 ', '-48 49 78 ', a triangle has an unknown corner]
+- [triangles, polygon_soup, no triangles]
+- [url="#beacon-mesh", url="#nix", no triangles]
+- [meter="1", meter="long", '<unit>: ''long'' is not a finite number']
+"""
+
+
+@pytest.mark.parametrize("old, new, message", yaml.safe_load(BROKEN))
 def test_a_broken_collada_file_is_one_line(load, beacon_text, tmp_path, old, new, message):
     assert old in beacon_text
     broken = beacon_text.replace(old, new)

@@ -1,8 +1,8 @@
 import pytest
+import yaml
 from control_robots import control_of, listen, run, spawn
 
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
-from bullet_lab.simulation.plugins.controllers.joints import EFFORT, VELOCITY
 from bullet_lab.simulation.plugins.samples import JointCommand, JointCommands
 
 STATES = {"type": "joint_state_controller/JointStateController"}
@@ -61,13 +61,13 @@ def test_a_position_is_reached_by_an_effort_and_told(world, manager):
 EFFORT_GAINS = {"p": 0.05, "i": 0.5, "i_clamp": 1.0}
 
 
-@pytest.mark.parametrize(
-    ("kind", "robot", "gains", "what"),
-    [
-        ("effort_controllers/JointVelocity", {"kind": "continuous"}, EFFORT_GAINS, "velocity"),
-        ("velocity_controllers/JointPosition", {"turntable": VELOCITY}, {"p": 10.0}, "position"),
-    ],
-)
+SINGLE = """
+- [effort_controllers/JointVelocity, {kind: continuous}, {p: 0.05, i: 0.5, i_clamp: 1.0}, velocity]
+- [velocity_controllers/JointPosition, {turntable: VelocityJointInterface}, {p: 10.0}, position]
+"""
+
+
+@pytest.mark.parametrize("kind, robot, gains, what", yaml.safe_load(SINGLE))
 def test_a_speed_by_an_effort_and_a_position_by_a_speed(world, kind, robot, gains, what):
     _, manager = spawn(world, **robot)
     controller = run(manager, "turn", type=f"{kind}Controller", pid=gains, **JOINT)
@@ -76,19 +76,14 @@ def test_a_speed_by_an_effort_and_a_position_by_a_speed(world, kind, robot, gain
     assert getattr(controller.joints[0], what) == pytest.approx(-1.0, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("kind", "interface", "gains", "what", "within"),
-    [
-        ("velocity_controllers/JointGroupVelocity", VELOCITY, {}, "velocity", 1e-3),
-        (
-            "effort_controllers/JointGroupPosition",
-            EFFORT,
-            {name: {"pid": {"p": 0.05, "d": 0.005}} for name in WHEELS},
-            "position",
-            0.02,
-        ),
-    ],
-)
+GROUPS = """
+- [velocity_controllers/JointGroupVelocity, VelocityJointInterface, {}, velocity, 0.001]
+- [effort_controllers/JointGroupPosition, EffortJointInterface, {left_wheel_joint: {pid: {p: 0.05,
+   d: 0.005}}, right_wheel_joint: {pid: {p: 0.05, d: 0.005}}}, position, 0.02]
+"""
+
+
+@pytest.mark.parametrize("kind, interface, gains, what, within", yaml.safe_load(GROUPS))
 def test_a_group_is_told_at_once(world, kind, interface, gains, what, within):
     _, manager = spawn(world, height=0.5, interface=interface)
     world.set_gravity((0.0, 0.0, 0.0))

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import yaml
 from arm_robots import NAMES, Sent, arm_controller, positions, spawn_arm, trajectory
 from control_robots import listen, run
 
@@ -8,7 +9,6 @@ from bullet_lab.simulation.plugins.controllers.trajectories import (
     INVALID_GOAL,
     INVALID_JOINTS,
     OFF_GOAL,
-    OFF_PATH,
     OLD_STAMP,
     Segment,
     spline,
@@ -18,7 +18,6 @@ from bullet_lab.simulation.plugins.samples import TrajectoryGoal
 GOAL = np.array([1.0, -0.6, 0.9, 0.4, -0.5, 2.0])
 NAN = float("nan")
 DEFAULT = {"path": {}, "goal": {}, "seconds": 0.0}
-QUINTIC = np.polynomial.Polynomial([0.0, 1.0, 1.0, 0.5, 0.1, -0.03])
 
 
 def arc(part):
@@ -26,20 +25,17 @@ def arc(part):
     return tuple(GOAL * (3.0 * part**2 - 2.0 * part**3)), tuple(GOAL * 3.0 * part * (1 - part))
 
 
-def state(seconds):
-    return tuple(QUINTIC.deriv(k)(seconds) if k else QUINTIC(seconds) for k in range(3))
+ENDS = """
+- [[1.0, null, null], [3.0, null, null], [2.0, 1.0, 0.0]]
+- [[1.0, 0.0, 0.0], [3.0, null, null], [2.0, 1.0, 0.0]]
+- [[1.0, 0.0, 5.0], [3.0, 0.0, null], [2.0, 1.5, 0.0]]
+- [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.875, 0.0]]
+# Of t + t² + 0.5 t³ + 0.1 t⁴ - 0.03 t⁵.
+- [[0.0, 1.0, 2.0], [10.64, 11.8, 8.0], [2.57, 4.75, 5.6]]
+"""
 
 
-@pytest.mark.parametrize(
-    ("one", "two", "middle"),
-    [
-        ((1.0, None, None), (3.0, None, None), (2.0, 1.0, 0.0)),
-        ((1.0, 0.0, 0.0), (3.0, None, None), (2.0, 1.0, 0.0)),
-        ((1.0, 0.0, 5.0), (3.0, 0.0, None), (2.0, 1.5, 0.0)),
-        ((1.0, 0.0, 0.0), (3.0, 0.0, 0.0), (2.0, 1.875, 0.0)),
-        (state(0.0), state(2.0), state(1.0)),
-    ],
-)
+@pytest.mark.parametrize("one, two, middle", yaml.safe_load(ENDS))
 def test_a_spline_is_as_smooth_as_its_ends_are_known(one, two, middle):
     segment = Segment(4.0, 6.0, spline(one, two, 2.0), 0.0)
     assert segment.at(5.0) == pytest.approx(middle)
@@ -94,22 +90,18 @@ def test_invalid_goals_are_rejected(world, content, code, text):
     assert positions(controller) == pytest.approx([0.0] * 6, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("point", "tolerances", "code", "text"),
-    [
-        # 3 rad/s are allowed.
-        ((0.3, 1.8), {}, OFF_PATH, "'shoulder_pan_joint': path error in position is 0.1"),
-        ((0.3, 1.8), {"path": {NAMES[1]: (0.5, 0.9)}}, OFF_PATH, "velocity is 6; allowed are 0.9"),
-        # The limits are 3.1 rad.
-        ((2.0, 3.3, 0.0), {}, OFF_PATH, "path error in position is 0.1"),
-        (
-            (2.0, (3.3, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0),
-            {"path": {NAMES[0]: (-1.0, 0.0)}, "seconds": 0.2},
-            OFF_GOAL,
-            "'shoulder_pan_joint': goal error in position is 0.2; allowed are 0.02",
-        ),
-    ],
-)
+VIOLATED = """
+# 3 rad/s are allowed.
+- [[0.3, 1.8], {}, -4, '''shoulder_pan_joint'': path error in position is 0.1']
+- [[0.3, 1.8], {path: {shoulder_lift_joint: [0.5, 0.9]}}, -4, velocity is 6; allowed are 0.9]
+# The limits are 3.1 rad.
+- [[2.0, 3.3, 0.0], {}, -4, path error in position is 0.1]
+- [[2.0, [3.3, 0, 0, 0, 0, 0], 0.0], {path: {shoulder_pan_joint: [-1, 0]}, seconds: 0.2}, -5,
+   '''shoulder_pan_joint'': goal error in position is 0.2; allowed are 0.02']
+"""
+
+
+@pytest.mark.parametrize("point, tolerances, code, text", yaml.safe_load(VIOLATED))
 def test_a_violated_tolerance_is_named(world, point, tolerances, code, text):
     controller = arm_controller(world)
     content = TrajectoryGoal(trajectory(point), **{**DEFAULT, **tolerances})
