@@ -32,10 +32,14 @@ def test_a_light_may_be_spawned():
     assert read_spawned(sdf(f'{light}<model name="m">{link()}</model>'), "s").name == "m"
 
 
-@pytest.mark.parametrize(
-    ("world", "pose", "height"),
-    [(True, "", 0.0), (True, "<pose>0 0 2 0 0 0</pose>", 2.0), (False, "", 0.5)],
-)
+POSES = """
+- [true, '', 0.0]
+- [true, <pose>0 0 2 0 0 0</pose>, 2.0]
+- [false, '', 0.5]
+"""
+
+
+@pytest.mark.parametrize("world, pose, height", yaml.safe_load(POSES))
 def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, pose, height):
     (tmp_path / "thing.sdf").write_text(model("<pose>0 0 0.5 0 0 0</pose>" + link()))
     inside = include(f"<uri>thing.sdf</uri>{pose}")

@@ -50,11 +50,10 @@ hardware:
   virtual_front_steers: [fr_steering, fl_steering]
   wheel_separation_h: 0.5
   wheel_separation_w: 0.4
-forks: {fork: PositionJointInterface, kind: revolute}
 car: {kind: revolute, rear: fixed, fork: none, axle: none}
 fast: {linear_acceleration_limit: -1.0, yaw_acceleration_limit: -1.0}
 """)
-BASE, FORKS, FAST = (KNOWN[name] for name in ("base", "forks", "fast"))
+BASE, FAST = KNOWN["base"], KNOWN["fast"]
 
 
 def start(world, given, parameters=None, **robot):
@@ -114,76 +113,8 @@ def test_it_drives_as_commanded_and_reports_it(world, given, robot, velocity):
     assert (last.vx, last.vy, last.wz) == pytest.approx(velocity, abs=0.02)
 
 
-def speeds(world, given, velocity, seconds, before=(0.0, 0.0, 0.0), **robot):
-    """Return the controller and its speed after a time since a command that follows another one."""
-    _, controller = start(world, {**given, "cmd_vel_timeout": 60.0}, **robot)
-    for command, duration in ((before, 2.0), (velocity, seconds)):
-        controller.command(PlanarCommand(*command))
-        world.run_for(duration)
-    last = controller._last
-    return last.vx, last.vy, last.wz
-
-
-LIMITS = """
-- [{}, [0, 0, 0], [0.3, 0.4, 0], 0.2, [0.12, 0.16, 0]]
-- [{}, [0, 0, 0], [0, 0, -0.5], 0.2, [0, 0, -0.2]]
-# Shrinking has no limit by default, and stops at 0 on the way to another direction.
-- [{}, [0.4, 0, 0.4], [-0.4, 0, -0.4], 0.201, [-0.2, 0, -0.2]]
-- [{}, [0, 0, 0], [3, 4, 0], 2.0, [0.6, 0.8, 0]]
-- [{linear_speed_limit: 0.5}, [0, 0, 0], [0, 2, 0], 1.0, [0, 0.5, 0]]
-- [{yaw_speed_limit: 0.1}, [0, 0, 0], [0, 0, 2], 1.0, [0, 0, 0.1]]
-- [{linear_speed_limit: -1, linear_acceleration_limit: -1.0, yaw_acceleration_limit: -1.0}, [0, 0,
-   0], [3, 0, 0], 0.01, [3, 0, 0]]
-- [{linear_deceleration_limit: 0.5}, [0.4, 0, 0], [0, 0, 0], 0.2, [0.3, 0, 0]]
-- [{yaw_deceleration_limit: 0.5}, [0, 0, 0.4], [0, 0, -0.4], 0.2, [0, 0, 0.3]]
-"""
-
-
-@pytest.mark.parametrize("limits, before, velocity, seconds, reached", yaml.safe_load(LIMITS))
-def test_limits(world, limits, before, velocity, seconds, reached):
-    found = speeds(world, {**BASE, **limits}, velocity, seconds, before)
-    assert found == pytest.approx(reached, abs=2e-3)
-
-
-def test_it_goes_back_without_turning_its_forks(world):
-    _, controller = start(world, {**BASE, **FAST, "cmd_vel_timeout": 0})
-
-    def forks_after(vy):
-        controller.command(PlanarCommand(vy=vy))
-        world.run_for(1.0)
-        joints = {joint.name: joint for joint in controller.joints}
-        rates = [joints[f"{name}_axle"].velocity for name in PLACES]
-        assert rates == pytest.approx([vy / RADIUS] * 4, abs=0.05)
-        return [joints[f"{name}_steering"].position for name in PLACES]
-
-    before = forks_after(0.3)
-    assert before == pytest.approx([0.5 * math.pi] * 4, abs=0.02)
-    assert forks_after(-0.3) == pytest.approx(before, abs=0.02)
-    assert forks_after(0.0) == pytest.approx(before, abs=0.02)
-
-
-TOPICS = """
-- [base, [0.2, 0, 0], {}, 59, 0.08, [/drive/odom, /tf, /odom]]
-- [four, [0, 0, 0.5], {fork: PositionJointInterface, kind: revolute}, 99, 0.0, [/drive/odom, /tf]]
-"""
-
-
-@pytest.mark.parametrize("given, velocity, robot, count, way, topics", yaml.safe_load(TOPICS))
-def test_topics_and_frames(world, given, velocity, robot, count, way, topics):
-    instance, controller = start(world, KNOWN[given], **robot)
-    assert [output.topic for output in controller.outputs] == topics
-    samples = [listen(output) for output in controller.outputs]
-    controller.inputs[-1].handle(PlanarCommand(*velocity))
-    # Without a further command it stops after half a second.
-    world.run_for(2.0)
-    x, y, _ = instance.pose().position
-    assert math.hypot(x, y) == pytest.approx(way, abs=0.03)
-    assert instance.pose().yaw == pytest.approx(0.0, abs=0.02)
-    last = [one[-1] for one in samples]
-    assert len(samples[0]) == count
-    assert {one.frame for one in last} == {"odom"}
-    assert {one.child_frame for one in last} == {"base_link"}
-    assert last[-1].pose == last[0].pose
+def test_a_command_that_is_not_finite_is_refused(world):
+    _, controller = start(world, BASE)
     with pytest.raises(ControlError, match="not finite"):
         controller.command(PlanarCommand(vy=math.nan))
 

@@ -6,10 +6,7 @@ from control_robots import listen, run
 
 from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.trajectories import (
-    INVALID_GOAL,
-    INVALID_JOINTS,
     OFF_GOAL,
-    OLD_STAMP,
     Segment,
     spline,
 )
@@ -65,24 +62,27 @@ def test_an_arm_follows_ten_points(world, kind):
     assert positions(controller) == pytest.approx(GOAL, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("content", "code", "text"),
-    [
-        (trajectory((1.0, 0.5), joints=NAMES[:5]), INVALID_JOINTS, "needed are shoulder_pan_joint"),
-        (trajectory()._replace(joints=()), INVALID_JOINTS, "it names no joints"),
-        (trajectory((1.0, 0.5), joints=("tail",)), INVALID_JOINTS, "it names tail"),
-        (trajectory((1.0, 0.5), joints=NAMES[:5] * 2), INVALID_JOINTS, "needed are"),
-        (trajectory((1.0, (0.5,))), INVALID_GOAL, "point 1 of 1 has 1/0/0 positions"),
-        (trajectory((1.0, ())), INVALID_GOAL, "0/0/0 positions/velocities/accelerations for 6"),
-        (trajectory((1.0, 0.5, NAN)), INVALID_GOAL, "point 1 of 1 is not finite"),
-        (trajectory((1.0, 0.5), (1.0, 0.6)), INVALID_GOAL, "point 2 of 2: 1 s comes after 1 s"),
-        (trajectory((0.0, 0.5)), INVALID_GOAL, "all points are past: the last stamp"),
-        (trajectory((0.1, 0.5), start=1e-9), OLD_STAMP, "was 0.410 s ago"),
-    ],
-)
-def test_invalid_goals_are_rejected(world, content, code, text):
+JOINTS = {"all": NAMES, "five": NAMES[:5], "none": (), "tail": ("tail",), "twice": NAMES[:5] * 2}
+# Points, of which joints, from when on, the code and what is said.
+INVALID = """
+- [[[1.0, 0.5]], five, 0, -2, needed are shoulder_pan_joint]
+- [[], none, 0, -2, it names no joints]
+- [[[1.0, 0.5]], tail, 0, -2, it names tail]
+- [[[1.0, 0.5]], twice, 0, -2, needed are]
+- [[[1.0, [0.5]]], all, 0, -1, point 1 of 1 has 1/0/0 positions]
+- [[[1.0, []]], all, 0, -1, 0/0/0 positions/velocities/accelerations for 6]
+- [[[1.0, 0.5, .nan]], all, 0, -1, point 1 of 1 is not finite]
+- [[[1.0, 0.5], [1.0, 0.6]], all, 0, -1, 'point 2 of 2: 1 s comes after 1 s']
+- [[[0.0, 0.5]], all, 0, -1, 'all points are past: the last stamp']
+- [[[0.1, 0.5]], all, 1.0e-9, -3, was 0.410 s ago]
+"""
+
+
+@pytest.mark.parametrize("points, joints, since, code, text", yaml.safe_load(INVALID))
+def test_invalid_goals_are_rejected(world, points, joints, since, code, text):
     controller = arm_controller(world)
     world.run_for(0.5)
+    content = trajectory(*points, joints=JOINTS[joints], start=since)
     goal = Sent(controller, content, world, 0.01)
     assert goal.states == ["rejected"]
     assert goal.result[0] == code
