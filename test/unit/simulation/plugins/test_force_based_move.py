@@ -1,4 +1,3 @@
-
 import pytest
 from sensor_worlds import drive, record
 

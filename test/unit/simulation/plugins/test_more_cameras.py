@@ -158,7 +158,6 @@ def radius(kind, angle, fov, c2=1.0, c3=0.0):
     return raw(angle) / raw(0.5 * fov)
 
 
-CUSTOM = "<custom_function><c1>1.05</c1><c2>4</c2><f>1</f><fun>tan</fun></custom_function>"
 WIDTH = 401
 
 

@@ -8,7 +8,7 @@ from sensor_worlds import drive, record
 
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
-LENGTH, RADIUS = 0.6, 0.1
+LENGTH = 0.6
 
 
 @pytest.fixture

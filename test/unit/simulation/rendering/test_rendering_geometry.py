@@ -1,6 +1,5 @@
 """Where corners are seen, what a view ends at, and what a lens shows."""
 
-
 import cv2
 import numpy as np
 import pytest

@@ -122,9 +122,6 @@ def test_pictures_beside_the_meshes_of_a_model_and_in_its_package(tmp_path, mode
     assert (read_pixels(surface.look[1].texture) == COLOURS[1]).all()
 
 
-MTL = "newmtl face\nmap_Kd {}\n"
-
-
 UNREADABLE = r"""
 - [p.mtl, "newmtl face\nmap_Kd nix.png\n", 'p.mtl: .*nix.png']
 - [p.mtl, "newmtl face\nmap_Kd ../secret.png\n", 'p.mtl: .*leaves its folder']

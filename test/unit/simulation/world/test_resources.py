@@ -86,8 +86,9 @@ def test_what_may_be_found_and_what_not_are_as_before(finder, files):
     told = []
     for uri in yaml.safe_load(URIS):
         there = uri.replace("ELSEWHERE", "/home/student/catkin_ws/src/pkg")
+        there = there.replace("HERE", str(files))
         try:
-            said = f'{uri}: {finder.find(there.replace("HERE", str(files))).resolve()}'
+            said = f"{uri}: {finder.find(there).resolve()}"
         except ResourceError as error:
             said = str(error)
         told.append(said.replace(str(files), "HERE"))
