@@ -216,11 +216,12 @@ run_quietly() {
 # ---- Debian packages ----
 
 missing_of() {
-  local installed
+  local states name
   (($#)) || return 0
-  installed=$(dpkg-query -W -f '${Package} ${db:Status-Status}\n' "$@" 2>/dev/null || true)
-  comm -23 <(printf '%s\n' "$@" | sort -u) \
-    <(awk '$2 == "installed" {print $1}' <<<"$installed" | sort -u)
+  states=$(dpkg-query -W -f '${Package} ${db:Status-Status}\n' "$@" 2>/dev/null || true)
+  for name in "$@"; do
+    [[ $'\n'$states$'\n' == *$'\n'"$name installed"$'\n'* ]] || echo "$name"
+  done
 }
 
 # Fails instead of waiting for a password if there is no terminal.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from shared import BLOCK_ROBOT, EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
@@ -111,16 +112,19 @@ def test_a_removed_robot_is_silent(world, robot):
     assert samples == []
 
 
-@pytest.mark.parametrize(
-    ("pose", "message"),
-    [
-        (Pose((0, math.inf, 0)), "its pose is not finite"),
-        (Pose((0, 0, 0), (0, 0, math.nan, 1)), "its pose is not finite"),
-        (Pose((0, 0, 0), (0, 0, 0, 2)), "a quaternion of length 2; needs 1"),
-        (Pose((0, -1e7, 0)), "its position exceeds 1e\\+06 m"),
-    ],
-)
-def test_impossible_poses_leave_the_simulation_unharmed(world, robot, pose, message):
+POSES = r"""
+- [[0, .inf, 0], [0, 0, 0, 1], its pose is not finite]
+- [[0, 0, 0], [0, 0, .nan, 1], its pose is not finite]
+- [[0, 0, 0], [0, 0, 0, 2], a quaternion of length 2; needs 1]
+- [[0, -1.0e+7, 0], [0, 0, 0, 1], its position exceeds 1e\+06 m]
+"""
+
+
+@pytest.mark.parametrize("position, quaternion, message", yaml.safe_load(POSES))
+def test_impossible_poses_leave_the_simulation_unharmed(
+    world, robot, position, quaternion, message
+):
+    pose = Pose(tuple(position), tuple(quaternion))
     count, before = bodies(world), robot.state()
     with pytest.raises(SimulationError, match=f"^model 'cube': {message}"):
         world.add(thing(), pose=pose)

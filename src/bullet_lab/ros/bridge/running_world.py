@@ -28,7 +28,7 @@ from bullet_lab.ros.messages.poses import pose_message, set_time
 from bullet_lab.ros.node.lock_step import BatchPublisher, Publisher
 from bullet_lab.ros.node.node import TF_PREFIX, search_parameter
 from bullet_lab.simulation.plugins import NAMESPACE
-from bullet_lab.simulation.plugins.samples import OdometrySample
+from bullet_lab.simulation.plugins.mobile_base import MobileBase
 from bullet_lab.simulation.simulation import ModelInstance, Simulation
 from bullet_lab.simulation.world.description import Model, Plane
 
@@ -231,7 +231,7 @@ class OdometryFrames:
             (name, device.frames[0], getattr(device, "origin", Pose()))
             for name, instance in self._world.models.items()
             for device in instance.plugins
-            if any(output.kind is OdometrySample for output in device.outputs)
+            if isinstance(device, MobileBase)
         ]
         if frames != self._frames:
             self._frames = frames

@@ -130,21 +130,21 @@ class SpeedWatch:
 
 
 class TimeGate:
-    """Keeps the grants of the lock step's members; time starts when all `expected` have joined.
-
-    Other threads add and remove members meanwhile, so each method copies the grants at once.
-    """
+    """Keeps the grants of the lock step's members; time starts when all `expected` have joined."""
 
     def __init__(self, expected: Iterable[str]):
         self._granted: dict[str, float] = dict.fromkeys(expected, NOT_YET)
+        self._lock = threading.Lock()
 
     def grant(self, member: str, step: float) -> None:
         """Set the step up to which a member lets time advance; a new member joins."""
-        self._granted[member] = step
+        with self._lock:
+            self._granted[member] = step
 
     def leave(self, member: str) -> None:
         """Remove a member."""
-        self._granted.pop(member, None)
+        with self._lock:
+            self._granted.pop(member, None)
 
     def has_joined(self, member: str) -> bool:
         """Return whether a member has joined and has not left."""
@@ -152,19 +152,22 @@ class TimeGate:
 
     def limit(self) -> float:
         """Return the step up to which time may advance; NOT_YET while members are missing."""
-        return min(list(self._granted.values()), default=FOR_EVER)
+        with self._lock:
+            return min(self._granted.values(), default=FOR_EVER)
 
     def holding(self) -> tuple[str, ...]:
         """Return the members that hold time back: the missing ones, or those of the least grant."""
-        granted = list(self._granted.items())
-        least = min((step for _, step in granted), default=FOR_EVER)
-        return tuple(sorted(name for name, step in granted if step == least != FOR_EVER))
+        with self._lock:
+            least = min(self._granted.values(), default=FOR_EVER)
+            late = (member for member, step in self._granted.items() if step == least != FOR_EVER)
+            return tuple(sorted(late))
 
     def restart(self, step: int = 0) -> None:
         """Reduce all grants to a step, except for those without an end."""
-        for member, granted in list(self._granted.items()):
-            if granted != FOR_EVER:
-                self._granted[member] = min(step, granted)
+        with self._lock:
+            for member, granted in self._granted.items():
+                if granted != FOR_EVER:
+                    self._granted[member] = min(step, granted)
 
 
 class StepperError(LabError):

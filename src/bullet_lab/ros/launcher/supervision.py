@@ -158,7 +158,7 @@ class Launch:
         self._server = server
         self._config = _load(job.path, values)
         self._required = {node.name for node in self._config.nodes if node.required}
-        self._others = _others_than_writers(self._config)
+        self._others = others_than_writers(self._config)
         # At the end of a required node, roslaunch would shut down, and lose track of nodes
         # that it is about to start.
         for node in self._config.nodes:
@@ -265,7 +265,7 @@ class Launch:
         return judge(self._deaths, count, self._required, has_summary(), stopped_by)
 
 
-def _others_than_writers(config: roslaunch.config.ROSLaunchConfig) -> set[str]:
+def others_than_writers(config: roslaunch.config.ROSLaunchConfig) -> set[str]:
     """Return the nodes that end when the results are complete; none if nobody is told to write."""
     nodes = {rosgraph.names.ns_join(node.namespace, node.name): node for node in config.nodes}
     told = {name for name in nodes if f"{name}/out" in config.params}

@@ -94,6 +94,8 @@ def run_node(
         elif isinstance(error, (LabError, rospy.ROSInitException)):
             is_parameter = isinstance(error, ParameterError)
             _end(name, error, STATUS_BAD_PARAMETER if is_parameter else STATUS_CANNOT_GO_ON)
+        elif isinstance(error, MASTER_ERRORS) and not rosgraph.is_master_online():
+            _end(name, "the ROS master is gone", STATUS_CANNOT_GO_ON)
         else:
             raise
     finally:

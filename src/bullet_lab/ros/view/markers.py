@@ -174,7 +174,8 @@ class MarkersDisplay(Display):
 
     def _node(self, key: Key) -> str:
         namespace, number = key
-        return f"{self.name}/{namespace or '_'}/{number}"
+        # Removed nodes take along all below them: 'a/3' is no node below marker 3 of 'a'.
+        return f"{self.name}/{namespace or '_'}/#{number}"
 
     def _show(self, key: Key, marker: Marker) -> None:
         if self.is_hidden(marker):

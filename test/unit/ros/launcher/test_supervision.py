@@ -2,6 +2,7 @@
 
 import os
 import signal
+from types import SimpleNamespace
 from unittest import mock
 
 import pytest
@@ -9,7 +10,7 @@ from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher import supervision
-from bullet_lab.ros.launcher.supervision import Verdict, judge
+from bullet_lab.ros.launcher.supervision import Verdict, judge, others_than_writers
 
 
 def judged(deaths, has_summary=True, stopped_by=None):
@@ -41,6 +42,22 @@ def test_how_a_run_ends(deaths, summary, signal_name, status, reason):
 def test_run_goes_on_until_a_required_node_ends():
     assert judged({}) is None
     assert judged({"drive": 0}) is None
+
+
+def test_nodes_that_do_not_write_the_results_end_when_these_are_complete():
+    nodes = [
+        SimpleNamespace(namespace="/", name=name, required=required, respawn=respawn)
+        for name, required, respawn in (
+            ("plot", True, False),
+            ("bridge", True, False),
+            ("record", False, False),
+            ("rviz", False, True),
+        )
+    ]
+    told = SimpleNamespace(nodes=nodes, params={"/plot/out": "", "/record/out": ""})
+    assert others_than_writers(told) == {"/bridge", "/record"}
+    # Nobody would be left whose end is the end of the job.
+    assert others_than_writers(SimpleNamespace(nodes=nodes, params={})) == set()
 
 
 def test_all_nodes_ended_without_a_required_one():

@@ -44,6 +44,23 @@ spin()
 print(signals.number)
 """
 
+# The connection to the master breaks in the middle of a call, before the watch notices.
+LOST = """
+from bullet_lab.ros.node import node
+online = iter((True, False))
+node.rosgraph.is_master_online = lambda: next(online)
+node.rospy.init_node = lambda *words, **options: None
+node._watch_master = node._leave_master = lambda *_: None
+def body():
+    raise ConnectionResetError(104, "Connection reset by peer")
+node.run_node("thing", body)
+"""
+
+
+def test_a_call_that_the_end_of_the_master_breaks_is_one_line():
+    run = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stderr) == (1, "thing: the ROS master is gone\n")
+
 
 def test_a_signal_that_another_thread_gets_ends_a_node_that_only_listens():
     run = subprocess.run(

@@ -17,8 +17,10 @@ class Node:
         self.__dict__[name] = value
 
     def remove(self):
+        # As viser's, with all nodes below it.
         if self.nodes.get(self.name) is self:
-            del self.nodes[self.name]
+            for name in [name for name in self.nodes if f"{name}/".startswith(f"{self.name}/")]:
+                del self.nodes[name]
 
 
 class Scene:

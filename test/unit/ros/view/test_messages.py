@@ -1,6 +1,7 @@
 """What displays make of the bytes of messages."""
 
 import cmath
+from copy import deepcopy
 from pathlib import Path as FilePath
 from types import SimpleNamespace
 
@@ -134,6 +135,24 @@ def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(monkeypatch, s
     MarkersDisplay(DisplayContext(scene), "/boxes").tick()
     (node,) = scene.nodes.values()
     assert node.batched_colors.tolist() == [[255, 128, 0]] * 3
+
+
+def test_a_marker_that_goes_takes_no_other_along(monkeypatch, scene):
+    label = Marker(type=Marker.TEXT_VIEW_FACING, text="there")
+    label.color.a = label.scale.z = label.pose.orientation.w = 1.0
+    first, gone, other = (deepcopy(label) for _ in range(3))
+    first.ns, first.id = gone.ns, gone.id = "a", 3
+    other.ns = "a/3"
+    gone.action = Marker.DELETE
+    sets = iter([[read_marker(first), read_marker(other)], [read_marker(gone)]])
+    subscription = SimpleNamespace(take=lambda: [next(sets)])
+    monkeypatch.setattr(displays, "Subscription", lambda *arguments, **options: subscription)
+    display = MarkersDisplay(DisplayContext(scene), "/labels")
+    display.tick()
+    assert len(scene.nodes) == 2
+    display.tick()
+    (left,) = scene.nodes
+    assert "a/3" in left
 
 
 @pytest.mark.parametrize(

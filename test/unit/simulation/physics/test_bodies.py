@@ -355,9 +355,14 @@ def feet(shape, **properties):
 WIDE = even_inertia(2.0, 0.2)
 
 
-@pytest.mark.parametrize(
-    ("meshed", "friction", "others"), [(False, 0.2, 1.0), (True, 0.5, 0.05), (True, 0.2, 0.2)]
-)
+HELPERS = """
+- [false, 0.2, 1.0]
+- [true, 0.5, 0.05]
+- [true, 0.2, 0.2]
+"""
+
+
+@pytest.mark.parametrize("meshed, friction, others", yaml.safe_load(HELPERS))
 def test_a_helper_stands_and_slides_as_its_shape_alone(hall, cube, meshed, friction, others):
     """A body that stands on the seventeenth of its shapes, on a floor with friction 1.
 

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from sensor_worlds import box, record, thing
 
 from bullet_lab.core.pose import Pose
@@ -113,16 +114,16 @@ def test_shapes_of_one_link_are_told_apart(world):
     assert hit.positions[0] == pytest.approx((0.141, 0, 0.1), abs=3e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "watched"),
-    [
-        ("base_fixed_joint_lump__nose_collision_1", False),
-        ("nose_collision", False),
-        ("nose", False),
-        ("base_collision", True),
-        ("base", True),
-    ],
-)
+WATCHED = """
+- [base_fixed_joint_lump__nose_collision_1, false]
+- [nose_collision, false]
+- [nose, false]
+- [base_collision, true]
+- [base, true]
+"""
+
+
+@pytest.mark.parametrize("name, watched", yaml.safe_load(WATCHED))
 def test_only_the_named_shapes_are_watched(world, name, watched, caplog):
     assert bool(run(world, bumper([name]))[0][-1].contacts) == watched
     # Of the others, Gazebo would report nothing.

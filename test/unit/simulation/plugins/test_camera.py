@@ -4,6 +4,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import yaml
 from picture_worlds import checkers, plate, simulation_of, thing, write_plate
 from sensor_worlds import record, steps
 
@@ -104,13 +105,13 @@ def test_nothing_is_drawn_for_nobody(wall, monkeypatch):
     assert len(drawn) == 3
 
 
-@pytest.mark.parametrize(
-    ("name", "encoding", "levels"),
-    [
-        ("B8G8R8", "bgr8", LEVELS[::-1]),
-        ("L8", "mono8", 0.299 * 128 + 0.587 * 102 + 0.114 * 76),
-    ],
-)
+FORMATS = """
+- [B8G8R8, bgr8, [76, 102, 128]]
+- [L8, mono8, 106.81]
+"""
+
+
+@pytest.mark.parametrize("name, encoding, levels", yaml.safe_load(FORMATS))
 def test_formats(wall, name, encoding, levels):
     robot, _ = add(wall, format=name)
     images = record(robot, "image_raw")

@@ -104,24 +104,6 @@ def test_the_defaults_are_gazebos(world, model):
     assert speeds(robot) == pytest.approx(expected, rel=5e-3)
 
 
-def test_the_legacy_mode_changes_nothing_as_in_noetic(world, spawn):
-    assert drive(world, spawn(legacyMode="true"), 0.3, wz=0.5).yaw > 0.1
-
-
-def test_the_acceleration_limit_on_the_floor(world, spawn):
-    robot = spawn(wheelAcceleration="0.5")
-    # The speed given at the update before is reached by now.
-    for target, seconds, expected in (
-        (0.3, 0.05, 0.0),
-        (0.3, 0.3, 0.15),
-        (0.3, 1.0, 0.3),
-        (-0.1, 0.35, 0.15),
-        (-0.1, 1.0, -0.1),
-    ):
-        drive(world, robot, seconds, vx=target)
-        assert speeds(robot) == pytest.approx([expected] * 2, abs=1e-3)
-
-
 def on_a_slope(world, spawn, torque):
     """Return a robot that 9.85 N have pulled ahead for 1.2 s, and where it was after 0.2 s."""
     robot = spawn(wheelTorque=torque)
@@ -172,24 +154,6 @@ def test_odometry_of_the_world(world, spawn):
     assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 
 
-@pytest.mark.parametrize(
-    "tags",
-    [
-        {"publishTf": "0", "publishOdomTF": "1", "publishWheelTF": "1"},
-        {"publishOdomTF": "false", "wheelAcceleration": "1"},
-    ],
-)
-def test_odometry_comes_without_transforms_too(world, spawn, tags):
-    robot = spawn(**tags)
-    samples = record(robot, "odom")
-    (device,) = robot.plugins
-    assert [output.topic for output in device.outputs] == ["odom"]
-    # Even those that others overrule are read.
-    assert device.mount.unread_tags() == ()
-    world.run_for(0.1)
-    assert len(samples) == 2
-
-
 # The encoders
 
 
@@ -222,19 +186,6 @@ def test_encoders_count_what_slips_on_a_slippery_floor(world, spawn):
     assert robot.pose().position[0] == pytest.approx(-true, rel=0.05)
     assert samples[-1].pose.position[0] == pytest.approx(-0.95, abs=0.02)
     assert samples[-1].velocity.vx == pytest.approx(-1.0, abs=0.01)
-
-
-def test_each_wheel_may_be_believed_to_have_a_diameter_of_its_own(world, spawn):
-    tags = {"leftWheelDiameter": "0.25", "rightWheelDiameter": "0.3"}
-    robot = spawn(odometrySource="encoder", **tags)
-    samples = record(robot, "odom")
-    drive(world, robot, 1.5, vx=0.3)
-    left, right = (wheel.state() for wheel in robot.plugins[0].wheels)
-    assert (left.velocity, right.velocity) == pytest.approx((0.3 / 0.125, 0.3 / 0.15), rel=1e-3)
-    velocity = samples[-1].velocity
-    assert (velocity.vx, velocity.wz) == pytest.approx((0.3, 0.0), abs=1e-3)
-    # The wheels are equal, so that the robot turns to the side of the slower one.
-    assert robot.pose().yaw < -0.1
 
 
 def test_encoders_start_where_the_robot_starts_and_notice_no_lift(world, spawn):

@@ -5,6 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
+import yaml
 from picture_worlds import simulation_of, thing
 from sensor_worlds import carrier, record, saved_again, sensor, steps
 from shared import complains
@@ -157,21 +158,21 @@ def radius(kind, angle, fov, c2=1.0, c3=0.0):
     return raw(angle) / raw(0.5 * fov)
 
 
-CUSTOM = "<custom_function><c1>1.05</c1><c2>4</c2><f>1</f><fun>tan</fun></custom_function>"
 WIDTH = 401
 
 
-@pytest.mark.parametrize(
-    ("kind", "fov", "angles", "cutoff", "more"),
-    [
-        ("gnomonical", 2.4, (0.1, 0.7, 1.0), 1.57, ""),
-        ("stereographic", math.pi, (0.1, 0.7, 0.9, 1.4), 1.57, ""),
-        ("equidistant", math.pi, (0.1, 0.75, 0.9, 1.4), 1.57, ""),
-        ("equisolid_angle", 4.0, (0.2, 0.9, 1.8), 2.0, ""),
-        ("orthographic", 2.8, (0.1, 0.7, 1.2), 1.57, ""),
-        ("custom", 2.0 * math.pi, (0.2, 0.9, 1.6, 2.3, 2.6), 3.1415, CUSTOM),
-    ],
-)
+LENSES = """
+- [gnomonical, 2.4, [0.1, 0.7, 1.0], 1.57, '']
+- [stereographic, 3.141592653589793, [0.1, 0.7, 0.9, 1.4], 1.57, '']
+- [equidistant, 3.141592653589793, [0.1, 0.75, 0.9, 1.4], 1.57, '']
+- [equisolid_angle, 4.0, [0.2, 0.9, 1.8], 2.0, '']
+- [orthographic, 2.8, [0.1, 0.7, 1.2], 1.57, '']
+- [custom, 6.283185307179586, [0.2, 0.9, 1.6, 2.3, 2.6], 3.1415,
+   <custom_function><c1>1.05</c1><c2>4</c2><f>1</f><fun>tan</fun></custom_function>]
+"""
+
+
+@pytest.mark.parametrize("kind, fov, angles, cutoff, more", yaml.safe_load(LENSES))
 def test_a_point_is_where_the_lens_function_maps_it(kind, fov, angles, cutoff, more):
     lens = f"<lens><type>{kind}</type>{more}<cutoff_angle>{cutoff}</cutoff_angle></lens>"
     robot = single("camera", "wideanglecamera", width=WIDTH, height=WIDTH, fov=fov, more=lens)
@@ -208,15 +209,15 @@ def test_bayer_has_one_colour_in_a_pixel(pattern):
     assert len(np.unique(mosaic.pixels)) > 2
 
 
-@pytest.mark.parametrize(
-    ("format", "encoding", "plain", "factor"),
-    [
-        ("L16", "mono16", "L8", 257),
-        ("R16G16B16", "rgb16", "R8G8B8", 257),
-        ("RGB_INT8", "rgb8", "R8G8B8", 1),
-        ("L_INT8", "mono8", "L8", 1),
-    ],
-)
+FORMATS = """
+- [L16, mono16, L8, 257]
+- [R16G16B16, rgb16, R8G8B8, 257]
+- [RGB_INT8, rgb8, R8G8B8, 1]
+- [L_INT8, mono8, L8, 1]
+"""
+
+
+@pytest.mark.parametrize("format, encoding, plain, factor", yaml.safe_load(FORMATS))
 def test_other_formats(format, encoding, plain, factor):
     found, eight = picture_in(format), picture_in(plain)
     assert found.encoding == encoding

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import yaml
 from alike import assert_as_before, lines_of
+from shared import EMPTY_WORLD, PACKAGE
 
+from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import ImageSample, PlanarCommand, PointsSample
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.sdf import read_world_file
+from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 
 HERE = Path(__file__).parent
 PICTURES = ImageSample, PointsSample
@@ -43,6 +46,37 @@ def test_samples_are_as_before(caplog):
                 samples.clear()
             assert_as_before(told, HERE / "plugins.txt")
             simulation.reset_simulation()
+
+
+def drive_of(robot, tags=None, file=""):
+    """Return a robot with another drive, or with other tags of its own."""
+    model = read_urdf(robot, "r") if robot.startswith("<") else read_urdf_file(PACKAGE / robot)
+    plugin = next(tag for tag in model.plugins if tag.name.endswith(("drive", "move")))
+    changed = {**plugin.tags, **(tags or {})}
+    return replace(
+        model, plugins=(replace(plugin, filename=file or plugin.filename, tags=changed),)
+    )
+
+
+def test_drives_are_as_before(caplog):
+    told = []
+    for name, case in yaml.safe_load((HERE / "drives.yaml").read_text()).items():
+        steps, start = case.pop("steps"), Pose((0.0, 0.0, case.pop("height", 0.0)))
+        with Simulation.of(EMPTY_WORLD) as simulation:
+            robot = simulation.add(drive_of(**case), pose=start)
+            heard = listen((name, plugin) for plugin in robot.plugins)
+            for *velocity, seconds in steps:
+                robot.command("cmd_vel", PlanarCommand(*velocity))
+                simulation.run_for(seconds)
+                told += lines_of([*robot.pose().position, robot.pose().yaw], f"{name} is at")
+                for body in robot.bodies.values():
+                    for joint in body.joint_names:
+                        state = body.joint_state(joint)
+                        told += lines_of((joint, state.position, state.velocity), name)
+        for topic, samples in heard.items():
+            told += [f"{topic}: {len(samples)}", *lines_of(samples[-5:], topic)]
+    # What rubs and bumps grows from one step to the next.
+    assert_as_before([*told, *caplog.messages], HERE / "drives.txt", 1e-4)
 
 
 def test_wrong_tags_are_named_as_before(caplog):

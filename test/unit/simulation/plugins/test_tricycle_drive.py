@@ -8,7 +8,7 @@ from sensor_worlds import drive, record
 
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
-LENGTH, RADIUS = 0.6, 0.1
+LENGTH = 0.6
 
 
 @pytest.fixture
@@ -23,11 +23,6 @@ def tricycle(world, package):
         return robot
 
     return add
-
-
-def joint(robot, name):
-    (body,) = robot.bodies.values()
-    return body.joint_state(f"{name}_joint")
 
 
 @pytest.mark.parametrize("source", ["encoder", "world"])
@@ -55,38 +50,3 @@ def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, tricycle,
     assert radius * driven.yaw == pytest.approx(0.6 * math.cos(angle), rel=0.03)
     assert odometry[-1].pose.position[:2] == pytest.approx((x, y), abs=0.01)
     assert odometry[-1].pose.yaw == pytest.approx(driven.yaw, rel=0.03)
-
-
-def test_the_steering_speed_and_its_tolerance(world, tricycle):
-    robot = tricycle(steeringSpeed="0.5", steeringAngleTolerance="0.05")
-    for seconds, angle, reached, within in (
-        (0.4, 0.4, 0.2, 0.03),
-        (1.0, 0.4, 0.4, 0.06),
-        (4.0, 9.0, 0.5 * math.pi, 0.1),
-    ):
-        drive(world, robot, seconds, 0.0, angle)
-        assert joint(robot, "steering").position == pytest.approx(reached, abs=within)
-
-
-def test_acceleration_and_deceleration_of_the_wheel(world, tricycle):
-    robot = tricycle(wheelAcceleration="2", wheelDeceleration="8")
-    for seconds, speed, reached, within in (
-        (0.5, 0.4, 1.0, 0.1),
-        (2.0, 0.4, 4.0, 0.1),
-        (0.25, 0.0, 2.0, 0.2),
-    ):
-        drive(world, robot, seconds, speed)
-        assert joint(robot, "front_wheel").velocity == pytest.approx(reached, abs=within)
-
-
-def test_all_four_joints_are_shown(world, tricycle):
-    robot = tricycle(publishWheelJointState="true", publishWheelTF="true")
-    states, transforms = record(robot, "joint_states"), record(robot, "/tf")
-    drive(world, robot, 1.0, 0.2, 0.3)
-    shown = dict(zip(states[-1].names, states[-1].positions))
-    assert shown["steering_joint"] == pytest.approx(0.3, abs=0.01)
-    assert shown["front_wheel_joint"] == pytest.approx(2.0, rel=0.05)
-    wheels = {f"{side}_wheel_joint" for side in ("front", "left", "right")}
-    assert shown.keys() == {"steering_joint", *wheels}
-    children = {sample.child_frame for sample in transforms}
-    assert children == {"base_link", "fork", "front_wheel", "left_wheel", "right_wheel"}

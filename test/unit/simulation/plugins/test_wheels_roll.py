@@ -4,40 +4,36 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from wheeled_robots import Robot, straight, turn
 
-SLIPPERY = "<mu1>0.1</mu1><mu2>0.1</mu2>"
-# As small robots for Gazebo have it.
-SOFT = (
-    f"{SLIPPERY}<kp>500000.0</kp><kd>10.0</kd><minDepth>0.001</minDepth><maxVel>0.1</maxVel>"
-)
-SMALL = Robot(wheel_tags=SOFT)
-TWO_CASTERS = replace(SMALL, mass=1.4, separation=0.29, casters=((-0.18, 0.064), (-0.18, -0.064)))
-HEAVY = Robot(
-    mass=60.0,
-    radius=0.1,
-    width=0.05,
-    separation=0.5,
-    centre=(-0.03, 0.0, 0.1),
-    casters=((-0.3, 0.1), (-0.3, -0.1)),
-    wheel_tags="<mu1>1</mu1><mu2>1</mu2><kp>1e7</kp><kd>1</kd>",
-)
-ROBOTS = {
-    "small": SMALL,
-    "two casters": TWO_CASTERS,
-    "nothing said": Robot(wheel_tags="", caster_tags=""),
-    "balls without friction": Robot(balls=True, caster_tags="<mu1>0</mu1><mu2>0</mu2>"),
-    "a caster ahead": Robot(casters=((0.08, 0.0),), centre=(0.005, 0.0, 0.02)),
-    "heavy, very stiff": replace(HEAVY, wheel_tags="<kp>1e8</kp><kd>1e6</kd>"),
-    "heavy, soft": replace(HEAVY, wheel_tags="<kp>1e5</kp><kd>1</kd>"),
-    "wide wheels": replace(SMALL, width=0.06),
-    "balls for wheels": Robot(wheel='<sphere radius="0.035"/>'),
-    "meshes for wheels": Robot(wheel="mesh"),
-    "grip along the way": Robot(wheel_tags="<mu1>0.2</mu1><mu2>0.8</mu2><fdir1>0 0 1</fdir1>"),
-    "no limit of acceleration": replace(SMALL, acceleration=0.0),
-}
-
-
+# The fields of robots; friction is as small robots for Gazebo have it.
+FIELDS = yaml.safe_load("""
+small: &small
+  wheel_tags: &soft
+    <mu1>0.1</mu1><mu2>0.1</mu2><kp>500000.0</kp><kd>10.0</kd><minDepth>0.001</minDepth><maxVel>0.1</maxVel>
+two casters: &two
+  {<<: *small, mass: 1.4, separation: 0.29, casters: [[-0.18, 0.064], [-0.18, -0.064]]}
+nothing said: {wheel_tags: '', caster_tags: ''}
+balls without friction: {balls: true, caster_tags: <mu1>0</mu1><mu2>0</mu2>}
+a caster ahead: {casters: [[0.08, 0.0]], centre: [0.005, 0.0, 0.02]}
+heavy, very stiff: &heavy
+  mass: 60.0
+  radius: 0.1
+  width: 0.05
+  separation: 0.5
+  centre: [-0.03, 0.0, 0.1]
+  casters: [[-0.3, 0.1], [-0.3, -0.1]]
+  wheel_tags: <kp>1e8</kp><kd>1e6</kd>
+heavy, soft: {<<: *heavy, wheel_tags: <kp>1e5</kp><kd>1</kd>}
+wide wheels: {<<: *small, width: 0.06}
+balls for wheels: {wheel: <sphere radius="0.035"/>}
+meshes for wheels: {wheel: mesh}
+grip along the way: {wheel_tags: <mu1>0.2</mu1><mu2>0.8</mu2><fdir1>0 0 1</fdir1>}
+no limit of acceleration: {<<: *small, acceleration: 0.0}
+""")
+ROBOTS = {name: Robot(**fields) for name, fields in FIELDS.items()}
+SMALL, TWO_CASTERS = ROBOTS["small"], ROBOTS["two casters"]
 SHORT = ("small", "a caster ahead", "heavy, very stiff", "meshes for wheels")
 
 
@@ -62,7 +58,7 @@ def test_a_metre_straight_and_a_turn_on_the_spot(name, tmp_path):
 @pytest.mark.parametrize("heading", [0.0, 45.0])
 def test_friction_in_a_direction_comes_and_goes_as_the_wheel_turns(heading):
     """Where it hardly brakes, the robot slides on at its stop: figures of Gazebo 11.1.0."""
-    model = replace(SMALL, wheel_tags=f"{SOFT}<fdir1>1 0 0</fdir1>").model()
+    model = replace(SMALL, wheel_tags=f"{SMALL.wheel_tags}<fdir1>1 0 0</fdir1>").model()
     way = straight(model, 0.25, heading=heading)
     assert way.x == pytest.approx(0.978, abs=0.012)
     # There 1.0 and 1.8.

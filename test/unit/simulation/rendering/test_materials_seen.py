@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from picture_worlds import COLOURS, around_the_middle, picture_of, quarters, thing
 from PIL import Image
 
@@ -24,7 +25,6 @@ from bullet_lab.simulation.world.description import (
 )
 
 EYE = Pose((-3.0, 0.0, 0.0))
-UPRIGHT, DOWN = [0, 1, 2, 3], [3, 2, 1, 0]
 
 
 @pytest.fixture
@@ -53,49 +53,57 @@ def quarters_seen(picture, offset=30):
 
 
 BOX = Box((1.0, 0.8, 0.6))
-QUARTER = np.pi / 2
+SHAPES = {
+    "box": BOX,
+    "plane": Plane((0, 0, 1), (1.0, 0.8)),
+    "wall": Plane((1, 0, 0), (1.0, 0.8)),
+    "cylinder": Cylinder(0.5, 1.0),
+    "ball": Sphere(0.7),
+}
+# The place of the eye, its roll, pitch and yaw in quarters of a turn, how far from the middle it
+# looks, in pixels, and the colours there, upright or upside down.
+LYING = """
+- [box, [-3, 0, 0], [0, 0, 0], 30, &upright [0, 1, 2, 3]]
+- [box, [3, 0, 0], [0, 0, 2], 30, *upright]
+- [box, [0, -3, 0], [0, 0, 1], 30, *upright]
+- [box, [0, 3, 0], [0, 0, -1], 30, *upright]
+# With x upwards, and with -x.
+- [box, [0, 0, 3], [0, 1, 0], 30, *upright]
+- [box, [0, 0, -3], [0, -1, 0], 30, *upright]
+# Seen from above with y upwards, and from ahead with z upwards.
+- [plane, [0, 0, 3], [0, 1, 1], 30, *upright]
+- [wall, [3, 0, 0], [0, 0, 2], 30, *upright]
+# A cylinder's seam is at y: half of the picture is on the other side. The picture's ends
+# meet at the seam, upside down: its right is at the left.
+- [cylinder, [0, -3, 0], [0, 0, 1], 30, [3, 2, 1, 0]]
+- [cylinder, [0, 3, 0], [0, 0, -1], 8, [2, 3, 0, 1]]
+# A ball's poles are on y; from -z, with y upwards.
+- [ball, [0, 0, -3], [-1, -1, 0], 30, *upright]
+"""
 
 
-@pytest.mark.parametrize(
-    # The place and roll, pitch, yaw of the eye, and how far from the middle it looks, in pixels.
-    ("geometry", "place", "rpy", "offset", "wanted"),
-    [
-        (BOX, (-3, 0, 0), (0, 0, 0), 30, UPRIGHT),
-        (BOX, (3, 0, 0), (0, 0, np.pi), 30, UPRIGHT),
-        (BOX, (0, -3, 0), (0, 0, QUARTER), 30, UPRIGHT),
-        (BOX, (0, 3, 0), (0, 0, -QUARTER), 30, UPRIGHT),
-        # With x upwards, and with -x.
-        (BOX, (0, 0, 3), (0, QUARTER, 0), 30, UPRIGHT),
-        (BOX, (0, 0, -3), (0, -QUARTER, 0), 30, UPRIGHT),
-        # Seen from above with y upwards, and from ahead with z upwards.
-        (Plane((0, 0, 1), (1.0, 0.8)), (0, 0, 3), (0, QUARTER, QUARTER), 30, UPRIGHT),
-        (Plane((1, 0, 0), (1.0, 0.8)), (3, 0, 0), (0, 0, np.pi), 30, UPRIGHT),
-        # A cylinder's seam is at y: half of the picture is on the other side. The picture's ends
-        # meet at the seam, upside down: its right is at the left.
-        (Cylinder(0.5, 1.0), (0, -3, 0), (0, 0, QUARTER), 30, DOWN),
-        (Cylinder(0.5, 1.0), (0, 3, 0), (0, 0, -QUARTER), 8, [2, 3, 0, 1]),
-        # A ball's poles are on y; from -z, with y upwards.
-        (Sphere(0.7), (0, 0, -3), (-QUARTER, -QUARTER, 0), 30, UPRIGHT),
-    ],
-)
-def test_where_a_picture_lies_on_a_shape(four, geometry, place, rpy, offset, wanted):
-    picture = seen(geometry, Texture(four), Pose.from_rpy(place, rpy))
+@pytest.mark.parametrize("shape, place, turns, offset, wanted", yaml.safe_load(LYING))
+def test_where_a_picture_lies_on_a_shape(four, shape, place, turns, offset, wanted):
+    eye = Pose.from_rpy(place, np.multiply(0.5 * np.pi, turns))
+    picture = seen(SHAPES[shape], Texture(four), eye)
     assert quarters_seen(picture, offset) == wanted
 
 
-@pytest.mark.parametrize(
-    ("settings", "offset", "wanted"),
-    [
-        # Half as large, about the middle: a whole picture between the quarters of its sides.
-        ({"scale": (0.5, 0.5)}, 25, UPRIGHT),
-        ({"scale": (0.5, 0.5)}, 75, DOWN),
-        ({"scale": (0.5, 0.5), "repeats": False}, 75, UPRIGHT),
-        ({"scroll": (0.5, 0.0)}, 30, [1, 0, 3, 2]),
-        ({"rotation": np.pi}, 30, DOWN),
-    ],
-)
-def test_scale_tiles_and_scroll_shifts(four, settings, offset, wanted):
-    picture = seen(Box((1.0, 1.0, 1.0)), Texture(four, **settings))
+# Scale, scroll and rotation (rad), whether it repeats, and where which colours are seen.
+SETTINGS = """
+# Half as large, about the middle: a whole picture between the quarters of its sides.
+- [[0.5, 0.5], [0, 0], 0, true, 25, [0, 1, 2, 3]]
+- [[0.5, 0.5], [0, 0], 0, true, 75, [3, 2, 1, 0]]
+- [[0.5, 0.5], [0, 0], 0, false, 75, [0, 1, 2, 3]]
+- [[1, 1], [0.5, 0], 0, true, 30, [1, 0, 3, 2]]
+- [[1, 1], [0, 0], 3.14159, true, 30, [3, 2, 1, 0]]
+"""
+
+
+@pytest.mark.parametrize("scale, scroll, turn, repeats, offset, wanted", yaml.safe_load(SETTINGS))
+def test_scale_tiles_and_scroll_shifts(four, scale, scroll, turn, repeats, offset, wanted):
+    texture = Texture(four, tuple(scale), tuple(scroll), turn, repeats=repeats)
+    picture = seen(Box((1.0, 1.0, 1.0)), texture)
     assert quarters_seen(picture, offset) == wanted
 
 
@@ -117,7 +125,7 @@ def test_a_picture_on_several_things_is_loaded_once(four, monkeypatch):
     assert len(loaded) == 2
 
 
-COLOUR, DIM = (0.5, 0.0, 1.0, 1.0), (0.4, 0.4, 0.4, 1.0)
+DIM = (0.4, 0.4, 0.4, 1.0)
 AHEAD = Light("l", "directional", Pose(), (0.5, 0.5, 0.5, 1.0), (1.0, 0.0, 0.0))
 
 
@@ -137,17 +145,19 @@ def test_wide_highlights_of_a_sun(shine, specular, red):
     assert in_light(plate, light=light)[:2].tolist() == [red / 255, red / 255]
 
 
-@pytest.mark.parametrize(
-    ("material", "wanted"),
-    [
-        (Material(), (0.45, 0.0, 0.9)),
-        (Material(ambient=(0.0, 1.0, 0.5, 1.0)), (0.25, 0.4, 0.7)),
-        (Material(emissive=(0.2, 0.1, 0.0, 1.0)), (0.65, 0.1, 0.9)),
-        (Material(ambient=(0.0, 0.0, 0.0, 1.0), lit=False), COLOUR[:3]),
-    ],
-)
-def test_ambient_and_emissive_colours(tmp_path, material, wanted):
-    visual = Visual(Box((0.1, 1.0, 1.0)), colour=COLOUR, material=material)
+# Ambient and emissive colour, and whether it is lit; what is seen.
+LOOKS = """
+- [null, [0.0, 0.0, 0.0, 1.0], true, [0.45, 0.0, 0.9]]
+- [[0.0, 1.0, 0.5, 1.0], [0.0, 0.0, 0.0, 1.0], true, [0.25, 0.4, 0.7]]
+- [null, [0.2, 0.1, 0.0, 1.0], true, [0.65, 0.1, 0.9]]
+- [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0], false, [0.5, 0.0, 1.0]]
+"""
+
+
+@pytest.mark.parametrize("ambient, emissive, lit, wanted", yaml.safe_load(LOOKS))
+def test_ambient_and_emissive_colours(tmp_path, ambient, emissive, lit, wanted):
+    material = Material(ambient and tuple(ambient), tuple(emissive), lit=lit)
+    visual = Visual(Box((0.1, 1.0, 1.0)), colour=(0.5, 0.0, 1.0, 1.0), material=material)
     assert in_light(visual) == pytest.approx(wanted, abs=0.005)
     # A picture multiplies what is lit and what glows.
     Image.new("RGB", (4, 4), (102, 204, 51)).save(tmp_path / "flat.png")
@@ -248,16 +258,16 @@ def test_a_visuals_material_covers_that_of_its_mesh(tmp_path, four):
     assert right == pytest.approx((0.0, 0.9, 0.0), abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("<asset>", "<asset>", "two.dae: 'meshes/gone.png': no such file"),
-        ("<init_from>{picture}</init_from>", "", "two.dae: 'meshes/i': no such file"),
-        ("<init_from>{picture}</init_from>", "<init_from/>", "two.dae: 'meshes/i': no such file"),
-        ('<instance_effect url="#e0"/>', '<instance_effect url="#gone"/>', ""),
-        ('target="#m0"', 'target="#gone"', ""),
-    ],
-)
+BROKEN = """
+- [<asset>, <asset>, 'two.dae: ''meshes/gone.png'': no such file']
+- ['<init_from>{picture}</init_from>', '', 'two.dae: ''meshes/i'': no such file']
+- ['<init_from>{picture}</init_from>', <init_from/>, 'two.dae: ''meshes/i'': no such file']
+- [<instance_effect url="#e0"/>, <instance_effect url="#gone"/>, '']
+- [target="#m0", target="#gone", '']
+"""
+
+
+@pytest.mark.parametrize("old, new, said", yaml.safe_load(BROKEN))
 def test_a_mesh_whose_material_is_broken_is_drawn_without(tmp_path, caplog, old, new, said):
     assert old in COLLADA
     left, right = collada_seen(tmp_path, "gone.png", text=COLLADA.replace(old, new))
@@ -291,4 +301,4 @@ def test_a_picture_by_a_script_on_a_mesh(tmp_path, four):
         "f 1/1 2/2 3/3 4/4\n"
     )
     mesh = Mesh(tmp_path / "m.obj", "m.obj")
-    assert quarters_seen(seen(mesh, Texture(four), covers=True)) == UPRIGHT
+    assert quarters_seen(seen(mesh, Texture(four), covers=True)) == [0, 1, 2, 3]

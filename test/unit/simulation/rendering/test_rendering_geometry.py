@@ -1,21 +1,18 @@
 """Where corners are seen, what a view ends at, and what a lens shows."""
 
-import math
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
+import yaml
 from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_plate
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.lenses import Lens
 from bullet_lab.simulation.rendering import RendererError
-from bullet_lab.simulation.rendering.renderer import Shot, centred_camera
+from bullet_lab.simulation.rendering.renderer import Shot
 from bullet_lab.simulation.world.description import Box
 
-BENT = (-0.25, 0.08, 0.001, -0.002, 0.01)
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
 
 
@@ -43,17 +40,19 @@ def offsets(renderer, camera, corners, poses, half, samples=1):
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize(
-    ("camera", "samples"),
-    [
-        (centred_camera(320, 240, math.radians(40)), 1),
-        (centred_camera(1920, 1080, math.radians(120)), 1),
-        (CAMERA, 4),
-        (PinholeCamera(501, 333, 411.0, 370.0, 230.3, 190.8), 1),
-        (replace(CAMERA, distortion=BENT), 1),
-    ],
-)
+# Width and height, focal lengths, middle, and distortion; and samples.
+SEEN = """
+- [[320, 240, 439.596, 439.596, 159.5, 119.5], 1]
+- [[1920, 1080, 554.256, 554.256, 959.5, 539.5], 1]
+- [[640, 480, 502.3, 502.3, 319.5, 239.5], 4]
+- [[501, 333, 411.0, 370.0, 230.3, 190.8], 1]
+- [[640, 480, 502.3, 502.3, 319.5, 239.5, [-0.25, 0.08, 0.001, -0.002, 0.01]], 1]
+"""
+
+
+@pytest.mark.parametrize("camera, samples", yaml.safe_load(SEEN))
 def test_corners_are_seen_where_camera_info_has_them(tmp_path, camera, samples):
+    camera = PinholeCamera(*camera)
     # Nine cells across, from 1 m, and more than is seen. Texels of four pixels: a sharper edge is
     # found less exactly than it is drawn.
     columns, rows, cell = 18, 14, camera.width / 9 / camera.fx
@@ -84,18 +83,13 @@ def test_near_and_far_end_the_view():
         assert not blue(near=0.9, far=1.1)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"near": 0.0},
-        {"near": 1.0, "far": 1.0},
-        {"far": math.inf},
-        {"samples": 0},
-        {"samples": 3},
-        {"samples": math.nan},
-        {"camera": PinholeCamera(64, 48, 50, 50, 31, 23, BENT)},
-    ],
-)
+BENT = PinholeCamera(64, 48, 50, 50, 31, 23, (-0.25, 0.08, 0.001, -0.002, 0.01))
+WRONG = """
+[{near: 0.0}, {near: 1.0, far: 1.0}, {far: .inf}, {samples: 0}, {samples: 3}, {samples: .nan}]
+"""
+
+
+@pytest.mark.parametrize("wrong", [{"camera": BENT}, *yaml.safe_load(WRONG)])
 def test_impossible_shots_are_refused(wrong):
     with pytest.raises(RendererError):
         Shot(**{"camera": CAMERA, **wrong})
@@ -103,15 +97,15 @@ def test_impossible_shots_are_refused(wrong):
 
 # One of a real lens with a wide view; one that bends outwards; those that fold, at the slope where
 # r (1 + k1 r²) is greatest.
-@pytest.mark.parametrize(
-    ("distortion", "focal"),
-    [
-        ((-0.279817, 0.060321, 0.00031, 0.0, 0.000487), 228.8),
-        ((9.0, 0.0, 0.0, 0.0, 0.0), 300.0),
-        ((-0.9, 0.0, 0.0, 0.0, 0.0), 300.0),
-        ((-2.0, 0.0, 0.01, 0.02, 0.0), 300.0),
-    ],
-)
+BLACK = """
+- [[-0.279817, 0.060321, 0.00031, 0.0, 0.000487], 228.8]
+- [[9.0, 0.0, 0.0, 0.0, 0.0], 300.0]
+- [[-0.9, 0.0, 0.0, 0.0, 0.0], 300.0]
+- [[-2.0, 0.0, 0.01, 0.02, 0.0], 300.0]
+"""
+
+
+@pytest.mark.parametrize("distortion, focal", yaml.safe_load(BLACK))
 def test_where_a_lens_shows_nothing_its_picture_is_black(distortion, focal):
     camera = PinholeCamera(640, 480, focal, focal, 319.5, 239.5, distortion)
     lens = Lens(camera)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from picture_worlds import (
     CAMERA,
     COLOURS,
@@ -121,20 +122,17 @@ def test_pictures_beside_the_meshes_of_a_model_and_in_its_package(tmp_path, mode
     assert (read_pixels(surface.look[1].texture) == COLOURS[1]).all()
 
 
-MTL = "newmtl face\nmap_Kd {}\n"
+UNREADABLE = r"""
+- [p.mtl, "newmtl face\nmap_Kd nix.png\n", 'p.mtl: .*nix.png']
+- [p.mtl, "newmtl face\nmap_Kd ../secret.png\n", 'p.mtl: .*leaves its folder']
+- [p.mtl, "newmtl face\nmap_Kd http://example.org/a.png\n", 'p.mtl: .*only package://']
+- [p.png, no image, 'p.png: .*not a readable image']
+- [p.obj, "mtllib p.mtl\nusemtl face\nv 0 9 -9\nv 0 -9 -9\nv 0 0 9\nf 1 2 3\n", 'p.png: .*no
+   texture coordinates']
+"""
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("p.mtl", MTL.format("nix.png"), "p.mtl: .*nix.png"),
-        ("p.mtl", MTL.format("../secret.png"), "p.mtl: .*leaves its folder"),
-        ("p.mtl", MTL.format("http://example.org/a.png"), "p.mtl: .*only package://"),
-        ("p.png", "no image", "p.png: .*not a readable image"),
-        ("p.obj", "mtllib p.mtl\nusemtl face\nv 0 9 -9\nv 0 -9 -9\nv 0 0 9\nf 1 2 3\n",
-         "p.png: .*no texture coordinates"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("name, content, message", yaml.safe_load(UNREADABLE))
 def test_a_picture_that_cannot_be_shown_is_named_once_and_left_out(
     tmp_path, name, content, message, caplog
 ):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
@@ -51,20 +52,24 @@ def test_a_picture_is_scaled_scrolled_and_turned():
     assert found == pytest.approx(wanted, abs=1e-5)
 
 
-LEANING = Pose.from_rpy((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
+# How many boxes or balls at which height (m), leaning by how much (rad), whether they stand still,
+# below which height footprints are looked for, and how many there are.
+STANDING = """
+- [2, box, 0, 0, true, 1.0, 2]
+- [1, box, 2.0, 0, true, 1.75, 0]
+- [1, box, 2.0, 0, true, 1.8, 1]
+- [1, ball, 0, 0, true, 1.0, 0]
+- [1, box, 0, 0, false, 1.0, 0]
+- [1, box, 0, 0.1, true, 1.0, 0]
+"""
 
 
-@pytest.mark.parametrize(
-    ("world", "below", "count"),
-    [
-        (world_of(box(), box()), 1.0, 2),
-        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.75, 0),
-        (world_of(box(pose=Pose((0.0, 0.0, 2.0)))), 1.8, 1),
-        (world_of(Collision(Sphere(1.0))), 1.0, 0),
-        (world_of(box(), static=False), 1.0, 0),
-        (world_of(box(), pose=LEANING), 1.0, 0),
-    ],
-)
-def test_all_upright_boxes_of_what_stands_still_and_not_above(world, below, count):
+@pytest.mark.parametrize("count, kind, z, lean, static, below, found", yaml.safe_load(STANDING))
+def test_all_upright_boxes_of_what_stands_still_and_not_above(
+    count, kind, z, lean, static, below, found
+):
+    shape = box(pose=Pose((0.0, 0.0, z))) if kind == "box" else Collision(Sphere(1.0))
+    leaning = Pose.from_rpy((0.0, 0.0, 0.0), (lean, 0.0, 0.0))
+    world = world_of(*[shape] * count, pose=leaning, static=static)
     twice = replace(world, models=2 * world.models)
-    assert len(footprints(twice, below)) == 2 * count
+    assert len(footprints(twice, below)) == 2 * found

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from alike import assert_as_before, lines_of
 from PIL import Image
 from sensor_worlds import carrier
@@ -229,17 +230,18 @@ def test_blocks_are_read_and_go_over_those_of_their_parents_as_before():
     assert_as_before(told, HERE / "scripts.txt")
 
 
-@pytest.mark.parametrize(
-    ("text", "mistake", "kept"),
-    [
-        ("material A { }\nmaterial B {\n technique {", "'technique ' is not closed", ["A"]),
-        ("\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", ["A"]),
-        ("material A { }\n" + "a {\n" * 30, "more than 20 blocks", ["A"]),
-        ('material A { technique { name "open\n } }', "", ["A"]),
-        ("material A { /* open", "'material A' is not closed", []),
-        ("", "", []),
-    ],
-)
+MISTAKES = r"""
+- ["material A { }\nmaterial B {\n technique {", "'technique ' is not closed", [A]]
+- ["\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", [A]]
+- ["material A { }\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
+   a { a {", more than 20 blocks, [A]]
+- ["material A { technique { name \"open\n } }", '', [A]]
+- ['material A { /* open', "'material A' is not closed", []]
+- ['', '', []]
+"""
+
+
+@pytest.mark.parametrize("text, mistake, kept", yaml.safe_load(MISTAKES))
 def test_mistakes_are_said_and_what_was_before_them_counts(text, mistake, kept):
     root, found = parse_script(text)
     assert mistake in found

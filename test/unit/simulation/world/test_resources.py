@@ -1,4 +1,8 @@
+from pathlib import Path
+
 import pytest
+import yaml
+from alike import assert_as_before
 
 from bullet_lab.simulation.world import resources
 from bullet_lab.simulation.world.resources import (
@@ -30,82 +34,79 @@ def finder(files, monkeypatch):
     return ResourceFinder(files / "pkg" / "urdf")
 
 
-def test_what_may_be_found(finder, files):
-    mesh = files / "pkg/meshes/m x.stl"
-    assert finder.find("package://pkg/meshes/m%20x.stl") == mesh
-    assert finder.find("package://pkg/urdf/../meshes/m%20x.stl").samefile(mesh)
-    assert finder.find("a.urdf") == files / "pkg/urdf/a.urdf"
-    assert finder.find(f"file://{mesh}".replace(" ", "%20")) == mesh
-    assert finder.find(str(mesh)) == mesh
-    assert finder.find("model://car") == files / "first/car"
-    assert finder.find("model://pkg/meshes/m%20x.stl") == mesh
-    assert finder.find("model://tree") == files / "second/tree"
-    assert finder.find("model:///tree") == files / "second/tree"
+# The file, and the package as it lies on another machine, are HERE and ELSEWHERE.
+URIS = """
+- package://pkg/meshes/m%20x.stl
+- package://pkg/urdf/../meshes/m%20x.stl
+- a.urdf
+- file://HERE/pkg/meshes/m%20x.stl
+- HERE/pkg/meshes/m x.stl
+- model://car
+- model://pkg/meshes/m%20x.stl
+- model://tree
+- model:///tree
+- ELSEWHERE/urdf/a.urdf
+- file://ELSEWHERE/urdf/a.urdf
+- ''
+- package://nix/a
+- package://pkg/../secret/s.stl
+- package://pkg/%2e%2e/secret/s.stl
+- package://pkg/meshes/link.stl
+- package://../secret/s.stl
+- ../../secret/s.stl
+- HERE/pkg/../secret/s.stl
+- HERE/pkg/meshes/link.stl
+- HERE/secret/s.stl
+- /etc/passwd
+- file:///etc/passwd
+- FILE:///etc/passwd
+- file://elsewhere/etc/passwd
+- http://127.0.0.1:1/m.stl
+- data:,x
+- http://[
+- ELSEWHERE/meshes/nix.stl
+- ELSEWHERE/../../secret/s.stl
+- file://ELSEWHERE/meshes/nix.stl
+- file://ELSEWHERE/../../secret/s.stl
+- model://nix
+- model://../secret/s.stl
+- model://car/../../secret/s.stl
+# Whether a file outside exists is not told.
+- model://../secret/nix.stl
+- model://way_out/s.stl
+- model://pkg/../secret/s.stl
+- model://pkg/meshes/link.stl
+- model://pkg
+- model://pkg/nix.stl
+- "a\\nb"
+"""
+
+
+def test_what_may_be_found_and_what_not_are_as_before(finder, files):
+    told = []
+    for uri in yaml.safe_load(URIS):
+        there = uri.replace("ELSEWHERE", "/home/student/catkin_ws/src/pkg")
+        there = there.replace("HERE", str(files))
+        try:
+            said = f"{uri}: {finder.find(there).resolve()}"
+        except ResourceError as error:
+            said = str(error)
+        told.append(said.replace(str(files), "HERE"))
+        assert "\n" not in told[-1]
+    assert_as_before(told, Path(__file__).with_name("resources.txt"))
 
 
 @pytest.mark.parametrize(
-    ("uri", "message"),
-    [
-        ("", "no file is named"),
-        ("package://nix/a", "no ROS package 'nix'"),
-        ("package://pkg/../secret/s.stl", "leaves its folder"),
-        ("package://pkg/%2e%2e/secret/s.stl", "leaves its folder"),
-        ("package://pkg/meshes/link.stl", "leaves its folder"),
-        ("package://../secret/s.stl", "no ROS package"),
-        ("package://pkg/%00", "null (byte|character)|no such file"),
-        ("package://pkg/" + 300 * "a", "File name too long"),
-        ("../../secret/s.stl", "leaves its folder"),
-        ("/etc/passwd", "outside the folders"),
-        ("file:///etc/passwd", "outside the folders"),
-        ("FILE:///etc/passwd", "outside the folders"),
-        ("file://elsewhere/etc/passwd", "no such file"),
-        ("http://127.0.0.1:1/m.stl", "only package://"),
-        ("data:,x", "only package://"),
-        ("http://[", "Invalid IPv6"),
-        ("model://nix", "in none of the model folders"),
-        ("model://../secret/s.stl", "leaves its folder"),
-        ("model://car/../../secret/s.stl", "leaves its folder"),
-        # Whether a file outside exists is not told.
-        ("model://../secret/nix.stl", "leaves its folder"),
-        ("model://way_out/s.stl", "leaves its folder"),
-        ("model://pkg/../secret/s.stl", "leaves its folder"),
-        ("model://pkg/meshes/link.stl", "leaves its folder"),
-        ("model://pkg", "in none of the model folders"),
-        ("model://pkg/nix.stl", "in none of the model folders"),
-    ],
+    ("name", "said"), [("%00", "null (byte|character)|no such file"), (300 * "a", "too long")]
 )
-def test_what_may_not_be_found_is_one_line(finder, uri, message):
-    with pytest.raises(ResourceError, match=message) as caught:
-        finder.find(uri)
-    assert "\n" not in str(caught.value)
-    assert uri[:60] in str(caught.value)
-
-
-def test_absolute_paths_do_not_leave_by_dots_or_links(finder, files):
-    for path in ("pkg/../secret/s.stl", "pkg/meshes/link.stl", "secret/s.stl"):
-        with pytest.raises(ResourceError, match="outside the folders|leaves its folder"):
-            finder.find(f"{files}/{path}")
-
-
-@pytest.mark.parametrize("scheme", ["", "file://"])
-def test_a_path_of_another_machine_is_searched_in_the_package_that_it_names(finder, files, scheme):
-    elsewhere = f"{scheme}/home/student/catkin_ws/src/pkg"
-    assert finder.find(f"{elsewhere}/urdf/a.urdf") == files / "pkg/urdf/a.urdf"
-    with pytest.raises(ResourceError, match="no such file .*pkg/meshes/nix.stl"):
-        finder.find(f"{elsewhere}/meshes/nix.stl")
-    with pytest.raises(ResourceError, match="leaves its folder"):
-        finder.find(f"{elsewhere}/../../secret/s.stl")
+def test_a_name_that_no_file_can_have(finder, name, said):
+    with pytest.raises(ResourceError, match=said):
+        finder.find(f"package://pkg/{name}")
 
 
 def test_a_text_lies_in_no_folder(files):
     with pytest.raises(ResourceError, match="'m.stl': a relative path in a text"):
         ResourceFinder().find("m.stl")
-
-
-def test_a_message_is_one_line_whatever_it_quotes(finder):
-    with pytest.raises(ResourceError) as caught:
-        finder.find("a\nb")
-    assert "\n" not in str(caught.value)
 
 
 def test_the_user_may_name_any_file(files, monkeypatch):

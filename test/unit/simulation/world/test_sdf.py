@@ -1,4 +1,5 @@
 import pytest
+import yaml
 from shared import EMPTY_WORLD, complains
 
 from bullet_lab.core.pose import Pose
@@ -31,10 +32,14 @@ def test_a_light_may_be_spawned():
     assert read_spawned(sdf(f'{light}<model name="m">{link()}</model>'), "s").name == "m"
 
 
-@pytest.mark.parametrize(
-    ("world", "pose", "height"),
-    [(True, "", 0.0), (True, "<pose>0 0 2 0 0 0</pose>", 2.0), (False, "", 0.5)],
-)
+POSES = """
+- [true, '', 0.0]
+- [true, <pose>0 0 2 0 0 0</pose>, 2.0]
+- [false, '', 0.5]
+"""
+
+
+@pytest.mark.parametrize("world, pose, height", yaml.safe_load(POSES))
 def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, pose, height):
     (tmp_path / "thing.sdf").write_text(model("<pose>0 0 0.5 0 0 0</pose>" + link()))
     inside = include(f"<uri>thing.sdf</uri>{pose}")
@@ -52,13 +57,14 @@ def test_the_newest_file_of_a_model_config_is_read(read_world, save_model):
     assert [m.name for m in read_world(include("<uri>model://thing</uri>")).models] == ["new"]
 
 
-BAD_MODELS = [
-    (sdf("<model/>"), "a <model> without a name"),
-    (model(""), "model 'm': there is no link"),
-    ("<mesh/>", "the root element is <mesh>, neither <sdf> nor <robot>"),
-    (sdf(""), "there is no model"),
-    (sdf(2 * f'<model name="a">{link()}</model>'), "2 models; only the first is used"),
-]
+BAD_MODELS = """
+- [<sdf version="1.6"><model/></sdf>, a <model> without a name]
+- [<sdf version="1.6"><model name="m"></model></sdf>, 'model ''m'': there is no link']
+- [<mesh/>, 'the root element is <mesh>, neither <sdf> nor <robot>']
+- [<sdf version="1.6"></sdf>, there is no model]
+- [<sdf version="1.6"><model name="a"><link name="a"></link></model><model name="a"><link
+   name="a"></link></model></sdf>, 2 models; only the first is used]
+"""
 
 
 def test_a_missing_model_is_named_once(tmp_path, caplog):
@@ -80,21 +86,21 @@ def test_a_missing_mesh_is_named_once_where_it_is_used_first(caplog):
     assert "link 'a'" in caplog.messages[0]
 
 
-@pytest.mark.parametrize(("text", "message"), BAD_MODELS)
+@pytest.mark.parametrize("text, message", yaml.safe_load(BAD_MODELS))
 def test_a_bad_model_is_one_line_that_names_source_and_place(text, message):
     with complains(f"^s: (.*: )?{message}"):
         read_spawned(text, "s")
 
 
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ("<model/>", "model.config: names no <sdf> file"),
-        ("<model><sdf>../../secret.sdf</sdf></model>", "leaves its folder"),
-        ("<model><sdf>nix.sdf</sdf></model>", "no such file"),
-        ("<model>", "model.config: not well-formed XML"),
-    ],
-)
+CONFIGS = """
+- [<model/>, 'model.config: names no <sdf> file']
+- [<model><sdf>../../secret.sdf</sdf></model>, leaves its folder]
+- [<model><sdf>nix.sdf</sdf></model>, no such file]
+- [<model>, 'model.config: not well-formed XML']
+"""
+
+
+@pytest.mark.parametrize("config, message", yaml.safe_load(CONFIGS))
 def test_a_bad_model_config(read_world, save_model, tmp_path, config, message):
     (tmp_path / "secret.sdf").write_text(model(link()))
     save_model("thing", model(link()), config)

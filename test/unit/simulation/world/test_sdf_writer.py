@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 from alike import assert_alike
 from shared import BLOCK_ROBOT, EMPTY_WORLD
 
@@ -108,20 +109,20 @@ def test_a_saved_world_is_valid(busy, tmp_path, package):
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize(
-    ("tag", "given", "saved"),
-    [
-        ("", "left", {"left"}),
-        ("", "/", {"/"}),
-        # An empty one is one; the other plugin has none.
-        ("<robotNamespace></robotNamespace>", "left", {"", "left"}),
-    ],
-)
+# An empty tag is one; the other plugin has none.
+NAMESPACES = """
+- ['', left, [left]]
+- ['', /, [/]]
+- [<robotNamespace></robotNamespace>, left, ['', left]]
+"""
+
+
+@pytest.mark.parametrize("tag, given, saved", yaml.safe_load(NAMESPACES))
 def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag, given, saved):
     text = MACHINE.replace("<updateRate>", f"{tag}<updateRate>")
     world.add(read_spawned(text, "machine"), namespace=given)
     plugins = saved_and_read(world, tmp_path).models[-1].plugins
-    assert {plugin.tags["robotNamespace"] for plugin in plugins} == saved
+    assert sorted({plugin.tags["robotNamespace"] for plugin in plugins}) == saved
 
 
 def test_meshes_are_named_so_that_they_are_found(tmp_path, package):

@@ -1,9 +1,12 @@
 import math
 import os
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from alike import assert_as_before, lines_of
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.physics import SHAPES as BODIES
@@ -19,6 +22,7 @@ from bullet_lab.simulation.world.shapes import (
     load_triangles,
 )
 
+HERE = Path(__file__).parent
 MATRIX = "0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1"
 STL = (
     "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex {} 0 0\nvertex 0 1 0\n"
@@ -48,22 +52,6 @@ def binary_stl(corners, count=1):
     return 80 * b" " + struct.pack("<I", count) + numbers
 
 
-def extent(triangles):
-    return np.array([triangles.vertices.min(axis=0), triangles.vertices.max(axis=0)])
-
-
-def test_the_transform_and_the_scale_size_the_beacon(load, beacon_text):
-    assert extent(load("b.dae", beacon_text)) == pytest.approx(
-        np.array([[-0.25, -0.25, 0], [0.25, 0.25, 2]])
-    )
-    changed = beacon_text.replace(MATRIX, "0.5 0 0 0 0 0.5 0 0 0 0 0.75 0.75 0 0 0 1")
-    assert extent(load("b.dae", changed, (2.0, 1.0, 1.0))) == pytest.approx(
-        np.array([[-1.0, -0.5, 0], [1.0, 0.5, 1.5]])
-    )
-    inches = changed.replace('meter="1"', 'meter="0.0254"')
-    assert extent(load("b.dae", inches))[1] == pytest.approx((0.0127, 0.0127, 0.0381))
-
-
 # Beside the beacon, a smaller one in a node within a node, and that again, elsewhere.
 NODES = """<node name="group"><translate>5 0 0</translate><node name="small">
   <scale>0.1 0.1 0.1</scale><instance_geometry url="#beacon-mesh"/></node></node>
@@ -89,100 +77,88 @@ f 1 2 6
 """
 
 
-@pytest.fixture
-def bounds_of(tmp_path, beacon_text):
-    """Return the bounds of a submesh of a file, by its triangles and by what is seen of it."""
+# Files, and the submesh that is used of them, which may be centred.
+USED = """
+- [beacon.dae, '', false]
+- [changed.dae, '', false]
+- [inches.dae, '', false]
+- [nodes.dae, beacon, false]
+- [nodes.dae, small, false]
+- [nodes.dae, small, true]
+- [nodes.dae, other, false]
+- [parts.obj, first one, false]
+- [parts.obj, second, false]
+- [parts.obj, second, true]
+- [parts.obj, third, false]
+# Without such a part, the whole mesh is used.
+- [nodes.dae, fourth, false]
+- [parts.obj, fourth, false]
+- [text.stl, fourth, false]
+- [binary.STL, '', false]
+- [plain.obj, '', false]
+- [counts_back.obj, '', false]
+- [latin.obj, '', false]
+- [latin.stl, '', false]
+"""
+
+
+def test_meshes_and_their_parts_are_as_before(tmp_path, beacon_text, caplog):
+    changed = beacon_text.replace(MATRIX, "0.5 0 0 0 0 0.5 0 0 0 0 0.75 0.75 0 0 0 1")
+    plain = "v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n"
+    back = "v 9 9 9\nv 0 0 0\nv 2 0 0\nv 0 1 0\nvn 0 0 1\nf -3//-1 -2//-1 -1//-1\nv 5 5 5\n"
     texts = {
-        "m.dae": beacon_text.replace("</visual_scene>", NODES),
-        "m.obj": PARTS,
-        "m.stl": STL.format("2"),
+        "beacon.dae": beacon_text,
+        "changed.dae": changed,
+        "inches.dae": changed.replace('meter="1"', 'meter="0.0254"'),
+        "nodes.dae": beacon_text.replace("</visual_scene>", NODES),
+        "parts.obj": PARTS,
+        "text.stl": STL.format("2"),
+        "plain.obj": plain,
+        "counts_back.obj": back,
+        "latin.obj": "# gr\u00fcn\no t\u00fcr\n" + plain,
+        "latin.stl": STL.format("2").replace("solid x", "solid t\u00fcr"),
     }
-
-    def read(name, submesh, centred=False):
-        path = tmp_path / name
-        path.write_text(texts[name])
-        mesh = Mesh(path, "", (2.0, 1.0, 1.0), submesh, centred)
-        corners = np.concatenate([part.corners.reshape(-1, 3) for part in mesh_parts(mesh)])
-        assert mesh.bounds() == pytest.approx(np.array((corners.min(axis=0), corners.max(axis=0))))
-        return mesh.bounds()
-
-    return read
-
-
-@pytest.mark.parametrize(
-    ("name", "submesh", "centred", "bounds"),
-    [
-        ("m.dae", "beacon", False, [[-0.5, -0.25, 0], [0.5, 0.25, 2]]),
-        ("m.dae", "small", False, [[9.8, -0.1, -0.1], [10.2, 0.1, 0.1]]),
-        ("m.dae", "small", True, [[-0.2, -0.1, -0.1], [0.2, 0.1, 0.1]]),
-        ("m.dae", "other", False, [[-2, 2, -1], [2, 4, 1]]),
-        ("m.obj", "first one", False, [[0, 0, 0], [2, 1, 0]]),
-        ("m.obj", "second", False, [[10, 5, 5], [12, 6, 5]]),
-        ("m.obj", "second", True, [[-1, -0.5, 0], [1, 0.5, 0]]),
-        ("m.obj", "third", False, [[0, 0, 0], [10, 6, 5]]),
-    ],
-)
-def test_a_part_of_a_file_by_the_name_of_its_node_object_or_group(
-    bounds_of, caplog, name, submesh, centred, bounds
-):
-    assert bounds_of(name, submesh, centred) == pytest.approx(np.array(bounds))
-    assert caplog.messages == []
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text, "latin-1" if name[:5] == "latin" else None)
+    (tmp_path / "binary.STL").write_bytes(binary_stl(CORNERS))
+    told = []
+    for name, submesh, centred in yaml.safe_load(USED):
+        mesh = Mesh(tmp_path / name, "", (2.0, 1.0, 1.0), submesh, centred)
+        place = f"{submesh or 'all'} of {name}"
+        seen = np.concatenate([part.corners.reshape(-1, 3) for part in mesh_parts(mesh)])
+        assert mesh.bounds() == pytest.approx(np.array((seen.min(axis=0), seen.max(axis=0))))
+        triangles = load_triangles(mesh)
+        assert not (triangles.vertices.flags.writeable or triangles.faces.flags.writeable)
+        told += lines_of(mesh.bounds(), f"bounds of {place}")
+        if len(triangles.faces) == 1:
+            told += lines_of(triangles.vertices[triangles.faces], f"corners of {place}")
+    told += [line.replace(f"{tmp_path}/", "") for line in caplog.messages]
+    assert_as_before(told, HERE / "meshes.txt")
 
 
-@pytest.mark.parametrize("name", ["m.dae", "m.obj", "m.stl"])
-def test_without_such_a_part_the_whole_mesh_is_used(bounds_of, caplog, name):
-    assert np.array_equal(bounds_of(name, "fourth"), bounds_of(name, ""))
-    assert f"{name}: no submesh 'fourth'; the whole mesh is used" in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("a.stl", STL.format("2")),
-        ("c.STL", binary_stl(CORNERS)),
-        ("d.obj", "v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n"),
-    ],
-)
-def test_stl_and_obj(load, name, content):
-    triangles = load(name, content, (1.0, 2.0, 1.0))
-    assert not (triangles.vertices.flags.writeable or triangles.faces.flags.writeable)
-    corners = triangles.vertices[triangles.faces[0]]
-    assert corners == pytest.approx(np.array(CORNERS) * (1, 2, 1))
-
-
-def test_indices_of_an_obj_that_count_back(load):
-    text = "v 9 9 9\nv 0 0 0\nv 2 0 0\nv 0 1 0\nvn 0 0 1\nf -3//-1 -2//-1 -1//-1\nv 5 5 5\n"
-    triangles = load("d.obj", text)
-    assert triangles.vertices[triangles.faces].tolist() == [CORNERS]
-
-
+BAD = r"""
+e.dae: ['', not well-formed XML]
+e.stl: ['', no triangles]
+g.obj: [garbage, no triangles]
+one_of_two.obj: ["v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 4\n", finite]
+word.obj: ["v 0 0 x\nf 1 1 1\n", not a readable mesh]
+flat.obj: ["v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", a corner needs three coordinates]
+index.obj: ["v 0 0 0\nv 1 0 0\nf 1 2 99\n", not a readable mesh|unknown corner]
+back.obj: ["v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 -4\n", index -4 of 3]
+points.obj: ["v 0 0 0\nv 1 1 1\n", not a readable mesh]
+a.ply: [ply, 'unknown kind of mesh; use .dae, .stl, .obj']
+plain.dae: [<COLLADA/>, there is no scene]
+nix.stl: [null, No such file or directory$]
+nix.dae: [null, No such file or directory$]
+"""
 BAD = {
-    "e.dae": ("", "not well-formed XML"),
-    "e.stl": ("", "no triangles"),
-    "g.obj": ("garbage", "no triangles"),
+    **yaml.safe_load(BAD),
     "t.stl": (binary_stl(CORNERS)[:100], "neither a whole binary mesh nor text"),
     "count.stl": (binary_stl(CORNERS, count=9), "mesh"),
     "one_of_two.stl": (STL.format("2").replace("endsolid\n", STL.format("nan")[8:]), "finite"),
     "binary_nan.stl": (binary_stl([[0, 0, np.nan], [1, 0, 0], [0, 1, 0]]), "finite"),
-    "one_of_two.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 4\n", "finite"),
-    "word.obj": ("v 0 0 x\nf 1 1 1\n", "not a readable mesh"),
-    "flat.obj": ("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "a corner needs three coordinates"),
-    "index.obj": ("v 0 0 0\nv 1 0 0\nf 1 2 99\n", "not a readable mesh|unknown corner"),
-    "back.obj": ("v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 -4\n", "index -4 of 3"),
-    "points.obj": ("v 0 0 0\nv 1 1 1\n", "not a readable mesh"),
-    "a.ply": ("ply", "unknown kind of mesh; use .dae, .stl, .obj"),
     "latin.dae": ("<ü/>".encode("latin-1"), "not UTF-8 text"),
-    "plain.dae": ("<COLLADA/>", "there is no scene"),
-    "nix.stl": (None, "No such file or directory$"),
-    "nix.dae": (None, "No such file or directory$"),
 }
-
-
-def test_names_in_other_encodings_do_not_matter(load):
-    text = "# gr\u00fcn\no t\u00fcr\nv 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n".encode("latin-1")
-    assert load("a.obj", text).vertices.tolist() == CORNERS
-    text = STL.format("2").replace("solid x", "solid t\u00fcr").encode("latin-1")
-    assert load("a.stl", text).vertices.tolist() == CORNERS
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -194,22 +170,23 @@ def test_a_bad_mesh_is_one_line_that_names_the_file(load, tmp_path, name):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("<COLLADA ", '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><COLLADA ',
-         "document types and entities are refused"),
-        (MATRIX, MATRIX.replace("0.25", "wide"), "not a readable mesh"),
-        (MATRIX, MATRIX.replace("0.25", "nan"), "finite"),
-        ("0.991445 0.130526 -1", "nan 0.130526 -1", "a number is not finite"),
-        ("0.991445 0.130526 -1", "x 0.130526 -1", "not a readable mesh"),
-        ("48 49 78 ", "48 49 7800 ", "not a readable mesh"),
-        ("48 49 78 ", "-48 49 78 ", "a triangle has an unknown corner"),
-        ("triangles", "polygon_soup", "no triangles"),
-        ('url="#beacon-mesh"', 'url="#nix"', "no triangles"),
-        ('meter="1"', 'meter="long"', "<unit>: 'long' is not a finite number"),
-    ],
-)  # fmt: skip
+BROKEN = """
+- ['<COLLADA ', '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><COLLADA ', document types
+   and entities are refused]
+- [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, wide 0 0 0 0 wide 0 0 0 0 1 1 0 0 0 1, not a readable
+   mesh]
+- [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, nan 0 0 0 0 nan 0 0 0 0 1 1 0 0 0 1, finite]
+- [0.991445 0.130526 -1, nan 0.130526 -1, a number is not finite]
+- [0.991445 0.130526 -1, x 0.130526 -1, not a readable mesh]
+- ['48 49 78 ', '48 49 7800 ', not a readable mesh]
+- ['48 49 78 ', '-48 49 78 ', a triangle has an unknown corner]
+- [triangles, polygon_soup, no triangles]
+- [url="#beacon-mesh", url="#nix", no triangles]
+- [meter="1", meter="long", '<unit>: ''long'' is not a finite number']
+"""
+
+
+@pytest.mark.parametrize("old, new, message", yaml.safe_load(BROKEN))
 def test_a_broken_collada_file_is_one_line(load, beacon_text, tmp_path, old, new, message):
     assert old in beacon_text
     broken = beacon_text.replace(old, new)

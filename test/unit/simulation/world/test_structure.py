@@ -3,6 +3,7 @@
 import math
 
 import pytest
+import yaml
 from alike import assert_alike
 
 from bullet_lab.core.pose import Pose
@@ -44,16 +45,16 @@ def near(pose, *numbers):
 TURN = math.pi / 2
 
 
-@pytest.mark.parametrize(
-    ("version", "said", "extra", "expected"),
-    [
-        ("1.4", "", "", (0, -1, 0)),
-        ("1.6", "", "", (1, 0, 0)),
-        ("1.6", "", "<use_parent_model_frame>1</use_parent_model_frame>", (0, -1, 0)),
-        ("1.7", ' expressed_in="a"', "", (0, -1, 0)),
-        ("1.7", "", "", (1, 0, 0)),
-    ],
-)
+AXES = """
+- ['1.4', '', '', [0, -1, 0]]
+- ['1.6', '', '', [1, 0, 0]]
+- ['1.6', '', <use_parent_model_frame>1</use_parent_model_frame>, [0, -1, 0]]
+- ['1.7', ' expressed_in="a"', '', [0, -1, 0]]
+- ['1.7', '', '', [1, 0, 0]]
+"""
+
+
+@pytest.mark.parametrize("version, said, extra, expected", yaml.safe_load(AXES))
 def test_axes_are_in_the_joint_or_the_model(version, said, extra, expected):
     found = model(
         link("a")

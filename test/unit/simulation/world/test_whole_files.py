@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 from alike import assert_as_before, lines_of, shown
 from shared import PACKAGE
 
@@ -18,7 +19,6 @@ from bullet_lab.simulation.world.sdf_writer import world_text
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
 HERE = Path(__file__).parent
-DOCKS = "docking", "docking_dots", "docking_nested", "docking_decoy"
 
 
 def parts_of(path):
@@ -40,22 +40,26 @@ def saved(path):
     return dict(enumerate(text.split("\n") + notes))
 
 
-@pytest.mark.parametrize(
-    "file, read",
-    [
-        ("whole.world", read_world_file),
-        ("whole.world", saved),
-        ("whole.urdf", read_urdf_file),
-        (PACKAGE / "worlds" / "beacons.world", read_world_file),
-        *((PACKAGE / "worlds" / f"{name}.world", read_world_file) for name in DOCKS),
-        (PACKAGE / "urdf" / "beacon.urdf", read_urdf_file),
-        (PACKAGE / "urdf" / "block_robot.urdf", read_urdf_file),
-        (PACKAGE / "urdf" / "camera_robot.urdf", read_urdf_file),
-        ("whole.obj", parts_of),
-        ("whole.dae", parts_of),
-    ],
-)
-def test_whole_files_are_read_as_before(file, read, caplog):
-    path = HERE / file
-    told = [*lines_of(read(path), path.name), *caplog.messages]
-    assert_as_before(told, HERE / f"{path.name}.{read.__name__}.txt")
+READERS = {one.__name__: one for one in (read_world_file, read_urdf_file, saved, parts_of)}
+FILES = """
+- [whole.world, read_world_file]
+- [whole.world, saved]
+- [whole.urdf, read_urdf_file]
+- [worlds/beacons.world, read_world_file]
+- [worlds/docking.world, read_world_file]
+- [worlds/docking_dots.world, read_world_file]
+- [worlds/docking_nested.world, read_world_file]
+- [worlds/docking_decoy.world, read_world_file]
+- [urdf/beacon.urdf, read_urdf_file]
+- [urdf/block_robot.urdf, read_urdf_file]
+- [urdf/camera_robot.urdf, read_urdf_file]
+- [whole.obj, parts_of]
+- [whole.dae, parts_of]
+"""
+
+
+@pytest.mark.parametrize("file, reader", yaml.safe_load(FILES))
+def test_whole_files_are_read_as_before(file, reader, caplog):
+    path = (PACKAGE if "/" in file else HERE) / file
+    told = [*lines_of(READERS[reader](path), path.name), *caplog.messages]
+    assert_as_before(told, HERE / f"{path.name}.{reader}.txt")

@@ -1,6 +1,7 @@
 import os
 
 import pytest
+import yaml
 from sensor_worlds import INERTIAL
 
 from bullet_lab.simulation.simulation import Simulation
@@ -71,18 +72,18 @@ def test_it_can_be_spawned_by_its_path(write):
         assert simulation.spawn(str(path)).name == "made"
 
 
-@pytest.mark.parametrize(
-    ("body", "head", "message"),
-    [
-        ("<link", "", "no element found|unclosed token|not well-formed"),
-        ('<link name="${no_such_name}"/>', HEAD, "no_such_name"),
-        ('<xacro:include filename="missing.xacro"/>', HEAD, "missing.xacro"),
-        ('<link name="$(arg never_given)"/>', HEAD, "never_given"),
-        ('<property name="w" value="1"/><link name="${w}"/>', HEAD, "<property> is <xacro:prop"),
-    ],
-)
-def test_refusals_are_one_line_with_the_file(write, body, head, message):
-    path = write(body, head=head)
+REFUSED = """
+- [<link, no element found|unclosed token|not well-formed]
+- ['<link name="${no_such_name}"/>', no_such_name]
+- [<xacro:include filename="missing.xacro"/>, missing.xacro]
+- [<link name="$(arg never_given)"/>, never_given]
+- ['<property name="w" value="1"/><link name="${w}"/>', <property> is <xacro:prop]
+"""
+
+
+@pytest.mark.parametrize("body, message", yaml.safe_load(REFUSED))
+def test_refusals_are_one_line_with_the_file(write, body, message):
+    path = write(body)
     with pytest.raises(XacroError, match=message) as refusal:
         read_urdf_file(path)
     assert str(refusal.value).startswith(f"{path}: ")

@@ -12,16 +12,32 @@ from bullet_lab.simulation.world.urdf import expand_xacro, read_urdf
 
 CONFIG = yaml.safe_load((PACKAGE / "test/tutorials/config/arm.yaml").read_text())
 NAMES = tuple(CONFIG["arm_controller"]["joints"])
-LIFTING = {"p": 3000.0, "i": 500.0, "d": 60.0, "i_clamp": 100.0}
-TURNING = {"p": 300.0, "i": 50.0, "d": 6.0, "i_clamp": 30.0}
-GAINS = {
-    "position": {},
-    "velocity": {
-        "gains": {name: {"p": 20.0} for name in NAMES},
-        "velocity_ff": dict.fromkeys(NAMES, 1.0),
-    },
-    "effort": {"gains": {name: LIFTING if name in NAMES[:3] else TURNING for name in NAMES}},
-}
+GAINS = yaml.safe_load("""
+position: {}
+velocity:
+  gains:
+    shoulder_pan_joint: &p {p: 20.0}
+    shoulder_lift_joint: *p
+    elbow_joint: *p
+    wrist_1_joint: *p
+    wrist_2_joint: *p
+    wrist_3_joint: *p
+  velocity_ff:
+    shoulder_pan_joint: 1.0
+    shoulder_lift_joint: 1.0
+    elbow_joint: 1.0
+    wrist_1_joint: 1.0
+    wrist_2_joint: 1.0
+    wrist_3_joint: 1.0
+effort:
+  gains:
+    shoulder_pan_joint: &lifting {p: 3000.0, i: 500.0, d: 60.0, i_clamp: 100.0}
+    shoulder_lift_joint: *lifting
+    elbow_joint: *lifting
+    wrist_1_joint: &turning {p: 300.0, i: 50.0, d: 6.0, i_clamp: 30.0}
+    wrist_2_joint: *turning
+    wrist_3_joint: *turning
+""")
 
 
 @functools.lru_cache(maxsize=None)

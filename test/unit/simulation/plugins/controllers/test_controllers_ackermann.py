@@ -7,7 +7,7 @@ from control_robots import CAR, listen, run, spawn_car
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 
-LENGTH, RADIUS = 0.6, 0.1
+LENGTH = 0.6
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 import math
 
 import pytest
+import yaml
 from control_robots import TRANSMISSION, robot_urdf
 
 from bullet_lab.simulation.plugins.controllers import ControlParameters
@@ -12,7 +13,7 @@ from bullet_lab.simulation.plugins.controllers.joints import (
     described_joints,
 )
 
-JOINT = '<joint name="arm"><hardwareInterface>{}</hardwareInterface></joint>'
+JOINT = '<joint name="arm"><hardwareInterface>EffortJointInterface</hardwareInterface></joint>'
 TYPE = "<type>transmission_interface/SimpleTransmission</type>"
 MOTOR = '<actuator name="motor"/>'
 
@@ -30,19 +31,22 @@ def test_interfaces_are_read_with_and_without_their_prefix(prefix):
     }
 
 
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (f"{JOINT.format('VelocityJointInterface')}{MOTOR}", "no <type>"),
-        (f"{TYPE}{MOTOR}", "no joints"),
-        (f"{TYPE}{2 * JOINT.format(EFFORT)}{MOTOR}", "2 joints"),
-        (f'{TYPE}<joint name="arm"/>{MOTOR}', "no <hardwareInterface>"),
-        (f"{TYPE}{JOINT.format('MagicInterface')}{MOTOR}", "'MagicInterface'"),
-        (f"{TYPE}{JOINT.format(EFFORT)}", "no <actuator>"),
-    ],
-)
+# In it, {0} is a type, {1} a joint with an interface and {2} an actuator.
+ODD = """
+- ['{1}{2}', no <type>]
+- ['{0}{2}', no joints]
+- ['{0}{1}{1}{2}', 2 joints]
+- ['{0}<joint name="arm"/>{2}', no <hardwareInterface>]
+- ['{0}<joint name="arm"><hardwareInterface>MagicInterface</hardwareInterface></joint>{2}',
+   "'MagicInterface'"]
+- ['{0}{1}', no <actuator>]
+"""
+
+
+@pytest.mark.parametrize("content, complaint", yaml.safe_load(ODD))
 def test_a_transmission_without_sense_is_named_and_the_rest_stays(caplog, content, complaint):
     good = TRANSMISSION.format(joint="wheel", interface=VELOCITY)
+    content = content.format(TYPE, JOINT, MOTOR)
     odd = f'<transmission name="odd">{content}</transmission>'
     assert interfaces(f'<robot name="bot">{odd}{good}</robot>') == {"wheel": VELOCITY}
     assert len(caplog.messages) == 1
@@ -73,16 +77,16 @@ def test_parameters_change_limits():
     assert limits == JointLimits(-math.inf, math.inf, 0.5, 3.0, 7.0)
 
 
-@pytest.mark.parametrize(
-    ("kind", "position", "target", "way"),
-    [
-        ("continuous", 3.0, -3.0, 2 * math.pi - 6.0),
-        ("continuous", 40.0, 40.5, 0.5),
-        # Over the end of the limits there is no way, short as it is.
-        ("revolute", 2.0, -2.0, -4.0),
-        ("prismatic", 2.0, -2.0, -4.0),
-    ],
-)
+WAYS = """
+- [continuous, 3.0, -3.0, 0.2831853]
+- [continuous, 40.0, 40.5, 0.5]
+# Over the end of the limits there is no way, short as it is.
+- [revolute, 2.0, -2.0, -4.0]
+- [prismatic, 2.0, -2.0, -4.0]
+"""
+
+
+@pytest.mark.parametrize("kind, position, target, way", yaml.safe_load(WAYS))
 def test_the_way_to_a_target(kind, position, target, way):
     joint = DescribedJoint("arm", kind, limits=JointLimits(-2.5, 2.5))
     assert joint.error(position, target) == pytest.approx(way)

@@ -1,6 +1,8 @@
 import math
+from pathlib import Path
 
 import pytest
+import yaml
 from control_robots import listen, run, spawn
 
 from bullet_lab.core.pose import Pose
@@ -8,18 +10,12 @@ from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.diff_drive import SpeedLimiter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 
-KIND = "diff_drive_controller/DiffDriveController"
-WHEELS = {
-    "type": KIND,
-    "left_wheel": "left_wheel_joint",
-    "right_wheel": ["right_wheel_joint"],
-    "pose_covariance_diagonal": [0.001, 0.002, 0.003, 0.004, 0.005, 0.03],
-    "twist_covariance_diagonal": [0.1, 0.2, 0.3, 0.4, 0.5, 3],
-}
-GENTLE = {
-    "linear": {"x": {"has_acceleration_limits": True, "max_acceleration": 0.5}},
-    "angular": {"z": {"has_acceleration_limits": True, "max_acceleration": 1.0}},
-}
+CASES = yaml.safe_load((Path(__file__).parent / "controllers.yaml").read_text())
+WHEELS = CASES["drive"]["parameters"]
+GENTLE = yaml.safe_load("""
+linear: {x: {has_acceleration_limits: true, max_acceleration: 0.5}}
+angular: {z: {has_acceleration_limits: true, max_acceleration: 1.0}}
+""")
 
 
 def drive(world, **parameters):

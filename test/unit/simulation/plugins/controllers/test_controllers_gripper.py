@@ -1,4 +1,5 @@
 import pytest
+import yaml
 from arm_robots import CONFIG, NAMES, Sent, spawn_arm, trajectory
 from control_robots import control_of, run
 
@@ -86,15 +87,15 @@ def test_its_joint_must_be_known(world):
         gripper(world, joint="tail")
 
 
-@pytest.mark.parametrize(
-    ("tags", "expected"),
-    [
-        ("<multiplier>-0.5</multiplier><offset>0.03</offset>", 0.02),
-        ("<sensitiveness>0.04</sensitiveness>", 0.0),
-        ("<hasPID/>", 0.02),
-        ("<hasPID>false</hasPID>", 0.02),
-    ],
-)
+MIMICS = """
+- [<multiplier>-0.5</multiplier><offset>0.03</offset>, 0.02]
+- [<sensitiveness>0.04</sensitiveness>, 0.0]
+- [<hasPID/>, 0.02]
+- [<hasPID>false</hasPID>, 0.02]
+"""
+
+
+@pytest.mark.parametrize("tags, expected", yaml.safe_load(MIMICS))
 def test_a_joint_mimics_another_one(world, tags, expected):
     wanted = {"p": 500.0, "d": 10.0}
     controller, fingers = gripper(

@@ -3,33 +3,57 @@
 import math
 
 import pytest
-from control_robots import LENGTH, PLACES, RADIUS, WIDTH, control_of, listen, run, spawn_base
+import yaml
+from control_robots import LENGTH, PLACES, RADIUS, control_of, listen, run, spawn_base
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
-from bullet_lab.simulation.plugins.controllers.joints import EFFORT, POSITION
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 
-GAINS = {f"{name}_steering": {"p": 60.0, "d": 1.0} for name in PLACES}
-BASE = {
-    "type": "steered_wheel_base_controller/SteeredWheelBaseController",
-    "pid_gains": GAINS,
-    "wheels": [
-        {"steering_joint": f"{name}_steering", "axle_joint": f"{name}_axle", "diameter": 2 * RADIUS}
-        for name in PLACES
-    ],
-}
-FOUR = {
-    "type": "four_wheel_steering_controller/FourWheelSteeringController",
-    "front_steering": ["fl_steering", "fr_steering"],
-    "rear_steering": ["rl_steering", "rr_steering"],
-    "front_wheel": ["fl_axle", "fr_axle"],
-    "rear_wheel": ["rl_axle", "rr_axle"],
-    "pose_covariance_diagonal": [0.1] * 6,
-    "twist_covariance_diagonal": [0.2] * 6,
-}
-FORKS = {"fork": POSITION, "kind": "revolute"}
-EFFORTS = {f"{name}_axle": {"p": 2.0, "i": 0.0} for name in PLACES}
+# Parameters of controllers, and what robots differ in.
+KNOWN = yaml.safe_load("""
+base: &base
+  type: steered_wheel_base_controller/SteeredWheelBaseController
+  pid_gains: &gains
+    fl_steering: &gain {p: 60.0, d: 1.0}
+    fr_steering: *gain
+    rl_steering: *gain
+    rr_steering: *gain
+  wheels:
+    - {steering_joint: fl_steering, axle_joint: fl_axle, diameter: 0.12}
+    - {steering_joint: fr_steering, axle_joint: fr_axle, diameter: 0.12}
+    - {steering_joint: rl_steering, axle_joint: rl_axle, diameter: 0.12}
+    - {steering_joint: rr_steering, axle_joint: rr_axle, diameter: 0.12}
+by efforts:
+  <<: *base
+  pid_gains:
+    {<<: *gains, fl_axle: &axle {p: 2.0, i: 0.0}, fr_axle: *axle, rl_axle: *axle, rr_axle: *axle}
+four:
+  type: four_wheel_steering_controller/FourWheelSteeringController
+  front_steering: [fl_steering, fr_steering]
+  rear_steering: [rl_steering, rr_steering]
+  front_wheel: [fl_axle, fr_axle]
+  rear_wheel: [rl_axle, rr_axle]
+  pose_covariance_diagonal: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1]
+  twist_covariance_diagonal: &twist [0.2, 0.2, 0.2, 0.2, 0.2, 0.2]
+ackermann:
+  type: ackermann_steering_controller/AckermannSteeringController
+  wheel_separation_h: 0.5
+  wheel_radius: 0.06
+  pose_covariance_diagonal: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1]
+  twist_covariance_diagonal: *twist
+  cmd_vel_timeout: 60.0
+# As in the original, the right one of the steers first.
+hardware:
+  virtual_rear_wheels: [rl_axle, rr_axle]
+  virtual_front_wheels: [fl_axle, fr_axle]
+  virtual_front_steers: [fr_steering, fl_steering]
+  wheel_separation_h: 0.5
+  wheel_separation_w: 0.4
+car: {kind: revolute, rear: fixed, fork: none, axle: none}
+fast: {linear_acceleration_limit: -1.0, yaw_acceleration_limit: -1.0}
+""")
+BASE, FAST = KNOWN["base"], KNOWN["fast"]
 
 
 def start(world, given, parameters=None, **robot):
@@ -49,9 +73,6 @@ def drive(world, given, velocity, seconds, **robot):
     return before.inverse() * instance.pose(), samples[-1]
 
 
-FAST = {"linear_acceleration_limit": -1.0, "yaw_acceleration_limit": -1.0}
-
-
 def expected(vx, vy, wz, seconds):
     """The pose after a drive at a velocity."""
     half = 0.5 * wz * seconds
@@ -60,27 +81,28 @@ def expected(vx, vy, wz, seconds):
     return chord * x, chord * y, wz * seconds
 
 
-@pytest.mark.parametrize(
-    ("given", "robot", "velocity"),
-    [
-        (BASE, {}, (0.25, 0.0, 0.0)),
-        (BASE, {}, (-0.25, 0.0, 0.0)),
-        (BASE, {}, (0.0, 0.25, 0.0)),
-        (BASE, {}, (0.1, -0.2, 0.0)),
-        (BASE, {}, (0.0, 0.0, 0.5)),
-        (BASE, {}, (0.2, 0.1, -0.3)),
-        (BASE, FORKS, (0.0, -0.25, 0.2)),
-        (BASE, {"fork": POSITION, "kind": "revolute", "least": -0.1, "most": 3.1}, (0, -0.2, 0)),
-        ({**BASE, "pid_gains": {**GAINS, **EFFORTS}}, {"axle": EFFORT}, (0.2, 0.1, 0.3)),
-        (FOUR, FORKS, (0.25, 0.0, 0.0)),
-        (FOUR, FORKS, (0.3, 0.0, 0.4)),
-        (FOUR, FORKS, (-0.3, 0.0, 0.4)),
-        (FOUR, {**FORKS, "offset": 0.05}, (0.3, 0.0, 0.4)),
-        (FOUR, FORKS, (0.2, 0.1, 0.0)),
-    ],
-)
+# A controller, what differs of the robot, and the velocity.
+DRIVES = """
+- [base, {}, [0.25, 0, 0]]
+- [base, {}, [-0.25, 0, 0]]
+- [base, {}, [0, 0.25, 0]]
+- [base, {}, [0.1, -0.2, 0]]
+- [base, {}, [0, 0, 0.5]]
+- [base, {}, [0.2, 0.1, -0.3]]
+- [base, &forks {fork: PositionJointInterface, kind: revolute}, [0, -0.25, 0.2]]
+- [base, {<<: *forks, least: -0.1, most: 3.1}, [0, -0.2, 0]]
+- [by efforts, {axle: EffortJointInterface}, [0.2, 0.1, 0.3]]
+- [four, *forks, [0.25, 0, 0]]
+- [four, *forks, [0.3, 0, 0.4]]
+- [four, *forks, [-0.3, 0, 0.4]]
+- [four, {<<: *forks, offset: 0.05}, [0.3, 0, 0.4]]
+- [four, *forks, [0.2, 0.1, 0]]
+"""
+
+
+@pytest.mark.parametrize("given, robot, velocity", yaml.safe_load(DRIVES))
 def test_it_drives_as_commanded_and_reports_it(world, given, robot, velocity):
-    driven, told = drive(world, {**given, **FAST}, velocity, 2.0, **robot)
+    driven, told = drive(world, {**KNOWN[given], **FAST}, velocity, 2.0, **robot)
     x, y, yaw = expected(*velocity, 2.0)
     # The forks turn first.
     assert driven.position[:2] == pytest.approx((x, y), abs=0.035)
@@ -91,76 +113,8 @@ def test_it_drives_as_commanded_and_reports_it(world, given, robot, velocity):
     assert (last.vx, last.vy, last.wz) == pytest.approx(velocity, abs=0.02)
 
 
-def speeds(world, given, velocity, seconds, before=(0.0, 0.0, 0.0), **robot):
-    """Return the controller and its speed after a time since a command that follows another one."""
-    _, controller = start(world, {**given, "cmd_vel_timeout": 60.0}, **robot)
-    for command, duration in ((before, 2.0), (velocity, seconds)):
-        controller.command(PlanarCommand(*command))
-        world.run_for(duration)
-    last = controller._last
-    return last.vx, last.vy, last.wz
-
-
-@pytest.mark.parametrize(
-    ("limits", "before", "velocity", "seconds", "reached"),
-    [
-        ({}, (0, 0, 0), (0.3, 0.4, 0), 0.2, (0.12, 0.16, 0)),
-        ({}, (0, 0, 0), (0, 0, -0.5), 0.2, (0, 0, -0.2)),
-        # Shrinking has no limit by default, and stops at 0 on the way to another direction.
-        ({}, (0.4, 0, 0.4), (-0.4, 0, -0.4), 0.201, (-0.2, 0, -0.2)),
-        ({}, (0, 0, 0), (3, 4, 0), 2.0, (0.6, 0.8, 0)),
-        ({"linear_speed_limit": 0.5}, (0, 0, 0), (0, 2, 0), 1.0, (0, 0.5, 0)),
-        ({"yaw_speed_limit": 0.1}, (0, 0, 0), (0, 0, 2), 1.0, (0, 0, 0.1)),
-        ({"linear_speed_limit": -1, **FAST}, (0, 0, 0), (3, 0, 0), 0.01, (3, 0, 0)),
-        ({"linear_deceleration_limit": 0.5}, (0.4, 0, 0), (0, 0, 0), 0.2, (0.3, 0, 0)),
-        ({"yaw_deceleration_limit": 0.5}, (0, 0, 0.4), (0, 0, -0.4), 0.2, (0, 0, 0.3)),
-    ],
-)
-def test_limits(world, limits, before, velocity, seconds, reached):
-    found = speeds(world, {**BASE, **limits}, velocity, seconds, before)
-    assert found == pytest.approx(reached, abs=2e-3)
-
-
-def test_it_goes_back_without_turning_its_forks(world):
-    _, controller = start(world, {**BASE, **FAST, "cmd_vel_timeout": 0})
-
-    def forks_after(vy):
-        controller.command(PlanarCommand(vy=vy))
-        world.run_for(1.0)
-        joints = {joint.name: joint for joint in controller.joints}
-        rates = [joints[f"{name}_axle"].velocity for name in PLACES]
-        assert rates == pytest.approx([vy / RADIUS] * 4, abs=0.05)
-        return [joints[f"{name}_steering"].position for name in PLACES]
-
-    before = forks_after(0.3)
-    assert before == pytest.approx([0.5 * math.pi] * 4, abs=0.02)
-    assert forks_after(-0.3) == pytest.approx(before, abs=0.02)
-    assert forks_after(0.0) == pytest.approx(before, abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("given", "velocity", "topics"),
-    [
-        (BASE, (0.2, 0, 0), ["/drive/odom", "/tf", "/odom"]),
-        (FOUR, (0, 0, 0.5), ["/drive/odom", "/tf"]),
-    ],
-)
-def test_topics_and_frames(world, given, velocity, topics):
-    robot = FORKS if given is FOUR else {}
-    instance, controller = start(world, given, **robot)
-    assert [output.topic for output in controller.outputs] == topics
-    samples = [listen(output) for output in controller.outputs]
-    controller.inputs[-1].handle(PlanarCommand(*velocity))
-    # Without a further command it stops after half a second.
-    world.run_for(2.0)
-    x, y, _ = instance.pose().position
-    assert math.hypot(x, y) == pytest.approx(0.08 if given is BASE else 0.0, abs=0.03)
-    assert instance.pose().yaw == pytest.approx(0.0, abs=0.02)
-    last = [one[-1] for one in samples]
-    assert len(samples[0]) == (59 if given is BASE else 99)
-    assert {one.frame for one in last} == {"odom"}
-    assert {one.child_frame for one in last} == {"base_link"}
-    assert last[-1].pose == last[0].pose
+def test_a_command_that_is_not_finite_is_refused(world):
+    _, controller = start(world, BASE)
     with pytest.raises(ControlError, match="not finite"):
         controller.command(PlanarCommand(vy=math.nan))
 
@@ -180,48 +134,30 @@ def test_odometry_goes_on_where_the_robot_is_placed(world):
     assert samples[-1].pose.position[:2] == pytest.approx((0.0, 0.0), abs=0.01)
 
 
-ACKERMANN = {
-    "type": "ackermann_steering_controller/AckermannSteeringController",
-    "wheel_separation_h": LENGTH,
-    "wheel_radius": RADIUS,
-    "pose_covariance_diagonal": [0.1] * 6,
-    "twist_covariance_diagonal": [0.2] * 6,
-}
-CAR = {"kind": "revolute", "rear": "fixed", "fork": "none", "axle": "none"}
 HARDWARE = "steer_bot_hardware_gazebo/SteerBotHardwareGazebo"
 
 
 def car(world, velocity, seconds, **hardware):
     """Return a car of steer_bot_hardware_gazebo, its controller and its odometry after a drive."""
-    parts = {
-        "virtual_rear_wheels": ["rl_axle", "rr_axle"],
-        "virtual_front_wheels": ["fl_axle", "fr_axle"],
-        # As in the original, the right one first.
-        "virtual_front_steers": ["fr_steering", "fl_steering"],
-        "wheel_separation_h": LENGTH,
-        "wheel_separation_w": WIDTH,
-        **hardware,
-    }
     tags = f"<robotSimType>{HARDWARE}</robotSimType>"
-    given = {**ACKERMANN, "cmd_vel_timeout": 60.0}
-    parameters = {"steer_bot_hardware_gazebo": parts}
-    instance, controller = start(world, given, parameters, **CAR, tags=tags)
+    parameters = {"steer_bot_hardware_gazebo": {**KNOWN["hardware"], **hardware}}
+    instance, controller = start(world, KNOWN["ackermann"], parameters, **KNOWN["car"], tags=tags)
     samples = listen(controller.odometry)
     controller.command(PlanarCommand(*velocity))
     world.run_for(seconds)
     return instance, controller, samples[-1]
 
 
-@pytest.mark.parametrize(
-    ("hardware", "angle", "left", "right"),
-    [
-        ({}, 0.0, 0.0, 0.0),
-        # tan(0.3) / (1 -+ 0.2 tan(0.3)) for a width of 0.8 lengths.
-        ({}, 0.3, math.atan(0.30934 / 0.93813), math.atan(0.30934 / 1.06187)),
-        ({}, -0.3, -math.atan(0.30934 / 1.06187), -math.atan(0.30934 / 0.93813)),
-        ({"enable_ackermann_link": False}, 0.3, 0.3, 0.3),
-    ],
-)
+CARS = """
+- [{}, 0.0, 0.0, 0.0]
+# tan(0.3) / (1 -+ 0.2 tan(0.3)) for a width of 0.8 lengths.
+- [{}, 0.3, 0.31851, 0.28347]
+- [{}, -0.3, -0.28347, -0.31851]
+- [{enable_ackermann_link: false}, 0.3, 0.3, 0.3]
+"""
+
+
+@pytest.mark.parametrize("hardware, angle, left, right", yaml.safe_load(CARS))
 def test_a_car_of_steer_bot_hardware_drives_and_steers(world, hardware, angle, left, right):
     instance, controller, told = car(world, (0.25, 0.0, angle), 2.0, **hardware)
     assert [joint.name for joint in controller.joints] == ["rear_wheel_joint", "front_steer_joint"]
@@ -236,14 +172,14 @@ def test_a_car_of_steer_bot_hardware_drives_and_steers(world, hardware, angle, l
     assert pose.yaw == pytest.approx(told.pose.yaw, abs=0.08)
 
 
-@pytest.mark.parametrize(
-    ("hardware", "complaint"),
-    [
-        ({"virtual_rear_wheels": None}, "virtual_rear_wheels is missing or empty"),
-        ({"virtual_front_steers": []}, "virtual_front_steers is missing or empty"),
-        ({"wheel_separation_h": 0}, "wheel_separation_h has to be positive"),
-    ],
-)
+WRONG = """
+- [{virtual_rear_wheels: null}, virtual_rear_wheels is missing or empty]
+- [{virtual_front_steers: []}, virtual_front_steers is missing or empty]
+- [{wheel_separation_h: 0}, wheel_separation_h has to be positive]
+"""
+
+
+@pytest.mark.parametrize("hardware, complaint", yaml.safe_load(WRONG))
 def test_wrong_parameters_of_steer_bot_hardware_are_named(world, hardware, complaint):
     with pytest.raises(ControlError, match=f"hardware_gazebo/{complaint}"):
         car(world, (0.0, 0.0, 0.0), 0.1, **hardware)

@@ -1,15 +1,12 @@
 import numpy as np
 import pytest
+import yaml
 from arm_robots import NAMES, Sent, arm_controller, positions, spawn_arm, trajectory
 from control_robots import listen, run
 
 from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.trajectories import (
-    INVALID_GOAL,
-    INVALID_JOINTS,
     OFF_GOAL,
-    OFF_PATH,
-    OLD_STAMP,
     Segment,
     spline,
 )
@@ -18,7 +15,6 @@ from bullet_lab.simulation.plugins.samples import TrajectoryGoal
 GOAL = np.array([1.0, -0.6, 0.9, 0.4, -0.5, 2.0])
 NAN = float("nan")
 DEFAULT = {"path": {}, "goal": {}, "seconds": 0.0}
-QUINTIC = np.polynomial.Polynomial([0.0, 1.0, 1.0, 0.5, 0.1, -0.03])
 
 
 def arc(part):
@@ -26,20 +22,17 @@ def arc(part):
     return tuple(GOAL * (3.0 * part**2 - 2.0 * part**3)), tuple(GOAL * 3.0 * part * (1 - part))
 
 
-def state(seconds):
-    return tuple(QUINTIC.deriv(k)(seconds) if k else QUINTIC(seconds) for k in range(3))
+ENDS = """
+- [[1.0, null, null], [3.0, null, null], [2.0, 1.0, 0.0]]
+- [[1.0, 0.0, 0.0], [3.0, null, null], [2.0, 1.0, 0.0]]
+- [[1.0, 0.0, 5.0], [3.0, 0.0, null], [2.0, 1.5, 0.0]]
+- [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.875, 0.0]]
+# Of t + t² + 0.5 t³ + 0.1 t⁴ - 0.03 t⁵.
+- [[0.0, 1.0, 2.0], [10.64, 11.8, 8.0], [2.57, 4.75, 5.6]]
+"""
 
 
-@pytest.mark.parametrize(
-    ("one", "two", "middle"),
-    [
-        ((1.0, None, None), (3.0, None, None), (2.0, 1.0, 0.0)),
-        ((1.0, 0.0, 0.0), (3.0, None, None), (2.0, 1.0, 0.0)),
-        ((1.0, 0.0, 5.0), (3.0, 0.0, None), (2.0, 1.5, 0.0)),
-        ((1.0, 0.0, 0.0), (3.0, 0.0, 0.0), (2.0, 1.875, 0.0)),
-        (state(0.0), state(2.0), state(1.0)),
-    ],
-)
+@pytest.mark.parametrize("one, two, middle", yaml.safe_load(ENDS))
 def test_a_spline_is_as_smooth_as_its_ends_are_known(one, two, middle):
     segment = Segment(4.0, 6.0, spline(one, two, 2.0), 0.0)
     assert segment.at(5.0) == pytest.approx(middle)
@@ -69,24 +62,27 @@ def test_an_arm_follows_ten_points(world, kind):
     assert positions(controller) == pytest.approx(GOAL, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("content", "code", "text"),
-    [
-        (trajectory((1.0, 0.5), joints=NAMES[:5]), INVALID_JOINTS, "needed are shoulder_pan_joint"),
-        (trajectory()._replace(joints=()), INVALID_JOINTS, "it names no joints"),
-        (trajectory((1.0, 0.5), joints=("tail",)), INVALID_JOINTS, "it names tail"),
-        (trajectory((1.0, 0.5), joints=NAMES[:5] * 2), INVALID_JOINTS, "needed are"),
-        (trajectory((1.0, (0.5,))), INVALID_GOAL, "point 1 of 1 has 1/0/0 positions"),
-        (trajectory((1.0, ())), INVALID_GOAL, "0/0/0 positions/velocities/accelerations for 6"),
-        (trajectory((1.0, 0.5, NAN)), INVALID_GOAL, "point 1 of 1 is not finite"),
-        (trajectory((1.0, 0.5), (1.0, 0.6)), INVALID_GOAL, "point 2 of 2: 1 s comes after 1 s"),
-        (trajectory((0.0, 0.5)), INVALID_GOAL, "all points are past: the last stamp"),
-        (trajectory((0.1, 0.5), start=1e-9), OLD_STAMP, "was 0.410 s ago"),
-    ],
-)
-def test_invalid_goals_are_rejected(world, content, code, text):
+JOINTS = {"all": NAMES, "five": NAMES[:5], "none": (), "tail": ("tail",), "twice": NAMES[:5] * 2}
+# Points, of which joints, from when on, the code and what is said.
+INVALID = """
+- [[[1.0, 0.5]], five, 0, -2, needed are shoulder_pan_joint]
+- [[], none, 0, -2, it names no joints]
+- [[[1.0, 0.5]], tail, 0, -2, it names tail]
+- [[[1.0, 0.5]], twice, 0, -2, needed are]
+- [[[1.0, [0.5]]], all, 0, -1, point 1 of 1 has 1/0/0 positions]
+- [[[1.0, []]], all, 0, -1, 0/0/0 positions/velocities/accelerations for 6]
+- [[[1.0, 0.5, .nan]], all, 0, -1, point 1 of 1 is not finite]
+- [[[1.0, 0.5], [1.0, 0.6]], all, 0, -1, 'point 2 of 2: 1 s comes after 1 s']
+- [[[0.0, 0.5]], all, 0, -1, 'all points are past: the last stamp']
+- [[[0.1, 0.5]], all, 1.0e-9, -3, was 0.410 s ago]
+"""
+
+
+@pytest.mark.parametrize("points, joints, since, code, text", yaml.safe_load(INVALID))
+def test_invalid_goals_are_rejected(world, points, joints, since, code, text):
     controller = arm_controller(world)
     world.run_for(0.5)
+    content = trajectory(*points, joints=JOINTS[joints], start=since)
     goal = Sent(controller, content, world, 0.01)
     assert goal.states == ["rejected"]
     assert goal.result[0] == code
@@ -94,22 +90,18 @@ def test_invalid_goals_are_rejected(world, content, code, text):
     assert positions(controller) == pytest.approx([0.0] * 6, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("point", "tolerances", "code", "text"),
-    [
-        # 3 rad/s are allowed.
-        ((0.3, 1.8), {}, OFF_PATH, "'shoulder_pan_joint': path error in position is 0.1"),
-        ((0.3, 1.8), {"path": {NAMES[1]: (0.5, 0.9)}}, OFF_PATH, "velocity is 6; allowed are 0.9"),
-        # The limits are 3.1 rad.
-        ((2.0, 3.3, 0.0), {}, OFF_PATH, "path error in position is 0.1"),
-        (
-            (2.0, (3.3, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0),
-            {"path": {NAMES[0]: (-1.0, 0.0)}, "seconds": 0.2},
-            OFF_GOAL,
-            "'shoulder_pan_joint': goal error in position is 0.2; allowed are 0.02",
-        ),
-    ],
-)
+VIOLATED = """
+# 3 rad/s are allowed.
+- [[0.3, 1.8], {}, -4, '''shoulder_pan_joint'': path error in position is 0.1']
+- [[0.3, 1.8], {path: {shoulder_lift_joint: [0.5, 0.9]}}, -4, velocity is 6; allowed are 0.9]
+# The limits are 3.1 rad.
+- [[2.0, 3.3, 0.0], {}, -4, path error in position is 0.1]
+- [[2.0, [3.3, 0, 0, 0, 0, 0], 0.0], {path: {shoulder_pan_joint: [-1, 0]}, seconds: 0.2}, -5,
+   '''shoulder_pan_joint'': goal error in position is 0.2; allowed are 0.02']
+"""
+
+
+@pytest.mark.parametrize("point, tolerances, code, text", yaml.safe_load(VIOLATED))
 def test_a_violated_tolerance_is_named(world, point, tolerances, code, text):
     controller = arm_controller(world)
     content = TrajectoryGoal(trajectory(point), **{**DEFAULT, **tolerances})

@@ -12,40 +12,39 @@ from arm_robots import arm_controller, trajectory
 from control_robots import CAR, listen, run, spawn, spawn_base, spawn_car
 
 from bullet_lab.simulation.plugins.controllers import ControlError
-from bullet_lab.simulation.plugins.samples import JointCommand, PlanarCommand
+from bullet_lab.simulation.plugins.samples import Trajectory
 from bullet_lab.simulation.simulation import Simulation
 
 HERE = Path(__file__).parent
+WAY = trajectory((0.2, 0.3, 0.5, 0.0), (0.6, 0.7, -0.2, 0.1))
 FLOOR = "package://bullet_lab/worlds/empty.world"
 
 
 SPAWN = {"bot": spawn, "car": spawn_car, "base": spawn_base}
 
 
-def controller_of(world, name, robot="bot", parameters=None, velocity=None):
-    """Return a controller that runs, and its command."""
-    parameters = parameters or {}
+def controller_of(world, name, robot="bot", parameters=(), hardware=None, spawned=()):
+    """Return a controller that runs."""
     if robot == "arm":
-        points = (0.2, 0.3, 0.5, 0.0), (0.6, 0.7, -0.2, 0.1)
-        return arm_controller(world, name.partition("s_")[0], **parameters), trajectory(*points)
-    if robot == "car":
-        parameters = {**CAR, **parameters}
-    _, manager = SPAWN[robot](world)
-    command = PlanarCommand(*velocity) if velocity else JointCommand(0.8)
-    return run(manager, name, **parameters), command
+        return arm_controller(world, name.partition("s_")[0], **dict(parameters))
+    usual = CAR if robot == "car" else {}
+    _, manager = SPAWN[robot](world, *([hardware] if hardware else ()), **dict(spawned))
+    return run(manager, name, **{**usual, **dict(parameters)})
 
 
 def test_states_are_as_before(caplog):
     told = []
     for name, case in yaml.safe_load((HERE / "controllers.yaml").read_text()).items():
+        steps = case.pop("steps", [[[0.8], 0.45]])
         with Simulation.of(FLOOR) as world:
-            controller, command = controller_of(world, name, **case)
+            controller = controller_of(world, name, **case)
             samples = {output.topic: listen(output) for output in controller.outputs}
-            for entry in controller.inputs:
-                entry.handle(command)
-            world.run_for(0.45)
-            joints = [(joint.name, joint.position, joint.velocity) for joint in controller.joints]
-        told += lines_of(joints, name)
+            for command, seconds in steps:
+                for entry in controller.inputs[-1:]:
+                    entry.handle(WAY if entry.kind is Trajectory else entry.kind(*command))
+                world.run_for(seconds)
+                joints = [(one.name, one.position, one.velocity) for one in controller.joints]
+                told += lines_of(joints, name)
         for topic, found in samples.items():
             told += [f"{topic}: {len(found)}", *lines_of(found[-1:], topic)]
     told += caplog.messages
